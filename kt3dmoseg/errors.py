@@ -1,0 +1,60 @@
+"""The one family of errors that a user of kt3dmoseg or mseg can meet.
+
+Every message is one line that says where, what was expected, what was found and what to do.
+"""
+
+from __future__ import annotations
+
+
+class KT3DMoSegError(Exception):
+    """Root of all errors raised on purpose by kt3dmoseg and mseg.
+
+    Parameters
+    ----------
+    where : str
+        The file, field or argument at fault; or the whole message when it stands alone.
+    expected, found, fix : str, optional
+        What was expected there, what was found instead, and what the user can do about it.
+    """
+
+    exit_code = 2
+
+    def __init__(self, where: str, *, expected: str = "", found: str = "", fix: str = "") -> None:
+        self.where, self.expected, self.found, self.fix = where, expected, found, fix
+        detail = ", ".join(
+            f"{word} {value}" for word, value in (("expected", expected), ("found", found)) if value
+        )
+        message = ": ".join(part for part in (where, detail) if part)
+        super().__init__(" ".join(f"{message}; {fix}".split()) if fix else " ".join(message.split()))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Cross process boundaries intact: rebuild from the four parts, not from the message."""
+        return _rebuild, (type(self), self.where, self.expected, self.found, self.fix)
+
+
+def _rebuild(cls: type[KT3DMoSegError], where: str, expected: str, found: str, fix: str) -> KT3DMoSegError:
+    return cls(where, expected=expected, found=found, fix=fix)
+
+
+class InvalidValueError(KT3DMoSegError, ValueError):
+    """An argument, option or array has a value that makes no sense."""
+
+
+class UnknownNameError(KT3DMoSegError, LookupError):
+    """A method, flow, metric, option or clip of that name does not exist."""
+
+
+class FileFormatError(KT3DMoSegError, ValueError):
+    """A file exists but does not hold what its format promises."""
+
+
+class InputFileError(KT3DMoSegError, OSError):
+    """A file or folder is missing, unreadable or unwritable."""
+
+    def __str__(self) -> str:
+        """Give the one-line message; OSError would print its argument tuple."""
+        return str(self.args[0])
+
+
+class MissingDependencyError(KT3DMoSegError, ImportError):
+    """An optional package or its data is not installed."""

@@ -1,0 +1,119 @@
+"""Atomic writes and content hashes: what every reader and writer of files shares."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import InputFileError
+
+_BLOCK = 1 << 20
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary path beside `path`; on success it takes the name `path`, durably.
+
+    The folder is created when missing. On any exception, and on ``kill -9``, `path` keeps its
+    former content or stays absent; the temporary file is removed when the process can.
+
+    Raises
+    ------
+    InputFileError
+        When the folder cannot be created or written, or the disk is full.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
+        os.close(handle)
+        os.chmod(name, 0o666 & ~_umask())
+    except OSError as error:
+        raise _unwritable(target, error) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        _sync(temporary)
+        os.replace(temporary, target)
+        _sync(target.parent)
+    except OSError as error:
+        raise error if isinstance(error, InputFileError) else _unwritable(target, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write `content` to `path` atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: str | os.PathLike[str], content: str) -> None:
+    """Write `content` to `path` atomically, as UTF-8 with the newlines it has."""
+    write_bytes(path, content.encode())
+
+
+def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
+    """Read a file of at most `limit` bytes.
+
+    Raises
+    ------
+    InputFileError
+        When it cannot be read or is larger.
+    """
+    try:
+        with open(path, "rb") as stream:
+            content = stream.read(limit + 1)
+    except OSError as error:
+        raise InputFileError(f"{os.fspath(path)}: {error.strerror or error}") from error
+    if len(content) > limit:
+        raise InputFileError(os.fspath(path), expected=f"at most {limit} bytes", found="more")
+    return content
+
+
+def sha256_file(path: str | os.PathLike[str]) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    digest = hashlib.sha256()
+    try:
+        with open(path, "rb") as stream:
+            while block := stream.read(_BLOCK):
+                digest.update(block)
+    except OSError as error:
+        raise InputFileError(f"{os.fspath(path)}: {error.strerror or error}") from error
+    return digest.hexdigest()
+
+
+def sha256_arrays(*arrays: npt.NDArray[Any]) -> str:
+    """Hexadecimal SHA-256 over dtype, shape and little-endian content of the arrays, in order."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        digest.update(f"{little.dtype.str}{little.shape}".encode())
+        digest.update(np.ascontiguousarray(little).data)
+    return digest.hexdigest()
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _umask() -> int:
+    current = os.umask(0)
+    os.umask(current)
+    return current
+
+
+def _unwritable(path: Path, error: OSError) -> InputFileError:
+    return InputFileError(f"{path}: cannot write", found=error.strerror or str(error))

@@ -1,0 +1,64 @@
+"""Tables of named things: "module:attribute" strings, loaded only when used.
+
+Listing a table imports nothing. Third parties add to a table through an entry point group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from kt3dmoseg.errors import UnknownNameError
+
+
+class Registry:
+    """A table of names to "module:attribute" targets.
+
+    Parameters
+    ----------
+    kind : str
+        What the table holds, in the singular, for messages: ``"method"``.
+    table : mapping of str to str
+        The built-in names.
+    group : str
+        Entry point group of third parties. A built-in name cannot be replaced.
+    """
+
+    def __init__(self, kind: str, table: Mapping[str, str], group: str) -> None:
+        self.kind, self.table, self.group = kind, dict(table), group
+
+    def targets(self) -> dict[str, str]:
+        """Every name and its target; built-in names first, then third parties' by name."""
+        others = {e.name: e.value for e in sorted(entry_points(group=self.group), key=lambda e: e.name)}
+        return self.table | {name: value for name, value in others.items() if name not in self.table}
+
+    def names(self) -> list[str]:
+        """All names, built-in first."""
+        return list(self.targets())
+
+    def load(self, name: str) -> Any:  # noqa: ANN401  # the object behind the name, of the table's kind
+        """Import and return what `name` stands for.
+
+        Raises
+        ------
+        UnknownNameError
+            When there is no such name; the message proposes the nearest.
+        """
+        targets = self.targets()
+        if name not in targets:
+            raise unknown_name(self.kind, name, targets)
+        module, _, attribute = targets[name].partition(":")
+        return getattr(import_module(module), attribute)
+
+
+def unknown_name(kind: str, name: object, known: Iterable[str], *, where: str = "") -> UnknownNameError:
+    """Make the error for an unknown name, with the nearest known one or the whole list."""
+    names = list(known)
+    close = get_close_matches(str(name).lower(), [n.lower() for n in names], n=1)
+    nearest = next((n for n in names if close and n.lower() == close[0]), None)
+    fix = f"did you mean {nearest!r}?" if nearest else f"known: {', '.join(names) or 'none'}"
+    message = f"unknown {kind} {str(name)!r}"
+    return UnknownNameError(f"{where}: {message}" if where else message, fix=fix)

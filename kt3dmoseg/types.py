@@ -1,0 +1,297 @@
+"""Central types: trajectories, labels, clips.
+
+All are frozen; their arrays are read-only and are checked once, on construction. Pixel coordinates
+are (x right, y down) with (0, 0) at the centre of the top-left pixel; frames count from 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import InvalidValueError
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+Float32Array: TypeAlias = npt.NDArray[np.float32]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+ByteArray: TypeAlias = npt.NDArray[np.uint8]
+
+_UNLABELLED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """N point trajectories over F frames.
+
+    Parameters
+    ----------
+    xy : (N, F, 2) float64
+        Positions in pixels; NaN exactly where `visible` is False.
+    visible : (N, F) bool
+        Whether the trajectory exists in the frame. A trajectory may be visible nowhere.
+    track_id : (N,) int64, optional
+        Unique identities, kept by `select`; by default 0..N-1.
+    image_size : (W, H) or None
+        Width and height of the frames in pixels, when known.
+
+    Raises
+    ------
+    InvalidValueError
+        When shapes disagree, ids repeat, or `xy` is not finite exactly where visible.
+    """
+
+    xy: FloatArray
+    visible: BoolArray
+    track_id: IntArray = None  # type: ignore[assignment]  # filled in __post_init__
+    image_size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        xy = _frozen(self.xy, np.float64)
+        visible = _frozen(self.visible, np.bool_)
+        if xy.ndim != 3 or xy.shape[2] != 2:
+            raise InvalidValueError("xy", expected="shape (N, F, 2)", found=f"{xy.shape}")
+        if visible.shape != xy.shape[:2]:
+            raise InvalidValueError("visible", expected=f"shape {xy.shape[:2]}", found=f"{visible.shape}")
+        ids = np.arange(len(xy)) if self.track_id is None else self.track_id
+        track_id = _frozen(ids, np.int64)
+        if track_id.shape != (len(xy),) or len(np.unique(track_id)) != len(xy):
+            raise InvalidValueError(
+                "track_id", expected=f"{len(xy)} unique ids", found=f"shape {track_id.shape}"
+            )
+        _check_presence(xy, visible)
+        object.__setattr__(self, "xy", xy)
+        object.__setattr__(self, "visible", visible)
+        object.__setattr__(self, "track_id", track_id)
+        if self.image_size is not None:
+            width, height = self.image_size
+            object.__setattr__(self, "image_size", (int(width), int(height)))
+
+    def __len__(self) -> int:
+        """Return the number of trajectories."""
+        return len(self.xy)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames F."""
+        return int(self.xy.shape[1])
+
+    @property
+    def lengths(self) -> IntArray:
+        """Number of visible frames of each trajectory, (N,) int64."""
+        return np.asarray(self.visible.sum(axis=1), dtype=np.int64)
+
+    def pair(self, i: int, j: int) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Correspondences between two frames.
+
+        Parameters
+        ----------
+        i, j : int
+            Frame indices.
+
+        Returns
+        -------
+        rows : (P,) int64
+            Rows of the trajectories visible in both frames, ascending.
+        x1, x2 : (P, 2) float64
+            Their positions in frame `i` and in frame `j`.
+        """
+        rows = np.flatnonzero(self.visible[:, i] & self.visible[:, j])
+        return rows, self.xy[rows, i], self.xy[rows, j]
+
+    def select(self, rows: npt.ArrayLike) -> Trajectories:
+        """Return the trajectories at `rows` (indices or boolean mask), ids kept."""
+        index = np.asarray(rows)
+        return Trajectories(self.xy[index], self.visible[index], self.track_id[index], self.image_size)
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """Motion labels.
+
+    Parameters
+    ----------
+    label : (N,) int64
+        0 = unlabelled or outlier; 1, 2, ... = motions. Numbers need not be contiguous.
+    background : int or None
+        The label of the static scene, when known.
+    names : mapping of int to str
+        What each motion is called; may be empty.
+    """
+
+    label: IntArray
+    background: int | None = None
+    names: Mapping[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        raw = np.asarray(self.label)
+        if raw.ndim != 1:
+            raise InvalidValueError("label", expected="a vector (N,)", found=f"shape {raw.shape}")
+        if raw.size and not (np.issubdtype(raw.dtype, np.integer) and raw.min() >= _UNLABELLED):
+            raise InvalidValueError("label", expected="integers >= 0", found=_brief(raw))
+        object.__setattr__(self, "label", _frozen(raw, np.int64))
+        object.__setattr__(self, "names", MappingProxyType(dict(self.names)))
+
+    def __len__(self) -> int:
+        """Return the number of labels."""
+        return len(self.label)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild from plain values: a read-only mapping view does not pickle."""
+        return Labels, (np.array(self.label), self.background, dict(self.names))
+
+    @property
+    def motions(self) -> IntArray:
+        """The distinct labels other than 0, ascending."""
+        found = np.unique(self.label)
+        return found[found > _UNLABELLED]
+
+    @property
+    def n_motions(self) -> int:
+        """Number of distinct labels other than 0."""
+        return len(self.motions)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """The camera that filmed a clip.
+
+    Parameters
+    ----------
+    name : str
+        For instance ``"image_00"``.
+    K : (3, 3) float64 or None
+        Matrix that maps normalised to pixel coordinates (intrinsics; in Hopkins155 files the
+        matrix with which the benchmark normalised its coordinates).
+    """
+
+    name: str = ""
+    K: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.K is None:
+            return
+        matrix = _frozen(self.K, np.float64)
+        if matrix.shape != (3, 3):
+            raise InvalidValueError("camera.K", expected="shape (3, 3)", found=f"{matrix.shape}")
+        object.__setattr__(self, "K", matrix)
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One sequence: dense trajectories, the evaluated ones among them, and their labels.
+
+    Parameters
+    ----------
+    name : str
+        Name of the clip, for instance ``"Seq005_Clip01"``.
+    dense : Trajectories
+        All trajectories.
+    evaluated : (n,) int64
+        Rows of `dense` that are scored, in the order of `labels`.
+    labels : Labels
+        Motion labels of the evaluated rows; all 0 when the clip is not labelled.
+    frame_numbers : (F,) int64, optional
+        Numbers of the frames in their source; by default 0..F-1.
+    timestamps : (F,) float64 or None
+        Seconds, when known.
+    camera : Camera or None
+        Camera, when known.
+    provenance : mapping of str to JSON-able values
+        Where the clip comes from: sources' sha256, options, versions.
+    """
+
+    name: str
+    dense: Trajectories
+    evaluated: IntArray
+    labels: Labels
+    frame_numbers: IntArray = None  # type: ignore[assignment]  # filled in __post_init__
+    timestamps: FloatArray | None = None
+    camera: Camera | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        rows = _frozen(self.evaluated, np.int64)
+        n, frames = len(self.dense), self.dense.n_frames
+        if rows.ndim != 1 or (rows.size and (rows.min() < 0 or rows.max() >= n)):
+            raise InvalidValueError("evaluated", expected=f"rows in 0..{n - 1}", found=_brief(rows))
+        if len(np.unique(rows)) != len(rows):
+            raise InvalidValueError("evaluated", expected="unique rows", found="a row given twice")
+        if len(self.labels) != len(rows):
+            raise InvalidValueError(
+                "labels", expected=f"{len(rows)} (one per evaluated row)", found=f"{len(self.labels)}"
+            )
+        numbers = np.arange(frames) if self.frame_numbers is None else self.frame_numbers
+        object.__setattr__(self, "evaluated", rows)
+        object.__setattr__(self, "frame_numbers", _per_frame(numbers, np.int64, frames, "frame_numbers"))
+        if self.timestamps is not None:
+            seconds = _per_frame(self.timestamps, np.float64, frames, "timestamps")
+            object.__setattr__(self, "timestamps", seconds)
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild from plain values: a read-only mapping view does not pickle."""
+        fields = (self.name, self.dense, self.evaluated, self.labels, self.frame_numbers)
+        return Clip, (*fields, self.timestamps, self.camera, dict(self.provenance))
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames F."""
+        return self.dense.n_frames
+
+    @property
+    def n_motions(self) -> int:
+        """Number of labelled motions among the evaluated trajectories."""
+        return self.labels.n_motions
+
+    @property
+    def evaluated_trajectories(self) -> Trajectories:
+        """The evaluated trajectories, in the order of `labels`."""
+        return self.dense.select(self.evaluated)
+
+    def with_labels(self, labels: Labels) -> Clip:
+        """Return the same clip with other labels of the evaluated rows."""
+        return replace(self, labels=labels)
+
+    def without_labels(self) -> Clip:
+        """Return the same clip as a method may see it: every label 0."""
+        return replace(self, labels=Labels(np.zeros(len(self.evaluated), dtype=np.int64)))
+
+
+def _frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return a read-only array of `dtype`, copied unless it is one already."""
+    given = np.asarray(values)
+    same = given.dtype == dtype and not given.flags.writeable and given.base is None
+    array = given if same else np.array(given, dtype=dtype, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def _per_frame(values: npt.ArrayLike, dtype: npt.DTypeLike, frames: int, name: str) -> npt.NDArray[Any]:
+    array = _frozen(values, dtype)
+    if array.shape != (frames,):
+        raise InvalidValueError(name, expected=f"shape ({frames},)", found=f"{array.shape}")
+    return array
+
+
+def _check_presence(xy: FloatArray, visible: BoolArray) -> None:
+    finite = np.isfinite(xy).all(axis=2)
+    wrong = (visible & ~finite) | (~visible & ~np.isnan(xy).all(axis=2))
+    if wrong.any():
+        row, frame = np.argwhere(wrong)[0]
+        raise InvalidValueError(
+            f"xy of trajectory {row} in frame {frame}",
+            expected="finite" if visible[row, frame] else "NaN (not visible)",
+            found=str(xy[row, frame].tolist()),
+        )
+
+
+def _brief(array: npt.NDArray[Any]) -> str:
+    if not array.size:
+        return f"{array.dtype} of shape {array.shape}"
+    return f"{array.dtype} of shape {array.shape}, values {array.min()}..{array.max()}"

@@ -1,0 +1,23 @@
+"""Errors of mseg; all belong to the family of `kt3dmoseg.errors`."""
+
+from __future__ import annotations
+
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+
+
+class SegmentationError(KT3DMoSegError):
+    """A method cannot segment a clip; the message is the reason that reports show."""
+
+
+class TooFewPointsError(SegmentationError, InvalidValueError):
+    """A clip holds too few trajectories or frames for what was asked."""
+
+
+class IncompleteTrajectoriesError(SegmentationError, InvalidValueError):
+    """A method that needs complete trajectories was given gaps."""
+
+
+class RejectedSubmissionError(KT3DMoSegError):
+    """A submission is invalid."""
+
+    exit_code = 1

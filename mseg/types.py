@@ -1,0 +1,93 @@
+"""What methods produce: hypotheses on the way, a segmentation at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, Protocol, TypeAlias
+
+import numpy as np
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import Clip, FloatArray, IntArray
+
+ModelKind: TypeAlias = Literal["affine", "homography", "fundamental"]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """K geometric models between pairs of frames.
+
+    Parameters
+    ----------
+    models : (K, 3, 3) float64
+        Homogeneous matrices.
+    pair : (K, 2) int64
+        The two frames of each model.
+    kind : {"affine", "homography", "fundamental"}
+        Type of all models.
+    """
+
+    models: FloatArray
+    pair: IntArray
+    kind: ModelKind
+
+    def __post_init__(self) -> None:
+        if self.models.shape != (len(self.pair), 3, 3) or self.pair.shape[1:] != (2,):
+            raise InvalidValueError(
+                "hypotheses",
+                expected="models (K, 3, 3) and pair (K, 2)",
+                found=f"{self.models.shape} and {self.pair.shape}",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """Predicted motions of the evaluated trajectories of a clip.
+
+    Parameters
+    ----------
+    labels : (n,) int64
+        1, 2, ... = predicted motions; 0 = outlier. In the order of ``clip.evaluated``.
+    report : mapping of str to object
+        What the method wants to tell: objective values, convergence, chosen rank, timings.
+    """
+
+    labels: IntArray
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        labels = np.array(self.labels, dtype=np.int64)
+        if labels.ndim != 1 or (labels.size and labels.min() < 0):
+            raise InvalidValueError("labels", expected="(n,) integers >= 0", found=f"shape {labels.shape}")
+        labels.flags.writeable = False
+        object.__setattr__(self, "labels", labels)
+        object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild from plain values: a read-only mapping view does not pickle."""
+        return Segmentation, (np.array(self.labels), dict(self.report))
+
+
+class Method(Protocol):
+    """A segmentation method: a frozen dataclass of parameters with one verb."""
+
+    def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
+        """Segment the evaluated trajectories of `clip` into `n_motions` motions.
+
+        Parameters
+        ----------
+        clip : Clip
+            The sequence; its labels must not be looked at.
+        n_motions : int or None
+            Number of motions; None where the method finds it itself.
+        rng : numpy.random.Generator
+            The only source of randomness.
+
+        Raises
+        ------
+        SegmentationError
+            When the clip cannot be segmented by this method.
+        """
+        ...

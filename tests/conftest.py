@@ -1,0 +1,31 @@
+"""Fixtures that every test may use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+_HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="session")
+def data_root() -> Path:
+    """The real data: KT3DMOSEG_DATA, or ../shared/data beside the checkout.
+
+    A test that needs it is skipped only where there is none and nobody said that there is one.
+    """
+    named = os.environ.get("KT3DMOSEG_DATA")
+    root = Path(named) if named else _HERE.parent.parent / "shared" / "data"
+    if root.is_dir():
+        return root.resolve()
+    if named:
+        pytest.fail(f"KT3DMOSEG_DATA={named}: no such folder")
+    pytest.skip("real data not here; set KT3DMOSEG_DATA to run this test")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
