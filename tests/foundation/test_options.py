@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from typing import Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kt3dmoseg.errors import InvalidValueError, UnknownNameError
+from kt3dmoseg.options import (
+    add_arguments,
+    check,
+    describe,
+    from_mapping,
+    from_namespace,
+    option,
+    option_names,
+    parse_assignments,
+)
+
+
+@dataclass(frozen=True)
+class Example:
+    alpha: float = option(8.0, "power, 50 % of it", low=0)
+    rounds: int = option(3, "rounds", low=1, high=10)
+    kind: Literal["a", "b"] = option("a", "kind")
+    fast: bool = option(False, "speed")
+    limit: int | None = option(None, "limit")
+    scales: tuple[float, ...] = option((1.0,), "scales")
+
+
+def parsed(*flags: str) -> Example:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser, Example)
+    return from_namespace(Example, parser.parse_args(flags))
+
+
+def test_no_flags_give_the_defaults():
+    assert parsed() == Example()
+
+
+def test_flags_toml_values_and_strings_agree():
+    by_flag = parsed("--alpha", "2", "--fast", "--kind", "b", "--limit", "4", "--scales", "1,2")
+    by_toml = from_mapping(Example, {"alpha": 2, "fast": True, "kind": "b", "limit": 4, "scales": [1, 2]})
+    assert by_flag == by_toml == Example(2.0, 3, "b", True, 4, (1.0, 2.0))
+    assert parsed("--no-fast").fast is False
+
+
+def test_a_misspelt_key_names_the_nearest():
+    with pytest.raises(
+        UnknownNameError, match=r"run.toml: unknown option of Example 'alhpa'; did you mean 'alpha'\?"
+    ):
+        from_mapping(Example, {"alhpa": 1}, where="run.toml")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"alpha": "x"}, "alpha: expected a number"),
+        ({"alpha": "nan"}, "alpha: expected a number"),
+        ({"alpha": -1}, "alpha: expected a number >= 0"),
+        ({"rounds": 2.5}, "rounds: expected a whole number"),
+        ({"rounds": 11}, "rounds: expected a number >= 1 and <= 10"),
+        ({"rounds": True}, "rounds: expected a whole number"),
+        ({"kind": "c"}, "kind: expected one of a, b"),
+        ({"fast": "maybe"}, "fast: expected true or false"),
+        ({"limit": "many"}, "limit: expected a whole number"),
+    ],
+)
+def test_bad_values_are_one_clear_line(values, message):
+    with pytest.raises(InvalidValueError, match=message):
+        from_mapping(Example, values)
+
+
+def test_bounds_hold_for_instances_too():
+    with pytest.raises(InvalidValueError, match="rounds"):
+        check(Example(rounds=0))
+
+
+@given(
+    st.dictionaries(
+        st.text(max_size=8), st.one_of(st.none(), st.text(max_size=5), st.floats(), st.integers())
+    )
+)
+def test_any_mapping_gives_an_instance_or_one_of_our_errors(values):
+    try:
+        assert isinstance(from_mapping(Example, values), Example)
+    except (InvalidValueError, UnknownNameError) as error:
+        assert "\n" not in str(error)
+
+
+def test_assignments_and_descriptions():
+    assert parse_assignments(["alpha=8", "k-means=a=b"]) == {"alpha": "8", "k_means": "a=b"}
+    with pytest.raises(InvalidValueError, match="name=value"):
+        parse_assignments(["alpha"])
+    assert [row[0] for row in describe(Example)] == option_names(Example)

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
+
+NAN = np.nan
+
+
+def two_tracks() -> Trajectories:
+    xy = np.array([[[0.0, 1.0], [2.0, 3.0], [NAN, NAN]], [[NAN, NAN], [4.0, 5.0], [6.0, 7.0]]])
+    return Trajectories(xy, np.array([[1, 1, 0], [0, 1, 1]], dtype=bool), image_size=(10, 8))
+
+
+def test_pair_gives_the_trajectories_seen_in_both_frames():
+    rows, x1, x2 = two_tracks().pair(1, 2)
+    assert rows.tolist() == [1]
+    assert x1.tolist() == [[4.0, 5.0]]
+    assert x2.tolist() == [[6.0, 7.0]]
+    assert two_tracks().pair(0, 2)[0].size == 0
+
+
+def test_select_keeps_identity_and_image_size():
+    chosen = two_tracks().select([1])
+    assert chosen.track_id.tolist() == [1]
+    assert chosen.image_size == (10, 8)
+    assert two_tracks().select(np.array([True, False])).track_id.tolist() == [0]
+
+
+def test_arrays_are_read_only_and_independent_of_the_callers():
+    xy = np.zeros((1, 2, 2))
+    trajectories = Trajectories(xy, np.ones((1, 2), dtype=bool))
+    xy[:] = 5
+    assert trajectories.xy.max() == 0
+    with pytest.raises(ValueError, match="read-only"):
+        trajectories.xy[0, 0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    ("xy", "visible", "message"),
+    [
+        (np.zeros((1, 2, 3)), np.ones((1, 2), bool), "xy: expected shape"),
+        (np.zeros((1, 2, 2)), np.ones((1, 3), bool), "visible: expected shape"),
+        (np.full((1, 2, 2), NAN), np.ones((1, 2), bool), "xy of trajectory 0 in frame 0: expected finite"),
+        (np.full((1, 2, 2), np.inf), np.ones((1, 2), bool), "expected finite"),
+        (np.zeros((1, 2, 2)), np.zeros((1, 2), bool), "expected NaN"),
+    ],
+)
+def test_inconsistent_trajectories_are_refused(xy, visible, message):
+    with pytest.raises(InvalidValueError, match=message):
+        Trajectories(xy, visible)
+
+
+def test_repeated_track_ids_are_refused():
+    with pytest.raises(InvalidValueError, match="unique ids"):
+        Trajectories(np.zeros((2, 1, 2)), np.ones((2, 1), bool), np.array([3, 3]))
+
+
+@pytest.mark.parametrize("label", [[-1], [0.5], [[1]]])
+def test_bad_labels_are_refused(label):
+    with pytest.raises(InvalidValueError, match="label"):
+        Labels(np.array(label))
+
+
+@given(st.lists(st.integers(0, 6), max_size=30))
+def test_motions_are_the_distinct_positive_labels(values):
+    labels = Labels(np.array(values, dtype=int))
+    assert labels.motions.tolist() == sorted(set(values) - {0})
+    assert labels.n_motions == len(set(values) - {0})
+
+
+def test_clip_checks_what_it_joins():
+    dense = two_tracks()
+    with pytest.raises(InvalidValueError, match="labels: expected 1"):
+        Clip("c", dense, np.array([0]), Labels(np.array([1, 2])))
+    with pytest.raises(InvalidValueError, match="evaluated"):
+        Clip("c", dense, np.array([2]), Labels(np.array([1])))
+    with pytest.raises(InvalidValueError, match="unique rows"):
+        Clip("c", dense, np.array([0, 0]), Labels(np.array([1, 1])))
+    with pytest.raises(InvalidValueError, match="frame_numbers"):
+        Clip("c", dense, np.array([0]), Labels(np.array([1])), frame_numbers=np.array([1]))
+    with pytest.raises(InvalidValueError, match="camera"):
+        Camera("image_00", np.eye(2))
+
+
+def test_clip_survives_pickling_between_processes():
+    clip = Clip("c", two_tracks(), np.array([1]), Labels(np.array([2]), 1, {2: "car"}), provenance={"a": 1})
+    copy = pickle.loads(pickle.dumps(clip))
+    assert copy.labels.names == {2: "car"}
+    assert copy.provenance == {"a": 1}
+    assert np.array_equal(copy.dense.xy, clip.dense.xy, equal_nan=True)
+    assert not copy.dense.xy.flags.writeable
+
+
+def test_without_labels_hides_the_truth_only():
+    clip = Clip("c", two_tracks(), np.array([1, 0]), Labels(np.array([2, 1]), 1))
+    hidden = clip.without_labels()
+    assert hidden.labels.label.tolist() == [0, 0]
+    assert hidden.labels.background is None
+    assert hidden.evaluated.tolist() == [1, 0]
