@@ -72,6 +72,10 @@ class Trajectories:
             width, height = self.image_size
             object.__setattr__(self, "image_size", (int(width), int(height)))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild through the constructor: pickling alone would make the arrays writable."""
+        return Trajectories, (self.xy, self.visible, self.track_id, self.image_size)
+
     def __len__(self) -> int:
         """Return the number of trajectories."""
         return len(self.xy)
@@ -142,8 +146,8 @@ class Labels:
         return len(self.label)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild from plain values: a read-only mapping view does not pickle."""
-        return Labels, (np.array(self.label), self.background, dict(self.names))
+        """Rebuild through the constructor: a read-only mapping view does not pickle."""
+        return Labels, (self.label, self.background, dict(self.names))
 
     @property
     def motions(self) -> IntArray:
@@ -180,6 +184,10 @@ class Camera:
         if matrix.shape != (3, 3):
             raise InvalidValueError("camera.K", expected="shape (3, 3)", found=f"{matrix.shape}")
         object.__setattr__(self, "K", matrix)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild through the constructor: pickling alone would make the matrix writable."""
+        return Camera, (self.name, self.K)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +243,7 @@ class Clip:
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild from plain values: a read-only mapping view does not pickle."""
+        """Rebuild through the constructor: a read-only mapping view does not pickle."""
         fields = (self.name, self.dense, self.evaluated, self.labels, self.frame_numbers)
         return Clip, (*fields, self.timestamps, self.camera, dict(self.provenance))
 

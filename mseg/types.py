@@ -66,8 +66,8 @@ class Segmentation:
         object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild from plain values: a read-only mapping view does not pickle."""
-        return Segmentation, (np.array(self.labels), dict(self.report))
+        """Rebuild through the constructor: a read-only mapping view does not pickle."""
+        return Segmentation, (self.labels, dict(self.report))
 
 
 class Method(Protocol):
