@@ -1,0 +1,144 @@
+"""k-means with many restarts, all of them advanced together as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import FloatArray, IntArray
+from mseg.errors import TooFewPointsError
+
+_MAX_STEPS = 300
+
+
+@dataclass(frozen=True, eq=False)
+class KMeans:
+    """The best of the restarts.
+
+    Parameters
+    ----------
+    labels : (N,) int64
+        Cluster of each point, 0..K-1.
+    centres : (K, d) float64
+        Means of the clusters.
+    inertia : float
+        Sum of squared distances of the points to their centres.
+    """
+
+    labels: IntArray
+    centres: FloatArray
+    inertia: float
+
+
+def kmeans(points: FloatArray, n_clusters: int, rng: np.random.Generator, *, n_restarts: int = 20) -> KMeans:
+    """Cluster points by Lloyd's algorithm from several k-means++ starts.
+
+    Parameters
+    ----------
+    points : (N, d) float64
+        Finite points.
+    n_clusters : int
+        Number of clusters K, 1..N.
+    rng : numpy.random.Generator
+        The only source of randomness: same state, same result.
+    n_restarts : int
+        Number of starts R; the one of least inertia wins, the first of equals. Where there are
+        fewer distinct points than clusters, surplus clusters stay empty.
+
+    Returns
+    -------
+    KMeans
+
+    Raises
+    ------
+    TooFewPointsError
+        When there are fewer points than clusters.
+    InvalidValueError
+        When the points are not a finite matrix or `n_restarts` is less than 1.
+
+    References
+    ----------
+    Lloyd, "Least squares quantization in PCM", 1982; Arthur and Vassilvitskii, "k-means++: the
+    advantages of careful seeding", SODA 2007.
+    """
+    _check(points, n_clusters, n_restarts)
+    # Distances do not change with the origin; near the mean they lose fewest digits.
+    mean = points.mean(axis=0)
+    centred = np.ascontiguousarray(points - mean)
+    squares = np.einsum("nd,nd->n", centred, centred)
+    centres = _plus_plus(centred, squares, n_clusters, rng, n_restarts)
+    labels, centres = _lloyd(centred, squares, centres)
+    nearest = np.take_along_axis(centres, labels[:, :, None], axis=1)
+    inertia = ((centred - nearest) ** 2).sum(axis=(1, 2))
+    best = int(inertia.argmin())
+    return KMeans(labels[best], centres[best] + mean, float(inertia[best]))
+
+
+def _plus_plus(
+    points: FloatArray, squares: FloatArray, n_clusters: int, rng: np.random.Generator, n_restarts: int
+) -> FloatArray:
+    """Draw (R, K, d) starting centres among the points, far ones preferred."""
+    n = len(points)
+    draws = rng.random((n_clusters, n_restarts))
+    chosen = np.minimum((draws[0] * n).astype(np.int64), n - 1)
+    centres = np.empty((n_restarts, n_clusters, points.shape[1]))
+    centres[:, 0] = points[chosen]
+    nearest = np.full((n_restarts, n), np.inf)
+    for k in range(1, n_clusters):
+        np.minimum(nearest, _distances(points, squares, centres[:, k - 1]), out=nearest)
+        cumulative = nearest.cumsum(axis=1)
+        target = draws[k] * cumulative[:, -1]
+        # With no distance left (fewer distinct points than clusters) the last point is repeated.
+        chosen = np.minimum((cumulative <= target[:, None]).sum(axis=1), n - 1)
+        centres[:, k] = points[chosen]
+    return centres
+
+
+def _lloyd(points: FloatArray, squares: FloatArray, centres: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Alternate assignment and means for all restarts until each stands still."""
+    n_restarts, n_clusters, dimension = centres.shape
+    labels = np.full((n_restarts, len(points)), -1, dtype=np.int64)
+    active = np.arange(n_restarts)
+    for _ in range(_MAX_STEPS):
+        flat = centres[active].reshape(-1, dimension)
+        distance = _distances(points, squares, flat).reshape(len(active), n_clusters, len(points))
+        assigned = distance.argmin(axis=1)
+        moved = (assigned != labels[active]).any(axis=1)
+        labels[active] = assigned
+        active, assigned = active[moved], assigned[moved]
+        if not len(active):
+            break
+        centres[active] = _means(points, assigned, centres[active])
+    return labels, centres
+
+
+def _means(points: FloatArray, labels: IntArray, centres: FloatArray) -> FloatArray:
+    """Means of the clusters of each restart; a cluster that lost all its points keeps its centre."""
+    n_restarts, n_clusters, dimension = centres.shape
+    member = (labels[:, None, :] == np.arange(n_clusters)[:, None]).astype(np.float64)
+    member = member.reshape(n_restarts * n_clusters, -1)
+    count = member.sum(axis=1, keepdims=True)
+    total = member @ points
+    mean = np.divide(total, count, out=centres.reshape(-1, dimension).copy(), where=count > 0)
+    return mean.reshape(centres.shape)
+
+
+def _distances(points: FloatArray, squares: FloatArray, centres: FloatArray) -> FloatArray:
+    """Squared distances (C, N) of all points to all centres (C, d)."""
+    distance = -2.0 * (centres @ points.T)
+    distance += squares
+    distance += np.einsum("cd,cd->c", centres, centres)[:, None]
+    return np.maximum(distance, 0.0, out=distance)
+
+
+def _check(points: FloatArray, n_clusters: int, n_restarts: int) -> None:
+    if points.ndim != 2 or not np.isfinite(points).all():
+        raise InvalidValueError("points", expected="a finite matrix (N, d)", found=f"shape {points.shape}")
+    if not 1 <= n_clusters <= len(points):
+        raise TooFewPointsError(
+            "number of clusters", expected=f"1..{len(points)} (points)", found=str(n_clusters)
+        )
+    if n_restarts < 1:
+        raise InvalidValueError("n_restarts", expected="at least 1", found=str(n_restarts))
