@@ -1,0 +1,8 @@
+"""Readers and writers: the one seam where foreign conventions become the central types."""
+
+from __future__ import annotations
+
+from kt3dmoseg.io.dataset import dataset_paths, load_dataset
+from kt3dmoseg.io.formats import load
+
+__all__ = ["dataset_paths", "load", "load_dataset"]
