@@ -1,0 +1,197 @@
+"""KITTI tracklets: 3D boxes of labelled objects, parsed and projected to boxes in the image.
+
+The format is that of KITTI's raw data development kit: per object its size and, from its first frame
+on, one pose per frame in laser scanner coordinates (x forward, y left, z up, metres); the pose's
+origin is the centre of the box's bottom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import read_bytes
+from kt3dmoseg.types import FloatArray, IntArray
+
+_LARGEST = 64 << 20
+_NEAREST = 0.1
+# Corners in units of (length, width, height), and the pairs of them that differ in one coordinate.
+_UNIT = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+_EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
+
+
+@dataclass(frozen=True, eq=False)
+class Tracklet:
+    """One labelled object over consecutive frames.
+
+    Parameters
+    ----------
+    kind : str
+        KITTI's class, for instance ``"Car"``, ``"Cyclist"``, ``"Pedestrian"``.
+    size : (3,) float64
+        Length, width and height in metres.
+    numbers : (n,) int64
+        Frame numbers, consecutive.
+    translation : (n, 3) float64
+        Centre of the bottom of the box in laser scanner coordinates, metres.
+    yaw : (n,) float64
+        Rotation about the upward axis, radians.
+    state, occlusion, truncation : (n,) int64
+        KITTI's flags: state 1 interpolated, 2 labelled; occlusion 0 visible, 1 partly, 2 fully,
+        -1 unset; truncation 0 in the image, 1 truncated, 2 outside, 99 unset.
+    """
+
+    kind: str
+    size: FloatArray
+    numbers: IntArray
+    translation: FloatArray
+    yaw: FloatArray
+    state: IntArray
+    occlusion: IntArray
+    truncation: IntArray
+
+    def row(self, number: int) -> int:
+        """Return the row of a frame number in the arrays of this tracklet."""
+        first, n = int(self.numbers[0]) if len(self.numbers) else 0, len(self.numbers)
+        if not first <= number < first + n:
+            raise InvalidValueError(
+                "frame number", expected=f"{first}..{first + n - 1} of this tracklet", found=str(number)
+            )
+        return number - first
+
+    def corners(self, number: int) -> FloatArray:
+        """Return the box's eight corners in one frame, (8, 3) laser scanner coordinates in metres.
+
+        Raises
+        ------
+        InvalidValueError
+            When the object is not labelled in that frame.
+        """
+        row = self.row(number)
+        cos, sin = np.cos(self.yaw[row]), np.sin(self.yaw[row])
+        rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return np.asarray((_UNIT * self.size) @ rotation.T + self.translation[row])
+
+
+@dataclass(frozen=True, eq=False)
+class TrackletBox:
+    """A tracklet seen in one frame.
+
+    Parameters
+    ----------
+    index : int
+        Position of the tracklet in `RawDrive.tracklets`.
+    kind : str
+        KITTI's class.
+    box : (4,) float64
+        Left, top, right, bottom in pixels, clipped to the image.
+    depth : float
+        Distance of the box's centre along the camera's axis, metres.
+    occlusion, truncation : int
+        KITTI's flags, as in `Tracklet`.
+    """
+
+    index: int
+    kind: str
+    box: FloatArray
+    depth: float
+    occlusion: int
+    truncation: int
+
+
+def read_tracklets(path: Path) -> list[Tracklet]:
+    """Read a ``tracklet_labels.xml``.
+
+    Raises
+    ------
+    InputFileError
+        When the file is missing or larger than 64 MiB.
+    FileFormatError
+        When it is not such a file, or defines XML entities, which KITTI's never do.
+    """
+    content = read_bytes(path, _LARGEST)
+    try:
+        text = content.decode()
+        if "<!ENTITY" in text:
+            raise ValueError("XML that defines entities")
+        items = ElementTree.fromstring(text).findall("./tracklets/item")
+        return [_tracklet(item) for item in items]
+    except (ElementTree.ParseError, ValueError) as error:
+        raise FileFormatError(str(path), expected="KITTI tracklets", found=str(error)) from None
+
+
+def project_box(
+    corners: FloatArray, K: FloatArray, T_cam_velo: FloatArray, size: tuple[int, int]
+) -> FloatArray | None:
+    """Project a 3D box to the upright image box around its visible part.
+
+    Parameters
+    ----------
+    corners : (8, 3) float64
+        Corners in laser scanner coordinates, as `Tracklet.corners` gives them.
+    K : (3, 3) float64
+        Intrinsics in pixels.
+    T_cam_velo : (4, 4) float64
+        Laser scanner to camera.
+    size : (W, H)
+        Image size in pixels.
+
+    Returns
+    -------
+    (4,) float64 or None
+        Left, top, right, bottom, clipped to the image; None when nothing of the box is in view.
+        Edges are cut 0.1 m in front of the camera, so that boxes beside the car project rightly.
+    """
+    points = corners @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3]
+    front = _in_front(points)
+    if not len(front):
+        return None
+    pixels = front @ K.T
+    xy = pixels[:, :2] / pixels[:, 2:]
+    low, high = np.array([-0.5, -0.5]), np.array(size) - 0.5
+    first, last = np.clip(xy.min(axis=0), low, high), np.clip(xy.max(axis=0), low, high)
+    return np.concatenate([first, last]) if (last > first).all() else None
+
+
+def _in_front(points: FloatArray) -> FloatArray:
+    a, b = points[_EDGES[:, 0]], points[_EDGES[:, 1]]
+    za, zb = a[:, 2] - _NEAREST, b[:, 2] - _NEAREST
+    crossing = (za > 0) != (zb > 0)
+    t = (za[crossing] / (za[crossing] - zb[crossing]))[:, None]
+    cut = a[crossing] + t * (b[crossing] - a[crossing])
+    return np.concatenate([points[points[:, 2] > _NEAREST], cut])
+
+
+def _tracklet(item: ElementTree.Element) -> Tracklet:
+    poses = item.findall("./poses/item")
+    first = int(_text(item, "first_frame"))
+    numbers = np.arange(first, first + len(poses))
+    place = [[float(_text(pose, key)) for key in ("tx", "ty", "tz")] for pose in poses]
+    tracklet = Tracklet(
+        kind=_text(item, "objectType"),
+        size=np.array([float(_text(item, key)) for key in ("l", "w", "h")]),
+        numbers=numbers,
+        translation=np.array(place, dtype=np.float64).reshape(-1, 3),
+        yaw=np.array([float(_text(pose, "rz")) for pose in poses]),
+        state=_flags(poses, "state"),
+        occlusion=_flags(poses, "occlusion"),
+        truncation=_flags(poses, "truncation"),
+    )
+    if not (np.isfinite(tracklet.translation).all() and np.isfinite(tracklet.yaw).all()):
+        raise ValueError("a pose that is not finite")
+    return tracklet
+
+
+def _flags(poses: list[ElementTree.Element], key: str) -> IntArray:
+    return np.array([int(_text(pose, key)) for pose in poses], dtype=np.int64)
+
+
+def _text(element: ElementTree.Element, key: str) -> str:
+    text = element.findtext(key)
+    if text is None or not text.strip():
+        raise ValueError(f"no <{key}> in a tracklet")
+    return text.strip()
