@@ -1,0 +1,229 @@
+"""Self-expressive models: every trajectory written as a combination of the others.
+
+Data on a union of independent subspaces have combinations that use only columns of the own subspace.
+They are sought by convex programmes, solved by alternating directions; the linear systems are solved
+through a thin singular value decomposition of the data, so that an iteration costs ``O(N^2 D)`` for
+D x N data rather than ``O(N^3)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import FloatArray
+from mseg.completion import shrink
+from mseg.errors import SegmentationError
+from mseg.iteration import Convergence, iterate
+
+
+@dataclass(frozen=True, eq=False)
+class Representation:
+    """Coefficients (N, N) float64, column j expressing point j, and how the solver ended."""
+
+    coefficients: FloatArray
+    convergence: Convergence
+
+
+def sparse_representation(
+    data: FloatArray,
+    *,
+    alpha: float = 800.0,
+    affine: bool = True,
+    weights: FloatArray | float = 1.0,
+    start: FloatArray | None = None,
+    tolerance: float = 2e-4,
+    max_iterations: int = 200,
+) -> Representation:
+    """Solve the sparse subspace clustering programme by ADMM.
+
+        min sum_ij w_ij |C_ij| + mu/2 |X - X C|_F^2   s.t. diag C = 0 and, if affine, 1^T C = 1^T
+
+    with ``mu = alpha / min_j max_{i != j} |x_i . x_j|`` and penalty ``alpha`` of the splitting.
+
+    Parameters
+    ----------
+    data : (D, N) float64
+        Points X as columns.
+    alpha : float
+        Weight of the fit and penalty of ADMM.
+    affine : bool
+        Whether combinations are affine (columns of C sum to one).
+    weights : float or (N, N) float64
+        Weights w of the absolute values.
+    start : (N, N) float64 or None
+        Coefficients to start from; by default zero.
+    tolerance : float
+        Stop when no entry of the two constraints' residuals exceeds it.
+    max_iterations : int
+        Cap.
+
+    Returns
+    -------
+    Representation
+
+    Raises
+    ------
+    SegmentationError
+        When some point is orthogonal to all others (for instance zero): it cannot be expressed.
+
+    References
+    ----------
+    Elhamifar and Vidal, "Sparse subspace clustering: algorithm, theory and applications", TPAMI
+    2013, equation 13 and algorithm 2.
+    """
+    n = data.shape[1]
+    fit = alpha / smallest_coherence(data)
+    ones = np.full((1, n), np.sqrt(alpha) if affine else 0.0)
+    resolve = _ShiftedInverse(np.vstack([np.sqrt(fit) * data, ones]), alpha)
+    target = fit * (data.T @ data)
+    threshold = np.asarray(weights) / alpha
+    c = np.zeros((n, n)) if start is None else start.copy()
+    # Scaled multipliers: of the splitting Z = C, and of the columns' sums.
+    u, v = np.zeros((n, n)), np.zeros(n)
+
+    def step() -> float:
+        nonlocal c, u, v
+        right = target + alpha * (c - u)
+        if affine:
+            right += alpha * (1 - v)
+        z = resolve(right)
+        # The published code clears the diagonal here as well as in C; its results depend on it.
+        np.fill_diagonal(z, 0)
+        c = shrink(z + u, threshold)
+        np.fill_diagonal(c, 0)
+        gap = z - c
+        u += gap
+        excess = z.sum(axis=0) - 1 if affine else np.zeros(n)
+        v += excess
+        return max(float(np.abs(gap).max()), float(np.abs(excess).max()))
+
+    convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
+    return Representation(c, convergence)
+
+
+def smallest_coherence(data: FloatArray) -> float:
+    """``min_j max_{i != j} |x_i . x_j|``: the smallest l1 weight for which no column of C vanishes.
+
+    Raises
+    ------
+    SegmentationError
+        When it is zero.
+    """
+    if data.shape[1] < 2:
+        raise SegmentationError("trajectories", expected="at least 2", found=str(data.shape[1]))
+    gram = np.abs(data.T @ data)
+    np.fill_diagonal(gram, 0)
+    smallest = float(gram.max(axis=0).min())
+    if smallest <= np.finfo(np.float64).tiny:
+        raise SegmentationError(
+            "trajectories", expected="each one correlated with another", found="one orthogonal to all others"
+        )
+    return smallest
+
+
+def low_rank_representation(
+    data: FloatArray,
+    *,
+    weight: float = 4.0,
+    growth: float = 1.1,
+    tolerance: float = 1e-8,
+    max_iterations: int = 1000,
+) -> Representation:
+    """Solve the low-rank representation programme by the inexact augmented Lagrangian.
+
+        min |Z|_* + weight |E|_{2,1}   s.t.  X = X Z + E
+
+    Z lies in the row space of X, ``Z = Q W`` with orthonormal Q, so that W (rank X, N) is sought.
+
+    Parameters
+    ----------
+    data : (D, N) float64
+        Points X as columns.
+    weight : float
+        Weight lambda of the columns' errors.
+    growth : float
+        Factor by which the penalty (1e-6 at first) grows.
+    tolerance : float
+        Stop when no entry of the two constraints' residuals exceeds it.
+    max_iterations : int
+        Cap.
+
+    Returns
+    -------
+    Representation
+
+    References
+    ----------
+    Liu, Lin, Yan, Sun, Yu, Ma, "Robust recovery of subspace structures by low-rank representation",
+    TPAMI 2013, equation 7, algorithm 1 and section 4.2 (reduction by the row space).
+    """
+    n = data.shape[1]
+    basis = row_space_basis(data)
+    dictionary = data @ basis
+    rank = basis.shape[1]
+    inverse = np.linalg.inv(dictionary.T @ dictionary + np.eye(rank))
+    w, error = np.zeros((rank, n)), np.zeros_like(data)
+    y_fit, y_split = np.zeros_like(data), np.zeros((rank, n))
+    penalty = 1e-6
+
+    def step() -> float:
+        nonlocal w, error, y_fit, y_split, penalty
+        low = _shrink_wide(w + y_split / penalty, 1 / penalty)
+        w = inverse @ (dictionary.T @ (data - error + y_fit / penalty) + low - y_split / penalty)
+        left = data - dictionary @ w
+        error = shrink_columns(left + y_fit / penalty, weight / penalty)
+        fit_gap, split_gap = left - error, w - low
+        y_fit += penalty * fit_gap
+        y_split += penalty * split_gap
+        penalty = min(penalty * growth, 1e10)
+        return max(float(np.abs(fit_gap).max()), float(np.abs(split_gap).max()))
+
+    convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
+    return Representation(basis @ w, convergence)
+
+
+def row_space_basis(data: FloatArray) -> FloatArray:
+    """Orthonormal basis (N, r) of the row space of data (D, N), r its numerical rank.
+
+    Raises
+    ------
+    InvalidValueError
+        When the data are zero.
+    """
+    _, values, right = np.linalg.svd(data, full_matrices=False)
+    rank = int((values > max(data.shape) * np.finfo(np.float64).eps * values[0]).sum())
+    if rank == 0:
+        raise InvalidValueError("trajectory matrix", expected="numbers other than zero", found="only zeros")
+    return np.ascontiguousarray(right[:rank].T)
+
+
+def shrink_columns(matrix: FloatArray, threshold: float) -> FloatArray:
+    """Shorten every column by `threshold`, to zero at most: the proximal map of the l2,1 norm."""
+    length = np.linalg.norm(matrix, axis=0)
+    return matrix * (np.maximum(length - threshold, 0) / np.where(length > 0, length, 1))
+
+
+def _shrink_wide(matrix: FloatArray, threshold: float) -> FloatArray:
+    """Soft threshold of the singular values of a wide matrix, by way of its small square factor."""
+    factor, triangle = np.linalg.qr(matrix.T)
+    left, values, right = np.linalg.svd(triangle.T)
+    kept = int((values > threshold).sum())
+    return np.asarray((left[:, :kept] * (values[:kept] - threshold)) @ (right[:kept] @ factor.T))
+
+
+class _ShiftedInverse:
+    """Apply ``(B^T B + shift I)^-1`` to matrices, through the row space of B (Woodbury)."""
+
+    def __init__(self, rows: FloatArray, shift: float) -> None:
+        _, values, right = np.linalg.svd(rows, full_matrices=False)
+        kept = values > values[0] * np.finfo(np.float64).eps * max(rows.shape)
+        self.basis = np.ascontiguousarray(right[kept].T)
+        self.gain = (values[kept] ** 2 / (values[kept] ** 2 + shift))[:, None]
+        self.shift = shift
+
+    def __call__(self, right: FloatArray) -> FloatArray:
+        inside = self.basis @ (self.gain * (self.basis.T @ right))
+        return np.asarray((right - inside) / self.shift)

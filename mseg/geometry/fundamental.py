@@ -1,0 +1,125 @@
+"""Fundamental matrices between two images: x2^T F x1 = 0, rank 2."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.types import BoolArray, FloatArray
+from mseg.geometry import hartley
+
+MINIMAL = 8
+_Array = npt.NDArray[Any]
+# Smallest eighth pivot of the design matrix, relative to its first, that still fixes F.
+_DEGENERATE = 1e-9
+
+
+def fit(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Fit fundamental matrices to many samples at once by the normalised eight-point algorithm.
+
+    Parameters
+    ----------
+    x1, x2 : (K, p, 2) float64
+        K samples of p >= 8 corresponding points.
+
+    Returns
+    -------
+    models : (K, 3, 3) float64
+        Matrices of rank 2 and Frobenius norm 1; meaningless where not `ok`.
+    ok : (K,) bool
+        False where the eight-point equations leave more than one solution (repeated points, points
+        and motions on a plane) to within rounding.
+
+    References
+    ----------
+    Hartley, "In defense of the eight-point algorithm", TPAMI 1997.
+    """
+    n1, t1 = hartley.normalise(x1)
+    n2, t2 = hartley.normalise(x2)
+    design = _outer(n2, n1)
+    vectors, ok = _null_vectors(design) if x1.shape[1] == MINIMAL else _least_squares(design)
+    models = _nearest_rank_2(vectors.reshape(-1, 3, 3))
+    models = t2.transpose(0, 2, 1) @ models @ t1
+    size = np.linalg.norm(models, axis=(1, 2), keepdims=True)
+    return models / np.where(size > 0, size, 1.0), ok
+
+
+def sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
+    """Squared Sampson distances of points to fundamental matrices.
+
+    (x2^T F x1)^2 / ((F x1)_1^2 + (F x1)_2^2 + (F^T x2)_1^2 + (F^T x2)_2^2), Hartley and Zisserman,
+    "Multiple View Geometry", 2004, equation 11.9.
+
+    Parameters
+    ----------
+    models : (K, 3, 3) float
+        Fundamental matrices.
+    x1, x2 : (P, 2) float
+        Corresponding points; their dtype is that of the result.
+
+    Returns
+    -------
+    (P, K) float
+        NaN for a pair of points that both are epipoles.
+    """
+    f = models.astype(np.float64)
+    one = np.ones((len(x1), 1))
+    first = np.concatenate([x1, one], axis=1)
+    second = np.concatenate([x2, one], axis=1)
+    algebraic: _Array = _outer(second, first).astype(x1.dtype) @ f.reshape(-1, 9).T.astype(x1.dtype)
+    # |(F x1)_12|^2 is a quadratic form of x1 with the matrix F_12^T F_12; likewise of x2.
+    forms1 = _symmetric_part(f[:, :2].transpose(0, 2, 1) @ f[:, :2])
+    forms2 = _symmetric_part(f[:, :, :2] @ f[:, :, :2].transpose(0, 2, 1))
+    points = np.concatenate([_squares(first), _squares(second)], axis=1).astype(x1.dtype)
+    gradient: _Array = points @ np.concatenate([forms1, forms2], axis=1).astype(x1.dtype).T
+    algebraic *= algebraic
+    # Cancellation may leave the gradient at an epipole a rounding error below zero.
+    np.abs(gradient, out=gradient)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        algebraic /= gradient
+    return algebraic
+
+
+def _outer(second: FloatArray, first: FloatArray) -> FloatArray:
+    """Coefficients (..., p, 9) of x2^T F x1 in the row-major entries of F."""
+    if first.shape[-1] == 2:
+        one = np.ones((*first.shape[:-1], 1))
+        first, second = np.concatenate([first, one], axis=-1), np.concatenate([second, one], axis=-1)
+    product = second[..., :, None] * first[..., None, :]
+    return product.reshape(*first.shape[:-1], 9)
+
+
+def _null_vectors(design: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Null vectors (K, 9) of 8 x 9 matrices: the ninth column of Q in the QR of the transpose."""
+    q, r = np.linalg.qr(design.transpose(0, 2, 1), mode="complete")
+    pivots = np.abs(np.diagonal(r, axis1=1, axis2=2))
+    return q[:, :, 8], pivots.min(axis=1) > _DEGENERATE * pivots.max(axis=1)
+
+
+def _least_squares(design: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Right singular vectors (K, 9) of the smallest singular value."""
+    _, singular, right = np.linalg.svd(design, full_matrices=False)
+    return right[:, -1], singular[:, -2] > _DEGENERATE * singular[:, 0]
+
+
+def _nearest_rank_2(matrices: FloatArray) -> FloatArray:
+    """Remove the smallest singular value: F - F v v^T with v its right singular vector."""
+    _, _, right = np.linalg.svd(matrices)
+    smallest = right[:, 2]
+    return matrices - (matrices @ smallest[:, :, None]) * smallest[:, None, :]
+
+
+def _squares(points: FloatArray) -> FloatArray:
+    """Monomials (P, 6) of degree two of homogeneous points."""
+    x, y, w = points.T
+    return np.stack([x * x, y * y, w * w, x * y, x * w, y * w], axis=1)
+
+
+def _symmetric_part(forms: FloatArray) -> FloatArray:
+    """Coefficients (K, 6) of quadratic forms (K, 3, 3) in the monomials of `_squares`."""
+    m = forms
+    return np.stack(
+        [m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], 2 * m[:, 0, 1], 2 * m[:, 0, 2], 2 * m[:, 1, 2]], axis=1
+    )

@@ -1,0 +1,8 @@
+"""Sampling of model hypotheses."""
+
+from __future__ import annotations
+
+from mseg.sampling.hypotheses import frame_pairs, sample_hypotheses
+from mseg.sampling.subsets import draw_subsets
+
+__all__ = ["draw_subsets", "frame_pairs", "sample_hypotheses"]
