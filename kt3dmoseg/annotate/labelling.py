@@ -1,0 +1,231 @@
+"""From an annotation to a motion label per trajectory.
+
+The rule. In every frame where a trajectory is visible it casts one vote. Let d be its distance to
+the boundary of the nearest region, positive inside; the vote weighs ``min(1, |d| / margin)``, so
+that near a boundary, where neither the drawing nor the tracker can be trusted, it weighs little.
+Inside regions of one motion it votes for that motion; outside of all regions for the background. A static
+region (motion 0) lies in front of moving ones and a rejected one in front of all. Inside two regions of
+different motions, or in the region of an occluded object, it abstains. The trajectory gets the motion
+with at least `min_share` of its votes, when they weigh at least `min_votes`; otherwise it stays
+unlabelled, with the reason. A mark overrules all votes of the trajectories it encloses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, Motion
+from kt3dmoseg.annotate.motion import ImageMotion, TrackMotion
+from kt3dmoseg.annotate.polygons import bounds, inside, signed_distance
+from kt3dmoseg.annotate.regions import Region, propagate
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.options import from_mapping, option
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
+
+Reason: TypeAlias = Literal["labelled", "unseen", "short", "conflict", "rejected"]
+REASONS: tuple[str, ...] = get_args(Reason)
+_LABELLED, _UNSEEN, _SHORT, _CONFLICT, _REJECTED = range(len(REASONS))
+
+
+@dataclass(frozen=True)
+class LabelRule:
+    """Constants of the rule."""
+
+    margin: float = option(2.0, "votes weigh fully from this distance to a boundary on, pixels", low=0.01)
+    min_share: float = option(0.75, "share of the votes that the winner needs", low=0.5, high=1.0)
+    min_votes: float = option(1.0, "weight that the votes need together, in full votes", low=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledTracks:
+    """Labels and how they came about.
+
+    Parameters
+    ----------
+    labels : Labels
+        1 = background, m + 1 = motion m of the annotation, 0 = unlabelled.
+    reason : (N,) int64
+        Index into `REASONS`.
+    votes : (N, K) float64
+        Weight of the votes per candidate.
+    candidates : tuple of (0, motions..., "reject")
+        What the columns of `votes` stand for.
+    regions : mapping of int to list of Region
+        The objects' regions in every frame that the votes were cast on.
+    """
+
+    labels: Labels
+    reason: IntArray
+    votes: FloatArray
+    candidates: tuple[Motion, ...]
+    regions: Mapping[int, list[Region]]
+
+    def rows(self, reason: Reason) -> IntArray:
+        """Rows of the trajectories with that outcome, ascending."""
+        return np.flatnonzero(self.reason == REASONS.index(reason))
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of trajectories per outcome."""
+        return {name: int((self.reason == k).sum()) for k, name in enumerate(REASONS)}
+
+
+def label_tracks(
+    trajectories: Trajectories,
+    annotation: Annotation,
+    *,
+    motion: ImageMotion | None = None,
+    **options: Any,  # noqa: ANN401
+) -> Labels:
+    """Label any trajectories of a clip by its annotation.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        Of the annotated clip, by whatever tracker.
+    annotation : Annotation
+        The objects of the clip.
+    motion : ImageMotion, optional
+        What carries regions between key frames; by default the trajectories inside them.
+    **options
+        Fields of `LabelRule`.
+
+    Returns
+    -------
+    Labels
+        1 = background, m + 1 = motion m, 0 = unlabelled: rejected, in conflict, or too short to tell.
+
+    Raises
+    ------
+    InvalidValueError
+        When trajectories and annotation have different numbers of frames or image sizes, or an
+        option is out of bounds.
+    UnknownNameError
+        For a misspelt option.
+    """
+    return label_tracks_detailed(trajectories, annotation, motion=motion, **options).labels
+
+
+def label_tracks_detailed(
+    trajectories: Trajectories,
+    annotation: Annotation,
+    *,
+    motion: ImageMotion | None = None,
+    **options: Any,  # noqa: ANN401
+) -> LabelledTracks:
+    """Label trajectories and tell why; parameters and errors as for `label_tracks`.
+
+    Returns
+    -------
+    LabelledTracks
+        Labels, the reason of each trajectory, its votes, and the regions.
+    """
+    rule = from_mapping(LabelRule, options, where="label_tracks")
+    _check_clip(trajectories, annotation)
+    regions = propagate(annotation, motion or TrackMotion(trajectories))
+    candidates: tuple[Motion, ...] = (BACKGROUND, *annotation.motions, REJECT)
+    votes = np.zeros((len(trajectories), len(candidates)))
+    for frame in range(trajectories.n_frames):
+        rows = np.flatnonzero(trajectories.visible[:, frame])
+        votes[rows] += _votes(trajectories.xy[rows, frame], annotation, regions, frame, candidates, rule)
+    choice, reason = _decide(votes, trajectories.lengths > 0, rule)
+    _apply_marks(trajectories, annotation, candidates, choice, reason)
+    label = np.where(reason == _LABELLED, _label_of(candidates)[choice], 0)
+    names = _names(annotation)
+    return LabelledTracks(Labels(label, BACKGROUND + 1, names), reason, votes, candidates, regions)
+
+
+def _votes(
+    points: FloatArray,
+    annotation: Annotation,
+    regions: Mapping[int, list[Region]],
+    frame: int,
+    candidates: Sequence[Motion],
+    rule: LabelRule,
+) -> FloatArray:
+    """Weights (n, K) of the votes of the points in one frame."""
+    depth = np.full((len(points), len(candidates)), -np.inf)
+    hidden = np.zeros(len(points), dtype=np.bool_)
+    for item in annotation.objects:
+        region = regions[item.id][frame]
+        inner = _depth(points, region, rule.margin)
+        if region.visibility == "occluded":
+            hidden |= inner > 0
+        else:
+            column = candidates.index(item.motion)
+            depth[:, column] = np.maximum(depth[:, column], inner)
+    static, moving, rejected = depth[:, 0], depth[:, 1:-1], depth[:, -1]
+    outside = -np.maximum(moving.max(axis=1, initial=-np.inf), rejected)
+    background = np.maximum(np.minimum(static, -rejected), outside)
+    uncovered = np.minimum(moving, -np.maximum(static, rejected)[:, None])
+    weight = np.clip(np.column_stack([background, uncovered, rejected]) / rule.margin, 0.0, 1.0)
+    weight[hidden | ((uncovered > 0).sum(axis=1) > 1)] = 0.0
+    return np.asarray(weight)
+
+
+def _depth(points: FloatArray, region: Region, margin: float) -> FloatArray:
+    """Signed distance to the region's boundary; -inf for what is clearly farther out than `margin`."""
+    depth = np.full(len(points), -np.inf)
+    if region.polygons:
+        left, top, right, bottom = bounds(region.polygons)
+        low, high = (left - margin, top - margin), (right + margin, bottom + margin)
+        near = ((points >= low) & (points <= high)).all(axis=1)
+        depth[near] = signed_distance(points[near], region.polygons)
+    return depth
+
+
+def _decide(votes: FloatArray, seen: BoolArray, rule: LabelRule) -> tuple[IntArray, IntArray]:
+    """Winner (N,) as a column, and reason (N,)."""
+    choice = np.argmax(votes, axis=1)
+    total = votes.sum(axis=1)
+    won = votes.max(axis=1) >= rule.min_share * total
+    reason = np.where(won, _LABELLED, _CONFLICT)
+    reason[won & (choice == votes.shape[1] - 1)] = _REJECTED
+    reason[(total < rule.min_votes) | (total == 0)] = _SHORT
+    reason[~seen] = _UNSEEN
+    return choice.astype(np.int64), reason.astype(np.int64)
+
+
+def _apply_marks(
+    trajectories: Trajectories,
+    annotation: Annotation,
+    candidates: Sequence[Motion],
+    choice: IntArray,
+    reason: IntArray,
+) -> None:
+    for mark in annotation.marks:
+        rows = np.flatnonzero(trajectories.visible[:, mark.frame])
+        held = rows[inside(trajectories.xy[rows, mark.frame], np.array(mark.polygon))]
+        choice[held] = candidates.index(mark.motion)
+        reason[held] = _REJECTED if mark.motion == REJECT else _LABELLED
+
+
+def _label_of(candidates: Sequence[Motion]) -> npt.NDArray[np.int64]:
+    return np.array([0 if motion == REJECT else motion + 1 for motion in candidates], dtype=np.int64)
+
+
+def _names(annotation: Annotation) -> dict[int, str]:
+    names = {1: "background"}
+    for motion in annotation.motions:
+        of_motion = [item.name for item in annotation.objects if item.motion == motion]
+        names[motion + 1] = " + ".join(of_motion) or f"motion {motion}"
+    return names
+
+
+def _check_clip(trajectories: Trajectories, annotation: Annotation) -> None:
+    if trajectories.n_frames != annotation.n_frames:
+        raise InvalidValueError(
+            f"trajectories of {annotation.clip}",
+            expected=f"{annotation.n_frames} frames, as the annotation has",
+            found=f"{trajectories.n_frames}",
+        )
+    if trajectories.image_size not in (None, annotation.image_size):
+        raise InvalidValueError(
+            f"trajectories of {annotation.clip}",
+            expected=f"image size {annotation.image_size}, as the annotation has",
+            found=f"{trajectories.image_size}",
+        )

@@ -1,0 +1,137 @@
+"""Plane geometry of regions: inside tests, distances to a boundary, resampling, blending."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kt3dmoseg.annotate.model import Polygon
+from kt3dmoseg.types import BoolArray, FloatArray
+
+_BLOCK = 1 << 20
+_TINY = 1e-12
+# Largest root mean square shift of corners, as a share of the outline's size, of one edited outline.
+_SAME_CORNERS = 0.15
+
+
+def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
+    """Tell which points lie in a polygon, by the even-odd rule.
+
+    Parameters
+    ----------
+    points : (N, 2) float64
+        Pixels.
+    polygon : (P, 2) float64
+        Vertices; the last is joined to the first.
+
+    Returns
+    -------
+    (N,) bool
+    """
+    x, y = points[:, :1], points[:, 1:]
+    ax, ay = polygon.T
+    bx, by = np.roll(polygon, -1, axis=0).T
+    crosses = (ay > y) != (by > y)
+    run = by - ay
+    at = ax + (y - ay) * (bx - ax) / np.where(run == 0, 1.0, run)
+    return np.asarray((crosses & (x < at)).sum(axis=1) % 2 == 1)
+
+
+def signed_distance(points: FloatArray, polygons: Sequence[FloatArray]) -> FloatArray:
+    """Distance of points to the boundary of a union of polygons, positive inside.
+
+    Where polygons overlap, the deepest counts; this underestimates the true depth in the union,
+    which only matters closer to the boundary than the overlap is wide.
+
+    Parameters
+    ----------
+    points : (N, 2) float64
+        Pixels.
+    polygons : sequence of (P, 2) float64
+        The region; none = everything is infinitely far outside.
+
+    Returns
+    -------
+    (N,) float64
+        Pixels.
+    """
+    best = np.full(len(points), -np.inf)
+    for polygon in polygons:
+        step = max(1, _BLOCK // len(polygon))
+        for start in range(0, len(points), step):
+            block = points[start : start + step]
+            distance = _boundary_distance(block, polygon)
+            signed = np.where(inside(block, polygon), distance, -distance)
+            best[start : start + step] = np.maximum(best[start : start + step], signed)
+    return best
+
+
+def arrays(polygons: Sequence[Polygon]) -> list[FloatArray]:
+    """Polygons of the model as (P, 2) float64 arrays."""
+    return [np.array(polygon, dtype=np.float64) for polygon in polygons]
+
+
+def bounds(polygons: Sequence[FloatArray]) -> tuple[float, float, float, float]:
+    """Bounding box (left, top, right, bottom) of at least one polygon, in pixels."""
+    stacked = np.concatenate(list(polygons))
+    low, high = stacked.min(axis=0), stacked.max(axis=0)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def area(polygon: FloatArray) -> float:
+    """Signed area in square pixels (shoelace formula); positive when clockwise on the screen."""
+    x, y = polygon.T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def resample(polygon: FloatArray, count: int) -> FloatArray:
+    """Return `count` points at equal distances along the boundary, starting at the first vertex."""
+    closed = np.concatenate([polygon, polygon[:1]])
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    at = np.linspace(0.0, length[-1], count, endpoint=False)
+    return np.stack([np.interp(at, length, closed[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def blend(
+    first: Sequence[FloatArray], second: Sequence[FloatArray], weight: float, count: int = 72
+) -> list[FloatArray]:
+    """Blend two outlines of one region: 0 gives the first, 1 the second.
+
+    Polygons with the same corners are blended vertex by vertex. Others are resampled, turned the
+    same way round and shifted against each other until they fit best. Regions of different
+    numbers of polygons cannot be blended: the one of larger weight is taken.
+    """
+    if len(first) != len(second):
+        return list(first if weight < 0.5 else second)
+    return [
+        (1 - weight) * a + weight * b
+        for a, b in (_matched(a, b, count) for a, b in zip(first, second, strict=True))
+    ]
+
+
+def _matched(a: FloatArray, b: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    if len(a) == len(b) and _same_outline(a, b):
+        return a, b
+    a, b = resample(a, count), resample(b, count)
+    if area(a) * area(b) < 0:
+        b = b[::-1]
+    centred = (a - a.mean(axis=0)) @ (b - b.mean(axis=0)).T
+    # The best cyclic shift maximises the sum of inner products along a wrapped diagonal.
+    index = np.arange(count)
+    fits = [centred[index, (index + shift) % count].sum() for shift in range(count)]
+    return a, np.roll(b, -int(np.argmax(fits)), axis=0)
+
+
+def _same_outline(a: FloatArray, b: FloatArray) -> bool:
+    """Whether vertex k of both is the same corner: one was edited from the other, not drawn anew."""
+    gap = (a - a.mean(axis=0)) - (b - b.mean(axis=0))
+    return bool(np.sqrt((gap**2).sum(axis=1).mean()) <= _SAME_CORNERS * np.sqrt(abs(area(a)) + 1))
+
+
+def _boundary_distance(points: FloatArray, polygon: FloatArray) -> FloatArray:
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    to_point = points[:, None, :] - polygon[None]
+    share = (to_point * edge).sum(axis=2) / np.maximum((edge**2).sum(axis=1), _TINY)
+    gap = to_point - np.clip(share, 0.0, 1.0)[..., None] * edge
+    return np.asarray(np.sqrt((gap**2).sum(axis=2).min(axis=1)))

@@ -1,0 +1,81 @@
+"""Annotation files that several people or tabs write: a stale copy never overwrites a newer one."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from kt3dmoseg.annotate.document import load_annotation, save_annotation
+from kt3dmoseg.annotate.model import Annotation
+from kt3dmoseg.errors import InputFileError, KT3DMoSegError
+
+try:
+    import fcntl
+except ImportError:  # pragma: no cover  # Windows: only this process' own threads are kept apart
+    fcntl = None  # type: ignore[assignment]
+
+_threads = threading.Lock()
+
+
+class StaleRevisionError(KT3DMoSegError):
+    """The file was saved by somebody else since it was read."""
+
+    def __init__(self, path: Path, found: Annotation | None, mine: int) -> None:
+        has = "no file" if found is None else f"revision {found.revision}"
+        super().__init__(
+            f"{path}", expected=f"revision {mine}", found=has, fix="read it again and merge the edits"
+        )
+        self.current = found
+
+
+def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annotation:
+    """Write `annotation` as the next revision of a file, if it was made from the present one.
+
+    Parameters
+    ----------
+    path : path
+        The annotation file; when it does not exist its revision counts as 0.
+    annotation : Annotation
+        With the revision that it was made from.
+
+    Returns
+    -------
+    Annotation
+        What was written, with its new revision.
+
+    Raises
+    ------
+    StaleRevisionError
+        When the file holds another revision.
+    InputFileError, FileFormatError
+        When the file cannot be written, or what is there is no annotation.
+    """
+    target = Path(path)
+    with _locked(target.parent):
+        current = load_annotation(target) if target.exists() else None
+        if (current.revision if current else 0) != annotation.revision:
+            raise StaleRevisionError(target, current, annotation.revision)
+        saved = replace(annotation, revision=annotation.revision + 1)
+        save_annotation(target, saved)
+    return saved
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep other threads and processes from saving into the folder; the system frees a dead one's lock."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise InputFileError(f"{folder}: cannot write", found=error.strerror or str(error)) from error
+    try:
+        with _threads:
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+    finally:
+        os.close(handle)
