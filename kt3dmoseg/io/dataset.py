@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.io.formats import CLIP_SUFFIXES, load
-from kt3dmoseg.io.names import clip_name
+from kt3dmoseg.io.text import clip_name
 from kt3dmoseg.types import Clip
 
 

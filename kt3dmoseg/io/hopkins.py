@@ -17,7 +17,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import sha256_file
 from kt3dmoseg.io.mat5 import Value, read_mat
-from kt3dmoseg.io.names import clip_name
+from kt3dmoseg.io.text import clip_name
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
 _NEEDED = ("y", "s", "K", "width", "height")

@@ -25,7 +25,7 @@ _MAX_RATIO, _RATIO_FREE = 300, 1 << 24
 _MAX_DEPTH, _MAX_FIELDS, _MAX_DIMS = 8, 4096, 8
 _HEADER = 128
 
-_MI_MATRIX, _MI_COMPRESSED, _MI_INT32, _MI_UINT32, _MI_INT8 = 14, 15, 5, 6, 1
+MI_MATRIX, MI_COMPRESSED, MI_INT32, MI_UINT32, MI_INT8 = 14, 15, 5, 6, 1
 STORAGE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _TEXT = {1: "utf-8", 2: "utf-8", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 NUMERIC = {
@@ -126,10 +126,10 @@ class _Reader:
 
     def variable(self) -> tuple[str, Value]:
         kind, payload = self.element()
-        if kind == _MI_COMPRESSED:
+        if kind == MI_COMPRESSED:
             inner = _Reader(self.where, self.order, self._inflate(payload))
             kind, payload = inner.element()
-        if kind != _MI_MATRIX:
+        if kind != MI_MATRIX:
             raise self.fail("a matrix element", f"an element of type {kind}")
         return self._inside(payload, 1).matrix()
 
@@ -144,7 +144,7 @@ class _Reader:
                 raise self.fail("at most 4 bytes in a small element", f"{size}")
         else:
             kind, start = word, self.at + 8
-            step = 8 + (size if kind == _MI_COMPRESSED else -(-size // 8) * 8)
+            step = 8 + (size if kind == MI_COMPRESSED else -(-size // 8) * 8)
         if start + size > len(self.data):
             raise self.fail(
                 f"{size} bytes of an element", f"{len(self.data) - start}; the file is truncated or damaged"
@@ -155,11 +155,11 @@ class _Reader:
     def matrix(self) -> tuple[str, Value]:
         if not self.left():
             return "", np.zeros((0, 0))
-        flags = self._numbers({_MI_UINT32}, 2, "array flags")
-        shape = tuple(int(n) for n in self._numbers({_MI_INT32}, _MAX_DIMS, "dimensions"))
+        flags = self._numbers({MI_UINT32}, 2, "array flags")
+        shape = tuple(int(n) for n in self._numbers({MI_INT32}, _MAX_DIMS, "dimensions"))
         if len(shape) < 2 or min(shape) < 0:
             raise self.fail("two or more dimensions >= 0", str(shape))
-        name = bytes(self._typed({_MI_INT8}, "a name")).decode("latin-1")
+        name = bytes(self._typed({MI_INT8}, "a name")).decode("latin-1")
         return name, self._value(int(flags[0]) & 0xFF, int(flags[0]) >> 8 & 0xFF, shape)
 
     def _value(self, klass: int, flags: int, shape: tuple[int, ...]) -> Value:
@@ -192,15 +192,15 @@ class _Reader:
         return bytes(payload).decode(codec, errors="replace")
 
     def _struct(self) -> dict[str, Value]:
-        width = int(self._numbers({_MI_INT32}, 1, "field name length")[0])
-        names = bytes(self._typed({_MI_INT8}, "field names"))
+        width = int(self._numbers({MI_INT32}, 1, "field name length")[0])
+        names = bytes(self._typed({MI_INT8}, "field names"))
         if width < 1 or len(names) % width or len(names) // width > _MAX_FIELDS:
             raise self.fail("field names of one length", f"{len(names)} bytes in pieces of {width}")
         out: dict[str, Value] = {}
         for start in range(0, len(names), width):
             name = names[start : start + width].split(b"\0")[0].decode("latin-1")
             kind, payload = self.element()
-            if kind != _MI_MATRIX:
+            if kind != MI_MATRIX:
                 raise self.fail(f"a matrix in field {name!r}", f"an element of type {kind}")
             out[name] = self._inside(payload, self.depth + 1).matrix()[1]
         return out

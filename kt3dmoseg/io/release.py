@@ -9,20 +9,33 @@ end here: inside, coordinates are (N, F, 2) with NaN where invisible and rows co
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import sha256_file
+from kt3dmoseg.files import sha256_file, write_bytes
 from kt3dmoseg.io.mat5 import Undecoded, Value, read_mat
-from kt3dmoseg.io.names import clip_name
+from kt3dmoseg.io.mat5_write import mat_bytes
+from kt3dmoseg.io.text import clip_name
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
 
 # In the release the static scene is motion 1 in every clip; the other collections do not say.
 _BACKGROUND = 1
 _FIX = "give a KT3DMoSeg, Hopkins12 or MTPV62 *_Tracks.mat, or a Hopkins155 *_truth.mat"
+_ALL_FIELDS = (
+    "nAllPoints",
+    "yAll",
+    "visibleAll",
+    "nFrames",
+    "nSparsePoints",
+    "ySparse",
+    "visibleSparse",
+    "SparseIndex",
+    "GtLabel",
+)
 
 
 def is_release(variables: dict[str, Value]) -> bool:
@@ -83,8 +96,7 @@ class _Fields:
             raise self.fail(name, f"numbers {wanted}", "nothing" if value is None else found)
         # MATLAB drops trailing dimensions of size one.
         full = value.reshape(value.shape + (1,) * (len(shape) - value.ndim))
-        sizes = zip(shape, full.shape, strict=False)
-        if full.ndim != len(shape) or any(want not in (None, size) for want, size in sizes):
+        if not _fits(full.shape, shape):
             raise self.fail(name, wanted, " x ".join(map(str, value.shape)))
         return full
 
@@ -104,6 +116,11 @@ class _Fields:
 
     def fail(self, name: str, expected: str, found: str) -> FileFormatError:
         return FileFormatError(f"{self.where}: Data.{name}", expected=expected, found=found)
+
+
+def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    pairs = zip(wanted, actual, strict=False)
+    return len(actual) == len(wanted) and all(want in (None, size) for want, size in pairs)
 
 
 def _clip(fields: _Fields) -> Clip:
@@ -157,3 +174,48 @@ def _provenance(fields: _Fields) -> dict[str, Any]:
     if "visibleSparse" not in fields:
         out["visibility"] = "the file has no mask: every point taken as visible"
     return out
+
+
+def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+    """Write a clip as a MAT-file of the 2018 schema; the same clip gives the same bytes.
+
+    A clip that was read from such a file gets the fields that its file had (Hopkins12 and MTPV62
+    have no `yAll`), as far as they still hold everything. Names of motions, frame numbers, image
+    size and camera have no place in the schema.
+    """
+    wanted = _wanted_fields(clip)
+    values = _field_values(clip)
+    write_bytes(path, mat_bytes({"Data": {name: values[name] for name in wanted}}))
+
+
+def _wanted_fields(clip: Clip) -> Sequence[str]:
+    given = clip.provenance.get("fields")
+    known = {*_ALL_FIELDS, "Name"}
+    if not isinstance(given, list) or not {"ySparse", "GtLabel"} <= set(given) <= known:
+        return _ALL_FIELDS
+    whole = np.array_equal(clip.evaluated, np.arange(len(clip.dense)))
+    has_dense = {"yAll", "visibleAll", "SparseIndex"} <= set(given)
+    has_mask = "visibleSparse" in given or bool(clip.dense.visible.all())
+    return given if (has_dense or whole) and has_mask else _ALL_FIELDS
+
+
+def _field_values(clip: Clip) -> dict[str, Any]:
+    sparse = clip.evaluated_trajectories
+    return {
+        "Name": str(clip.provenance.get("Name", clip.name)),
+        "nAllPoints": float(len(clip.dense)),
+        "yAll": _homogeneous(clip.dense),
+        "visibleAll": clip.dense.visible,
+        "nFrames": float(clip.n_frames),
+        "nSparsePoints": float(len(sparse)),
+        "ySparse": _homogeneous(sparse),
+        "visibleSparse": sparse.visible,
+        "SparseIndex": (clip.evaluated[:, None] + 1).astype(np.float64),
+        "GtLabel": clip.labels.label[:, None].astype(np.float64),
+    }
+
+
+def _homogeneous(trajectories: Trajectories) -> FloatArray:
+    """Return (3, N, F): x, y, 1 where visible, else 0, 0, 0."""
+    points = np.concatenate([trajectories.xy, np.ones_like(trajectories.xy[..., :1])], axis=2)
+    return np.moveaxis(np.where(trajectories.visible[..., None], points, 0.0), -1, 0)

@@ -1,0 +1,230 @@
+"""The canonical format: one HDF5 file per clip. docs/formats.md has the layout.
+
+The same clip gives the same bytes: nothing is stamped with a time, invisible positions are one
+NaN. Metadata and data carry checksums, so that a damaged file is told from a sound one.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.files import atomic_path
+from kt3dmoseg.io.hdf5_checks import checked_group, read_array, read_text
+from kt3dmoseg.io.text import json_object, json_text
+from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
+
+FORMAT, VERSION = "kt3dmoseg clip", 1
+_CHUNK_BYTES = 1 << 18
+_GZIP = 4
+
+DESCRIPTIONS = {
+    "dense/xy": "(N, F, 2) positions, x right, y down, pixels; (0, 0) is the centre of the top-left "
+    "pixel; NaN where not visible",
+    "dense/visible": "(N, F) 1 where the trajectory exists in the frame, else 0",
+    "dense/track_id": "(N,) identity of each trajectory",
+    "evaluated": "(n,) rows of dense that are scored, from 0",
+    "labels/label": "(n,) motion of each evaluated trajectory; 0 = unlabelled or outlier",
+    "frames/number": "(F,) number of each frame in its source",
+    "frames/timestamp": "(F,) seconds",
+    "camera/K": "(3, 3) normalised to pixel coordinates",
+}
+
+
+def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+    """Write a clip, atomically; the same clip gives the same bytes.
+
+    Raises
+    ------
+    InputFileError
+        When the file cannot be written.
+    InvalidValueError
+        When the provenance is not made of JSON values.
+    """
+    attributes = _attributes(clip)
+    with atomic_path(path) as temporary, _create(temporary) as file:
+        for name, values in _arrays(clip).items():
+            _write_array(file, name, values)
+        for name, value in attributes.items():
+            group, _, key = name.rpartition("/")
+            _untimed_group(file, group).attrs.create(key, _fixed(value))
+
+
+def read(path: str | os.PathLike[str]) -> Clip:
+    """Read a clip.
+
+    Raises
+    ------
+    FileFormatError
+        When the file is no clip, damaged, of a newer version, or hostile in its sizes.
+    InputFileError
+        When it cannot be read.
+    """
+    where = os.fspath(path)
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            _check_version(file, where)
+            return _clip(file, where)
+    except InvalidValueError as error:
+        raise FileFormatError(f"{where}: {error}") from None
+    except (FileFormatError, InputFileError):
+        raise
+    except OSError as error:
+        raise _unreadable(where, error) from None
+    except (KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
+        raise FileFormatError(where, expected="a sound HDF5 file", found=f"damage: {error}") from None
+
+
+def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read only the provenance of a clip's file; `read` lists the errors."""
+    where = os.fspath(path)
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            _check_version(file, where)
+            return _json(file, "provenance", where)
+    except OSError as error:
+        raise _unreadable(where, error) from None
+    except (KeyError, RuntimeError, ValueError, TypeError) as error:
+        raise FileFormatError(where, expected="a sound HDF5 file", found=f"damage: {error}") from None
+
+
+def _create(path: os.PathLike[str]) -> h5py.File:
+    # The 1.10 file format has checksums on metadata; times are switched off for root and groups.
+    creation = h5py.h5p.create(h5py.h5p.FILE_CREATE)
+    creation.set_obj_track_times(False)
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5py.h5f.LIBVER_V110, h5py.h5f.LIBVER_V110)
+    return h5py.File(h5py.h5f.create(os.fsencode(path), h5py.h5f.ACC_TRUNC, creation, access))
+
+
+def _write_array(file: h5py.File, name: str, values: npt.NDArray[Any]) -> None:
+    group = _untimed_group(file, name.rpartition("/")[0])
+    row = max(1, values[:1].nbytes)
+    rows = min(len(values), max(1, _CHUNK_BYTES // row))
+    packed = {"chunks": (rows, *values.shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
+    options = {**packed, "shuffle": True, "fletcher32": True} if values.size else {}
+    dataset = group.create_dataset(name.rpartition("/")[2], data=values, track_times=False, **options)
+    dataset.attrs.create("description", _fixed(DESCRIPTIONS[name]))
+
+
+def _untimed_group(file: h5py.File, name: str) -> h5py.Group:
+    if name and name not in file:
+        creation = h5py.h5p.create(h5py.h5p.GROUP_CREATE)
+        creation.set_obj_track_times(False)
+        h5py.h5g.create(file.id, name.encode(), gcpl=creation)
+    return file[name or "/"]
+
+
+def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fixed-length UTF-8
+    return np.bytes_(value.encode()) if isinstance(value, str) else value
+
+
+def _arrays(clip: Clip) -> dict[str, npt.NDArray[Any]]:
+    dense = clip.dense
+    out: dict[str, npt.NDArray[Any]] = {
+        "dense/xy": np.where(dense.visible[..., None], dense.xy, np.nan),
+        "dense/visible": dense.visible.astype(np.uint8),
+        "dense/track_id": dense.track_id,
+        "evaluated": clip.evaluated,
+        "labels/label": clip.labels.label,
+        "frames/number": clip.frame_numbers,
+    }
+    if clip.timestamps is not None:
+        out["frames/timestamp"] = clip.timestamps
+    if clip.camera is not None and clip.camera.K is not None:
+        out["camera/K"] = clip.camera.K
+    return out
+
+
+def _attributes(clip: Clip) -> dict[str, Any]:
+    names = {str(key): text for key, text in sorted(clip.labels.names.items())}
+    out: dict[str, Any] = {
+        "format": FORMAT,
+        "version": np.int64(VERSION),
+        "name": clip.name,
+        "provenance": json_text(clip.provenance, "provenance"),
+        "labels/names": json_text(names, "names"),
+    }
+    if clip.dense.image_size is not None:
+        out["dense/image_size"] = np.array(clip.dense.image_size, dtype=np.int64)
+    if clip.labels.background is not None:
+        out["labels/background"] = np.int64(clip.labels.background)
+    if clip.camera is not None:
+        out["camera/name"] = clip.camera.name
+    return out
+
+
+def _check_version(file: h5py.File, where: str) -> None:
+    kind = read_text(file, "format", where, default="")
+    if kind != FORMAT:
+        found = f"format {kind!r}" if kind else "another HDF5 file (no attribute 'format')"
+        if "#refs#" in file or "Data" in file:
+            found = "a MATLAB 7.3 MAT-file; save it again in MATLAB with the option '-v7'"
+        raise FileFormatError(where, expected=f"a {FORMAT}", found=found)
+    version = _integer(file, "version", where)
+    if version is None or version < 1:
+        raise FileFormatError(f"{where}: version", expected="1 or more", found=str(version))
+    if version > VERSION:
+        raise FileFormatError(
+            f"{where}: version",
+            expected=f"at most {VERSION}",
+            found=str(version),
+            fix="the file was written by a newer kt3dmoseg; upgrade this one",
+        )
+
+
+def _clip(file: h5py.File, where: str) -> Clip:
+    dense, labels = checked_group(file, "dense", where), checked_group(file, "labels", where)
+    visible = read_array(file, "dense/visible", where, "u1", 2) != 0
+    size = dense.attrs.get("image_size")
+    xy = read_array(file, "dense/xy", where, "f8", 3)
+    names = {int(key): str(text) for key, text in _json(labels, "names", where).items()}
+    background = _integer(labels, "background", where)
+    optional = {"timestamps": "frames/timestamp"}
+    return Clip(
+        name=read_text(file, "name", where),
+        dense=Trajectories(
+            xy,
+            visible,
+            read_array(file, "dense/track_id", where, "i8", 1),
+            None if size is None else (int(size[0]), int(size[1])),
+        ),
+        evaluated=read_array(file, "evaluated", where, "i8", 1),
+        labels=Labels(read_array(file, "labels/label", where, "i8", 1), background, names),
+        frame_numbers=read_array(file, "frames/number", where, "i8", 1),
+        camera=_camera(file, where),
+        provenance=_json(file, "provenance", where),
+        **{k: read_array(file, name, where, "f8", 1) for k, name in optional.items() if name in file},
+    )
+
+
+def _camera(file: h5py.File, where: str) -> Camera | None:
+    if "camera" not in file:
+        return None
+    name = read_text(checked_group(file, "camera", where), "name", where, default="")
+    return Camera(name, read_array(file, "camera/K", where, "f8", 2) if "camera/K" in file else None)
+
+
+def _json(group: h5py.Group, name: str, where: str) -> dict[str, Any]:
+    return json_object(read_text(group, name, where, default="{}"), f"{where}: {name}")
+
+
+def _integer(group: h5py.Group, name: str, where: str) -> int | None:
+    value = group.attrs.get(name)
+    if value is None:
+        return None
+    number = np.asarray(value)
+    if number.shape not in ((), (1,)) or number.dtype.kind not in "iu":
+        raise FileFormatError(f"{where}: {name}", expected="a whole number", found=repr(value))
+    return int(number.item())
+
+
+def _unreadable(where: str, error: OSError) -> FileFormatError | InputFileError:
+    if error.errno is not None:
+        return InputFileError(f"{where}: {os.strerror(error.errno)}")
+    return FileFormatError(where, expected="a sound HDF5 file", found=f"truncated or damaged: {error}")

@@ -1,0 +1,50 @@
+"""Texts at the seam: the clip's name from a file's name, and JSON in attributes."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+
+_ENDINGS = ("_Tracks", "_truth")
+
+
+def clip_name(path: str | os.PathLike[str]) -> str:
+    """Return the clip's name: the file's stem without ``_Tracks`` or ``_truth``.
+
+    >>> clip_name("release/Seq028_clip03_Tracks.mat"), clip_name("cars1_truth.mat")
+    ('Seq028_clip03', 'cars1')
+    """
+    stem = Path(path).stem
+    for ending in _ENDINGS:
+        stem = stem.removesuffix(ending)
+    return stem
+
+
+def json_text(values: Mapping[str, Any], what: str) -> str:
+    """Return JSON with sorted keys, so that equal values give equal bytes.
+
+    Raises
+    ------
+    InvalidValueError
+        When a value is none of JSON's.
+    """
+    try:
+        return json.dumps(dict(values), sort_keys=True, ensure_ascii=False, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(what, expected="JSON values", found=str(error)) from None
+
+
+def json_object(text: str, where: str) -> dict[str, Any]:
+    """Parse a JSON object."""
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(where, expected="JSON", found=str(error)) from None
+    if not isinstance(values, dict):
+        raise FileFormatError(where, expected="a JSON object", found=type(values).__name__)
+    return values
