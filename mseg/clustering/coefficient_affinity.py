@@ -65,14 +65,14 @@ def low_rank_affinity(coefficients: FloatArray, power: int = 4) -> FloatArray:
     """Affinity of low-rank coefficients by the angles of their column space.
 
     With ``Z = U S V^T`` (singular values over 1e-4 of the first) and M the rows of ``U sqrt(S)`` at
-    unit length, the affinity is ``(M M^T)_ij`` to an even power.
+    unit length, the affinity is ``|M M^T|_ij`` to a power.
 
     Parameters
     ----------
     coefficients : (N, N) float64
         Coefficients Z.
     power : int
-        Even exponent.
+        Exponent (even in the source).
 
     Returns
     -------
@@ -86,11 +86,11 @@ def low_rank_affinity(coefficients: FloatArray, power: int = 4) -> FloatArray:
     left, values, _ = np.linalg.svd(coefficients)
     kept = values > _RELATIVE_RANK * values[0]
     rows = unit_rows(left[:, kept] * np.sqrt(values[kept]))
-    return np.asarray(np.clip(rows @ rows.T, -1, 1) ** power)
+    return np.asarray(np.minimum(np.abs(rows @ rows.T), 1) ** power)
 
 
 def count_by_eigengap(affinity: FloatArray, largest: int = 6) -> int:
-    """Number of clusters: where the spectrum of the normalised Laplacian has its widest gap.
+    """Count clusters by the widest gap in the spectrum of the normalised Laplacian.
 
     Parameters
     ----------

@@ -203,7 +203,7 @@ def row_space_basis(data: FloatArray) -> FloatArray:
 def shrink_columns(matrix: FloatArray, threshold: float) -> FloatArray:
     """Shorten every column by `threshold`, to zero at most: the proximal map of the l2,1 norm."""
     length = np.linalg.norm(matrix, axis=0)
-    return matrix * (np.maximum(length - threshold, 0) / np.where(length > 0, length, 1))
+    return np.asarray(matrix * (np.maximum(length - threshold, 0) / np.where(length > 0, length, 1)))
 
 
 def _shrink_wide(matrix: FloatArray, threshold: float) -> FloatArray:

@@ -18,7 +18,7 @@ METHODS = Registry(
     "method",
     {
         "one_motion": "mseg.methods.one_motion:OneMotion",
-        "prevalence": "mseg.methods.prevalence:Prevalence",
+        "prevalence": "mseg.methods.one_motion:OneMotion",
         "affine": "mseg.methods.single_view:Affine",
         "homography": "mseg.methods.single_view:Homography",
         "fundamental": "mseg.methods.single_view:Fundamental",

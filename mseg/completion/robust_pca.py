@@ -1,0 +1,83 @@
+"""Robust principal components: a low-rank matrix plus sparse gross errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kt3dmoseg.types import FloatArray
+from mseg.iteration import Convergence, iterate
+
+
+@dataclass(frozen=True, eq=False)
+class RobustPCA:
+    """Data split into ``low_rank + sparse``, both (D, N) float64, and how the split converged."""
+
+    low_rank: FloatArray
+    sparse: FloatArray
+    convergence: Convergence
+
+
+def robust_pca(
+    matrix: FloatArray,
+    weight: float | None = None,
+    *,
+    tolerance: float = 1e-7,
+    max_iterations: int = 1000,
+) -> RobustPCA:
+    """Minimise ``|A|_* + weight |E|_1`` subject to ``A + E = X`` by the inexact augmented Lagrangian.
+
+    Parameters
+    ----------
+    matrix : (D, N) float64
+        Data X, finite.
+    weight : float or None
+        Weight of the errors; by default ``1 / sqrt(max(D, N))`` (Candes et al. 2011).
+    tolerance : float
+        Stop when ``|X - A - E|_F <= tolerance |X|_F``.
+    max_iterations : int
+        Cap on iterations, each one singular value decomposition.
+
+    Returns
+    -------
+    RobustPCA
+
+    References
+    ----------
+    Lin, Chen, Ma, "The augmented Lagrange multiplier method for exact recovery of corrupted low-rank
+    matrices", 2010, algorithm 5 (penalty 1.25 / sigma_1, growth 1.5).
+    """
+    weight = float(1 / np.sqrt(max(matrix.shape))) if weight is None else weight
+    largest, size = float(np.linalg.norm(matrix, 2)), float(np.linalg.norm(matrix))
+    if size == 0:
+        return RobustPCA(matrix.copy(), np.zeros_like(matrix), Convergence(True, 0, 0.0))
+    low_rank, sparse = np.zeros_like(matrix), np.zeros_like(matrix)
+    multiplier = matrix / max(largest, np.abs(matrix).max() / weight)
+    penalty = 1.25 / largest
+    cap = penalty * 1e7
+
+    def step() -> float:
+        nonlocal low_rank, sparse, multiplier, penalty
+        sparse = shrink(matrix - low_rank + multiplier / penalty, weight / penalty)
+        low_rank = shrink_singular_values(matrix - sparse + multiplier / penalty, 1 / penalty)
+        gap = matrix - low_rank - sparse
+        multiplier = multiplier + penalty * gap
+        penalty = min(penalty * 1.5, cap)
+        return float(np.linalg.norm(gap) / size)
+
+    convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
+    return RobustPCA(low_rank, sparse, convergence)
+
+
+def shrink(values: FloatArray, threshold: float | FloatArray) -> FloatArray:
+    """Soft threshold: the proximal map of ``threshold |.|_1``, element by element."""
+    # x - clip(x) touches memory less often than sign(x) * max(|x| - t, 0).
+    return np.asarray(values - np.clip(values, -threshold, threshold))
+
+
+def shrink_singular_values(matrix: FloatArray, threshold: float) -> FloatArray:
+    """Soft threshold of the singular values: the proximal map of ``threshold |.|_*``."""
+    left, values, right = np.linalg.svd(matrix, full_matrices=False)
+    kept = int((values > threshold).sum())
+    return np.asarray((left[:, :kept] * (values[:kept] - threshold)) @ right[:kept])

@@ -1,0 +1,170 @@
+"""What methods that need complete trajectories share: filling gaps, bad input, leftover trajectories.
+
+Rules, the same for all of them:
+
+* Trajectories seen in fewer than two frames say nothing about motion. They take no part; at the end
+  they join the largest motion, the best guess without evidence.
+* Frames in which no other trajectory is seen are left out.
+* Gaps are filled by low-rank completion in pixels, or refused, by the option ``completion``.
+* Fewer trajectories than motions, fewer than two frames, or trajectories that all coincide are an error.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.options import option
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
+from mseg.completion import Completion, complete
+from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
+from mseg.geometry.trajectory_matrix import normalised, normalising_matrix, trajectory_matrix
+from mseg.types import Segmentation
+
+_FEWEST_FRAMES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class CompleteData:
+    """Complete trajectories of a clip.
+
+    Parameters
+    ----------
+    pixels : (2F', n') float64
+        Trajectory matrix in pixels, rows x1, y1, x2, y2, ...
+    normalised : (2F', n') float64
+        The same in normalised coordinates, see `mseg.geometry.trajectory_matrix.normalising_matrix`.
+    used : (n,) bool
+        Which evaluated trajectories the columns are.
+    report : mapping
+        What completion did.
+    """
+
+    pixels: FloatArray
+    normalised: FloatArray
+    used: BoolArray
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def n_points(self) -> int:
+        """Number of trajectories n' that take part."""
+        return int(self.pixels.shape[1])
+
+    @property
+    def homogeneous(self) -> FloatArray:
+        """`normalised` with one more row of ones: affine subspaces become linear ones."""
+        return np.vstack([self.normalised, np.ones(self.n_points)])
+
+    def spread(self, labels: IntArray) -> IntArray:
+        """Labels of all n trajectories from those of the columns; the others join the largest motion."""
+        motions, counts = np.unique(labels[labels > 0], return_counts=True)
+        everywhere = np.full(len(self.used), motions[counts.argmax()] if len(motions) else 0)
+        everywhere[self.used] = labels
+        return everywhere.astype(np.int64)
+
+
+def complete_data(clip: Clip, completion: Literal["chen", "none"] = "chen", rank: int = 5) -> CompleteData:
+    """Trajectory matrices of the evaluated trajectories, without gaps.
+
+    Parameters
+    ----------
+    clip : Clip
+        The sequence.
+    completion : {"chen", "none"}
+        Fill gaps by `mseg.completion.complete`, or refuse them.
+    rank : int
+        Rank of the completion.
+
+    Raises
+    ------
+    IncompleteTrajectoriesError
+        When there are gaps and `completion` is "none".
+    TooFewPointsError
+        When fewer than two trajectories or frames are usable.
+    SegmentationError
+        When all trajectories coincide.
+    """
+    trajectories = clip.evaluated_trajectories
+    used = trajectories.lengths >= _FEWEST_FRAMES
+    kept = trajectories.select(used)
+    frames = kept.visible.any(axis=0)
+    if used.sum() < 2 or frames.sum() < _FEWEST_FRAMES:
+        found = f"{int(used.sum())} seen twice or more, {int(frames.sum())} frames"
+        raise TooFewPointsError(clip.name, expected="at least 2 trajectories and 2 frames", found=found)
+    if completion == "none" and not (kept.visible.all() and used.all()):
+        gaps = int((~trajectories.visible).sum())
+        raise IncompleteTrajectoriesError(
+            clip.name, expected="complete trajectories", found=f"{gaps} missing positions",
+            fix="use completion='chen'",
+        )  # fmt: skip
+    filled = complete(trajectory_matrix(kept.xy[:, frames]), rank)
+    _check_distinct(filled.matrix, clip.name)
+    whole = _as_trajectories(filled.matrix, trajectories)
+    matrix = normalising_matrix(trajectories, clip.camera)
+    return CompleteData(
+        filled.matrix,
+        trajectory_matrix(normalised(whole, matrix)),
+        used,
+        _completion_report(filled, used) if not trajectories.visible.all() else {},
+    )
+
+
+@dataclass(frozen=True)
+class CompleteDataMethod(ABC):
+    """Base of the methods that need complete trajectories; a subclass groups the completed ones."""
+
+    finds_n_motions: ClassVar[bool] = False
+    """Whether `n_motions` may be None."""
+
+    completion: Literal["chen", "none"] = option(
+        "chen", "how gaps are filled: 'chen' (low-rank), or 'none' to refuse them"
+    )
+    completion_rank: int = option(5, "rank of the completion of gaps", low=1)
+
+    def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
+        """Complete the evaluated trajectories of `clip` and group them.
+
+        See `mseg.types.Method.segment` for parameters and `mseg.methods.complete_data` for the rules.
+        """
+        if n_motions is None and not self.finds_n_motions:
+            raise InvalidValueError(
+                "n_motions", expected=f"a number: {type(self).__name__} cannot find it", found="None"
+            )
+        data = complete_data(clip, self.completion, self.completion_rank)
+        if n_motions is not None and data.n_points < n_motions:
+            raise TooFewPointsError(
+                clip.name, expected=f"at least {n_motions} trajectories", found=str(data.n_points)
+            )
+        labels, report = self.group(data, n_motions, rng)
+        return Segmentation(data.spread(labels), {**data.report, **report})
+
+    @abstractmethod
+    def group(
+        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
+    ) -> tuple[IntArray, dict[str, Any]]:
+        """Return labels (n',) of the columns, 0 = outlier, and what there is to report."""
+
+
+def _check_distinct(matrix: FloatArray, name: str) -> None:
+    if np.ptp(matrix, axis=1).max() <= np.finfo(np.float64).eps * np.abs(matrix).max():
+        raise SegmentationError(name, expected="trajectories that differ", found="one, repeated")
+
+
+def _as_trajectories(matrix: FloatArray, like: Trajectories) -> Trajectories:
+    xy = matrix.T.reshape(matrix.shape[1], -1, 2)
+    return Trajectories(xy, np.ones(xy.shape[:2], dtype=bool), image_size=like.image_size)
+
+
+def _completion_report(filled: Completion, used: BoolArray) -> dict[str, Any]:
+    return {
+        "completion_rank": filled.rank,
+        "completion_rms_pixels": filled.rms,
+        "completion_undetermined": filled.undetermined,
+        "trajectories_left_out": int((~used).sum()),
+        **filled.convergence.report("completion_"),
+    }
