@@ -1,0 +1,60 @@
+"""The moving vehicles: which ones there are and how they drive."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kt3dmoseg.synthetic.motion import Drive
+from kt3dmoseg.synthetic.street import LANE, ONCOMING, PARKED_RIGHT
+from kt3dmoseg.synthetic.vehicles import Kind, Vehicle, make_vehicle
+
+CROSSING_AHEAD = 27.0  # metres from the camera to the side street in the middle of the clip
+
+
+def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -> list[Vehicle]:
+    """Choose `count` vehicles that all are in view in the middle of the clip and do not collide.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of kinds, places and speeds.
+    count : int
+        0 to 4.
+    middle : float
+        z of the camera in the middle of the clip, metres.
+    speed : float
+        Speed of the camera, m/s.
+    """
+
+    def draw(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    side = int(rng.choice([-1, 1]))
+    crossing = Drive(
+        ONCOMING + draw(1.0, 3.0),
+        middle + CROSSING_AHEAD + side * 1.6,
+        side * np.pi / 2,
+        draw(3.5, 5.5),
+        draw(-0.1, 0.1),
+    )
+    oncoming = Drive(
+        ONCOMING + draw(-0.3, 0.2), middle + draw(12.5, 15), np.pi, draw(2.5, 5.0), draw(-0.08, 0.08)
+    )
+    lead = Drive(
+        LANE + draw(0.0, 0.5), middle + draw(12, 14.5), 0.0, speed + draw(1.0, 2.5), draw(0.08, 0.16)
+    )
+    leaving = Drive(
+        PARKED_RIGHT, middle + draw(8.5, 9.5), -0.15, 0.45 * speed + draw(0.3, 1.2), -draw(0.1, 0.2)
+    )
+    plans = [("crossing", crossing), ("oncoming", oncoming), ("leading", lead), ("leaving", leaving)]
+    kinds: dict[str, tuple[Kind, ...]] = {
+        "crossing": ("truck", "van"),
+        "oncoming": ("van", "car"),
+        "leading": ("car", "van"),
+        "leaving": ("car",),
+    }
+    vehicles = []
+    for role, drive in plans[:count]:
+        kind = kinds[role][int(rng.integers(len(kinds[role])))]
+        vehicles.append(make_vehicle(f"{role} {kind}", kind, drive))
+    return vehicles
