@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from kt3dmoseg.entries import Drive
 from kt3dmoseg.kitti.calibration import Calibration
-from kt3dmoseg.kitti.layout import Drive
 from kt3dmoseg.kitti.raw import RawDrive
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox
 

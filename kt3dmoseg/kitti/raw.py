@@ -15,16 +15,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.entries import Drive, check_camera, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
+from kt3dmoseg.kitti import layout
 from kt3dmoseg.kitti.calibration import Calibration
-from kt3dmoseg.kitti.layout import TIMESTAMP_FILE, Drive, check_camera, frame_number
+from kt3dmoseg.kitti.frames import read_frame
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
 _FIX = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
 _LARGEST_TEXT = 64 << 20
-_COLOUR = 2
 _TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d(\.\d{1,9})?")
 
 
@@ -64,8 +65,8 @@ class RawDrive:
         self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
         self.camera = check_camera(camera)
         self.calibration = Calibration(self.root / date, self.camera)
-        if not (self.root / self.drive.folder).is_dir():
-            raise InputFileError(f"{self.root / self.drive.folder}: no such folder", fix=_FIX)
+        if not (self.root / layout.drive_folder(self.drive)).is_dir():
+            raise InputFileError(f"{self.root / layout.drive_folder(self.drive)}: no such folder", fix=_FIX)
 
     def __repr__(self) -> str:
         """Name root, drive and camera."""
@@ -74,12 +75,12 @@ class RawDrive:
     @property
     def numbers(self) -> IntArray:
         """Numbers of the frames on disk, ascending, (n,) int64."""
-        folder = self.root / self.drive.camera_folder(self.camera) / "data"
+        folder = self.root / layout.camera_folder(self.drive, self.camera) / "data"
         try:
             names = [entry.name for entry in os.scandir(folder)]
         except OSError as error:
             raise InputFileError(f"{folder}: {error.strerror or error}", fix=_FIX) from None
-        return np.array(sorted(n for n in map(frame_number, names) if n is not None), dtype=np.int64)
+        return np.array(sorted(n for n in map(layout.frame_number, names) if n is not None), dtype=np.int64)
 
     def frame_path(self, number: int) -> Path:
         """Return the path of one frame.
@@ -89,26 +90,19 @@ class RawDrive:
         InputFileError
             When that frame is not on disk; the message says which are.
         """
-        path = self.root / self.drive.frame_file(self.camera, number)
+        path = self.root / layout.frame_file(self.drive, self.camera, number)
         if not path.is_file():
             raise InputFileError(
                 f"{path}: no such frame",
-                expected=f"a number on disk ({_ranges(self.numbers)})",
+                expected=f"a number on disk ({format_numbers(self.numbers) or 'none'})",
                 found=str(number),
                 fix="fetch it with kt3dmoseg pull",
             )
         return path
 
     def frame(self, number: int) -> ByteArray:
-        """Read one frame: (H, W) uint8 gray for cameras 0 and 1, (H, W, 3) uint8 RGB for 2 and 3."""
-        import cv2
-
-        path = self.frame_path(number)
-        mode = cv2.IMREAD_COLOR if self.camera >= _COLOUR else cv2.IMREAD_GRAYSCALE
-        image = cv2.imdecode(np.frombuffer(read_bytes(path, _LARGEST_TEXT), np.uint8), mode)
-        if image is None:
-            raise FileFormatError(str(path), expected="a PNG image", found="something else or a part of one")
-        return np.ascontiguousarray(image[..., ::-1] if image.ndim == 3 else image)
+        """Read one frame: (H, W) uint8 for the gray cameras 0 and 1, (H, W, 3) uint8 RGB for 2 and 3."""
+        return read_frame(self.frame_path(number))
 
     def datetimes(self, numbers: npt.ArrayLike) -> npt.NDArray[np.datetime64]:
         """Time at which the camera took each frame, (n,) datetime64[ns], KITTI's local clock.
@@ -160,7 +154,7 @@ class RawDrive:
         """
         from pykitti.utils import load_oxts_packets_and_poses
 
-        paths = [self.root / self.drive.oxts_file(int(k)) for k in _numbers(numbers)]
+        paths = [self.root / layout.oxts_file(self.drive, int(k)) for k in _numbers(numbers)]
         for path in paths:
             if not path.is_file():
                 raise InputFileError(f"{path}: no such file", fix=_FIX)
@@ -179,11 +173,11 @@ class RawDrive:
     @property
     def has_tracklets(self) -> bool:
         """Whether the drive's tracklet labels are on disk; KITTI has none for many drives."""
-        return (self.root / self.drive.tracklet_file).is_file()
+        return (self.root / layout.tracklet_file(self.drive)).is_file()
 
     def tracklets(self) -> list[Tracklet]:
         """Read the labelled 3D boxes of the drive."""
-        path = self.root / self.drive.tracklet_file
+        path = self.root / layout.tracklet_file(self.drive)
         if not self.has_tracklets:
             raise InputFileError(f"{path}: no such file", fix="KITTI has tracklets for some drives only")
         return read_tracklets(path)
@@ -218,7 +212,7 @@ class RawDrive:
 
     @property
     def _timestamp_file(self) -> Path:
-        return self.root / self.drive.camera_folder(self.camera) / TIMESTAMP_FILE
+        return self.root / layout.camera_folder(self.drive, self.camera) / layout.TIMESTAMP_FILE
 
     def _timestamp_lines(self) -> list[str]:
         text = read_bytes(self._timestamp_file, _LARGEST_TEXT).decode(errors="replace")
@@ -249,12 +243,3 @@ def _numbers(numbers: npt.ArrayLike) -> IntArray:
     if wanted.size and not (np.issubdtype(wanted.dtype, np.integer) and wanted.min() >= 0):
         raise InvalidValueError("numbers", expected="frame numbers >= 0", found=str(wanted.tolist())[:80])
     return wanted.astype(np.int64).ravel()
-
-
-def _ranges(numbers: IntArray) -> str:
-    """Say ``40..59, 80`` for consecutive runs."""
-    if not len(numbers):
-        return "none"
-    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
-    shown = [f"{run[0]}..{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs[:5]]
-    return ", ".join(shown + ["..."] * (len(runs) > 5))
