@@ -1,0 +1,117 @@
+"""How far two labellings of the same trajectories agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import IntArray
+
+_UNLABELLED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Agreement of labelling `a` with labelling `b` after matching their motions.
+
+    Parameters
+    ----------
+    a, b : (n,) int64
+        The labels; those of `a` renamed to the matching label of `b`, or to a number of their own.
+    matching : dict of int to int
+        Label of the given `a` to the label of `b` it was matched with.
+    """
+
+    a: IntArray
+    b: IntArray
+    matching: dict[int, int]
+
+    @property
+    def agreement(self) -> float:
+        """Share of trajectories with the same label; one that only one side labelled counts as different.
+
+        >>> agree([1, 1, 2, 0], [1, 1, 1, 1]).agreement
+        0.5
+        """
+        return float(np.mean(self.a == self.b)) if len(self.a) else 1.0
+
+    @property
+    def both(self) -> float:
+        """Share of the trajectories that both sides labelled with the same label.
+
+        >>> round(agree([1, 1, 2, 0], [1, 1, 1, 1]).both, 3)
+        0.667
+        """
+        told = (self.a != _UNLABELLED) & (self.b != _UNLABELLED)
+        return float(np.mean((self.a == self.b)[told])) if told.any() else 1.0
+
+    @property
+    def kappa(self) -> float:
+        """Cohen's kappa (1960), with "unlabelled" as a category: 1 = equal, 0 = as by chance.
+
+        >>> agree([1, 1, 2, 2], [1, 1, 2, 1]).kappa
+        0.5
+        """
+        if not len(self.a):
+            return 1.0
+        names, codes = np.unique(np.concatenate([self.a, self.b]), return_inverse=True)
+        share_a = np.bincount(codes[: len(self.a)], minlength=len(names)) / len(self.a)
+        share_b = np.bincount(codes[len(self.a) :], minlength=len(names)) / len(self.b)
+        chance = float(share_a @ share_b)
+        return 1.0 if chance == 1.0 else (self.agreement - chance) / (1.0 - chance)
+
+    @property
+    def differences(self) -> IntArray:
+        """Rows that differ, ascending."""
+        return np.flatnonzero(self.a != self.b)
+
+    def groups(self) -> list[tuple[int, int, IntArray]]:
+        """Return the differing rows by (label of a, label of b), the largest group first."""
+        rows = self.differences
+        pairs, which = np.unique(np.column_stack([self.a, self.b])[rows], axis=0, return_inverse=True)
+        found = [(int(x), int(y), rows[which.ravel() == k]) for k, (x, y) in enumerate(pairs)]
+        return sorted(found, key=lambda group: -len(group[2]))
+
+
+def agree(a: npt.ArrayLike, b: npt.ArrayLike, *, match: bool = True) -> Agreement:
+    """Compare two labellings of the same trajectories.
+
+    Parameters
+    ----------
+    a, b : (n,) int
+        Labels; 0 = unlabelled.
+    match : bool
+        Rename the labels of `a` by the one-to-one assignment with the largest overlap (Kuhn 1955);
+        otherwise equal numbers mean the same motion.
+
+    Raises
+    ------
+    InvalidValueError
+        When the lengths differ.
+    """
+    mine, other = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
+    if mine.ndim != 1 or mine.shape != other.shape:
+        raise InvalidValueError(
+            "labels", expected="two vectors of one length", found=f"{mine.shape} and {other.shape}"
+        )
+    if not match:
+        return Agreement(mine, other, {})
+    matching = _matching(mine, other)
+    renamed = np.zeros_like(mine)
+    spare = max(int(other.max(initial=0)), int(mine.max(initial=0))) + 1
+    for label in np.unique(mine[mine != _UNLABELLED]):
+        renamed[mine == label] = matching.get(int(label), spare + int(label))
+    return Agreement(renamed, other, matching)
+
+
+def _matching(a: IntArray, b: IntArray) -> dict[int, int]:
+    names_a, names_b = (np.unique(labels[labels != _UNLABELLED]) for labels in (a, b))
+    overlap = np.array([[np.sum((a == x) & (b == y)) for y in names_b] for x in names_a]).reshape(
+        len(names_a), len(names_b)
+    )
+    rows, columns = linear_sum_assignment(overlap, maximize=True)
+    return {int(names_a[i]): int(names_b[j]) for i, j in zip(rows, columns, strict=True) if overlap[i, j] > 0}
