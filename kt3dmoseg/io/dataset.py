@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.io.formats import CLIP_SUFFIXES, load
+from kt3dmoseg.io.formats import CLIP_SUFFIXES, clip_files, load
 from kt3dmoseg.io.text import clip_name
 from kt3dmoseg.types import Clip
 
@@ -35,10 +35,10 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
     root = Path(folder)
     if not root.is_dir():
         raise InputFileError(f"{root}", expected="a folder of clips", found="no such folder")
-    files = _clip_files(root)
+    files = clip_files(root)
     if not files:
         folders = (sub for sub in sorted(root.iterdir()) if sub.is_dir())
-        files = [file for sub in folders for file in _clip_files(sub)]
+        files = [file for sub in folders for file in clip_files(sub)]
     if not files:
         raise InputFileError(
             f"{root}", expected=f"clips ({', '.join(CLIP_SUFFIXES)})", found="none, nor in its sub-folders"
@@ -60,11 +60,3 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
 def load_dataset(folder: str | os.PathLike[str]) -> dict[str, Clip]:
     """Load every clip of a folder, by name, in the order of `dataset_paths`."""
     return {name: load(path) for name, path in dataset_paths(folder).items()}
-
-
-def _clip_files(folder: Path) -> list[Path]:
-    return [
-        f
-        for f in sorted(folder.iterdir())
-        if f.suffix in CLIP_SUFFIXES and not f.name.startswith(".") and f.is_file()
-    ]

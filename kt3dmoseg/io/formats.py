@@ -1,39 +1,187 @@
-"""The table of clip formats, and `load`, which recognises what it is given."""
+"""The table of clip formats: `load` recognises what it is given, `save` goes by the suffix."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.io import hopkins, release
-from kt3dmoseg.io.mat5 import read_mat
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.types import Clip
 
-CLIP_SUFFIXES = (".h5", ".mat", ".npz", ".dat")
+_HEAD = 128
+_PICKLE_FIX = "pickles run code when read; save the arrays with numpy.savez"
+
+
+@dataclass(frozen=True)
+class Format:
+    """One clip format; its module is imported when it is used.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    suffix : str
+        Of its files.
+    recognise : callable
+        Whether a file with these first 128 bytes may be of this format.
+    reader, writer : str
+        "module:function"; no writer, no writing.
+    """
+
+    name: str
+    suffix: str
+    recognise: Callable[[bytes], bool]
+    reader: str
+    writer: str = ""
+
+
+def _is_text_of_numbers(head: bytes) -> bool:
+    return bool(head.strip()) and set(head) <= set(b"0123456789+-.eE \t\r\n")
+
+
+FORMATS = (
+    Format(
+        "hdf5",
+        ".h5",
+        lambda head: head[:8] == b"\x89HDF\r\n\x1a\n",
+        "kt3dmoseg.io.hdf5:read",
+        "kt3dmoseg.io.hdf5:write",
+    ),
+    Format(
+        "mat",
+        ".mat",
+        lambda head: head[:6] == b"MATLAB",
+        "kt3dmoseg.io.matfile:read",
+        "kt3dmoseg.io.release:write",
+    ),
+    Format(
+        "npz",
+        ".npz",
+        lambda head: head[:4] == b"PK\x03\x04",
+        "kt3dmoseg.io.npz:read_any",
+        "kt3dmoseg.io.npz:write",
+    ),
+    Format("dat", ".dat", _is_text_of_numbers, "kt3dmoseg.io.brox:read", "kt3dmoseg.io.brox:write"),
+)
+CLIP_SUFFIXES = tuple(f.suffix for f in FORMATS)
 
 
 def load(path: str | os.PathLike[str]) -> Clip:
     """Load one clip from any format that is read.
 
+    The content decides, not the suffix: the canonical HDF5, MAT-files of the 2018 release,
+    Hopkins155, Hopkins12 and MTPV62, `.npz` (also CoTracker's and TAP-Vid's), Brox/FBMS `.dat`.
+
     Parameters
     ----------
     path : path
-        A file, or a folder that holds one clip file.
+        A file, or a folder that holds one.
 
     Raises
     ------
     InputFileError
-        When it is missing or unreadable.
+        When it is missing or unreadable, or a folder of several clips.
     FileFormatError
-        When it is of no known format, damaged, or contradicts itself.
+        When it is of no known format, damaged, of a newer version, or contradicts itself.
     """
-    file = Path(path)
-    if not file.exists():
-        raise InputFileError(f"{file}: no such file")
-    variables = read_mat(file)
-    if hopkins.is_hopkins(variables):
-        return hopkins.read(file, variables)
-    if release.is_release(variables):
-        return release.read(file, variables)
-    raise FileFormatError(f"{file}", expected="a clip", found=f"variables {', '.join(variables)}")
+    file = _single_file(Path(path))
+    read = _function(recognise(file).reader)
+    try:
+        clip: Clip = read(file)
+    except InvalidValueError as error:
+        raise FileFormatError(f"{file}: {error}") from None
+    except KT3DMoSegError:
+        raise
+    except OSError as error:
+        raise InputFileError(f"{file}: {error.strerror or error}") from None
+    return clip
+
+
+def save(clip: Clip, path: str | os.PathLike[str]) -> None:
+    """Write a clip in the format of the path's suffix, atomically.
+
+    Parameters
+    ----------
+    clip : Clip
+        The clip.
+    path : path
+        Ends in ``.h5`` (canonical; keeps everything), ``.mat`` (2018 schema), ``.npz`` or ``.dat``.
+
+    Raises
+    ------
+    InvalidValueError
+        When no format has that suffix.
+    InputFileError
+        When the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    for format in FORMATS:
+        if format.suffix == suffix:
+            _function(format.writer)(clip, path)
+            return
+    raise InvalidValueError(
+        os.fspath(path), expected=f"a suffix of {', '.join(CLIP_SUFFIXES)}", found=repr(suffix)
+    )
+
+
+def recognise(file: Path) -> Format:
+    """Return the format of a file from its first bytes.
+
+    Raises
+    ------
+    InputFileError
+        When it cannot be read.
+    FileFormatError
+        When it is none of `FORMATS`.
+    """
+    try:
+        with open(file, "rb") as stream:
+            head = stream.read(_HEAD)
+    except OSError as error:
+        raise InputFileError(f"{file}: {error.strerror or error}") from None
+    for format in FORMATS:
+        if format.recognise(head):
+            return format
+    by_suffix = [f for f in FORMATS if f.suffix == file.suffix.lower()]
+    pickled = head[:1] == b"\x80" and head[1:2] in b"\x02\x03\x04\x05"
+    raise FileFormatError(
+        f"{file}",
+        expected=f"a clip ({', '.join(f.name for f in by_suffix or FORMATS)})",
+        found="a pickle" if pickled else f"a file that starts with {head[:8]!r}" if head else "an empty file",
+        fix=_PICKLE_FIX if pickled else "",
+    )
+
+
+def _single_file(path: Path) -> Path:
+    if not path.exists():
+        raise InputFileError(f"{path}", expected="a clip", found="no such file")
+    if not path.is_dir():
+        return path
+    files = clip_files(path)
+    if len(files) != 1:
+        raise InputFileError(
+            f"{path}",
+            expected="one clip",
+            found=f"a folder with {len(files)} of them",
+            fix="load_dataset reads a folder of clips",
+        )
+    return files[0]
+
+
+def clip_files(folder: Path) -> list[Path]:
+    """List the files of a folder that have a clip's suffix, sorted; unfinished ones are hidden."""
+    return [
+        f
+        for f in sorted(folder.iterdir())
+        if f.suffix in CLIP_SUFFIXES and not f.name.startswith(".") and f.is_file()
+    ]
+
+
+def _function(target: str) -> Callable[..., Any]:
+    module, _, name = target.partition(":")
+    function: Callable[..., Any] = getattr(import_module(module), name)
+    return function

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.files import atomic_path
 from kt3dmoseg.io.hdf5_checks import checked_group, read_array, read_text
 from kt3dmoseg.io.text import json_object, json_text
@@ -70,9 +70,7 @@ def read(path: str | os.PathLike[str]) -> Clip:
         with h5py.File(path, "r", locking=False) as file:
             _check_version(file, where)
             return _clip(file, where)
-    except InvalidValueError as error:
-        raise FileFormatError(f"{where}: {error}") from None
-    except (FileFormatError, InputFileError):
+    except KT3DMoSegError:
         raise
     except OSError as error:
         raise _unreadable(where, error) from None

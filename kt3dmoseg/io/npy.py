@@ -144,13 +144,9 @@ def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dt
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         shape, fortran, dtype = readers[version](stream)
-    if dtype.kind not in "biufcSU" or (not dtype.itemsize and math.prod(shape)):
-        raise FileFormatError(
-            where,
-            expected="numbers or texts",
-            found=f"{dtype}",
-            fix="objects need pickle, which is never read",
-        )
+    if dtype.kind not in "biufcSU" or dtype.itemsize == 0:
+        fix = "objects need pickle, which is never read"
+        raise FileFormatError(where, expected="numbers or texts", found=f"{dtype}", fix=fix)
     return shape, fortran, dtype
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.io.npy import read_npz, write_npz
+from kt3dmoseg.io import point_tracks
+from kt3dmoseg.io.npy import npz_shapes, read_npz, write_npz
 from kt3dmoseg.io.text import json_object, json_text
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
-KEYS = {"xy", "visible", "evaluated", "label"}
+KEYS = {"xy", "visible", "evaluated", "label", "track_id", "frame_numbers", "name"}
 
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -66,6 +67,23 @@ def read(path: str | os.PathLike[str]) -> Clip:
         timestamps=arrays.get("timestamps", "f", None),
         camera=Camera(arrays.text("camera_name", ""), arrays.get("K", "f", (3, 3))) if has_camera else None,
         provenance=json_object(arrays.text("provenance", "{}"), f"{where}: provenance"),
+    )
+
+
+def read_any(path: str | os.PathLike[str]) -> Clip:
+    """Read a clip, or the output of CoTracker or a video of TAP-Vid."""
+    names = set(npz_shapes(path))
+    if names >= point_tracks.COTRACKER_KEYS:
+        return point_tracks.read_cotracker(path)
+    if names >= point_tracks.TAPVID_KEYS:
+        return point_tracks.read_tapvid(path)
+    if names >= KEYS:
+        return read(path)
+    raise FileFormatError(
+        os.fspath(path),
+        expected=f"the arrays {', '.join(sorted(KEYS))} of a clip",
+        found=", ".join(sorted(names)) or "none",
+        fix="the arrays of CoTracker and of TAP-Vid (points, occluded, video) are read too",
     )
 
 

@@ -24,7 +24,6 @@ from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Traje
 
 # In the release the static scene is motion 1 in every clip; the other collections do not say.
 _BACKGROUND = 1
-_FIX = "give a KT3DMoSeg, Hopkins12 or MTPV62 *_Tracks.mat, or a Hopkins155 *_truth.mat"
 _ALL_FIELDS = (
     "nAllPoints",
     "yAll",
@@ -67,15 +66,9 @@ def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None
     """
     where = os.fspath(path)
     content = read_mat(path) if variables is None else variables
-    if not is_release(content):
-        raise FileFormatError(
-            where,
-            expected="a struct Data with ySparse and GtLabel",
-            found=f"variables {', '.join(sorted(content)) or 'none'}",
-            fix=_FIX,
-        )
-    data = content["Data"]
-    assert isinstance(data, dict)
+    data = content.get("Data")
+    if not isinstance(data, dict):
+        raise FileFormatError(where, expected="a struct Data", found=", ".join(content) or "nothing")
     return _clip(_Fields(where, data))
 
 

@@ -1,0 +1,158 @@
+"""Brox and FBMS trajectories, ``.dat``: text of whole numbers and coordinates.
+
+``nFrames``, ``nTracks``, then for each track ``label length`` and `length` times ``x y frame``;
+pixels and frames from 0. Labels are kept as they are, -1 (unlabelled) becoming 0. Files in the wild
+break lines anywhere, so tokens are read, not lines (Brox and Malik, ECCV 2010; Ochs et al., 2014).
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.files import read_bytes, sha256_file, write_text
+from kt3dmoseg.io.text import clip_name
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
+
+_MAX_FILE = 1 << 30
+# A track of 5 points in a thousand frames fills 60 cells per token.
+_MAX_CELLS, _CELLS_PER_TOKEN, _CELLS_FREE = 1 << 28, 500, 1 << 20
+_LAYOUT = "nFrames, nTracks, then per track 'label length' and length times 'x y frame'"
+
+
+def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+    """Write all trajectories; those that are not evaluated get label 0.
+
+    Coordinates keep every bit. Which rows are evaluated, ids, image size and the rest have no place
+    in the format.
+    """
+    label = np.zeros(len(clip.dense), dtype=np.int64)
+    label[clip.evaluated] = clip.labels.label
+    lines = [f"{clip.n_frames}", f"{len(clip.dense)}"]
+    for row, value in enumerate(label.tolist()):
+        frames = np.flatnonzero(clip.dense.visible[row])
+        lines.append(f"{value} {len(frames)}")
+        points = clip.dense.xy[row, frames].tolist()
+        lines += [f"{x!r} {y!r} {frame}" for (x, y), frame in zip(points, frames.tolist(), strict=True)]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read(path: str | os.PathLike[str]) -> Clip:
+    """Read a clip; every row counts as evaluated, label 0 being unlabelled.
+
+    Raises
+    ------
+    FileFormatError
+        When the numbers do not follow the layout or contradict each other.
+    InputFileError
+        When the file cannot be read.
+    """
+    where = os.fspath(path)
+    numbers = _numbers(read_bytes(path, _MAX_FILE), where)
+    frames, count = _counts(numbers, where)
+    label, starts, lengths = _walk(numbers, count, where)
+    xy, visible = _fill(numbers, starts, lengths, frames, where)
+    return Clip(
+        name=clip_name(path),
+        dense=Trajectories(xy, visible),
+        evaluated=np.arange(count),
+        labels=Labels(np.maximum(label, 0)),
+        provenance={
+            "format": "brox-dat",
+            "source": os.path.basename(where),  # noqa: PTH119  # a str in, a str out
+            "sha256": sha256_file(path),
+        },
+    )
+
+
+def _numbers(content: bytes, where: str) -> FloatArray:
+    tokens = content.split()
+    try:
+        numbers = np.array(tokens, dtype="S32").astype(np.float64) if tokens else np.zeros(0)
+    except ValueError as error:
+        raise FileFormatError(where, expected=f"numbers: {_LAYOUT}", found=str(error)) from None
+    if max(map(len, tokens), default=0) > 32 or not np.isfinite(numbers).all():
+        raise FileFormatError(where, expected="finite numbers of at most 32 digits", found="another token")
+    return numbers
+
+
+def _counts(numbers: FloatArray, where: str) -> tuple[int, int]:
+    if len(numbers) < 2:
+        raise FileFormatError(where, expected=_LAYOUT, found=f"{len(numbers)} numbers; the file is truncated")
+    frames, count = (_whole(numbers[i], where, what) for i, what in enumerate(("nFrames", "nTracks")))
+    if count > (len(numbers) - 2) // 2:
+        raise FileFormatError(
+            f"{where}: nTracks", expected=f"at most {(len(numbers) - 2) // 2} in this file", found=str(count)
+        )
+    limit = min(_MAX_CELLS, max(_CELLS_FREE, _CELLS_PER_TOKEN * len(numbers)))
+    if frames * max(count, 1) > limit:
+        found = f"{frames} frames x {count} tracks"
+        raise FileFormatError(
+            f"{where}: nFrames", expected=f"at most {limit} positions in this file", found=found
+        )
+    return frames, count
+
+
+def _walk(numbers: FloatArray, count: int, where: str) -> tuple[IntArray, IntArray, IntArray]:
+    """Return label, index of the first coordinate and length of each track."""
+    heads = np.zeros((count, 3), dtype=np.int64)
+    at = 2
+    for row in range(count):
+        if at + 2 > len(numbers):
+            raise FileFormatError(
+                f"{where}: track {row}", expected="label and length", found="the end of the file"
+            )
+        label = _whole(numbers[at], where, f"label of track {row}", low=-1)
+        length = _whole(numbers[at + 1], where, f"length of track {row}")
+        heads[row] = label, at + 2, length
+        at += 2 + 3 * length
+        if at > len(numbers):
+            raise FileFormatError(
+                f"{where}: track {row}", expected=f"{length} points", found="the end of the file"
+            )
+    if at != len(numbers):
+        raise FileFormatError(
+            where, expected=f"the end after {count} tracks", found=f"{len(numbers) - at} more numbers"
+        )
+    return heads[:, 0], heads[:, 1], heads[:, 2]
+
+
+def _fill(
+    numbers: FloatArray, starts: IntArray, lengths: IntArray, frames: int, where: str
+) -> tuple[FloatArray, BoolArray]:
+    row = np.repeat(np.arange(len(starts)), lengths)
+    within = np.arange(len(row)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    points = numbers[(np.repeat(starts, lengths) + 3 * within)[:, None] + np.arange(3)]
+    frame = points[:, 2]
+    _check_frames(row, frame, frames, where)
+    index = frame.astype(np.int64)
+    xy = np.full((len(starts), frames, 2), np.nan)
+    visible = np.zeros((len(starts), frames), dtype=np.bool_)
+    xy[row, index] = points[:, :2]
+    visible[row, index] = True
+    if visible.sum() != len(row):
+        raise FileFormatError(where, expected="one point per track and frame", found="a frame given twice")
+    return xy, visible
+
+
+def _check_frames(row: IntArray, frame: npt.NDArray[np.float64], frames: int, where: str) -> None:
+    bad = (frame < 0) | (frame >= frames) | (frame != np.floor(frame))
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        raise FileFormatError(
+            f"{where}: track {row[first]}", expected=f"frames 0..{frames - 1}", found=f"{frame[first]:g}"
+        )
+
+
+def _whole(value: float, where: str, what: str, low: int = 0) -> int:
+    if value != np.floor(value) or not low <= value < 1 << 40:
+        raise FileFormatError(
+            f"{where}: {what}",
+            expected=f"a whole number >= {low}",
+            found=f"{value:g}",
+            fix=f"the layout is {_LAYOUT}",
+        )
+    return int(value)
