@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import struct
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -108,6 +109,7 @@ def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteA
 
 def decode(content: bytes, where: str) -> npt.NDArray[Any]:
     """Decode a picture as it is stored: (H, W) or (H, W, C), in OpenCV's BGR order."""
+    _check_png_size(content, where)
     picture = None
     if content:
         level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -158,6 +160,16 @@ def check_sizes(shapes: Sequence[tuple[int, int]], paths: Sequence[os.PathLike[s
                 expected=f"{shapes[0][1]}x{shapes[0][0]} px, as the frames before",
                 found=f"{shape[1]}x{shape[0]}",
                 fix="give frames of one size",
+            )
+
+
+def _check_png_size(content: bytes, where: str) -> None:
+    """Refuse a PNG that claims to be huge before its pixels are allocated."""
+    if content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) >= 24:
+        width, height = struct.unpack(">II", content[16:24])
+        if width * height > _MAX_PIXELS:
+            raise FileFormatError(
+                where, expected=f"a picture of at most {_MAX_PIXELS} pixels", found=f"{width}x{height}"
             )
 
 

@@ -1,0 +1,177 @@
+"""Optical flow fields on disk: Middlebury ``.flo``, KITTI 16-bit ``.png``, ``.npy``, ``.npz``.
+
+In memory a field is (H, W, 2) float32, the displacement in pixels (right, down), NaN where unknown.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import read_bytes, write_bytes
+from kt3dmoseg.io.images import decode
+from kt3dmoseg.io.npy import read_npy, read_npz, write_npz
+from kt3dmoseg.types import BoolArray, Float32Array
+
+FLOW_SUFFIXES = (".flo", ".png", ".npy", ".npz")
+
+_FLO_TAG = struct.pack("<f", 202021.25)
+_FLO_UNKNOWN, _FLO_WRITTEN = 1e9, 1e10
+_KITTI_SCALE, _KITTI_ZERO = 64.0, 1 << 15
+_MAX_FILE = 1 << 30
+
+
+def read_flow(path: str | os.PathLike[str]) -> Float32Array:
+    """Read a flow field; the content decides about the format.
+
+    Parameters
+    ----------
+    path : path
+        ``.flo`` (Baker et al., IJCV 2011), KITTI's 16-bit PNG (u = R / 64 - 512, v = G / 64 - 512,
+        valid = B; Menze and Geiger, CVPR 2015), or an array (H, W, 2) or (2, H, W) in ``.npy`` or
+        ``.npz`` (its array ``flow``, or the only one).
+
+    Returns
+    -------
+    (H, W, 2) float32
+        NaN where the file marks a pixel as unknown.
+
+    Raises
+    ------
+    InputFileError
+        When the file cannot be read.
+    FileFormatError
+        When it is none of these formats, damaged, or lies about its size.
+    """
+    where = os.fspath(path)
+    content = read_bytes(path, _MAX_FILE)
+    if content[:4] == _FLO_TAG:
+        return _from_flo(content, where)
+    if content[:8] == b"\x89PNG\r\n\x1a\n":
+        return _from_kitti(decode(content, where), where)
+    if content[:6] == b"\x93NUMPY":
+        return _from_array(read_npy(path), where)
+    if content[:4] == b"PK\x03\x04":
+        return _from_archive(path)
+    raise FileFormatError(
+        where,
+        expected="a flow field (.flo, KITTI .png, .npy, .npz)",
+        found=f"a file that starts with {content[:8]!r}",
+    )
+
+
+def write_flow(path: str | os.PathLike[str], flow: npt.ArrayLike) -> None:
+    """Write a flow field in the format of the path's suffix, atomically.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.flo``, ``.png``, ``.npy`` or ``.npz``. PNG keeps 1/64 px within +-512 px.
+    flow : (H, W, 2) array
+        Displacements in pixels; NaN where unknown.
+
+    Raises
+    ------
+    InvalidValueError
+        For another shape or suffix, or a displacement that does not fit into a PNG.
+    InputFileError
+        When the file cannot be written.
+    """
+    field = np.asarray(flow, dtype=np.float32)
+    if field.ndim != 3 or field.shape[2] != 2:
+        raise InvalidValueError("flow", expected="shape (H, W, 2)", found=f"{field.shape}")
+    suffix = Path(path).suffix.lower()
+    if suffix == ".npz":
+        write_npz(path, {"flow": field})
+    elif suffix in _ENCODERS:
+        write_bytes(path, _ENCODERS[suffix](field))
+    else:
+        known = ", ".join(FLOW_SUFFIXES)
+        raise InvalidValueError(os.fspath(path), expected=f"a suffix of {known}", found=repr(suffix))
+
+
+def _from_flo(content: bytes, where: str) -> Float32Array:
+    if len(content) < 12:
+        raise FileFormatError(where, expected="12 bytes of header", found=f"{len(content)}")
+    width, height = struct.unpack("<ii", content[4:12])
+    needed = 12 + 8 * width * height
+    if width < 1 or height < 1 or needed != len(content):
+        raise FileFormatError(
+            f"{where}: .flo of {width}x{height}", expected=f"{max(needed, 20)} bytes", found=f"{len(content)}"
+        )
+    field = np.frombuffer(content, "<f4", offset=12).astype(np.float32).reshape(height, width, 2)
+    with np.errstate(invalid="ignore"):
+        unknown = np.logical_not(np.all(np.abs(field) <= _FLO_UNKNOWN, axis=2))
+    field[unknown] = np.nan
+    return field
+
+
+def _to_flo(field: Float32Array) -> bytes:
+    known = np.where(_known(field)[..., None], field, np.float32(_FLO_WRITTEN))
+    height, width = field.shape[:2]
+    return _FLO_TAG + struct.pack("<ii", width, height) + known.astype("<f4").tobytes()
+
+
+def _from_kitti(picture: npt.NDArray[Any], where: str) -> Float32Array:
+    if picture.dtype != np.uint16 or picture.ndim != 3 or picture.shape[2] != 3:
+        raise FileFormatError(
+            where,
+            expected="a 16-bit RGB PNG as KITTI's flow",
+            found=f"{picture.dtype} of shape {picture.shape}",
+        )
+    field = (picture[..., 2:0:-1].astype(np.float32) - _KITTI_ZERO) / np.float32(_KITTI_SCALE)
+    field[picture[..., 0] == 0] = np.nan
+    return field
+
+
+def _to_kitti(field: Float32Array) -> bytes:
+    valid = _known(field)
+    steps = np.rint(np.where(valid[..., None], field, 0).astype(np.float64) * _KITTI_SCALE) + _KITTI_ZERO
+    if ((steps < 0) | (steps >= 1 << 16)).any():
+        raise InvalidValueError(
+            "flow",
+            expected="displacements within -512..511.98 px, all that a KITTI PNG holds",
+            found=f"{np.abs(field[valid]).max():g}",
+            fix="write .flo or .npy",
+        )
+    picture = np.dstack([valid, steps[..., 1], steps[..., 0]]).astype(np.uint16)
+    return bytes(cv2.imencode(".png", picture)[1])
+
+
+def _known(field: Float32Array) -> BoolArray:
+    return np.isfinite(field[..., 0]) & np.isfinite(field[..., 1])
+
+
+def _to_npy(field: Float32Array) -> bytes:
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, field, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _from_archive(path: str | os.PathLike[str]) -> Float32Array:
+    arrays = read_npz(path)
+    if "flow" not in arrays and len(arrays) != 1:
+        raise FileFormatError(os.fspath(path), expected="an array 'flow'", found=", ".join(sorted(arrays)))
+    return _from_array(arrays["flow"] if "flow" in arrays else next(iter(arrays.values())), os.fspath(path))
+
+
+def _from_array(array: npt.NDArray[Any], where: str) -> Float32Array:
+    if array.ndim == 3 and array.shape[0] == 2 and array.shape[2] != 2:
+        array = np.moveaxis(array, 0, -1)
+    if array.ndim != 3 or array.shape[2] != 2 or array.dtype.kind not in "iuf":
+        raise FileFormatError(
+            where, expected="numbers (H, W, 2) or (2, H, W)", found=f"{array.dtype} {array.shape}"
+        )
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+_ENCODERS: dict[str, Callable[[Float32Array], bytes]] = {".flo": _to_flo, ".png": _to_kitti, ".npy": _to_npy}
