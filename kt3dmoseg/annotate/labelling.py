@@ -7,7 +7,8 @@ Inside regions of one motion it votes for that motion; outside of all regions fo
 region (motion 0) lies in front of moving ones and a rejected one in front of all. Inside two regions of
 different motions, or in the region of an occluded object, it abstains. The trajectory gets the motion
 with at least `min_share` of its votes, when they weigh at least `min_votes`; otherwise it stays
-unlabelled, with the reason. A mark overrules all votes of the trajectories it encloses.
+unlabelled, with the reason. A trajectory along an outline is then decided by its motion, where
+that tells (`kt3dmoseg.annotate.halo`). A mark overrules all else for the trajectories it encloses.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.annotate.halo import HaloRule, decide_by_motion
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, Motion
 from kt3dmoseg.annotate.motion import ImageMotion, TrackMotion
 from kt3dmoseg.annotate.polygons import bounds, inside, signed_distance
@@ -39,6 +41,9 @@ class LabelRule:
     margin: float = option(2.0, "votes weigh fully from this distance to a boundary on, pixels", low=0.01)
     min_share: float = option(0.75, "share of the votes that the winner needs", low=0.5, high=1.0)
     min_votes: float = option(1.0, "weight that the votes need together, in full votes", low=0.0)
+    halo: float = option(8.0, "along an outline, up to this far outside, motion decides; pixels", low=0.0)
+    ratio: float = option(1.5, "the motion that wins there must fit better by this factor", low=1.0)
+    least_gap: float = option(0.4, "where the motions differ by less, the outline decides; pixels", low=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +138,9 @@ def label_tracks_detailed(
         rows = np.flatnonzero(trajectories.visible[:, frame])
         votes[rows] += _votes(trajectories.xy[rows, frame], annotation, regions, frame, candidates, rule)
     choice, reason = _decide(votes, trajectories.lengths > 0, rule)
+    halo = HaloRule(rule.halo, rule.margin, rule.ratio, rule.least_gap)
+    for row, winner in decide_by_motion(trajectories, annotation.objects, regions, halo).items():
+        choice[row], reason[row] = candidates.index(winner), _LABELLED
     _apply_marks(trajectories, annotation, candidates, choice, reason)
     label = np.where(reason == _LABELLED, _label_of(candidates)[choice], 0)
     names = _names(annotation)

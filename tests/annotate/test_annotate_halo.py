@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kt3dmoseg.annotate import (
+    AnnotatedObject,
+    Annotation,
+    KeyFrame,
+    Mark,
+    label_tracks,
+    label_tracks_detailed,
+)
+from kt3dmoseg.types import Trajectories
+
+FRAMES = 6
+DRIFT = np.array([3.0, 0.0])  # of the object, pixels per frame; the background stands still
+
+
+def square(frame: int) -> list[tuple[float, float]]:
+    left = 40 + DRIFT[0] * frame
+    return [(left, 40), (left + 40, 40), (left + 40, 80), (left, 80)]
+
+
+def annotation() -> Annotation:
+    keys = tuple(KeyFrame(f, polygons=(square(f),)) for f in range(FRAMES))
+    return Annotation("c", (160, 120), FRAMES, (AnnotatedObject(1, "box", "car", 1, keys),))
+
+
+def tracks(starts: np.ndarray, moving: np.ndarray) -> Trajectories:
+    steps = np.arange(FRAMES)[None, :, None] * DRIFT
+    xy = starts[:, None] + np.where(moving[:, None, None], steps, 0.0)
+    return Trajectories(xy, np.ones(xy.shape[:2], bool), image_size=(160, 120))
+
+
+@pytest.fixture
+def scene():
+    """A grid of clear trajectories, then two just above the outline: one rides along, one does not."""
+    inside = np.array([(x, y) for x in range(46, 78, 6) for y in range(46, 78, 6)], float)
+    outside = np.array([(x, y) for x in range(10, 150, 10) for y in (10, 20, 100, 110)], float)
+    pair = np.array([(60.0, 36.0), (62.0, 36.0)])
+    starts = np.concatenate([inside, outside, pair])
+    moving = np.concatenate([np.ones(len(inside), bool), np.zeros(len(outside), bool), [True, False]])
+    return tracks(starts, moving), moving
+
+
+def test_motion_decides_beside_the_outline(scene):
+    trajectories, moving = scene
+    labels = label_tracks(trajectories, annotation())
+    assert labels.label.tolist() == np.where(moving, 2, 1).tolist()
+
+
+def test_without_a_halo_the_outline_decides(scene):
+    trajectories, _ = scene
+    assert label_tracks(trajectories, annotation(), halo=0).label[-2:].tolist() == [1, 1]
+
+
+def test_far_outside_nothing_is_decided_by_motion(scene):
+    trajectories, moving = scene
+    starts = trajectories.xy[:, 0].copy()
+    starts[-2] = (60.0, 28.0)
+    labels = label_tracks(tracks(starts, moving), annotation())
+    assert labels.label[-2] == 1
+
+
+def test_where_motions_agree_the_outline_decides(scene):
+    trajectories, moving = scene
+    still = tracks(trajectories.xy[:, 0], np.zeros(len(moving), bool))
+    keys = (KeyFrame(0, polygons=(square(0),)),)
+    parked = Annotation("c", (160, 120), FRAMES, (AnnotatedObject(1, "box", "car", 1, keys),))
+    assert label_tracks(still, parked).label[-2:].tolist() == [1, 1]
+
+
+def test_a_mark_overrules_the_motion(scene):
+    trajectories, _ = scene
+    base = annotation()
+    lasso = Mark(frame=0, polygon=((58, 34), (61, 34), (61, 38), (58, 38)), motion=0)
+    marked = Annotation(base.clip, base.image_size, base.n_frames, base.objects, (lasso,))
+    assert label_tracks_detailed(trajectories, marked).labels.label[-2] == 1
