@@ -1,0 +1,98 @@
+"""Submissions, their validation, metrics, statistics and reports.
+
+A submission is a folder or zip of predictions (`mseg.evaluation.submission`); `validate_submission`
+tells everything that is wrong with it, `score_submission` scores it, `score` does so for paths and
+bare arrays.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from mseg.evaluation.protocol import Group as Group
+    from mseg.evaluation.protocol import Protocol as Protocol
+    from mseg.evaluation.protocol import list_protocols as list_protocols
+    from mseg.evaluation.protocol import load_protocol as load_protocol
+    from mseg.evaluation.reading import Submission as Submission
+    from mseg.evaluation.reading import read_submission as read_submission
+    from mseg.evaluation.results import ClipScore as ClipScore
+    from mseg.evaluation.results import ScoreTable as ScoreTable
+    from mseg.evaluation.scoring import score as score
+    from mseg.evaluation.scoring import score_submission as score_submission
+    from mseg.evaluation.submission import SubmissionMeta as SubmissionMeta
+    from mseg.evaluation.submission import fingerprint as fingerprint
+    from mseg.evaluation.submission import write_failure as write_failure
+    from mseg.evaluation.submission import write_meta as write_meta
+    from mseg.evaluation.submission import write_prediction as write_prediction
+    from mseg.evaluation.submission import write_submission as write_submission
+    from mseg.evaluation.validate import Validation as Validation
+    from mseg.evaluation.validate import validate_submission as validate_submission
+
+_PUBLIC = {
+    "Group": "protocol",
+    "Protocol": "protocol",
+    "list_protocols": "protocol",
+    "load_protocol": "protocol",
+    "Submission": "reading",
+    "read_submission": "reading",
+    "ClipScore": "results",
+    "ScoreTable": "results",
+    "score": "scoring",
+    "score_submission": "scoring",
+    "SubmissionMeta": "submission",
+    "fingerprint": "submission",
+    "write_failure": "submission",
+    "write_meta": "submission",
+    "write_prediction": "submission",
+    "write_submission": "submission",
+    "Validation": "validate",
+    "validate_submission": "validate",
+}
+
+__all__ = [*_PUBLIC, "classification_error"]  # noqa: PLE0604
+
+
+def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
+    """Fraction of trajectories that are wrong under the best one-to-one assignment of labels.
+
+    Parameters
+    ----------
+    truth : (n,) int
+        True motions; 0 = unlabelled, not counted at all.
+    pred : (n,) int
+        Predicted groups, numbered as they like. 0 = outlier: always wrong. More groups than
+        motions: those left over are wrong; fewer: so are the motions left over.
+
+    Returns
+    -------
+    float
+        0 (perfect, up to numbering) to 1.
+
+    Raises
+    ------
+    InvalidValueError
+        When a vector holds no labels, the lengths differ, or no trajectory is labelled.
+
+    Examples
+    --------
+    >>> classification_error([1, 1, 1, 2], [7, 7, 3, 3])
+    0.25
+    """
+    from mseg.evaluation.contingency import contingency
+    from mseg.evaluation.metrics import ERROR
+
+    return ERROR(contingency(truth, pred))
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401
+    if name in _PUBLIC:
+        return getattr(import_module(f"mseg.evaluation.{_PUBLIC[name]}"), name)
+    raise AttributeError(f"module 'mseg.evaluation' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

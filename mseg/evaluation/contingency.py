@@ -1,0 +1,144 @@
+"""The table of true motions against predicted groups, from which every metric is computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import IntArray
+from mseg.evaluation.assignment import best_assignment
+
+
+@dataclass(frozen=True, eq=False)
+class Contingency:
+    """How many trajectories of each motion are in each predicted group.
+
+    Trajectories without a true label (0) are not in the table. Predicted 0 means "outlier, in no
+    group": such trajectories are counted apart, in `unassigned`.
+
+    Parameters
+    ----------
+    counts : (M, G) int64
+        Trajectories of motion i in group j.
+    unassigned : (M,) int64
+        Trajectories of motion i that were predicted 0.
+    motions : (M,) int64
+        The true labels of the rows, ascending.
+    groups : (G,) int64
+        The predicted labels of the columns, ascending.
+    background : int or None
+        The row of the static scene, when the truth names it.
+    """
+
+    counts: IntArray
+    unassigned: IntArray
+    motions: IntArray
+    groups: IntArray
+    background: int | None = None
+
+    @cached_property
+    def assignment(self) -> IntArray:
+        """Group of each motion, (M,): the one-to-one choice with most agreement; -1 = none."""
+        return best_assignment(self.counts)
+
+    @cached_property
+    def sizes(self) -> IntArray:
+        """Trajectories of each motion, (M,)."""
+        return np.asarray(self.counts.sum(axis=1) + self.unassigned, dtype=np.int64)
+
+    @property
+    def n(self) -> int:
+        """Number of scored trajectories."""
+        return int(self.sizes.sum())
+
+    @cached_property
+    def matched(self) -> IntArray:
+        """Trajectories of each motion that are in its assigned group, (M,)."""
+        rows = np.arange(len(self.motions))
+        taken = self.counts[rows, self.assignment] if self.groups.size else np.zeros(len(rows), np.int64)
+        return np.where(self.assignment >= 0, taken, 0)
+
+    @cached_property
+    def group_sizes(self) -> IntArray:
+        """Trajectories of each assigned group, (M,); 0 where a motion has none."""
+        if not self.groups.size:
+            return np.zeros(len(self.motions), dtype=np.int64)
+        return np.where(self.assignment >= 0, self.counts.sum(axis=0)[self.assignment], 0)
+
+    @cached_property
+    def with_outliers(self) -> IntArray:
+        """The counts with the trajectories predicted 0 as one more group, when there are any."""
+        if not self.unassigned.any():
+            return self.counts
+        return np.column_stack([self.counts, self.unassigned])
+
+
+def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | None = None) -> Contingency:
+    """Count true motions against predicted groups.
+
+    Parameters
+    ----------
+    truth, pred : (n,) int
+        Labels of the same trajectories. Truth 0 = not scored; prediction 0 = outlier.
+    background : int or None
+        The true label of the static scene.
+
+    Raises
+    ------
+    InvalidValueError
+        When the vectors are no label vectors, differ in length, or no trajectory has a true label.
+
+    Examples
+    --------
+    >>> contingency([1, 1, 2, 2, 0], [5, 5, 5, 9, 9]).counts.tolist()
+    [[2, 0], [1, 1]]
+    """
+    true, predicted = label_vector(truth, "truth"), label_vector(pred, "pred")
+    if len(true) != len(predicted):
+        raise InvalidValueError(
+            "pred", expected=f"{len(true)} labels, as many as truth", found=f"{len(predicted)}"
+        )
+    scored = true > 0
+    if not scored.any():
+        raise InvalidValueError("truth", expected="at least one label > 0", found="none")
+    motions, row = np.unique(true[scored], return_inverse=True)
+    groups, column = np.unique(predicted[scored], return_inverse=True)
+    table = np.bincount(row * len(groups) + column, minlength=len(motions) * len(groups))
+    table = table.reshape(len(motions), len(groups)).astype(np.int64)
+    none = groups == 0
+    place = np.flatnonzero(motions == background) if background is not None else np.empty(0, np.int64)
+    return Contingency(
+        table[:, ~none],
+        table[:, none].sum(axis=1),
+        motions,
+        groups[~none],
+        int(place[0]) if place.size else None,
+    )
+
+
+def label_vector(values: npt.ArrayLike, name: str) -> IntArray:
+    """Return labels as an (n,) int64 vector.
+
+    Whole numbers held as floats (as MATLAB does) and (n, 1) or (1, n) arrays are accepted.
+
+    Raises
+    ------
+    InvalidValueError
+        For anything else: NaN, fractions, negative numbers, matrices, text.
+    """
+    array = np.asarray(values)
+    if array.ndim == 2 and 1 in array.shape:
+        array = array.ravel()
+    if array.ndim != 1 or array.dtype.kind not in "iufb":
+        raise InvalidValueError(
+            name, expected="a vector of labels", found=f"{array.dtype} of shape {array.shape}"
+        )
+    if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.round(array)).all()):
+        raise InvalidValueError(name, expected="whole numbers", found="fractions or NaN")
+    if array.size and (array.min() < 0 or array.max() > np.iinfo(np.int64).max // 2):
+        raise InvalidValueError(name, expected="labels >= 0", found=f"{array.min()}..{array.max()}")
+    return array.astype(np.int64)

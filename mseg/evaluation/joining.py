@@ -1,0 +1,100 @@
+"""Joining predictions to the evaluated trajectories, by id."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kt3dmoseg.types import Clip, IntArray
+from mseg.evaluation.problems import Problem, brief
+
+_SAME = 0.5
+
+
+def join_labels(
+    track: IntArray, label: IntArray, clip: Clip, file: str
+) -> tuple[IntArray | None, list[Problem]]:
+    """Bring predicted labels into the order of ``clip.evaluated``.
+
+    Parameters
+    ----------
+    track, label : (m,) int64
+        Ids and labels as predicted.
+    clip : Clip
+        The clip that they are for.
+    file : str
+        Where they come from, for messages.
+
+    Returns
+    -------
+    labels : (n,) int64 or None
+        None when the ids do not match.
+    problems : list of Problem
+    """
+    wanted = clip.dense.track_id[clip.evaluated]
+    problems = []
+    ids, first, counts = np.unique(track, return_index=True, return_counts=True)
+    if (counts > 1).any():
+        twice = ids[counts > 1].tolist()
+        problems.append(
+            Problem(
+                "duplicate-rows",
+                file,
+                clip.name,
+                "each trajectory once",
+                f"{len(twice)} given more than once (track {brief(twice)})",
+                "keep one row per trajectory",
+            )
+        )
+    if not np.array_equal(ids, np.sort(wanted)):
+        problems.append(_mismatch(ids, label[first], wanted, clip, file))
+    if problems:
+        return None, problems
+    place = np.searchsorted(ids, wanted)
+    return label[first][place], []
+
+
+def _mismatch(ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip, file: str) -> Problem:
+    n = len(wanted)
+    expected = f"the {n} evaluated trajectories"
+    rows = np.arange(len(ids))
+    for code, found, fix, applies in (
+        (
+            "all-trajectories",
+            f"{len(ids)} labels: those are all trajectories of the clip",
+            "keep the evaluated ones (clip.dense.track_id[clip.evaluated])",
+            len(ids) > n and np.array_equal(ids, np.sort(clip.dense.track_id)),
+        ),
+        (
+            "swapped-columns",
+            "the ids in the column label",
+            "swap the columns: track first, then label",
+            len(ids) < n and np.isin(label, wanted).mean() > _SAME and n > 2 * len(ids),
+        ),
+        (
+            "one-based-ids",
+            "ids that are each one larger, counted from 1 as in MATLAB",
+            "subtract 1 from every track",
+            len(ids) == n and np.array_equal(ids - 1, np.sort(wanted)),
+        ),
+        (
+            "row-numbers",
+            f"row numbers {ids[0]}..{ids[-1]} instead of track ids",
+            "write clip.dense.track_id[clip.evaluated] as track",
+            len(ids) == n and np.array_equal(ids - ids[0], rows) and ids[0] in (0, 1),
+        ),
+    ):
+        if applies:
+            return Problem(code, file, clip.name, expected, found, fix)
+    missing, extra = np.setdiff1d(wanted, ids), np.setdiff1d(ids, wanted)
+    parts = [
+        f"{len(missing)} missing (track {brief(missing.tolist())})" if len(missing) else "",
+        f"{len(extra)} that are not evaluated (track {brief(extra.tolist())})" if len(extra) else "",
+    ]
+    other = len(missing) > _SAME * n
+    fix = (
+        "most ids do not fit: these look like labels for another clip or another version of the data"
+        if other
+        else "write one row per evaluated trajectory, by its track id"
+    )
+    code = "other-trajectories" if other else "trajectories"
+    return Problem(code, file, clip.name, expected, " and ".join(p for p in parts if p), fix)

@@ -1,0 +1,195 @@
+"""Benchmark protocols as data: which clips count, in which groups, and what was published on them."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from kt3dmoseg.registry import unknown_name
+
+_FOLDER = "benchmarks"
+
+
+@dataclass(frozen=True)
+class Group:
+    """A part of a benchmark over which scores are averaged.
+
+    Parameters
+    ----------
+    name, title : str
+        Key and heading.
+    n_clips : int
+        Number of clips in the full benchmark, whatever is present.
+    clips : tuple of str
+        Names of the clips, where the benchmark lists them.
+    pattern : str
+        Regular expression that a whole name must match, where it does not.
+    n_motions : int or None
+        Number of motions that a clip must have, where that is the rule.
+    unknown : bool
+        The benchmark does not say which clips belong here: nothing can be scored.
+    """
+
+    name: str
+    title: str
+    n_clips: int
+    clips: tuple[str, ...] = ()
+    pattern: str = ".+"
+    n_motions: int | None = None
+    unknown: bool = False
+
+    def holds(self, clip: str, n_motions: int | None = None) -> bool:
+        """Whether a clip, with that number of motions, belongs to the group."""
+        if self.unknown or (self.n_motions is not None and n_motions != self.n_motions):
+            return False
+        return clip in self.clips if self.clips else re.fullmatch(self.pattern, clip) is not None
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A benchmark: its groups of clips, its exclusions and the published results.
+
+    In every protocol only the evaluated trajectories of a clip are scored, those with true label
+    0 are left out, and the mean over clips weighs each clip the same.
+
+    Parameters
+    ----------
+    name, title, source : str
+        Key, heading and reference.
+    n_clips : int
+        Size of the full benchmark.
+    groups : tuple of Group
+        Its parts; the one named ``"all"`` comes last.
+    exclude : tuple of str
+        Clips that exist in the data but never count.
+    notes : tuple of str
+        What is unclear or must be known to read the figures.
+    published : mapping
+        Method -> group name -> {"mean": per cent, "median": per cent}, Table 1 of Xu et al. 2018.
+    published_dataset_version : str
+        The version of the data that the published results were made on; empty = the only one.
+    prevalence : mapping of str to float
+        Error in per cent of the one-motion baseline on clips, where known.
+    versions : mapping of str to mapping of str to str
+        Dataset version -> clip -> `mseg.evaluation.fingerprint`, where known.
+    data : str
+        Conventional name of the folder that holds the clips.
+    """
+
+    name: str
+    title: str
+    n_clips: int
+    groups: tuple[Group, ...]
+    source: str = ""
+    exclude: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    published: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
+    published_dataset_version: str = ""
+    prevalence: Mapping[str, float] = field(default_factory=dict)
+    versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    data: str = ""
+
+    def holds(self, clip: str) -> bool:
+        """Whether a clip of that name counts in this benchmark."""
+        return clip not in self.exclude and self.group("all").holds(clip)
+
+    def group(self, name: str) -> Group:
+        """Return the group of that name.
+
+        Raises
+        ------
+        UnknownNameError
+            When there is none.
+        """
+        for group in self.groups:
+            if group.name == name:
+                return group
+        raise unknown_name(f"group of {self.name}", name, [g.name for g in self.groups])
+
+    @property
+    def clips(self) -> tuple[str, ...]:
+        """Names of all clips; empty where the benchmark is defined by a rule."""
+        return self.group("all").clips
+
+    def version_of(self, fingerprints: Mapping[str, str]) -> str:
+        """Recognise the dataset version of the clips at hand; empty when it is none that is known."""
+        for version, known in self.versions.items():
+            listed = [name for name in fingerprints if name in known]
+            if listed and all(fingerprints[name] == known[name] for name in listed):
+                return version
+        return ""
+
+    def members(self, group: Group, motions: Mapping[str, int]) -> list[str]:
+        """Names of the clips at hand that belong to a group.
+
+        Parameters
+        ----------
+        group : Group
+            One of `groups`.
+        motions : mapping of str to int
+            The clips at hand and their true numbers of motions.
+        """
+        return [name for name, n in motions.items() if self.holds(name) and group.holds(name, n)]
+
+    def coverage(self, clips: Iterable[str]) -> str:
+        """Say how much of the benchmark is at hand: ``"14 of 22 clips"`` or ``"all 22 clips"``."""
+        present = sum(self.holds(name) for name in clips)
+        return (
+            f"all {self.n_clips} clips" if present == self.n_clips else f"{present} of {self.n_clips} clips"
+        )
+
+
+def list_protocols() -> list[str]:
+    """Names of the benchmark protocols that the package knows."""
+    entries = files("mseg").joinpath(_FOLDER).iterdir()
+    return sorted(e.name.removesuffix(".toml") for e in entries if e.name.endswith(".toml"))
+
+
+@cache
+def load_protocol(name: str) -> Protocol:
+    """Return a benchmark protocol by name.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is none of that name; the message proposes the nearest.
+
+    Examples
+    --------
+    >>> load_protocol("hopkins155").group("three").n_clips
+    35
+    >>> load_protocol("hopkins155").holds("dancing")
+    False
+    """
+    if name not in list_protocols():
+        raise unknown_name("benchmark", name, list_protocols())
+    text = files("mseg").joinpath(_FOLDER, f"{name}.toml").read_text(encoding="utf-8")
+    return _protocol(name, tomllib.loads(text))
+
+
+def protocol_of_clips(clips: Iterable[str]) -> Protocol:
+    """Make the protocol of clips that belong to no benchmark: all of them, one group."""
+    names = tuple(clips)
+    group = Group("all", "all clips", len(names), names)
+    return Protocol("custom", "clips of no benchmark", len(names), (group,))
+
+
+def guess_protocol(clips: Iterable[str]) -> Protocol:
+    """Return the benchmark that lists most of the clips by name; else `protocol_of_clips`."""
+    names = list(clips)
+    known = [load_protocol(name) for name in list_protocols()]
+    counts = [sum(any(n in g.clips for g in p.groups) for n in names) for p in known]
+    best = max(range(len(known)), key=counts.__getitem__)
+    return known[best] if 2 * counts[best] > len(names) else protocol_of_clips(names)
+
+
+def _protocol(name: str, raw: dict[str, Any]) -> Protocol:
+    groups = tuple(Group(**{**g, "clips": tuple(g.get("clips", ()))}) for g in raw.pop("groups"))
+    for key in ("exclude", "notes"):
+        raw[key] = tuple(raw.get(key, ()))
+    return Protocol(name=name, groups=groups, **raw)

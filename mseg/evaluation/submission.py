@@ -1,0 +1,252 @@
+"""The layout of a submission, version 1, and how to write one.
+
+::
+
+    my-submission/                 a folder, or a zip of its content
+        meta.toml                  who, how, on which data
+        Seq005_Clip01.csv          one file per clip: track,label
+        Seq005_Clip02.failed       ... or the reason why the method failed on it
+
+Predictions of several seeds lie in one folder per seed, ``seed-0/Seq005_Clip01.csv``.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import atomic_path, sha256_arrays, write_bytes, write_text
+from kt3dmoseg.types import Clip, IntArray
+from mseg.evaluation.contingency import label_vector
+
+FORMAT_VERSION = 1
+META = "meta.toml"
+FAILED = ".failed"
+FileFormat: TypeAlias = Literal["csv", "npz", "h5"]
+FORMATS: tuple[FileFormat, ...] = ("csv", "npz", "h5")
+SEED_FOLDER = re.compile(r"seed-(\d{1,18})")
+_CLIP_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,127}")
+
+
+@dataclass(frozen=True)
+class SubmissionMeta:
+    """What a submission says about itself.
+
+    Parameters
+    ----------
+    method : str
+        Name of the method, as it shall appear in tables.
+    authors : tuple of str
+        Who made it.
+    dataset_version : str
+        Version of the dataset, for instance ``"2018"`` for the release of that year.
+    benchmark : str
+        Name of the protocol, see `list_protocols`; empty = the one that the clips belong to.
+    n_motions_given : bool
+        Whether the method was told the number of motions of each clip.
+    link : str
+        Paper or code.
+    hardware : str
+        What it ran on.
+    seconds : float
+        Time for all clips, of one seed.
+    outliers : bool
+        Label 0 is meant as "outlier"; otherwise 0 is refused as a sign of 0-based labels.
+    baseline : bool
+        One label for a whole clip is meant; otherwise it is refused as a sign of a mistake.
+    fingerprints : mapping of str to str
+        Clip -> `fingerprint` of the trajectories that were segmented; `write_prediction`'s data.
+    parameters : mapping of str to str
+        Options of the method, free.
+    """
+
+    method: str
+    authors: tuple[str, ...] = ("unnamed",)
+    dataset_version: str = "2018"
+    benchmark: str = ""
+    n_motions_given: bool = True
+    link: str = ""
+    hardware: str = ""
+    seconds: float = 0.0
+    outliers: bool = False
+    baseline: bool = False
+    fingerprints: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, str] = field(default_factory=dict)
+
+
+def fingerprint(clip: Clip) -> str:
+    """Identify the evaluated trajectories of a clip: 16 hexadecimal digits.
+
+    Ids and visibility count exactly, positions as float32, so that the same data in another file
+    format has the same fingerprint; the order of the trajectories and the labels do not count.
+    """
+    tracks = clip.evaluated_trajectories
+    order = np.argsort(tracks.track_id)
+    xy = np.where(tracks.visible[..., None], tracks.xy, 0.0).astype(np.float32) + np.float32(0)
+    return sha256_arrays(tracks.track_id[order], tracks.visible[order], xy[order])[:16]
+
+
+def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
+    """Write ``meta.toml``; returns its path."""
+    path = Path(folder) / META
+    lines = [f"format_version = {FORMAT_VERSION}"]
+    values = asdict(meta)
+    lines += [f"{key} = {_toml(value)}" for key, value in values.items() if not isinstance(value, dict)]
+    for key, value in values.items():
+        if isinstance(value, dict) and value:
+            lines += ["", f"[{key}]", *(f"{_toml(k)} = {_toml(v)}" for k, v in sorted(value.items()))]
+    write_text(path, "\n".join([*lines, ""]))
+    return path
+
+
+def write_prediction(
+    folder: str | os.PathLike[str],
+    clip: Clip,
+    labels: npt.ArrayLike,
+    *,
+    seed: int | None = None,
+    format: FileFormat = "csv",
+) -> Path:
+    """Write the labels of one clip into a submission.
+
+    Parameters
+    ----------
+    folder : path
+        The submission.
+    clip : Clip
+        The clip; the ids of its evaluated trajectories go into the file.
+    labels : (n,) int
+        One label per evaluated trajectory: 1, 2, ...; 0 = outlier.
+    seed : int or None
+        Write into ``seed-<seed>/``; None for a submission of a single run.
+    format : {"csv", "npz", "h5"}
+        File format.
+
+    Raises
+    ------
+    InvalidValueError
+        When the labels do not fit the clip, or its name cannot be a file name.
+    """
+    label = label_vector(labels, "labels")
+    if len(label) != len(clip.evaluated):
+        raise InvalidValueError(
+            f"labels of {clip.name}", expected=f"{len(clip.evaluated)}", found=f"{len(label)}"
+        )
+    path = _place(folder, clip.name, seed) / f"{_safe(clip.name)}.{format}"
+    track = clip.dense.track_id[clip.evaluated]
+    if format == "csv":
+        write_text(path, _csv(track, label))
+    elif format == "npz":
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, track=track, label=label)
+        write_bytes(path, buffer.getvalue())
+    else:
+        _write_h5(path, track, label)
+    path.with_name(f"{clip.name}{FAILED}").unlink(missing_ok=True)
+    return path
+
+
+def write_failure(
+    folder: str | os.PathLike[str], clip: Clip, reason: str, *, seed: int | None = None
+) -> Path:
+    """Record that the method failed on a clip, and why; it will count as fully wrong."""
+    path = _place(folder, clip.name, seed) / f"{_safe(clip.name)}{FAILED}"
+    write_text(path, " ".join(reason.split()) + "\n")
+    return path
+
+
+def write_submission(
+    folder: str | os.PathLike[str],
+    clips: Iterable[Clip],
+    predictions: Mapping[str, npt.ArrayLike] | Mapping[int, Mapping[str, npt.ArrayLike]],
+    meta: SubmissionMeta,
+    *,
+    format: FileFormat = "csv",
+) -> Path:
+    """Write a whole submission.
+
+    Parameters
+    ----------
+    folder : path
+        Where; created when missing.
+    clips : iterable of Clip
+        The clips that were segmented.
+    predictions : mapping
+        Clip name -> labels for a single run, or seed -> clip name -> labels.
+    meta : SubmissionMeta
+        What to say about it; the fingerprints of the clips are added.
+    format : {"csv", "npz", "h5"}
+        File format of the predictions.
+
+    Returns
+    -------
+    Path
+        The folder.
+    """
+    by_name = {clip.name: clip for clip in clips}
+    for key, value in predictions.items():
+        runs = value.items() if isinstance(value, Mapping) else [(str(key), value)]
+        seed = int(key) if isinstance(value, Mapping) else None
+        for name, labels in runs:
+            if name not in by_name:
+                raise InvalidValueError(
+                    f"predictions of {name}", expected="a clip", found="none of that name"
+                )
+            write_prediction(folder, by_name[name], labels, seed=seed, format=format)
+    prints = {name: fingerprint(clip) for name, clip in by_name.items()}
+    write_meta(folder, _with_fingerprints(meta, prints))
+    return Path(folder)
+
+
+def _with_fingerprints(meta: SubmissionMeta, prints: Mapping[str, str]) -> SubmissionMeta:
+    return SubmissionMeta(**{**vars(meta), "fingerprints": {**prints, **meta.fingerprints}})
+
+
+def _place(folder: str | os.PathLike[str], clip: str, seed: int | None) -> Path:
+    return Path(folder) if seed is None else Path(folder) / f"seed-{seed}"
+
+
+def _safe(name: str) -> str:
+    if not _CLIP_NAME.fullmatch(name) or ".." in name:
+        raise InvalidValueError("clip name", expected="a plain file name", found=repr(name))
+    return name
+
+
+def _csv(track: IntArray, label: IntArray) -> str:
+    rows = "\n".join(f"{t},{v}" for t, v in zip(track.tolist(), label.tolist(), strict=True))
+    return f"track,label\n{rows}\n"
+
+
+def _write_h5(path: Path, track: IntArray, label: IntArray) -> None:
+    import h5py
+
+    with atomic_path(path) as temporary, h5py.File(temporary, "w") as stream:
+        stream.create_dataset("track", data=track)
+        stream.create_dataset("label", data=label)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml(v) for v in value) + "]"
+    text = str(value)
+    escaped = "".join(_escape(c) for c in text)
+    return f'"{escaped}"'
+
+
+def _escape(character: str) -> str:
+    if character in '"\\':
+        return "\\" + character
+    return character if character.isprintable() else f"\\U{ord(character):08x}"
