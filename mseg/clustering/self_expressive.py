@@ -77,7 +77,7 @@ def sparse_representation(
     n = data.shape[1]
     fit = alpha / smallest_coherence(data)
     ones = np.full((1, n), np.sqrt(alpha) if affine else 0.0)
-    resolve = _ShiftedInverse(np.vstack([np.sqrt(fit) * data, ones]), alpha)
+    system = ShiftedInverse(np.vstack([np.sqrt(fit) * data, ones]))
     target = fit * (data.T @ data)
     threshold = np.asarray(weights) / alpha
     c = np.zeros((n, n)) if start is None else start.copy()
@@ -89,7 +89,7 @@ def sparse_representation(
         right = target + alpha * (c - u)
         if affine:
             right += alpha * (1 - v)
-        z = resolve(right)
+        z = system.solve(right, alpha)
         # The published code clears the diagonal here as well as in C; its results depend on it.
         np.fill_diagonal(z, 0)
         c = shrink(z + u, threshold)
@@ -214,16 +214,16 @@ def _shrink_wide(matrix: FloatArray, threshold: float) -> FloatArray:
     return np.asarray((left[:, :kept] * (values[:kept] - threshold)) @ (right[:kept] @ factor.T))
 
 
-class _ShiftedInverse:
-    """Apply ``(B^T B + shift I)^-1`` to matrices, through the row space of B (Woodbury)."""
+class ShiftedInverse:
+    """Solve systems with ``B^T B + shift I`` through the row space of B (Woodbury)."""
 
-    def __init__(self, rows: FloatArray, shift: float) -> None:
+    def __init__(self, rows: FloatArray) -> None:
         _, values, right = np.linalg.svd(rows, full_matrices=False)
         kept = values > values[0] * np.finfo(np.float64).eps * max(rows.shape)
         self.basis = np.ascontiguousarray(right[kept].T)
-        self.gain = (values[kept] ** 2 / (values[kept] ** 2 + shift))[:, None]
-        self.shift = shift
+        self.squares = values[kept, None] ** 2
 
-    def __call__(self, right: FloatArray) -> FloatArray:
-        inside = self.basis @ (self.gain * (self.basis.T @ right))
-        return np.asarray((right - inside) / self.shift)
+    def solve(self, right: FloatArray, shift: float) -> FloatArray:
+        """Return ``(B^T B + shift I)^-1 right``."""
+        gain = self.squares / (self.squares + shift)
+        return np.asarray((right - self.basis @ (gain * (self.basis.T @ right))) / shift)
