@@ -68,4 +68,4 @@ def tanimoto_distance(preferences: FloatArray) -> FloatArray:
     alike = np.divide(inner, union, out=np.zeros_like(inner), where=union > 0)
     distance = np.clip(1 - alike, 0, 1)
     np.fill_diagonal(distance, 0)
-    return distance
+    return np.asarray(distance)
