@@ -15,6 +15,8 @@ import numpy as np
 from kt3dmoseg.synthetic.noise import Noise
 from kt3dmoseg.types import FloatArray
 
+SHADOW = 0.62  # brightness where the sun does not reach
+
 
 @dataclass(frozen=True, eq=False)
 class Patch:
@@ -74,6 +76,7 @@ class Asphalt:
     grey: float
     lines: tuple[tuple[float, float], ...]  # (u of the middle, dash length; 0 = continuous)
     crossing: float  # v of the side street's middle: no lines there
+    shade_edge: float  # u of the kerb on the side of the sun, where the houses' shadow is broadest
     salt: float
 
     def shade(self, patch: Patch) -> FloatArray:
@@ -90,8 +93,11 @@ class Asphalt:
             paint += line * (stripes(v, 3 * dash, 0.0, dash, patch.fv) if dash else 1.0)
         paint *= 1 - band(v, self.crossing - 5, self.crossing + 5, patch.fv)
         worn: FloatArray = np.clip(0.85 + 0.12 * patch.grain.sample(u, v, patch.fu, patch.fv, 2.0), 0, 1)
-        painted: FloatArray = grey + paint * worn * (205 - grey)
-        return painted
+        reach = self.shade_edge - 1.0 - 2.4 * _cells(v / 7.1, np.zeros_like(v), self.salt + 5)
+        dark = np.clip((u - reach) / np.maximum(patch.fu, 0.08) + 0.5, 0, 1)
+        dark *= 1 - band(v, self.crossing - 5, self.crossing + 5, patch.fv)
+        lit: FloatArray = (grey + paint * worn * (205 - grey)) * (1 - (1 - SHADOW) * dark)
+        return lit
 
 
 @dataclass(frozen=True)

@@ -151,15 +151,14 @@ def _along(vector: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 
 def _meets(mesh: Mesh, row: int, x: FloatArray, y: FloatArray, z: FloatArray) -> BoolArray:
     u, v = surface_coordinates(mesh, row, x, y, z)
-    width, height = mesh.extent[row]
-    inside: BoolArray = (z > NEAR) & (u >= 0) & (u <= width) & (v >= 0) & (v <= height)
+    (width, height), (left, right) = mesh.extent[row], mesh.lean[row]
+    inside: BoolArray = (z > NEAR) & (v >= 0) & (v <= height) & (u >= left * v) & (u <= width - right * v)
     return inside
 
 
 def _bounds(mesh: Mesh, row: int) -> _Rectangle | None:
     """Rectangle in X, Y around the part of a face in front of the camera; None when there is none."""
-    u, v = mesh.eu[row] * mesh.extent[row, 0], mesh.ev[row] * mesh.extent[row, 1]
-    corners = mesh.origin[row] + np.stack([0 * u, u, u + v, v])
+    corners = mesh.corners(row)
     ahead = corners[:, 2] > NEAR
     following = np.roll(corners, -1, axis=0)
     crossing = ahead != np.roll(ahead, -1)

@@ -11,17 +11,18 @@ import numpy.typing as npt
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.synthetic.motion import Drive, camera_pose
 from kt3dmoseg.synthetic.options import FRAMES_PER_SECOND, SceneOptions
-from kt3dmoseg.synthetic.raycast import NEAR, SKY, Grid, Points, Rays, cast
+from kt3dmoseg.synthetic.raycast import SKY, cast
+from kt3dmoseg.synthetic.sensor import expose, subpixels
 from kt3dmoseg.synthetic.shading import Painter
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.surfaces import Face, Mesh, on_body
 from kt3dmoseg.synthetic.traffic import CROSSING_AHEAD, traffic
 from kt3dmoseg.synthetic.vehicles import Vehicle, vehicle_faces
+from kt3dmoseg.synthetic.view import View
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Labels, Trajectories
 
 # KITTI's rectified gray camera of 2011_09_26: focal length and principal point at 1242 x 375.
 _FOCAL, _CENTRE, _KITTI_SIZE = 721.5377, (609.5593, 172.854), (1242, 375)
-_SAME_DEPTH = 1e-6  # relative; a point is hidden by what is nearer than this
 BACKGROUND = 1
 
 
@@ -86,17 +87,11 @@ class Scene:
 
     def frame(self, frame: int) -> ByteArray:
         """Render a frame, (H, W) uint8: the same bytes whenever and in whatever order it is called."""
-        n = self.options.samples
-        width, height = self.image_size
-        rays = self._rays(_subpixels(width, n), _subpixels(height, n))
-        mesh = self._mesh.moved(self.body_poses(frame))
-        spacing = 1.0 / (n * self.K[0, 0])
-        fine = self.painter.paint(mesh, rays, self.camera_pose(frame), spacing)
-        image = fine.reshape(height, n, width, n).mean(axis=(1, 3))
+        view, n = self._view(frame), self.options.samples
+        rays = view.grid(*(subpixels(size, n) for size in self.image_size))
+        light = self.painter.paint(view.mesh, rays, self.camera_pose(frame), 1.0 / (n * self.K[0, 0]))
         rng = np.random.default_rng([self.options.seed, 1 + frame])
-        image += self.options.noise * rng.standard_normal(image.shape)
-        grey: ByteArray = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-        return grey
+        return expose(light, n, self.options.noise, rng)
 
     def frames(self) -> list[ByteArray]:
         """All frames."""
@@ -104,11 +99,15 @@ class Scene:
 
     def ids(self, frame: int) -> ByteArray:
         """Object id at every pixel centre, (H, W) uint8."""
-        return self._ids(self._cast(frame, self._pixels)[1])
+        view = self._view(frame)
+        _, face = cast(view.mesh, view.pixels())
+        ids: ByteArray = np.where(face == SKY, 0, view.mesh.body[face] + BACKGROUND).astype(np.uint8)
+        return ids
 
     def depth(self, frame: int) -> FloatArray:
         """Depth (z in metres) at every pixel centre, (H, W) float64; infinite in the sky."""
-        return self._cast(frame, self._pixels)[0]
+        view = self._view(frame)
+        return cast(view.mesh, view.pixels())[0]
 
     def flow(self, i: int, j: int) -> tuple[Float32Array, BoolArray]:
         """Exact optical flow from frame `i` to frame `j`.
@@ -122,11 +121,11 @@ class Scene:
             Whether the point is seen in `j`: inside the image and not hidden.
         """
         width, height = self.image_size
-        x, y = (part.ravel() for part in np.meshgrid(np.arange(width), np.arange(height)))
-        points, body = self._locate(i, self._pixels)
-        xy, visible = self._project(points, body, j)
-        flow = np.where(np.isnan(xy), 0.0, xy - np.stack([x, y], axis=1))
-        return flow.reshape(height, width, 2).astype(np.float32), visible.reshape(height, width)
+        view = self._view(i)
+        xy, visible = self._view(j).project(*view.locate(view.pixels()))
+        centres = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=2)
+        moved = xy.reshape(height, width, 2) - centres
+        return np.nan_to_num(moved).astype(np.float32), visible.reshape(height, width)
 
     def trajectories(self, points: npt.ArrayLike) -> Trajectories:
         """Exact trajectories of surface points over all frames.
@@ -143,11 +142,11 @@ class Scene:
             it is inside the image and not hidden, so there may be gaps.
         """
         seeds = self._seeds(points)
-        positions, body, _ = self._at(seeds)
+        surface = self._at(seeds)
         shape = len(seeds), self.n_frames
         xy, visible = np.full((*shape, 2), np.nan), np.zeros(shape, dtype=bool)
         for frame in range(self.n_frames):
-            where, seen = self._project(positions, body, frame)
+            where, seen = self._view(frame).project(*surface)
             xy[seen, frame], visible[:, frame] = where[seen], seen
         return Trajectories(xy, visible, image_size=self.image_size)
 
@@ -156,7 +155,7 @@ class Scene:
 
         1 = background, the sky too; 2, 3, ... = ``vehicles[0]``, ``vehicles[1]``, ...
         """
-        _, body, _ = self._at(self._seeds(points))
+        _, body = self._at(self._seeds(points))
         names = {BACKGROUND: "background"} | {k + 2: v.name for k, v in enumerate(self.vehicles)}
         return Labels(body + BACKGROUND, background=BACKGROUND, names=names)
 
@@ -164,61 +163,18 @@ class Scene:
     def _mesh(self) -> Mesh:
         return Mesh.of(self.faces)
 
-    @cached_property
-    def _pixels(self) -> Grid:
-        width, height = self.image_size
-        return self._rays(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    def _view(self, frame: int) -> View:
+        poses = self.body_poses(frame)
+        return View(self._mesh.moved(poses), poses, self.K, self.image_size)
 
-    def _rays(self, x: FloatArray, y: FloatArray) -> Grid:
-        return Grid((x - self.K[0, 2]) / self.K[0, 0], (y - self.K[1, 2]) / self.K[1, 1])
-
-    def _points(self, xy: FloatArray) -> Points:
-        return Points((xy[:, 0] - self.K[0, 2]) / self.K[0, 0], (xy[:, 1] - self.K[1, 2]) / self.K[1, 1])
-
-    def _cast(self, frame: int, rays: Rays) -> tuple[FloatArray, IntArray]:
-        return cast(self._mesh.moved(self.body_poses(frame)), rays)
-
-    def _ids(self, face: IntArray) -> ByteArray:
-        ids: ByteArray = np.where(face == SKY, 0, self._mesh.body[face] + BACKGROUND).astype(np.uint8)
-        return ids
-
-    def _locate(self, frame: int, rays: Rays) -> tuple[FloatArray, IntArray]:
-        """Homogeneous points (R, 4) that the rays hit, in coordinates of their bodies (R,).
-
-        The sky is at infinity: its points are directions, with last coordinate 0.
-        """
-        depth, face = (part.ravel() for part in self._cast(frame, rays))
-        sky = face == SKY
-        z = np.where(sky, 1.0, depth)
-        x, y = rays.directions()
-        seen = np.stack([x * z, y * z, z, np.where(sky, 0.0, 1.0)], axis=1)
-        body = np.where(sky, 0, self._mesh.body[face])
-        to_bodies = np.asarray(np.linalg.inv(self.body_poses(frame)), dtype=np.float64)
-        return _transform(to_bodies, body, seen), body
-
-    def _project(self, points: FloatArray, body: IntArray, frame: int) -> tuple[FloatArray, BoolArray]:
-        """Image positions (R, 2), NaN behind the camera, and whether the points are seen there."""
-        seen = _transform(self.body_poses(frame), body, points)
-        ahead = seen[:, 2] > NEAR * seen[:, 3]
-        ahead &= seen[:, 2] > 0
-        z = np.where(ahead, seen[:, 2], np.nan)
-        xy = np.stack([seen[:, k] / z * self.K[k, k] + self.K[k, 2] for k in (0, 1)], axis=1)
-        size = np.array(self.image_size)
-        inside = np.flatnonzero(((xy >= -0.5) & (xy < size - 0.5)).all(axis=1))
-        nearest, _ = self._cast(frame, self._points(xy[inside]))
-        with np.errstate(divide="ignore"):
-            own = seen[inside, 2] / seen[inside, 3]  # infinite in the sky
-        visible = np.zeros(len(xy), dtype=bool)
-        visible[inside] = nearest >= own * (1 - _SAME_DEPTH)
-        return xy, visible
-
-    def _at(self, seeds: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        frames = seeds[:, 2].astype(np.int64)
+    def _at(self, seeds: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Find the surface points (S, 4) at x, y, frame and their bodies (S,); see `View.locate`."""
         points, body = np.zeros((len(seeds), 4)), np.zeros(len(seeds), dtype=np.int64)
-        for frame in np.unique(frames):
-            rows = np.flatnonzero(frames == frame)
-            points[rows], body[rows] = self._locate(int(frame), self._points(seeds[rows, :2]))
-        return points, body, frames
+        for frame in np.unique(seeds[:, 2]):
+            rows = np.flatnonzero(seeds[:, 2] == frame)
+            view = self._view(frame)
+            points[rows], body[rows] = view.locate(view.points(seeds[rows, :2]))
+        return points, body
 
     def _seeds(self, points: npt.ArrayLike) -> FloatArray:
         seeds = np.array(points, dtype=np.float64)
@@ -259,16 +215,3 @@ def make_scene(options: SceneOptions | None = None) -> Scene:
         faces += on_body(vehicle_faces(vehicle.kind, layout), body)
     camera = Drive(0.0, middle, 0.0, chosen.speed, np.radians(chosen.turn))
     return Scene(chosen, camera, tuple(vehicles), tuple(faces), Painter.make(looks, faces))
-
-
-def _subpixels(size: int, samples: int) -> FloatArray:
-    return (np.arange(size * samples) + 0.5) / samples - 0.5
-
-
-def _transform(poses: FloatArray, body: IntArray, points: FloatArray) -> FloatArray:
-    """Apply to every point (R, 4) the pose of its body."""
-    out = np.empty_like(points)
-    for k, pose in enumerate(poses):
-        rows = body == k
-        out[rows] = points[rows] @ pose.T
-    return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kt3dmoseg.synthetic.materials import (
+    SHADOW,
     Asphalt,
     Facade,
     Foliage,
@@ -15,7 +16,7 @@ from kt3dmoseg.synthetic.materials import (
     Pillar,
     Plain,
 )
-from kt3dmoseg.synthetic.surfaces import Face, Skin, box
+from kt3dmoseg.synthetic.surfaces import Face, Skin, box, frustum
 from kt3dmoseg.synthetic.vehicles import Kind, placed, vehicle_faces
 
 LANE, ONCOMING = 0.0, -3.5  # x of the middle of the lanes
@@ -57,7 +58,8 @@ def street(rng: np.random.Generator, length: float, crossing: float, free: tuple
 def _road(rng: np.random.Generator, end: float, crossing: float) -> Face:
     left = -160.0
     lines = ((-1.75 - left, 3.0), (1.95 - left, 0.0), (-5.4 - left, 0.0))
-    asphalt = Asphalt(float(rng.uniform(78, 100)), lines, crossing + _BEHIND, float(rng.uniform(0, 50)))
+    grey, salt = float(rng.uniform(88, 112)), float(rng.uniform(0, 50))
+    asphalt = Asphalt(grey, lines, crossing + _BEHIND, KERB_RIGHT - left, salt)
     extent = np.array([320.0, end + 90 + _BEHIND])
     return Face(np.array([left, 0.0, -_BEHIND]), np.eye(3)[0], np.eye(3)[2], extent, asphalt)
 
@@ -65,10 +67,10 @@ def _road(rng: np.random.Generator, end: float, crossing: float) -> Face:
 def _pavements(rng: np.random.Generator, start: float, stop: float) -> list[Face]:
     faces = []
     for near, far in ((KERB_LEFT, WALL_LEFT - 2), (KERB_RIGHT, WALL_RIGHT + 2)):
-        kerb = Plain(135.0, 10.0, 8.0, float(rng.uniform(0, 50)))
-        slabs = Paving(
-            float(rng.uniform(105, 135)), float(rng.choice([0.35, 0.5])), float(rng.uniform(0, 50))
-        )
+        kerb = Plain(125.0, 10.0, 8.0, float(rng.uniform(0, 50)))
+        lit = 1.0 if near < 0 else SHADOW
+        size, salt = float(rng.choice([0.35, 0.5])), float(rng.uniform(0, 50))
+        slabs = Paving(lit * float(rng.uniform(115, 145)), size, salt)
         faces += box(
             (min(near, far), -0.13, start), (max(near, far), 0.0, stop), Skin(kerb, kerb, kerb, slabs)
         )
@@ -85,8 +87,10 @@ def _houses(rng: np.random.Generator, start: float, stop: float, wall: float, si
         faces += box((x0, -height, z), (x1, 0.0, z + length), skin)
         ledge = Plain(150.0, 6.0, 8.0, float(rng.uniform(0, 50)))
         e0, e1 = sorted((front - side * 0.35, front))
-        faces += box(
-            (e0, -height - 0.25, z), (e1, -height + 0.2, z + length), Skin(ledge, ledge, ledge, ledge)
+        faces += box((e0, -height - 0.25, z), (e1, -height + 0.2, z + length), Skin.all(ledge))
+        tiles = Plain(float(rng.uniform(60, 95)), 14.0, 9.0, float(rng.uniform(0, 50)))
+        faces += frustum(
+            (x0, -height - 3.4, z), (x1, -height - 0.25, z + length), Skin.all(tiles), (0.4, 0.4, 4.5)
         )
         z += length + (0.0 if rng.random() < 0.75 else float(rng.uniform(1.5, 3.5)))
     return faces
@@ -113,9 +117,11 @@ def _furniture(rng: np.random.Generator, start: float, stop: float) -> list[Face
         while z < stop - 2:
             x = kerb + side * 0.55
             choice = rng.random()
-            if choice < 0.45:
+            if choice < 0.25:
                 faces += _post(rng, x, z, 0.16, 7.5)
-            elif choice < 0.75:
+            elif choice < 0.55:
+                faces += _tree(rng, x + side * 0.3, z)
+            elif choice < 0.8:
                 faces += _post(rng, x, z, 0.09, 3.0) + _sign(rng, x, z)
             else:
                 faces += _hedge(rng, x + side * 1.6, z)
@@ -126,7 +132,7 @@ def _furniture(rng: np.random.Generator, start: float, stop: float) -> list[Face
 def _post(rng: np.random.Generator, x: float, z: float, width: float, height: float) -> list[Face]:
     pillar = Pillar(float(rng.uniform(55, 150)), width, float(rng.uniform(0, 50)))
     half = width / 2
-    return box((x - half, -height, z - half), (x + half, 0.0, z + half), Skin(pillar, pillar, pillar, pillar))
+    return box((x - half, -height, z - half), (x + half, 0.0, z + half), Skin.all(pillar))
 
 
 def _sign(rng: np.random.Generator, x: float, z: float) -> list[Face]:
@@ -137,12 +143,22 @@ def _sign(rng: np.random.Generator, x: float, z: float) -> list[Face]:
     return box((x - 0.35, -3.0, z - 0.08), (x + 0.35, -2.3, z - 0.05), Skin(plain, board, plain, plain))
 
 
+def _tree(rng: np.random.Generator, x: float, z: float) -> list[Face]:
+    leaves = Foliage(float(rng.uniform(55, 85)), float(rng.uniform(0, 50)))
+    foot, waist, top = (float(rng.uniform(*span)) for span in ((2.5, 3.1), (3.8, 4.6), (6.2, 7.8)))
+    inner, outer = float(rng.uniform(0.6, 0.9)), float(rng.uniform(1.1, 1.6))
+    skin, spread = Skin.all(leaves), (inner - outer,) * 3
+    crown = frustum((-inner, -waist, -inner), (inner, -foot, inner), skin, spread, underside=leaves)
+    crown += frustum((-outer, -top, -outer), (outer, -waist, outer), skin, (0.6 * outer,) * 3)
+    turn = float(rng.uniform(0, np.pi / 2))
+    around = [face for k in (0, 1) for face in placed(crown, x, z, turn + k * np.pi / 4)]
+    return [*_post(rng, x, z, 0.24, foot + 0.2), *around]
+
+
 def _hedge(rng: np.random.Generator, x: float, z: float) -> list[Face]:
     leaves = Foliage(float(rng.uniform(50, 85)), float(rng.uniform(0, 50)))
     high, deep = float(rng.uniform(0.7, 1.5)), float(rng.uniform(2, 4))
-    return box(
-        (x - 0.5, -high, z - deep / 2), (x + 0.5, 0.0, z + deep / 2), Skin(leaves, leaves, leaves, leaves)
-    )
+    return box((x - 0.5, -high, z - deep / 2), (x + 0.5, 0.0, z + deep / 2), Skin.all(leaves))
 
 
 def _parked(
@@ -161,9 +177,9 @@ def _parked(
 def _horizon(rng: np.random.Generator, end: float, crossing: float) -> list[Face]:
     """Trees at the end of the street and houses along the side street: no view to the edge of the world."""
     leaves = [Foliage(float(rng.uniform(45, 80)), float(rng.uniform(0, 50))) for _ in range(3)]
-    wood = Skin(*[leaves[0]] * 4)
+    wood = Skin.all(leaves[0])
     faces = box((-150, -9, end + 40), (150, 0.0, end + 44), wood)
     for side in (-1, 1):
         x0, x1 = sorted((side * 95.0, side * 99.0))
-        faces += box((x0, -10, crossing - 60), (x1, 0.0, crossing + 60), Skin(*[leaves[side]] * 4))
+        faces += box((x0, -10, crossing - 60), (x1, 0.0, crossing + 60), Skin.all(leaves[side]))
     return faces

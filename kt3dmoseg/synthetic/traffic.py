@@ -41,7 +41,7 @@ def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -
         ONCOMING + draw(-0.3, 0.2), middle + draw(12.5, 15), np.pi, draw(2.5, 5.0), draw(-0.08, 0.08)
     )
     lead = Drive(
-        LANE + draw(0.0, 0.5), middle + draw(12, 14.5), 0.0, speed + draw(1.0, 2.5), draw(0.08, 0.16)
+        LANE + draw(0.2, 0.6), middle + draw(9.5, 11.5), 0.0, speed + draw(0.8, 1.8), draw(0.08, 0.16)
     )
     leaving = Drive(
         PARKED_RIGHT, middle + draw(8.5, 9.5), -0.15, 0.45 * speed + draw(0.3, 1.2), -draw(0.1, 0.2)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from kt3dmoseg.synthetic.materials import Mark, Painted, Plain, block_letters
 from kt3dmoseg.synthetic.motion import Drive, rotation_y
-from kt3dmoseg.synthetic.surfaces import Face, Skin, box
+from kt3dmoseg.synthetic.surfaces import Face, Skin, box, frustum
 
 Kind: TypeAlias = Literal["car", "van", "truck"]
 
@@ -19,7 +19,7 @@ _SIZES: dict[Kind, tuple[float, float, float]] = {
     "van": (1.95, 2.05, 5.0),
     "truck": (2.4, 3.1, 7.2),
 }
-_GREYS = (35.0, 60.0, 95.0, 150.0, 205.0, 225.0)
+_GREYS = (55.0, 75.0, 95.0, 150.0, 205.0, 225.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +53,10 @@ def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
     """Faces of a vehicle around its origin, which is on the ground below its middle."""
     width, height, length = _SIZES[kind]
     grey, salt = float(rng.choice(_GREYS)), float(rng.uniform(0, 50))
-    paint = Plain(grey, fine=5.0, coarse=10.0, salt=salt)
+    paint = Plain(grey, fine=6.0, coarse=11.0, salt=salt)
     half, under = width / 2, Plain(18.0, fine=5.0, coarse=3.0, salt=salt)
     floor, waist = 0.28, 0.86 if kind == "car" else height
-    hollow = Skin(under, under, under, under)
+    hollow = Skin.all(under)
     body = Skin(
         _nose(paint, width, waist, rng),
         _tail(paint, width, waist, kind, rng),
@@ -64,7 +64,8 @@ def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
         paint,
     )
     faces = box((-half + 0.12, -floor, -length / 2 + 0.1), (half - 0.12, 0.0, length / 2 - 0.1), hollow)
-    faces += box((-half, -waist, -length / 2), (half, -floor, length / 2), body)
+    nose = (0.1, 0.05, 0.0) if kind == "car" else (0.45, 0.0, 0.06) if kind == "van" else (0.0, 0.0, 0.0)
+    faces += frustum((-half, -waist, -length / 2), (half, -floor, length / 2), body, nose)
     faces += _wheels(half, length)
     if kind == "car":
         faces += _cabin(paint, half, waist, height, length)
@@ -74,9 +75,7 @@ def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
 def placed(faces: Sequence[Face], x: float, z: float, yaw: float) -> list[Face]:
     """Give the faces of a body that stands still at a place in the world."""
     turn, shift = rotation_y(yaw), np.array([x, 0.0, z])
-    return [
-        Face(turn @ f.origin + shift, turn @ f.eu, turn @ f.ev, f.extent, f.material, f.body) for f in faces
-    ]
+    return [replace(f, origin=turn @ f.origin + shift, eu=turn @ f.eu, ev=turn @ f.ev) for f in faces]
 
 
 def _wheels(half: float, length: float) -> list[Face]:
@@ -134,13 +133,13 @@ def _tail(paint: Plain, width: float, waist: float, kind: Kind, rng: np.random.G
 
 
 def _cabin(paint: Plain, half: float, waist: float, height: float, length: float) -> list[Face]:
-    high, deep = height - waist, 0.52 * length
-    inner = half - 0.1
-    pane = Mark((0.08, 2 * inner - 0.08), (0.04, high - 0.09), 42.0)
-    reflection = Mark((0.3, inner), (0.2, high - 0.16), 95.0)
+    high, deep = height - waist, 0.62 * length
+    inner = half - 0.08
+    pane = Mark((0.1, 2 * inner - 0.1), (0.04, high + 0.05), 42.0)
+    reflection = Mark((0.35, inner), (0.1, high), 95.0)
     ends = Painted(paint, (pane, reflection))
-    glass = [Mark((u, u + 0.46 * deep), (0.04, high - 0.1), 38.0) for u in (0.03 * deep, 0.52 * deep)]
-    heads = [Mark((u, u + 0.22), (0.08, 0.36), 75.0) for u in (0.2 * deep, 0.68 * deep)]
+    glass = [Mark(u, (0.05, high - 0.07), 38.0) for u in ((0.3, 0.48 * deep), (0.52 * deep, deep - 0.3))]
+    heads = [Mark((u, u + 0.22), (0.08, 0.36), 75.0) for u in (0.27 * deep, 0.62 * deep)]
     skin = Skin(ends, ends, Painted(paint, (*glass, *heads)), paint)
-    back = -0.36 * length
-    return box((-inner, -height, back), (inner, -waist, back + deep), skin)
+    back = -0.45 * length
+    return frustum((-inner, -height, back), (inner, -waist, back + deep), skin, (0.75, 0.45, 0.16))
