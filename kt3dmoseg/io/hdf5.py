@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
-from kt3dmoseg.files import atomic_path
+from kt3dmoseg.files import write_bytes
 from kt3dmoseg.io.hdf5_checks import checked_group, read_array, read_text
 from kt3dmoseg.io.text import json_object, json_text
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
@@ -46,13 +46,16 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     InvalidValueError
         When the provenance is not made of JSON values.
     """
-    attributes = _attributes(clip)
-    with atomic_path(path) as temporary, _create(temporary) as file:
+    # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
+    with _new_file() as file:
         for name, values in _arrays(clip).items():
             _write_array(file, name, values)
-        for name, value in attributes.items():
+        for name, value in _attributes(clip).items():
             group, _, key = name.rpartition("/")
             _untimed_group(file, group).attrs.create(key, _fixed(value))
+        file.flush()
+        image = file.id.get_file_image()
+    write_bytes(path, image)
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
@@ -91,13 +94,14 @@ def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise FileFormatError(where, expected="a sound HDF5 file", found=f"damage: {error}") from None
 
 
-def _create(path: os.PathLike[str]) -> h5py.File:
+def _new_file() -> h5py.File:
     # The 1.10 file format has checksums on metadata; times are switched off for root and groups.
     creation = h5py.h5p.create(h5py.h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
     access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
     access.set_libver_bounds(h5py.h5f.LIBVER_V110, h5py.h5f.LIBVER_V110)
-    return h5py.File(h5py.h5f.create(os.fsencode(path), h5py.h5f.ACC_TRUNC, creation, access))
+    access.set_fapl_core(_CHUNK_BYTES, False)
+    return h5py.File(h5py.h5f.create(b"clip", h5py.h5f.ACC_TRUNC, creation, access))
 
 
 def _write_array(file: h5py.File, name: str, values: npt.NDArray[Any]) -> None:
@@ -119,7 +123,11 @@ def _untimed_group(file: h5py.File, name: str) -> h5py.Group:
 
 
 def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fixed-length UTF-8
-    return np.bytes_(value.encode()) if isinstance(value, str) else value
+    if not isinstance(value, str):
+        return value
+    # Of fixed length, a text lies in the object's header, which has a checksum.
+    content = value.encode()
+    return np.array(content, dtype=h5py.string_dtype("utf-8", max(1, len(content))))
 
 
 def _arrays(clip: Clip) -> dict[str, npt.NDArray[Any]]:
