@@ -19,8 +19,7 @@ def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None)
        normalised its coordinates, so that ``x = inv(K) y`` is the file's own ``x``.
     2. The image size: the borders map to -1 and 1, ``x = 2 y / size - 1`` in each direction (the
        convention of most Hopkins155 sequences; anisotropic).
-    3. The range of the visible positions, with one scale for both directions: the centre of the
-       bounding box maps to 0 and its longer side to [-1, 1].
+    3. The range of the visible positions stands in for the image borders, in each direction.
 
     Parameters
     ----------
@@ -50,8 +49,8 @@ def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None)
     if not len(seen):
         return np.eye(3)
     low, high = seen.min(axis=0), seen.max(axis=0)
-    longest = float((high - low).max()) / 2
-    return _scaling(np.full(2, longest if longest > 0 else 1.0), (low + high) / 2)
+    half = (high - low) / 2
+    return _scaling(np.where(half > 0, half, 1.0), (low + high) / 2)
 
 
 def normalised(trajectories: Trajectories, matrix: FloatArray) -> FloatArray:

@@ -25,8 +25,8 @@ class LRSSC(CompleteDataMethod):
     """Express trajectories by each other with coefficients that are low-rank and sparse.
 
     Variant "joint" (Wang, Xu, Leng): ``min |C|_* + lambda |C|_1 + mu/2 |X - X C|_F^2`` with zero diagonal,
-    X in normalised coordinates with a row of ones. Variant "cascade", another method that goes by the same name
-    in comparisons: the coefficients Z of LRR (without the row of ones) become the data of SSC.
+    X in normalised coordinates with a row of ones. Variant "cascade", another method that goes by the same
+    name in comparisons: the coefficients Z of LRR (without the row of ones) become the data of SSC.
     Both end as SSC does: largest coefficients, affinity, spectral clustering.
 
     Source: Wang, Xu, Leng, "Provable subspace clustering: when LRR meets SSC", NIPS 2013, equation 2. They
