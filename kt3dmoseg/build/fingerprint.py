@@ -1,0 +1,86 @@
+"""What a built clip depends on, kept in its file: equal fingerprint, equal bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import kt3dmoseg
+from kt3dmoseg.build.options import Settings
+from kt3dmoseg.build.sources import Shot
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.files import sha256_file
+from kt3dmoseg.flow import Flow
+from kt3dmoseg.flow.cache import backend_identity
+from kt3dmoseg.io.hdf5 import provenance
+
+_LIBRARIES = {"numpy": "numpy", "scipy": "scipy", "h5py": "h5py"}
+_CODE = ("annotate", "build", "io", "tracks")
+
+
+def fingerprint(
+    name: str, shot: Shot, settings: Settings, flow: Flow, labels: Mapping[str, str]
+) -> dict[str, Any]:
+    """Everything the bytes of a built clip depend on, as JSON values.
+
+    Parameters
+    ----------
+    name : str
+        Name of the clip.
+    shot : Shot
+        Its source.
+    settings : Settings
+        All options.
+    flow : Flow
+        The backend; None stands in for one whose parameters cannot be told.
+    labels : mapping of str to str
+        sha256 of the annotation or the masks, when there are any.
+    """
+    identity = backend_identity(flow)
+    return {
+        "name": name,
+        "source": {**shot.description, "sha256": shot.sha256},
+        "labels": dict(labels),
+        "options": settings.as_dict(),
+        "flow": None if identity is None else json.loads(identity),
+        "versions": {"kt3dmoseg": kt3dmoseg.__version__} | {k: version(v) for k, v in _LIBRARIES.items()},
+        "code": _code(),
+    }
+
+
+def why_build(target: Path, wanted: Mapping[str, Any]) -> str:
+    """Say why a clip's file must be written; empty when it is up to date."""
+    if not target.exists():
+        return "new"
+    try:
+        found = provenance(target).get("fingerprint")
+    except KT3DMoSegError as error:
+        return f"the file there is no sound clip ({error})"
+    if not isinstance(found, dict):
+        return "the file there was not built from frames"
+    if wanted["flow"] is None:
+        return "this flow backend does not tell what its fields depend on"
+    changes = list(_differences(found, dict(wanted), ""))
+    return "; ".join(changes[:3]) + (f"; {len(changes) - 3} more changes" if len(changes) > 3 else "")
+
+
+def _differences(old: object, new: object, where: str) -> Iterator[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted({*old, *new}):
+            yield from _differences(old.get(key), new.get(key), f"{where} {key}".strip())
+    elif old != new:
+        digest = "sha256" in where or where == "code" or where.endswith("source")
+        yield f"{where} changed" if digest else f"{where} was {old!r}, now {new!r}"
+
+
+@cache
+def _code() -> str:
+    """Hash of the packages that a built clip passes through; flow backends have their own."""
+    root = Path(kt3dmoseg.__file__).parent
+    files = [path for package in _CODE for path in sorted((root / package).glob("*.py"))]
+    return hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest()
