@@ -1,0 +1,42 @@
+"""Farneback's flow by polynomial expansion, as OpenCV has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from kt3dmoseg.flow.base import check_pair
+from kt3dmoseg.options import option
+from kt3dmoseg.types import ByteArray, Float32Array
+
+
+@dataclass(frozen=True)
+class Farneback:
+    """OpenCV's Farneback flow (Farneback, SCIA 2003)."""
+
+    pyramid_scale: float = option(0.5, "size of a pyramid level to the one below", low=0.1, high=0.95)
+    levels: int = option(5, "pyramid levels", low=1, high=20)
+    window: int = option(15, "averaging window in pixels", low=3, high=99)
+    iterations: int = option(5, "iterations at each level", low=1, high=100)
+    neighbourhood: int = option(7, "pixels that each polynomial is fitted to", low=3, high=21)
+    sigma: float = option(1.5, "standard deviation of the fit's weights in pixels", low=0.1, high=10)
+
+    def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
+        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`."""
+        check_pair(a, b)
+        unused = np.empty((*a.shape, 2), dtype=np.float32)
+        field = cv2.calcOpticalFlowFarneback(
+            a,
+            b,
+            unused,
+            self.pyramid_scale,
+            self.levels,
+            self.window,
+            self.iterations,
+            self.neighbourhood,
+            self.sigma,
+            0,
+        )
+        return np.asarray(field, dtype=np.float32)

@@ -1,0 +1,45 @@
+"""Every constant of the tracker, with its source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kt3dmoseg.options import option
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """How trajectories start, stop and are kept; the defaults reproduce the 2018 release.
+
+    The algorithm is that of Sundaram, Brox and Keutzer, "Dense point trajectories by GPU-accelerated
+    large displacement optical flow", ECCV 2010, section 2 (SBK below). Constants marked "measured"
+    were found by comparing with the released trajectories (docs/tracking.md).
+    """
+
+    spacing: int = option(8, "distance of the seed grid's points in pixels (SBK: every 8th pixel)", low=1)
+    offset: int = option(4, "first seed and free border in pixels (measured: x, y = 4, 12, 20, ...)", low=0)
+    coverage: float = option(
+        8.0, "a cell is covered when a trajectory lies closer than this, in pixels (measured)", low=0
+    )
+    presmoothing: float = option(
+        0.8, "sigma in pixels of the smoothing before the structure tensor (measured)", low=0, high=10
+    )
+    integration: float = option(
+        1.0, "sigma in pixels of the smoothing of the structure tensor (measured)", low=0, high=10
+    )
+    structure: float = option(
+        0.1, "least smaller eigenvalue, as a fraction of its mean over the frame (SBK eq. 3; measured)", low=0
+    )
+    border_gain: float = option(
+        1.0, "added to the fraction at the border: gain * exp(-decay * distance) (measured)", low=0
+    )
+    border_decay: float = option(0.1, "its decay per pixel (measured)", low=0)
+    consistency: float = option(
+        0.01, "stop when |w + w'|^2 >= consistency * (|w|^2 + |w'|^2) + floor (SBK eq. 5)", low=0
+    )
+    consistency_floor: float = option(0.5, "the floor, in pixels squared (SBK eq. 5)", low=0)
+    boundary: float = option(
+        0.01, "stop when |grad u|^2 + |grad v|^2 > boundary * |w|^2 + floor (SBK eq. 6)", low=0
+    )
+    boundary_floor: float = option(0.002, "the floor (SBK eq. 6)", low=0)
+    min_length: int = option(5, "shorter trajectories are dropped, in frames (measured)", low=1)
