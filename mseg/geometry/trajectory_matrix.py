@@ -36,11 +36,14 @@ def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None)
     Raises
     ------
     InvalidValueError
-        When the camera's matrix is singular.
+        When the camera's matrix is singular or its last row is not (0, 0, 1).
     """
     if camera is not None and camera.K is not None:
-        if not np.isfinite(camera.K).all() or np.linalg.matrix_rank(camera.K) < 3:
-            raise InvalidValueError("camera.K", expected="an invertible matrix", found="a singular one")
+        affine = np.isfinite(camera.K).all() and np.array_equal(camera.K[2], (0, 0, 1))
+        if not affine or np.linalg.matrix_rank(camera.K) < 3:
+            raise InvalidValueError(
+                "camera.K", expected="invertible, last row 0 0 1", found=str(camera.K.tolist())
+            )
         return camera.K
     if trajectories.image_size is not None:
         half = np.array(trajectories.image_size) / 2
@@ -61,7 +64,7 @@ def normalised(trajectories: Trajectories, matrix: FloatArray) -> FloatArray:
     trajectories : Trajectories
         N trajectories over F frames.
     matrix : (3, 3) float64
-        Maps normalised to pixel coordinates, for instance of `normalising_matrix`.
+        Maps normalised to pixel coordinates, of `normalising_matrix`.
 
     Returns
     -------
@@ -69,11 +72,7 @@ def normalised(trajectories: Trajectories, matrix: FloatArray) -> FloatArray:
         NaN where invisible.
     """
     inverse = np.linalg.inv(matrix)
-    mapped = trajectories.xy @ inverse[:2, :2].T + inverse[:2, 2]
-    if np.allclose(inverse[2], (0, 0, 1)):
-        return np.asarray(mapped, dtype=np.float64)
-    depth = trajectories.xy @ inverse[2, :2] + inverse[2, 2]
-    return np.asarray(mapped / depth[..., None], dtype=np.float64)
+    return np.asarray(trajectories.xy @ inverse[:2, :2].T + inverse[:2, 2], dtype=np.float64)
 
 
 def trajectory_matrix(xy: FloatArray) -> FloatArray:
