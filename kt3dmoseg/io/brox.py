@@ -68,6 +68,19 @@ def read(path: str | os.PathLike[str]) -> Clip:
     )
 
 
+def read_labels(path: str | os.PathLike[str]) -> IntArray:
+    """Read only the label of each track, as the file has it: -1 where there is none.
+
+    Raises
+    ------
+    FileFormatError, InputFileError
+        As `read`.
+    """
+    where = os.fspath(path)
+    numbers = _numbers(read_bytes(path, _MAX_FILE), where)
+    return _walk(numbers, _counts(numbers, where)[1], where)[0]
+
+
 def _numbers(content: bytes, where: str) -> FloatArray:
     tokens = content.split()
     try:
