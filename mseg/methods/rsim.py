@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import eigvalsh
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import unit_rows
+from mseg.clustering import normalised_laplacian, unit_rows
 from mseg.clustering.discretise import discretise, offset_ncut_embedding
 from mseg.geometry.trajectory_matrix import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
@@ -34,9 +34,12 @@ class RSIM(CompleteDataMethod):
     and equation 12; power 3.5 and the ranks are those of the authors' code. Deviation: their discretisation
     starts from one random row, so that single sequences flip with the seed; here the best of several starts
     counts.
-    Input: complete trajectories (gaps are completed; the authors use GROUSE there). The number of motions
-    must be given. Outliers: not handled. Cost: O(K N^3); O(N^2) memory.
+    Input: complete trajectories (gaps are completed; the authors use GROUSE there). Number of motions:
+    given, or by the eigengap relative to the eigenvalue below it, averaged over the ranks (ours). Outliers:
+    not handled. Cost: O(K N^3); O(N^2) memory.
     """
+
+    finds_n_motions: ClassVar[bool] = True
 
     power: float = option(3.5, "exponent of the affinity", low=1)
     n_starts: int = option(10, "starts of the discretisation", low=1)
@@ -45,9 +48,9 @@ class RSIM(CompleteDataMethod):
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
     ) -> tuple[IntArray, dict[str, Any]]:
         """Label the columns of the trajectory matrix."""
-        assert n_motions is not None
-        k = n_motions
-        space = leading_row_space(homogeneous_in_every_frame(data), 4 * k)
+        matrix = homogeneous_in_every_frame(data)
+        k = n_motions or count_motions(matrix, self.power)
+        space = leading_row_space(matrix, 4 * k)
         best, labels, chosen = np.inf, np.zeros(data.n_points, dtype=np.int64), 0
         for rank in range(min(k, space.shape[1]), space.shape[1] + 1):
             affinity = shape_interaction_affinity(space[:, :rank], self.power)
@@ -55,7 +58,7 @@ class RSIM(CompleteDataMethod):
             score = cut_over_gap(affinity, found, k)
             if score < best or not chosen:
                 best, labels, chosen = score, found, rank
-        return labels + 1, {"rank": chosen, "score": best}
+        return labels + 1, {"rank": chosen, "score": best, "n_motions": k}
 
 
 def homogeneous_in_every_frame(data: CompleteData) -> FloatArray:
@@ -69,6 +72,23 @@ def shape_interaction_affinity(space: FloatArray, power: float) -> FloatArray:
     rows = unit_rows(space)
     affinity = np.maximum(rows @ rows.T, 0) ** power
     return np.where(affinity < _NEGLIGIBLE, 0.0, affinity)
+
+
+def count_motions(matrix: FloatArray, power: float, largest: int = 6) -> int:
+    """Find the k in 2..`largest` whose relative eigengap, averaged over the ranks k..4k, is widest.
+
+    The gap is ``(lambda_{k+1} - lambda_k) / lambda_k`` of the normalised Laplacian, ascending.
+    """
+    space = leading_row_space(matrix, 4 * largest)
+    largest = min(largest, len(space) - 1)
+    gaps: dict[int, list[float]] = {k: [] for k in range(2, largest + 1)}
+    for rank in range(min(2, space.shape[1]), space.shape[1] + 1):
+        laplacian = normalised_laplacian(shape_interaction_affinity(space[:, :rank], power))
+        values = np.maximum(eigvalsh(laplacian, subset_by_index=(0, largest), check_finite=False), 1e-9)
+        for k in range(-(-rank // 4), min(rank, largest) + 1):
+            if k in gaps:
+                gaps[k].append(float(values[k] / values[k - 1] - 1))
+    return max(gaps, key=lambda k: float(np.mean(gaps[k] or 0)), default=1)
 
 
 def cut_over_gap(affinity: FloatArray, labels: IntArray, n_clusters: int) -> float:

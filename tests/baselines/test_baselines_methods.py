@@ -20,7 +20,7 @@ from mseg.methods.complete_data import complete_data
 from mseg.methods.gpca import exponents, gradients, vanishing_polynomial
 
 SUBSPACE = ["lsa", "gpca", "ssc", "lrr", "s3c", "rsim", "lrssc", "ransac"]
-COUNTING = ["ssc", "lrr", "s3c", "lrssc"]
+COUNTING = ["ssc", "lrr", "s3c", "rsim", "lrssc"]
 
 
 def agree(labels, truth):
