@@ -235,6 +235,10 @@ class Annotation:
         known = ", ".join(str(o.id) for o in self.objects) or "none"
         raise InvalidValueError("object", expected=f"an id among: {known}", found=str(object_id))
 
+    def emptied(self) -> Annotation:
+        """Return the annotation of the same clip without objects and marks."""
+        return replace(self, objects=(), marks=())
+
     def with_object(self, changed: AnnotatedObject) -> Annotation:
         """Return the annotation with `changed` in place of the object of the same id."""
         self.object(changed.id)

@@ -1,0 +1,147 @@
+"""COCO: one JSON file, a run-length encoded mask per object and frame.
+
+Kept: each object's pixels in every frame, its id, name, kind, motion, note. Not kept: key frames (every
+frame becomes one), what is hidden, marks. ``pycocotools`` reads it; files of polygons are read too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from kt3dmoseg.annotate.formats import rle
+from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, from_masks, mask_of
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, Motion, polygon_from
+from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.types import BoolArray
+
+_MAX_MASKS = 1_000_000
+
+
+class Coco:
+    """See the module."""
+
+    suffix = ".json"
+    media_type = "application/json"
+
+    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+        """Write one JSON file; see `AnnotationFormat`."""
+        width, height = annotation.image_size
+        images = [
+            {"id": k, "file_name": f"{k:06d}.png", "width": width, "height": height, "video": annotation.clip}
+            for k in range(annotation.n_frames)
+        ]
+        entries = [
+            entry
+            for item in annotation.objects
+            for frame, region in enumerate(regions[item.id])
+            if region.visibility == "visible" and (entry := _entry(item, frame, region, annotation))
+        ]
+        for number, entry in enumerate(entries, start=1):
+            entry["id"] = number
+        categories = [{"id": k, "name": kind} for k, kind in enumerate(KINDS, start=1)]
+        data = {"images": images, "categories": categories, "annotations": entries}
+        return (json.dumps(data, separators=(",", ":")) + "\n").encode()
+
+    def parse(self, content: bytes, like: Annotation) -> Annotation:
+        """Read one JSON file; see `AnnotationFormat`.
+
+        Images are the clip's frames in the order of their ids. Annotations with the same
+        ``track_id`` (else each alone) are one object.
+        """
+        try:
+            data = json.loads(content)
+            order = sorted(int(image["id"]) for image in data["images"])
+            kinds = {int(c["id"]): str(c["name"]).lower() for c in data.get("categories", [])}
+            entries = list(data["annotations"])[:_MAX_MASKS]
+            return _annotation(entries, {image: k for k, image in enumerate(order)}, kinds, like)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            if isinstance(error, (FileFormatError, InvalidValueError)):
+                raise
+            found = f"{type(error).__name__}: {error}"[:100]
+            raise FileFormatError("COCO", expected="images, annotations, categories", found=found) from error
+
+
+COCO = Coco()
+
+
+def _entry(
+    item: AnnotatedObject, frame: int, region: Region, annotation: Annotation
+) -> dict[str, Any] | None:
+    mask = mask_of(region.polygons, annotation.image_size)
+    if not mask.any():
+        return None
+    rows, columns = np.nonzero(mask)
+    left, top = int(columns.min()), int(rows.min())
+    box = [left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1]
+    return {
+        "image_id": frame,
+        "category_id": KINDS.index(item.kind) + 1,
+        "track_id": item.id,
+        "segmentation": {"size": list(mask.shape), "counts": rle.encode(mask)},
+        "area": int(mask.sum()),
+        "bbox": box,
+        "iscrowd": 0,
+        "attributes": {"name": item.name, "motion": item.motion, "note": item.note},
+    }
+
+
+def _annotation(
+    entries: list[dict[str, Any]], frames: Mapping[int, int], kinds: Mapping[int, str], like: Annotation
+) -> Annotation:
+    masks: dict[int, dict[int, BoolArray]] = {}
+    kept: dict[int, dict[str, Any]] = {}
+    for number, entry in enumerate(entries):
+        where = f"annotations[{number}]"
+        frame = frames[int(entry["image_id"])]
+        check_frame(frame, like, where)
+        instance = int(entry["track_id"]) if "track_id" in entry else -1 - number
+        kept.setdefault(instance, entry)
+        of_instance = masks.setdefault(instance, {})
+        mask = _mask(entry["segmentation"], like, where)
+        of_instance[frame] = of_instance[frame] | mask if frame in of_instance else mask
+    motions, notes = _motions(kept)
+    found = from_masks(
+        masks,
+        like,
+        motions,
+        kinds={i: kinds.get(int(e.get("category_id", 0)), "other") for i, e in kept.items()},
+        names={i: str(e.get("attributes", {}).get("name", "")) for i, e in kept.items()},
+    )
+    ids = [i for i in sorted(masks) if any(mask.any() for mask in masks[i].values())]
+    given = all(i >= 1 for i in ids)
+    return replace(
+        found,
+        objects=tuple(
+            replace(item, id=i if given else item.id, note=notes[i])
+            for item, i in zip(found.objects, ids, strict=True)
+        ),
+    )
+
+
+def _motions(kept: Mapping[int, dict[str, Any]]) -> tuple[dict[int, Motion], dict[int, str]]:
+    """Motions as told by the attributes; objects without get numbers of their own."""
+    told = {i: entry.get("attributes", {}).get("motion") for i, entry in kept.items()}
+    free = max((m for m in told.values() if isinstance(m, int)), default=0)
+    motions: dict[int, Motion] = {}
+    for i in sorted(kept):
+        free += told[i] is None
+        motions[i] = free if told[i] is None else told[i]
+    return motions, {i: str(entry.get("attributes", {}).get("note", "")) for i, entry in kept.items()}
+
+
+def _mask(segmentation: Any, like: Annotation, where: str) -> BoolArray:  # noqa: ANN401
+    if isinstance(segmentation, list):
+        polygons = [polygon_from(list(zip(p[::2], p[1::2], strict=True)), where) for p in segmentation]
+        return mask_of([np.array(polygon) for polygon in polygons], like.image_size)
+    height, width = (int(v) for v in segmentation["size"])
+    check_shape((height, width), like, where)
+    counts = segmentation["counts"]
+    if isinstance(counts, list):
+        return rle.from_runs([int(c) for c in counts], height, width, where)
+    return rle.decode(str(counts), height, width, where)

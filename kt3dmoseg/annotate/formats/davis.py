@@ -1,0 +1,60 @@
+"""DAVIS: a zip of indexed PNGs, ``00000.png`` on; the index is the motion, 0 background, 254 rejected.
+
+Kept: which pixels have which motion in which frame. Not kept: names and kinds, objects that share a motion,
+key frames, what is hidden, motions above 253, marks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from kt3dmoseg.annotate.formats.archive import pack, unpack
+from kt3dmoseg.annotate.formats.indexed_png import decode_indexed, encode_indexed
+from kt3dmoseg.annotate.formats.masks import check_shape, from_masks, label_image
+from kt3dmoseg.annotate.model import REJECT, Annotation, Motion
+from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import BoolArray
+
+_VOID = 254
+
+
+class Davis:
+    """See the module."""
+
+    suffix = ".zip"
+    media_type = "application/zip"
+
+    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+        """Write one indexed PNG per frame; see `AnnotationFormat`."""
+        largest = max(annotation.motions, default=0)
+        if largest >= _VOID:
+            expected = f"at most {_VOID - 1}, as DAVIS can hold"
+            raise InvalidValueError("motion", expected=expected, found=str(largest))
+        values = {o.id: _VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
+        return pack(
+            {
+                f"{frame:05d}.png": encode_indexed(
+                    label_image(annotation, regions, frame, values).astype(np.uint8)
+                )
+                for frame in range(annotation.n_frames)
+            }
+        )
+
+    def parse(self, content: bytes, like: Annotation) -> Annotation:
+        """Read a zip of indexed or gray PNGs; see `AnnotationFormat`. 254 and 255 are rejected."""
+        masks: dict[int, dict[int, BoolArray]] = {}
+        for frame, png in unpack(content, ".png", like, "DAVIS masks").items():
+            image = decode_indexed(png, f"frame {frame}")
+            check_shape(image.shape, like, f"frame {frame}")
+            image = np.minimum(image, _VOID)
+            for value in np.unique(image[image > 0]).tolist():
+                masks.setdefault(value, {})[frame] = image == value
+        motions: dict[int, Motion] = {value: REJECT if value == _VOID else value for value in masks}
+        names = {value: "rejected" if value == _VOID else f"motion {value}" for value in masks}
+        return from_masks(masks, like, motions, names=names)
+
+
+DAVIS = Davis()

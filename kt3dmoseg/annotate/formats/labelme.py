@@ -1,0 +1,152 @@
+"""LabelMe: a zip of JSON files, one per frame, with polygons.
+
+Kept: each object's polygons in every frame to 1/100 pixel, whether it is occluded, its id, name, kind and
+motion. Not kept: which frames are key frames (every frame becomes one), occluded objects without a
+place, notes, marks. An object without a shape in a frame is outside there.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from kt3dmoseg.annotate.formats.archive import pack, unpack
+from kt3dmoseg.annotate.model import (
+    KINDS,
+    REJECT,
+    AnnotatedObject,
+    Annotation,
+    KeyFrame,
+    Motion,
+    Polygon,
+    polygon_from,
+    within,
+)
+from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+
+_DESCRIPTION = re.compile(r"kind=(\w+) motion=(\d{1,4}|reject)")
+_MAX_SHAPES = 10_000
+
+
+@dataclass
+class _Found:
+    """What the frames read so far tell about one object."""
+
+    name: str
+    kind: str
+    motion: Motion | None
+    shapes: dict[int, list[Polygon]] = field(default_factory=dict)
+    occluded: set[int] = field(default_factory=set)
+
+
+class LabelMe:
+    """See the module."""
+
+    suffix = ".zip"
+    media_type = "application/zip"
+
+    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+        """Write one JSON file per frame; see `AnnotationFormat`."""
+        return pack(
+            {
+                f"{frame:06d}.json": _frame_file(annotation, regions, frame)
+                for frame in range(annotation.n_frames)
+            }
+        )
+
+    def parse(self, content: bytes, like: Annotation) -> Annotation:
+        """Read a zip of JSON files; see `AnnotationFormat`.
+
+        Shapes with the same ``group_id``, or without one the same label, are one object.
+        """
+        found: dict[object, _Found] = {}
+        for frame, text in sorted(unpack(content, ".json", like, "LabelMe").items()):
+            try:
+                shapes = json.loads(text)["shapes"]
+                for k, shape in enumerate(shapes[:_MAX_SHAPES]):
+                    with within(f"frame {frame}: shapes[{k}]"):
+                        _read_shape(shape, frame, found)
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
+                if isinstance(error, InvalidValueError):
+                    raise
+                raise FileFormatError(
+                    f"LabelMe frame {frame}", expected="shapes with label and points", found=repr(error)[:80]
+                ) from error
+        return _annotation(found, like)
+
+
+LABELME = LabelMe()
+
+
+def _frame_file(annotation: Annotation, regions: Mapping[int, list[Region]], frame: int) -> bytes:
+    width, height = annotation.image_size
+    shapes = [
+        {
+            "label": item.name,
+            "points": np.round(polygon, 2).tolist(),
+            "group_id": item.id,
+            "description": f"kind={item.kind} motion={item.motion}",
+            "shape_type": "polygon",
+            "flags": {"occluded": True} if regions[item.id][frame].visibility == "occluded" else {},
+        }
+        for item in annotation.objects
+        for polygon in regions[item.id][frame].polygons
+    ]
+    data: dict[str, Any] = {
+        "version": "5.5.0",
+        "flags": {},
+        "shapes": shapes,
+        "imagePath": f"{frame:06d}.png",
+        "imageData": None,
+        "imageHeight": height,
+        "imageWidth": width,
+    }
+    return json.dumps(data, indent=1).encode()
+
+
+def _read_shape(shape: dict[str, Any], frame: int, found: dict[object, _Found]) -> None:
+    if shape.get("shape_type", "polygon") != "polygon":
+        raise InvalidValueError("shape_type", expected="'polygon'", found=repr(shape["shape_type"])[:40])
+    label, group = str(shape["label"]), shape.get("group_id")
+    told = _DESCRIPTION.search(str(shape.get("description") or ""))
+    kind = told.group(1) if told else label.lower()
+    motion: Motion | None = None
+    if told:
+        motion = REJECT if told.group(2) == REJECT else int(told.group(2))
+    item = found.setdefault(
+        label if group is None else int(group), _Found(label, kind if kind in KINDS else "other", motion)
+    )
+    item.shapes.setdefault(frame, []).append(polygon_from(shape["points"], "points"))
+    if (shape.get("flags") or {}).get("occluded"):
+        item.occluded.add(frame)
+
+
+def _annotation(found: Mapping[object, _Found], like: Annotation) -> Annotation:
+    grouped = all(isinstance(key, int) and key >= 1 for key in found)
+    free = max((i.motion for i in found.values() if isinstance(i.motion, int)), default=0)
+    objects = []
+    for number, (key, item) in enumerate(found.items(), start=1):
+        free += item.motion is None
+        motion = free if item.motion is None else item.motion
+        object_id = key if grouped and isinstance(key, int) else number
+        keys = _key_frames(item, like.n_frames)
+        objects.append(AnnotatedObject(object_id, item.name, item.kind, motion, keys))
+    ordered = sorted(objects, key=lambda o: o.id)
+    return replace(like, objects=tuple(ordered))
+
+
+def _key_frames(item: _Found, n_frames: int) -> tuple[KeyFrame, ...]:
+    keys: list[KeyFrame] = []
+    for frame in range(n_frames):
+        if frame in item.shapes:
+            visibility = "occluded" if frame in item.occluded else "visible"
+            keys.append(KeyFrame(frame, visibility, tuple(item.shapes[frame])))  # type: ignore[arg-type]
+        elif not keys or keys[-1].visibility != "outside":
+            keys.append(KeyFrame(frame, "outside"))
+    return tuple(keys)

@@ -1,0 +1,113 @@
+"""Independent motion as residual against the dominant motion.
+
+The static scene of a moving camera obeys one epipolar geometry: its points move along lines through the
+epipole, all away from it or all towards it. A trajectory moves by itself when it leaves its line, or moves
+the other way. What moves along its line in the same direction as the scene is not found: that needs a person.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
+
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate.proposals import Request
+
+_GAP = 4
+_FEWEST = 8
+# Pixels off the epipolar line, over `_GAP` frames, that the tracker's error does not explain.
+_TOLERANCE = 1.2
+_SHARE = 0.6
+_REACH = 20.0
+_SAME_MOTION = 0.25
+
+
+def propose(request: Request) -> Labels:
+    """Label groups of trajectories that move by themselves; see `kt3dmoseg.annotate.proposals`.
+
+    Raises
+    ------
+    InvalidValueError
+        When the clip has too few trajectories to tell a dominant motion.
+    """
+    tracks = request.trajectories
+    votes = np.zeros(len(tracks))
+    seen = np.zeros(len(tracks))
+    gap = min(_GAP, tracks.n_frames - 1)
+    for frame in range(0, tracks.n_frames - gap):
+        rows, x1, x2 = tracks.pair(frame, frame + gap)
+        if len(rows) >= 2 * _FEWEST:
+            votes[rows] += _independent(x1, x2)
+            seen[rows] += 1
+    if not seen.any():
+        expected = f"{2 * _FEWEST} trajectories over {gap} frames"
+        raise InvalidValueError("residual", expected=expected, found="fewer")
+    moving = (seen > 0) & (votes > _SHARE * np.maximum(seen, 1))
+    return Labels(_grouped(tracks, moving), background=1)
+
+
+def _independent(x1: FloatArray, x2: FloatArray) -> BoolArray:
+    fundamental, _ = cv2.findFundamentalMat(x1, x2, cv2.USAC_MAGSAC, 0.5, 0.999, 2000)
+    if fundamental is None or np.shape(fundamental) != (3, 3):
+        return np.zeros(len(x1), dtype=np.bool_)
+    matrix = np.asarray(fundamental, dtype=np.float64)
+    return np.asarray((_off_line(x1, x2, matrix) > _TOLERANCE) | _against_flow(x1, x2, matrix))
+
+
+def _off_line(x1: FloatArray, x2: FloatArray, fundamental: FloatArray) -> FloatArray:
+    """Sampson distance in pixels (Hartley and Zisserman 2004, equation 11.9)."""
+    one = np.ones((len(x1), 1))
+    h1, h2 = np.hstack([x1, one]), np.hstack([x2, one])
+    line2, line1 = h1 @ fundamental.T, h2 @ fundamental
+    scale = np.sqrt((line2[:, :2] ** 2).sum(axis=1) + (line1[:, :2] ** 2).sum(axis=1))
+    return np.asarray(np.abs((h2 * line2).sum(axis=1)) / np.maximum(scale, 1e-12))
+
+
+def _against_flow(x1: FloatArray, x2: FloatArray, fundamental: FloatArray) -> BoolArray:
+    """Points that move towards the epipole while the scene moves away from it, or the other way."""
+    epipole = np.linalg.svd(fundamental)[2][-1]
+    if abs(epipole[2]) < 1e-9:
+        return np.zeros(len(x1), dtype=np.bool_)
+    away = x1 - epipole[:2] / epipole[2]
+    outward = ((x2 - x1) * away).sum(axis=1) / np.maximum(np.hypot(*away.T), 1.0)
+    if abs(np.median(np.sign(outward))) < 0.5:
+        return np.zeros(len(x1), dtype=np.bool_)
+    return np.asarray(outward * np.sign(np.median(outward)) < -_TOLERANCE)
+
+
+def _grouped(tracks: Trajectories, moving: BoolArray) -> IntArray:
+    """Labels (N,): 1 for what stands still, 2, 3, ... for groups of near trajectories that move alike."""
+    label = np.ones(len(tracks), dtype=np.int64)
+    rows = np.flatnonzero(moving)
+    parent = np.arange(len(tracks))
+    for frame in range(tracks.n_frames - 1):
+        here = rows[tracks.visible[rows, frame] & tracks.visible[rows, frame + 1]]
+        if len(here) < 2:
+            continue
+        step = tracks.xy[here, frame + 1] - tracks.xy[here, frame]
+        for a, b in cKDTree(tracks.xy[here, frame]).query_pairs(_REACH):
+            apart = np.hypot(*(step[a] - step[b]))
+            if apart <= 1.0 + _SAME_MOTION * np.hypot(*step[a]):
+                parent[_root(parent, int(here[a]))] = _root(parent, int(here[b]))
+    label[rows] = 0
+    roots = np.array([_root(parent, int(row)) for row in rows], dtype=np.int64)
+    number = 2
+    for root in sorted(set(roots.tolist()), key=lambda r: -int((roots == r).sum())):
+        group = rows[roots == root]
+        if len(group) >= _FEWEST:
+            label[group] = number
+            number += 1
+    return label
+
+
+def _root(parent: IntArray, row: int) -> int:
+    while parent[row] != row:
+        parent[row] = parent[parent[row]]
+        row = int(parent[row])
+    return row

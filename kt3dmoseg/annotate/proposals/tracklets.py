@@ -1,0 +1,124 @@
+"""Regions from KITTI's tracklets: 3D boxes of labelled objects, projected into the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from kt3dmoseg import catalog
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, KeyFrame, Polygon
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.kitti import RawDrive, Tracklet
+from kt3dmoseg.types import FloatArray
+
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate.proposals import Request
+
+_NEAR = 0.5
+_SMALLEST = 12.0
+_FULLY_OCCLUDED = 2
+# Metres over the clip that the boxes of a parked object wander by drawing and GPS errors.
+_PARKED = 1.5
+_KIND_OF = {"person (sitting)": "pedestrian", "misc": "other"}
+
+
+def propose(request: Request) -> list[AnnotatedObject]:
+    """Propose the tracklets that move in the world; see `kt3dmoseg.annotate.proposals`.
+
+    Raises
+    ------
+    InputFileError
+        When no KITTI root was given, or the drive or its tracklets are not there.
+    InvalidValueError
+        When the clip is not in the catalog or its frames are not those of the drive.
+    """
+    if request.kitti is None:
+        raise InputFileError("tracklets", found="no KITTI folder", fix="start with --kitti FOLDER")
+    entry = catalog.load().get(request.clip)
+    if entry is None:
+        raise InvalidValueError("tracklets", expected="a clip of the catalog", found=request.clip)
+    drive = RawDrive(request.kitti, entry.drive.date, entry.drive.number, entry.camera)
+    numbers = entry.numbers or _numbers(request.frames, drive)
+    tracklets = drive.tracklets()
+    moving = _moving(drive, tracklets, numbers)
+    objects: list[AnnotatedObject] = []
+    for tracklet, moves in zip(tracklets, moving, strict=True):
+        keys = _key_frames(drive, tracklet, numbers)
+        if moves and any(key.polygons for key in keys):
+            number = len(objects) + 1
+            kind = _KIND_OF.get(tracklet.kind.lower(), tracklet.kind.lower())
+            objects.append(
+                AnnotatedObject(
+                    number,
+                    f"{tracklet.kind.lower()} {number}",
+                    kind if kind in KINDS else "other",
+                    number,
+                    keys,
+                    "from a KITTI tracklet",
+                )
+            )
+    return objects
+
+
+def _numbers(frames: tuple[Path, ...], drive: RawDrive) -> tuple[int, ...]:
+    """Find the clip's frames in the drive by their bytes."""
+    by_size: dict[int, list[int]] = {}
+    for number in drive.numbers.tolist():
+        by_size.setdefault(drive.frame_path(number).stat().st_size, []).append(number)
+    out = []
+    for frame in frames:
+        content = frame.read_bytes()
+        same = [n for n in by_size.get(len(content), []) if drive.frame_path(n).read_bytes() == content]
+        if not same:
+            raise InvalidValueError(f"{frame}", expected=f"a frame of {drive}", found="none that is equal")
+        out.append(same[0])
+    return tuple(out)
+
+
+def _moving(drive: RawDrive, tracklets: list[Tracklet], numbers: tuple[int, ...]) -> list[bool]:
+    """Whether each tracklet moves in the world; all of them when the drive has no poses."""
+    try:
+        poses = drive.poses(np.array(numbers)) @ np.linalg.inv(drive.T_cam_imu) @ drive.T_cam_velo
+    except KT3DMoSegError:
+        return [True] * len(tracklets)
+    out = []
+    for tracklet in tracklets:
+        there = [k for k, number in enumerate(numbers) if number in tracklet.numbers]
+        place = np.array(
+            [poses[k] @ np.append(tracklet.translation[tracklet.row(numbers[k])], 1.0) for k in there]
+        ).reshape(-1, 4)
+        out.append(bool(len(place)) and float(np.ptp(place[:, :2], axis=0).max()) > _PARKED)
+    return out
+
+
+def _key_frames(drive: RawDrive, tracklet: Tracklet, numbers: tuple[int, ...]) -> tuple[KeyFrame, ...]:
+    keys: list[KeyFrame] = []
+    for frame, number in enumerate(numbers):
+        polygon = _polygon(drive, tracklet, number) if number in tracklet.numbers else None
+        if polygon is None:
+            if not keys or keys[-1].visibility != "outside":
+                keys.append(KeyFrame(frame, "outside"))
+        else:
+            hidden = int(tracklet.occlusion[tracklet.row(number)]) == _FULLY_OCCLUDED
+            keys.append(KeyFrame(frame, "occluded" if hidden else "visible", (polygon,)))
+    return tuple(keys)
+
+
+def _polygon(drive: RawDrive, tracklet: Tracklet, number: int) -> Polygon | None:
+    """Convex hull of the projected corners; the image box where the object reaches behind the camera."""
+    corners = tracklet.corners(number) @ drive.T_cam_velo[:3, :3].T + drive.T_cam_velo[:3, 3]
+    boxes = drive.tracklet_boxes(number, [tracklet])
+    if not boxes:
+        return None
+    left, top, right, bottom = boxes[0].box
+    if min(right - left, bottom - top) < _SMALLEST:
+        return None
+    hull: FloatArray = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    if corners[:, 2].min() > _NEAR:
+        pixels = corners @ drive.K.T
+        inside = np.clip(pixels[:, :2] / pixels[:, 2:], (left, top), (right, bottom))
+        hull = cv2.convexHull(inside.astype(np.float32))[:, 0].astype(np.float64)
+    return tuple((float(x), float(y)) for x, y in hull) if len(hull) >= 3 else None

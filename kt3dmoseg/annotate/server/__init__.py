@@ -1,0 +1,1 @@
+"""The labelling server: clips, frames and trajectories out; annotations in and out."""

@@ -1,0 +1,101 @@
+"""The labelling server as an ASGI application."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from importlib import resources
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from kt3dmoseg.annotate.document import to_json
+from kt3dmoseg.annotate.server.desk import Desk
+from kt3dmoseg.annotate.server.guard import TOO_LARGE, BodyTooLargeError, Guard, refuse
+from kt3dmoseg.annotate.server.routes import Routes
+from kt3dmoseg.annotate.store import StaleRevisionError
+from kt3dmoseg.errors import InputFileError, KT3DMoSegError
+
+_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+
+
+def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guard:
+    """Make the application.
+
+    Parameters
+    ----------
+    routes : Routes
+        The clips and what can be done with them.
+    hosts : iterable of str
+        Accepted Host headers, with port.
+    token : str
+        Wanted from every request when not empty.
+
+    Returns
+    -------
+    Guard
+        The guarded ASGI application.
+    """
+    static = _static_files()
+
+    async def page(_: Request) -> Response:
+        return static["index.html"]
+
+    async def file(request: Request) -> Response:
+        # A table of the packaged files: no path of a request ever reaches the file system.
+        found = static.get(request.path_params["name"])
+        return found or refuse(404, "no such file")
+
+    table = [Route("/", page), Route("/static/{name}", file), *routes.table()]
+    app = Starlette(
+        routes=table,
+        exception_handlers={
+            StaleRevisionError: _stale,
+            BodyTooLargeError: _too_large,
+            InputFileError: _unavailable,
+            KT3DMoSegError: _bad_request,
+            HTTPException: _http,
+        },
+    )
+    return Guard(app, hosts, token)
+
+
+def _static_files() -> Mapping[str, Response]:
+    folder = resources.files("kt3dmoseg.annotate") / "static"
+    out: dict[str, Response] = {}
+    for entry in folder.iterdir():
+        suffix = "." + entry.name.rpartition(".")[2]
+        if suffix in _TYPES:
+            headers = {"cache-control": "no-cache"}
+            out[entry.name] = Response(entry.read_bytes(), media_type=_TYPES[suffix], headers=headers)
+    return out
+
+
+async def _stale(request: Request, error: Exception) -> Response:
+    assert isinstance(error, StaleRevisionError)
+    desk: Desk = request.state.desk
+    current = error.current
+    if current is None:
+        current = await run_in_threadpool(desk.annotation)
+    return JSONResponse({"error": str(error), "annotation": to_json(current)}, status_code=412)
+
+
+async def _bad_request(_: Request, error: Exception) -> Response:
+    return refuse(400, str(error))
+
+
+async def _unavailable(_: Request, error: Exception) -> Response:
+    return refuse(500, str(error))
+
+
+async def _too_large(_: Request, error: Exception) -> Response:
+    del error
+    return refuse(413, TOO_LARGE)
+
+
+async def _http(_: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return refuse(error.status_code, error.detail)

@@ -1,0 +1,247 @@
+"""What can be asked of the labelling server.
+
+``GET  /api/clips``                          the clips and how far each is
+``GET  /api/clips/C``                        size, annotation, names of kinds, formats, proposers
+``GET  /api/clips/C/frames/K``               one frame as a picture
+``GET  /api/clips/C/tracks``                 trajectories as float32 (N, F, 2); 202 while they are computed
+``GET  /api/clips/C/annotation``             the saved annotation, its revision as ETag
+``PUT  /api/clips/C/annotation``             save; If-Match names the revision it was made from
+``POST /api/clips/C/labels``                 label the trajectories by the annotation in the body
+``POST /api/clips/C/proposals/P``            regions proposed by P
+``POST /api/clips/C/compare``                the annotation in the body against the other annotator's
+``POST /api/clips/C/export/F``               the annotation in the body as a file of format F
+``POST /api/clips/C/import/F``               a file of format F as an annotation, not saved
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import cv2
+import numpy as np
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Route
+
+from kt3dmoseg.annotate import formats, proposals
+from kt3dmoseg.annotate.document import from_json, load_annotation, to_json
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
+from kt3dmoseg.annotate.server.compare import comparison
+from kt3dmoseg.annotate.server.desk import Desk, Progress, outcome
+from kt3dmoseg.annotate.store import save_revision
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io.images import read_frame
+from kt3dmoseg.types import Trajectories
+
+Endpoint: TypeAlias = Callable[[Request], Awaitable[Response]]
+
+# What every browser shows as it is; other pictures are sent as PNG.
+_SHOWN = {".png", ".jpg", ".jpeg", ".webp", ".bmp"}
+_ETAG = re.compile(r'"(\d{1,16})"')
+
+
+@dataclass(frozen=True, eq=False)
+class Routes:
+    """The clips being labelled and the requests about them.
+
+    Parameters
+    ----------
+    desks : mapping of str to Desk
+        The clips by name.
+    annotator : str
+        Written into what is saved, when not empty.
+    other : Path or None
+        Folder of the other annotator's annotations.
+    masks, kitti : Path or None
+        Where proposals may find masks and KITTI raw drives.
+    """
+
+    desks: Mapping[str, Desk]
+    annotator: str = ""
+    other: Path | None = None
+    masks: Path | None = None
+    kitti: Path | None = None
+
+    def table(self) -> list[Route]:
+        """Return the routes for starlette."""
+        clip = "/api/clips/{clip}"
+        table: list[tuple[str, str, Endpoint]] = [
+            ("GET", "/api/clips", self.clips),
+            ("GET", clip, self.clip),
+            ("GET", clip + "/frames/{frame:int}", self.frame),
+            ("GET", clip + "/tracks", self.tracks),
+            ("GET", clip + "/annotation", self.annotation),
+            ("PUT", clip + "/annotation", self.save),
+            ("POST", clip + "/labels", self.labels),
+            ("POST", clip + "/proposals/{proposer}", self.propose),
+            ("POST", clip + "/compare", self.compare),
+            ("POST", clip + "/export/{format}", self.export),
+            ("POST", clip + "/import/{format}", self.read),
+        ]
+        return [Route(path, endpoint, methods=[method]) for method, path, endpoint in table]
+
+    async def clips(self, _: Request) -> Response:
+        """List the clips with their progress."""
+        return JSONResponse({"clips": await run_in_threadpool(lambda: [*map(_summary, self.desks.values())])})
+
+    async def clip(self, request: Request) -> Response:
+        """Tell all that the page needs about one clip but the big arrays."""
+        desk = self._desk(request)
+        annotation = await run_in_threadpool(desk.annotation)
+        return JSONResponse(
+            {
+                "name": desk.source.name,
+                "image_size": desk.image_size,
+                "n_frames": len(desk.source.frames),
+                "annotation": to_json(annotation),
+                "annotator": self.annotator,
+                "kinds": KINDS,
+                "formats": {name: formats.load(name).suffix for name in formats.FORMATS.names()},
+                "proposers": proposals.PROPOSERS.names(),
+                "compare": self.other is not None,
+            }
+        )
+
+    async def frame(self, request: Request) -> Response:
+        """Send one frame."""
+        frames, index = self._desk(request).source.frames, request.path_params["frame"]
+        if index >= len(frames):
+            raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
+        keep = {"cache-control": "private, max-age=3600"}
+        if frames[index].suffix.lower() in _SHOWN:
+            return FileResponse(frames[index], headers=keep)
+        picture = await run_in_threadpool(read_frame, frames[index], "luma")
+        return Response(cv2.imencode(".png", picture)[1].tobytes(), media_type="image/png", headers=keep)
+
+    async def tracks(self, request: Request) -> Response:
+        """Send the trajectories, or say how far they are."""
+        found = await run_in_threadpool(self._desk(request).trajectories)
+        if isinstance(found, Progress):
+            status = 500 if found.error else 202
+            return JSONResponse(vars(found), status_code=status)
+        content = np.ascontiguousarray(found.xy, dtype="<f4").tobytes()
+        shape = {"x-shape": f"{len(found)},{found.n_frames}"}
+        return Response(content, media_type="application/octet-stream", headers=shape)
+
+    async def annotation(self, request: Request) -> Response:
+        """Send the saved annotation."""
+        found = await run_in_threadpool(self._desk(request).annotation)
+        return JSONResponse(to_json(found), headers=_etag(found))
+
+    async def save(self, request: Request) -> Response:
+        """Save an annotation that was made from the present revision."""
+        desk = self._desk(request)
+        request.state.desk = desk
+        base = _if_match(request)
+        given = await self._annotation_of(request, desk)
+        mine = replace(given, revision=base, annotator=self.annotator or given.annotator)
+        saved = await run_in_threadpool(save_revision, desk.source.annotation, mine)
+        return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
+
+    async def labels(self, request: Request) -> Response:
+        """Label the trajectories by the annotation in the body and send its regions."""
+        desk = self._desk(request)
+        if isinstance(desk.trajectories(), Progress):
+            return JSONResponse(vars(desk.trajectories()), status_code=202)
+        annotation = await self._annotation_of(request, desk)
+        return JSONResponse(await run_in_threadpool(lambda: outcome(desk.labelled(annotation))))
+
+    async def propose(self, request: Request) -> Response:
+        """Send proposed objects; the body is the annotation so far."""
+        desk = self._desk(request)
+        annotation = await self._annotation_of(request, desk)
+
+        def work() -> list[AnnotatedObject]:
+            asked = proposals.Request(
+                desk.source.name, annotation, desk.wait(), desk.source.frames, self.masks, self.kitti
+            )
+            return proposals.propose(request.path_params["proposer"], asked)
+
+        found = replace(annotation.emptied(), objects=tuple(await run_in_threadpool(work)))
+        return JSONResponse({"objects": to_json(found)["objects"]})
+
+    async def compare(self, request: Request) -> Response:
+        """Compare the annotation in the body with the other annotator's."""
+        desk = self._desk(request)
+        if self.other is None:
+            raise HTTPException(404, "start with --compare FOLDER to compare two annotators")
+        path = self.other / f"{desk.source.name}.json"
+        mine = await self._annotation_of(request, desk)
+
+        def work() -> dict[str, Any]:
+            theirs = load_annotation(path)
+            desk.check(theirs)
+            return comparison(desk.wait(), desk.labelled(mine), desk.labelled(theirs))
+
+        return JSONResponse(await run_in_threadpool(work))
+
+    async def export(self, request: Request) -> Response:
+        """Send the annotation in the body as a file of another format."""
+        desk = self._desk(request)
+        annotation = await self._annotation_of(request, desk)
+        chosen = formats.load(request.path_params["format"])
+        found = desk.trajectories()
+        tracks = found if isinstance(found, Trajectories) else None
+        regions = await run_in_threadpool(formats.regions, annotation, tracks)
+        content = await run_in_threadpool(chosen.dump, annotation, regions)
+        return Response(content, media_type=chosen.media_type)
+
+    async def read(self, request: Request) -> Response:
+        """Send what is in a file of another format, as an annotation of this clip."""
+        desk = self._desk(request)
+        chosen = formats.load(request.path_params["format"])
+        content = await request.body()
+        like = await run_in_threadpool(desk.annotation)
+        found = await run_in_threadpool(chosen.parse, content, like.emptied())
+        return JSONResponse(to_json(found))
+
+    def _desk(self, request: Request) -> Desk:
+        desk = self.desks.get(request.path_params["clip"])
+        if desk is None:
+            raise HTTPException(404, "no such clip")
+        return desk
+
+    async def _annotation_of(self, request: Request, desk: Desk) -> Annotation:
+        try:
+            data = json.loads(await request.body())
+        except (ValueError, RecursionError) as error:
+            raise InvalidValueError("body", expected="an annotation in JSON", found=str(error)[:80]) from None
+        annotation = from_json(data)
+        await run_in_threadpool(desk.check, annotation)
+        return annotation
+
+
+def _summary(desk: Desk) -> dict[str, Any]:
+    annotation = desk.annotation()
+    out: dict[str, Any] = {
+        "name": desk.source.name,
+        "n_frames": len(desk.source.frames),
+        "revision": annotation.revision,
+        "annotator": annotation.annotator,
+        "objects": len(annotation.objects),
+        "motions": len(annotation.motions),
+    }
+    if desk.ready:
+        out["counts"] = desk.labelled(annotation).counts()
+    return out
+
+
+def _if_match(request: Request) -> int:
+    given = request.headers.get("if-match")
+    if given is None:
+        raise HTTPException(428, 'If-Match: "REVISION" is expected, the revision that was edited')
+    matched = _ETAG.fullmatch(given.strip())
+    if matched is None:
+        raise HTTPException(400, 'If-Match: "REVISION" is expected, a number in quotes')
+    return int(matched.group(1))
+
+
+def _etag(annotation: Annotation) -> dict[str, str]:
+    return {"etag": f'"{annotation.revision}"', "cache-control": "no-store"}

@@ -1,0 +1,84 @@
+"""Outline the moving objects of a clip in the browser.
+
+CLIP is a folder of frames, a clip file (.h5, .mat), or a dataset: a folder with one of these per clip.
+The page opens on this machine only; annotations are saved to <clip>.json while you draw.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from kt3dmoseg.types import ByteArray, Trajectories
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("clip", type=Path, metavar="CLIP", help="frames, a clip file, or a folder of them")
+    parser.add_argument(
+        "--frames", type=Path, help="frames of a clip file, or a folder with those of all clips"
+    )
+    parser.add_argument("--tracks", type=Path, help="clip file or folder of them with trajectories to show")
+    parser.add_argument(
+        "--annotations",
+        type=Path,
+        default=Path("annotations"),
+        help="where <clip>.json are (default: annotations)",
+    )
+    parser.add_argument("--annotator", default="", help="name written into what is saved")
+    parser.add_argument("--compare", type=Path, help="folder of another annotator's annotations")
+    parser.add_argument("--masks", type=Path, help="folder of masks to propose regions from")
+    parser.add_argument("--kitti", type=Path, help="KITTI raw root to propose regions from tracklets")
+    parser.add_argument(
+        "--flow", default="dis", help="flow that computes missing trajectories (default: dis)"
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
+    parser.add_argument("--port", type=int, default=0, help="port to listen on (default: a free one)")
+    parser.add_argument("--no-browser", action="store_true", help="print the address, open no browser")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C."""
+    from kt3dmoseg.annotate.server.desk import Desk
+    from kt3dmoseg.annotate.server.routes import Routes
+    from kt3dmoseg.annotate.server.serve import serve
+    from kt3dmoseg.annotate.workspace import find_clips
+
+    clips = find_clips(
+        arguments.clip,
+        annotations=arguments.annotations,
+        frames=arguments.frames,
+        tracks=arguments.tracks,
+    )
+    tracker = _tracker(arguments.flow)
+    routes = Routes(
+        {name: Desk(source, tracker) for name, source in clips.items()},
+        annotator=arguments.annotator,
+        other=arguments.compare,
+        masks=arguments.masks,
+        kitti=arguments.kitti,
+    )
+    print(f"{len(clips)} clip{'s' * (len(clips) > 1)}; annotations in {arguments.annotations.resolve()}")
+    serve(routes, host=arguments.host, port=arguments.port, ready=_announce(not arguments.no_browser))
+    return 0
+
+
+def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]:
+    def work(frames: Iterator[ByteArray], progress: Callable[[int, int | None], None]) -> Trajectories:
+        from kt3dmoseg.tracks import track
+
+        return track(frames, flow=flow, progress=progress)
+
+    return work
+
+
+def _announce(browse: bool) -> Callable[[str], None]:
+    def ready(address: str) -> None:
+        print(f"label at {address}  (Ctrl-C stops)", flush=True)
+        if browse:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    return ready
