@@ -8,8 +8,6 @@ taken as one motion.
 from __future__ import annotations
 
 import os
-import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,14 +16,14 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.images import decode, frame_number, frame_paths
+from kt3dmoseg.io.images import frame_number, frame_paths
+from kt3dmoseg.io.index_images import decode_indices
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
 BACKGROUND = 1
 _VOID_8, _VOID_16, _MOTS_CLASS = (254, 255), (10000,), 1000
 _SHARE = 0.75
-_PNG, _MAX_FILE = b"\x89PNG\r\n\x1a\n", 1 << 26
-_PALETTE, _GRAY = 3, 0
+_MAX_FILE = 1 << 26
 
 
 def mask_paths(folder: str | os.PathLike[str], clip: str) -> list[Path]:
@@ -50,22 +48,8 @@ def read_mask(path: str | os.PathLike[str]) -> IntArray:
         When it is no PNG of one channel, indexed or gray, 8 or 16 bits deep.
     """
     where = os.fspath(path)
-    content = read_bytes(path, _MAX_FILE)
-    if content[:8] != _PNG or len(content) < 33:
-        raise FileFormatError(where, expected="a mask as indexed or 16-bit PNG", found="another file")
-    depth, colour = content[24], content[25]
-    picture = decode(_as_gray(content, where) if colour == _PALETTE else content, where)
-    if picture.ndim != 2:
-        raise FileFormatError(
-            where,
-            expected="one channel of object ids",
-            found=f"{picture.shape[2]} channels",
-            fix="write it as indexed PNG, not as colours",
-        )
-    ids = picture.astype(np.int64)
-    if depth < 8:
-        ids //= 255 // ((1 << depth) - 1)
-    ids[np.isin(ids, _VOID_16 if picture.dtype == np.uint16 else _VOID_8)] = -1
+    ids, bits = decode_indices(read_bytes(path, _MAX_FILE), where)
+    ids[np.isin(ids, _VOID_16 if bits == 16 else _VOID_8)] = -1
     return ids
 
 
@@ -143,21 +127,3 @@ def _check_size(trajectories: Trajectories, mask: npt.NDArray[np.int64], path: P
         raise FileFormatError(
             f"{path}", expected=f"the frames' size {trajectories.image_size}", found=f"{size}"
         )
-
-
-def _as_gray(content: bytes, where: str) -> bytes:
-    """Return the same PNG with its indices as gray levels: the pixel data of both are alike."""
-    out, at = [_PNG], 8
-    while at + 12 <= len(content):
-        size, kind = struct.unpack(">I4s", content[at : at + 8])
-        data = content[at + 8 : at + 8 + size]
-        if kind == b"IHDR":
-            data = data[:9] + bytes([_GRAY]) + data[10:]
-        if kind not in (b"PLTE", b"tRNS"):
-            out.append(
-                struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-            )
-        at += 12 + size
-    if at != len(content):
-        raise FileFormatError(where, expected="a sound PNG", found="damage", fix="fetch it again")
-    return b"".join(out)

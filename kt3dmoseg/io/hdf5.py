@@ -13,9 +13,9 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import write_bytes
-from kt3dmoseg.io.hdf5_checks import checked_group, read_array, read_text
+from kt3dmoseg.io.hdf5_checks import checked_group, open_hdf5, read_array, read_text
 from kt3dmoseg.io.text import json_object, json_text
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
@@ -69,29 +69,17 @@ def read(path: str | os.PathLike[str]) -> Clip:
         When it cannot be read.
     """
     where = os.fspath(path)
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            _check_version(file, where)
-            return _clip(file, where)
-    except KT3DMoSegError:
-        raise
-    except OSError as error:
-        raise _unreadable(where, error) from None
-    except (KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
-        raise FileFormatError(where, expected="a sound HDF5 file", found=f"damage: {error}") from None
+    with open_hdf5(where) as file:
+        _check_version(file, where)
+        return _clip(file, where)
 
 
 def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read only the provenance of a clip's file; `read` lists the errors."""
     where = os.fspath(path)
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            _check_version(file, where)
-            return _json(file, "provenance", where)
-    except OSError as error:
-        raise _unreadable(where, error) from None
-    except (KeyError, RuntimeError, ValueError, TypeError) as error:
-        raise FileFormatError(where, expected="a sound HDF5 file", found=f"damage: {error}") from None
+    with open_hdf5(where) as file:
+        _check_version(file, where)
+        return _json(file, "provenance", where)
 
 
 def _new_file() -> h5py.File:
@@ -228,9 +216,3 @@ def _integer(group: h5py.Group, name: str, where: str) -> int | None:
     if number.shape not in ((), (1,)) or number.dtype.kind not in "iu":
         raise FileFormatError(f"{where}: {name}", expected="a whole number", found=repr(value))
     return int(number.item())
-
-
-def _unreadable(where: str, error: OSError) -> FileFormatError | InputFileError:
-    if error.errno is not None:
-        return InputFileError(f"{where}: {os.strerror(error.errno)}")
-    return FileFormatError(where, expected="a sound HDF5 file", found=f"truncated or damaged: {error}")

@@ -3,21 +3,47 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
 MAX_BYTES = 1 << 32
 # Deflate packs at most 1032 : 1; small arrays may claim what they like.
 _MAX_RATIO, _RATIO_FREE = 1100, 1 << 24
 _MAX_CHUNK = 1 << 26
 _MAX_TEXT = 1 << 26
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+
+
+@contextmanager
+def open_hdf5(path: str) -> Iterator[h5py.File]:
+    """Open a file for reading; whatever the HDF5 library raises in the block becomes one line.
+
+    Raises
+    ------
+    InputFileError
+        When the file cannot be read.
+    FileFormatError
+        When it is damaged.
+    """
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
+    except KT3DMoSegError:
+        raise
+    except OSError as error:
+        if error.errno is not None:
+            raise InputFileError(f"{path}: {os.strerror(error.errno)}") from None
+        raise FileFormatError(path, expected="a sound HDF5 file", found=f"damage: {error}") from None
+    except (KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
+        raise FileFormatError(path, expected="a sound HDF5 file", found=f"damage: {error}") from None
 
 
 def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) -> npt.NDArray[Any]:

@@ -1,0 +1,204 @@
+"""Pictures of trajectories: points with trails, on the frames or on black, coloured by what matters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.options import option
+from kt3dmoseg.types import ByteArray, Clip, IntArray, Trajectories
+
+# Okabe and Ito (2008): told apart also with a colour vision deficiency. RGB; label 1 comes first.
+PALETTE = np.array(
+    [
+        (86, 180, 233),  # sky blue
+        (230, 159, 0),  # orange
+        (0, 158, 115),  # bluish green
+        (240, 228, 66),  # yellow
+        (213, 94, 0),  # vermillion
+        (204, 121, 167),  # reddish purple
+        (0, 114, 178),  # blue
+    ],
+    dtype=np.uint8,
+)
+UNLABELLED = (190, 190, 190)
+_SHIFT = 4  # OpenCV draws at 1/16 px
+_FONT, _FONT_SCALE, _LINE = cv2.FONT_HERSHEY_SIMPLEX, 0.42, 15
+
+
+@dataclass(frozen=True)
+class DrawOptions:
+    """How trajectories are drawn."""
+
+    trail: int = option(8, "length of the trails, frames", low=0)
+    radius: float = option(2.0, "radius of the points, pixels of the picture", low=0.5, high=50)
+    scale: int = option(1, "enlargement of the frames", low=1, high=8)
+    dim: float = option(0.6, "brightness of the frames under the trajectories", low=0, high=1)
+
+
+@dataclass(frozen=True)
+class Painting:
+    """Which trajectories are drawn, in which colours, with which legend.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        N of them.
+    colours : (N, 3) uint8
+        RGB.
+    legend : sequence of (text, (r, g, b))
+        Lines of the legend.
+    """
+
+    trajectories: Trajectories
+    colours: ByteArray
+    legend: Sequence[tuple[str, tuple[int, int, int]]]
+
+
+def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None = None) -> Painting:
+    """Colour the evaluated trajectories by their labels (n,), the clip's own or predicted."""
+    values = np.asarray(label, dtype=np.int64)
+    known = clip.labels.background is not None and names is not None
+    called = ({clip.labels.background: "background"} if known else {}) | dict(names or {})
+    legend = [
+        (_entry(value, int((values == value).sum()), called), label_colour(value))
+        for value in np.unique(values).tolist()
+    ]
+    return Painting(clip.evaluated_trajectories, _label_colours(values), legend)
+
+
+def by_length(trajectories: Trajectories) -> Painting:
+    """Colour all trajectories by the number of frames they live, short violet to long yellow."""
+    lengths = trajectories.lengths
+    colours = _ramp(lengths, trajectories.n_frames)
+    ends = [1, max(1, trajectories.n_frames // 2), trajectories.n_frames]
+    shown = _ramp(np.array(ends), trajectories.n_frames)
+    legend = [(f"{end} frames", _rgb(colour)) for end, colour in zip(ends, shown, strict=True)]
+    return Painting(trajectories, colours, legend)
+
+
+def label_colour(label: int) -> tuple[int, int, int]:
+    """RGB colour of a label; 0 is gray, colours repeat after seven."""
+    return UNLABELLED if label <= 0 else _rgb(PALETTE[(label - 1) % len(PALETTE)])
+
+
+def draw_frame(
+    painting: Painting,
+    frame: int,
+    picture: ByteArray | None = None,
+    title: str = "",
+    options: DrawOptions | None = None,
+) -> ByteArray:
+    """Draw one frame.
+
+    Parameters
+    ----------
+    painting : Painting
+        What to draw.
+    frame : int
+        Index of the frame.
+    picture : (H, W) uint8, optional
+        The frame, drawn below; black when there is none.
+    title : str
+        First line of the legend.
+    options : DrawOptions, optional
+        Trails, sizes.
+
+    Returns
+    -------
+    (H * scale, W * scale, 3) uint8
+        RGB.
+    """
+    chosen = options or DrawOptions()
+    canvas = _canvas(painting.trajectories, picture, chosen)
+    if frame > 0 and chosen.trail > 0:
+        _draw_trails(canvas, painting, frame, chosen)
+    _draw_points(canvas, painting, frame, chosen)
+    _draw_legend(canvas, title, painting.legend)
+    return canvas
+
+
+def _canvas(trajectories: Trajectories, picture: ByteArray | None, options: DrawOptions) -> ByteArray:
+    if picture is None:
+        width, height = trajectories.image_size or _extent(trajectories)
+        return np.zeros((height * options.scale, width * options.scale, 3), dtype=np.uint8)
+    dimmed = np.rint(picture * options.dim).astype(np.uint8)
+    large = np.repeat(np.repeat(dimmed, options.scale, axis=0), options.scale, axis=1)
+    return np.ascontiguousarray(np.repeat(large[..., None], 3, axis=2))
+
+
+def _extent(trajectories: Trajectories) -> tuple[int, int]:
+    """Width and height that hold every point, for clips that do not tell their image size."""
+    if not trajectories.visible.any():
+        return 64, 48
+    width, height = np.ceil(trajectories.xy[trajectories.visible].max(axis=0)).astype(np.int64) + 1
+    return int(np.clip(width, 64, 16384)), int(np.clip(height, 48, 16384))
+
+
+def _draw_trails(canvas: ByteArray, painting: Painting, frame: int, options: DrawOptions) -> None:
+    tracks = painting.trajectories
+    start = max(0, frame - options.trail)
+    for row in np.flatnonzero(tracks.visible[:, frame]).tolist():
+        seen = tracks.visible[row, start : frame + 1]
+        # Only the unbroken run that ends here: a trail must not bridge a gap.
+        begin = start + (len(seen) - int(np.argmin(seen[::-1]))) if not seen.all() else start
+        points = _fixed_point(tracks.xy[row, begin : frame + 1], options.scale)
+        if len(points) > 1:
+            cv2.polylines(canvas, [points], False, _rgb(painting.colours[row]), 1, cv2.LINE_AA, _SHIFT)
+
+
+def _draw_points(canvas: ByteArray, painting: Painting, frame: int, options: DrawOptions) -> None:
+    rows = np.flatnonzero(painting.trajectories.visible[:, frame])
+    points = _fixed_point(painting.trajectories.xy[rows, frame], options.scale)
+    radius = round(options.radius * (1 << _SHIFT))
+    for row, point in zip(rows.tolist(), points.tolist(), strict=True):
+        cv2.circle(canvas, point, radius, _rgb(painting.colours[row]), cv2.FILLED, cv2.LINE_AA, _SHIFT)
+
+
+def _draw_legend(canvas: ByteArray, title: str, legend: Sequence[tuple[str, tuple[int, int, int]]]) -> None:
+    lines = ([title] if title else []) + [text for text, _ in legend]
+    if not lines:
+        return
+    widest = max(cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)[0][0] for text in lines)
+    height, width = _LINE * len(lines) + 8, min(widest + 30, canvas.shape[1])
+    canvas[:height, :width] //= 4
+    for number, text in enumerate(lines):
+        left = 6 if title and not number else 22
+        place = (left, _LINE * (number + 1))
+        cv2.putText(canvas, text, place, _FONT, _FONT_SCALE, (255, 255, 255), 1, cv2.LINE_AA)
+    for number, (_, colour) in enumerate(legend, start=len(lines) - len(legend)):
+        top = _LINE * number + 5
+        cv2.rectangle(canvas, (7, top), (17, top + 9), colour, cv2.FILLED)
+
+
+def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int32]:
+    """Pixel coordinates in the enlarged picture, in OpenCV's fixed point."""
+    enlarged = (np.clip(xy, -1e4, 1e5) + 0.5) * scale - 0.5
+    return np.rint(enlarged * (1 << _SHIFT)).astype(np.int32)
+
+
+def _label_colours(label: IntArray) -> ByteArray:
+    colours = PALETTE[(label - 1) % len(PALETTE)]
+    return np.where((label > 0)[:, None], colours, np.array(UNLABELLED, dtype=np.uint8))
+
+
+def _ramp(lengths: IntArray, longest: int) -> ByteArray:
+    """Viridis: even in lightness, readable with a colour vision deficiency."""
+    if not len(lengths):
+        return np.zeros((0, 3), dtype=np.uint8)
+    share = np.rint(255.0 * lengths / max(1, longest)).clip(0, 255).astype(np.uint8)
+    return np.asarray(cv2.applyColorMap(share[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])
+
+
+def _entry(label: int, count: int, names: Mapping[int, str]) -> str:
+    name = names.get(label, "unlabelled" if label == 0 else "")
+    return f"{label} {name}: {count}".replace(" :", ":")
+
+
+def _rgb(colour: npt.ArrayLike) -> tuple[int, int, int]:
+    red, green, blue = np.asarray(colour).tolist()
+    return red, green, blue

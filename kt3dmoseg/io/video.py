@@ -1,0 +1,105 @@
+"""Writing a sequence of pictures: a folder of PNGs, a video, an animation."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.files import atomic_path, write_bytes
+from kt3dmoseg.types import ByteArray
+
+_VIDEO = {".mp4": "mp4v", ".avi": "MJPG"}
+_ANIMATION = (".gif", ".apng", ".webp")
+MOVING_SUFFIXES = (*_VIDEO, *_ANIMATION)
+
+
+def write_png(path: str | os.PathLike[str], picture: ByteArray) -> None:
+    """Write one (H, W, 3) RGB or (H, W) gray picture atomically."""
+    stored = picture[..., ::-1] if picture.ndim == 3 else picture
+    write_bytes(path, bytes(cv2.imencode(".png", np.ascontiguousarray(stored))[1]))
+
+
+def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float) -> None:
+    """Write (H, W, 3) RGB pictures of one size as a video or animation, by the path's suffix.
+
+    Parameters
+    ----------
+    path : path
+        ``.mp4``, ``.avi`` (one picture in memory at a time), ``.gif``, ``.apng`` or ``.webp``.
+    pictures : iterable of (H, W, 3) uint8
+        RGB.
+    rate : float
+        Pictures per second.
+
+    Raises
+    ------
+    InvalidValueError
+        For another suffix.
+    InputFileError
+        When the file cannot be written.
+    MissingDependencyError
+        When this OpenCV cannot write animations (before 4.11).
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix in _VIDEO:
+        _write_video(path, pictures, rate, suffix)
+    elif suffix in _ANIMATION:
+        _write_animation(path, pictures, rate, suffix)
+    else:
+        known = ", ".join(MOVING_SUFFIXES)
+        raise InvalidValueError(os.fspath(path), expected=f"a suffix of {known}", found=repr(suffix))
+
+
+def _write_video(
+    path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float, suffix: str
+) -> None:
+    with _named(path, suffix) as temporary:
+        writer = None
+        for picture in pictures:
+            if writer is None:
+                size = picture.shape[1], picture.shape[0]
+                writer = cv2.VideoWriter(os.fspath(temporary), _four_letters(_VIDEO[suffix]), rate, size)
+                if not writer.isOpened():
+                    raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write this video", fix="try .avi")
+            writer.write(np.ascontiguousarray(picture[..., ::-1]))
+        if writer is not None:
+            writer.release()
+
+
+def _write_animation(
+    path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float, suffix: str
+) -> None:
+    if not hasattr(cv2, "imwriteanimation"):
+        raise MissingDependencyError(
+            f"{os.fspath(path)}: this OpenCV writes no animations",
+            found=f"opencv {cv2.__version__}",
+            fix="install opencv-python-headless>=4.11, or write .mp4",
+        )
+    animation = cv2.Animation()
+    animation.frames = [np.ascontiguousarray(picture[..., ::-1]) for picture in pictures]
+    animation.durations = [round(1000 / rate)] * len(animation.frames)
+    with _named(path, ".png" if suffix == ".apng" else suffix) as temporary:
+        if not cv2.imwriteanimation(os.fspath(temporary), animation):
+            raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write it", fix="write .mp4")
+
+
+@contextmanager
+def _named(path: str | os.PathLike[str], suffix: str) -> Iterator[Path]:
+    """Give an atomic temporary path that ends in `suffix`: OpenCV's encoders go by the name."""
+    with atomic_path(path) as temporary:
+        named = temporary.with_name(temporary.name + suffix)
+        try:
+            yield named
+            os.replace(named, temporary)
+        finally:
+            named.unlink(missing_ok=True)
+
+
+def _four_letters(code: str) -> int:
+    return int.from_bytes(code.encode(), "little")
