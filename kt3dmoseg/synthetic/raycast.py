@@ -11,6 +11,7 @@ from kt3dmoseg.synthetic.surfaces import Mesh
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
 NEAR = 0.1  # metres; nothing nearer to the camera is seen
+_MARGIN = 1e-9  # rounding errors of projected corners
 SKY = -1  # "face" of a ray that hits nothing
 
 _Rectangle = tuple[float, float, float, float]
@@ -26,6 +27,10 @@ class Rays(Protocol):
 
     def directions(self) -> tuple[FloatArray, FloatArray]:
         """X and Y of every ray, flat."""
+        ...
+
+    def extent(self) -> _Rectangle:
+        """Smallest rectangle (x0, y0, x1, y1) that holds all rays."""
         ...
 
     def within(self, rectangle: _Rectangle) -> tuple[Any, FloatArray, FloatArray]:
@@ -50,6 +55,10 @@ class Grid:
         x, y = np.meshgrid(self.columns, self.rows)
         return x.ravel(), y.ravel()
 
+    def extent(self) -> _Rectangle:
+        """Smallest rectangle (x0, y0, x1, y1) that holds all rays."""
+        return float(self.columns[0]), float(self.rows[0]), float(self.columns[-1]), float(self.rows[-1])
+
     def within(self, rectangle: _Rectangle) -> tuple[Any, FloatArray, FloatArray]:
         """Give a pair of slices, X (1, w) and Y (h, 1)."""
         x0, y0, x1, y1 = rectangle
@@ -73,6 +82,12 @@ class Points:
     def directions(self) -> tuple[FloatArray, FloatArray]:
         """X and Y of every ray, (R,)."""
         return self.x, self.y
+
+    def extent(self) -> _Rectangle:
+        """Smallest rectangle (x0, y0, x1, y1) that holds all rays; an empty one without rays."""
+        if not len(self.x):
+            return np.inf, np.inf, -np.inf, -np.inf
+        return float(self.x.min()), float(self.y.min()), float(self.x.max()), float(self.y.max())
 
     def within(self, rectangle: _Rectangle) -> tuple[Any, FloatArray, FloatArray]:
         """Give row numbers, X and Y."""
@@ -105,15 +120,14 @@ def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
     face = np.full(rays.shape, SKY, dtype=np.int64)
     normal = np.cross(mesh.eu, mesh.ev)
     distance = np.einsum("fi,fi->f", normal, mesh.origin)
-    for row in np.flatnonzero(distance < 0).tolist():  # the others show us their back
-        rectangle = _bounds(mesh, row)
-        if rectangle is None:
-            continue
+    for row, rectangle, nearest in _candidates(mesh, distance < 0, rays.extent()):
         where, x, y = rays.within(rectangle)
+        known = depth[where]
+        if not known.size or known.max() < nearest:
+            continue
         with np.errstate(divide="ignore", invalid="ignore"):  # rays parallel to the face
             z = distance[row] / _along(normal[row], x, y)
             inside = _meets(mesh, row, x, y, z)
-        known = depth[where]
         inside &= z < known
         depth[where] = np.where(inside, z, known)
         face[where] = np.where(inside, row, face[where])
@@ -156,17 +170,35 @@ def _meets(mesh: Mesh, row: int, x: FloatArray, y: FloatArray, z: FloatArray) ->
     return inside
 
 
-def _bounds(mesh: Mesh, row: int) -> _Rectangle | None:
-    """Rectangle in X, Y around the part of a face in front of the camera; None when there is none."""
-    corners = mesh.corners(row)
-    ahead = corners[:, 2] > NEAR
-    following = np.roll(corners, -1, axis=0)
-    crossing = ahead != np.roll(ahead, -1)
-    share = (NEAR - corners[crossing, 2]) / (following[crossing, 2] - corners[crossing, 2])
-    cut = corners[crossing] + share[:, None] * (following[crossing] - corners[crossing])
-    seen = np.concatenate([corners[ahead], cut])
-    if not len(seen):
-        return None
-    flat = seen[:, :2] / np.maximum(seen[:, 2:], NEAR)
-    (x0, y0), (x1, y1) = flat.min(axis=0) - 1e-9, flat.max(axis=0) + 1e-9
-    return float(x0), float(y0), float(x1), float(y1)
+def _candidates(mesh: Mesh, facing: BoolArray, extent: _Rectangle) -> list[tuple[int, _Rectangle, float]]:
+    """Faces that show us their outside and may fall into `extent`, from near to far.
+
+    Each with its rectangle in X, Y and its least depth.
+    """
+    corners = mesh.corners()
+    low, high = _bounds(corners)
+    nearest = corners[..., 2].min(axis=1)
+    overlap = (low <= extent[2:]).all(axis=1) & (high >= extent[:2]).all(axis=1)
+    rows = np.flatnonzero(facing & overlap)
+    rows = rows[np.argsort(nearest[rows], kind="stable")]
+    rectangles = np.hstack([low[rows], high[rows]]).tolist()
+    return list(zip(rows.tolist(), map(tuple, rectangles), nearest[rows].tolist(), strict=True))
+
+
+def _bounds(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest (X, Y) of the parts of quadrilaterals (F, 4, 3) in front of the camera.
+
+    Where nothing is in front, lowest is +inf and highest -inf.
+    """
+    ahead = corners[..., 2] > NEAR
+    following = np.roll(corners, -1, axis=1)
+    crossing = ahead != np.roll(ahead, -1, axis=1)
+    rise = np.where(crossing, following[..., 2] - corners[..., 2], 1.0)
+    share = np.where(crossing, (NEAR - corners[..., 2]) / rise, 0.0)
+    cut = corners + share[..., None] * (following - corners)
+    points = np.concatenate([corners, cut], axis=1)
+    counts = np.concatenate([ahead, crossing], axis=1)[..., None]
+    flat = points[..., :2] / np.maximum(points[..., 2:], NEAR)
+    low = np.where(counts, flat, np.inf).min(axis=1) - _MARGIN
+    high = np.where(counts, flat, -np.inf).max(axis=1) + _MARGIN
+    return low, high

@@ -25,7 +25,7 @@ KERB_RIGHT, KERB_LEFT = 4.3, -7.7
 WALL_RIGHT, WALL_LEFT = 8.0, -11.4
 _SIDE_STREET = 5.0  # half its width
 _BEHIND = 14.0
-_BEYOND = 95.0
+_BEYOND = 75.0
 
 
 def street(rng: np.random.Generator, length: float, crossing: float, free: tuple[float, float]) -> list[Face]:
@@ -144,7 +144,7 @@ def _sign(rng: np.random.Generator, x: float, z: float) -> list[Face]:
 
 
 def _tree(rng: np.random.Generator, x: float, z: float) -> list[Face]:
-    leaves = Foliage(float(rng.uniform(55, 85)), float(rng.uniform(0, 50)))
+    leaves = Foliage(float(rng.uniform(80, 125)), float(rng.uniform(0, 50)))
     foot, waist, top = (float(rng.uniform(*span)) for span in ((2.5, 3.1), (3.8, 4.6), (6.2, 7.8)))
     inner, outer = float(rng.uniform(0.6, 0.9)), float(rng.uniform(1.1, 1.6))
     skin, spread = Skin.all(leaves), (inner - outer,) * 3

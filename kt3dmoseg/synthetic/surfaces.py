@@ -156,10 +156,11 @@ class Mesh:
         turned = [np.einsum("fij,fj->fi", rotation, part) for part in (self.origin, self.eu, self.ev)]
         return Mesh(turned[0] + shift, turned[1], turned[2], self.extent, self.lean, self.body)
 
-    def corners(self, row: int) -> FloatArray:
-        """Corners of one face in order, (4, 3)."""
-        (width, height), (left, right) = self.extent[row], self.lean[row] * self.extent[row, 1]
-        u = np.array([0.0, width, width - right, left])
-        v = np.array([0.0, 0.0, height, height])
-        corners: FloatArray = self.origin[row] + np.outer(u, self.eu[row]) + np.outer(v, self.ev[row])
+    def corners(self) -> FloatArray:
+        """Corners of all faces in order, (F, 4, 3)."""
+        (width, height), (left, right) = self.extent.T, (self.lean * self.extent[:, 1:]).T
+        u = np.stack([0 * width, width, width - right, left], axis=1)
+        v = np.stack([0 * height, 0 * height, height, height], axis=1)
+        across, up = u[..., None] * self.eu[:, None], v[..., None] * self.ev[:, None]
+        corners: FloatArray = self.origin[:, None] + across + up
         return corners

@@ -8,7 +8,7 @@ from kt3dmoseg.synthetic.motion import Drive
 from kt3dmoseg.synthetic.street import LANE, ONCOMING, PARKED_RIGHT
 from kt3dmoseg.synthetic.vehicles import Kind, Vehicle, make_vehicle
 
-CROSSING_AHEAD = 27.0  # metres from the camera to the side street in the middle of the clip
+CROSSING_AHEAD = 29.0  # metres from the camera to the side street in the middle of the clip
 
 
 def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -> list[Vehicle]:
@@ -41,10 +41,10 @@ def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -
         ONCOMING + draw(-0.3, 0.2), middle + draw(12.5, 15), np.pi, draw(2.5, 5.0), draw(-0.08, 0.08)
     )
     lead = Drive(
-        LANE + draw(0.2, 0.6), middle + draw(9.5, 11.5), 0.0, speed + draw(0.8, 1.8), draw(0.08, 0.16)
+        LANE + draw(-0.2, 0.2), middle + draw(11.5, 12.5), 0.0, speed + draw(0.8, 1.8), draw(-0.05, 0.05)
     )
     leaving = Drive(
-        PARKED_RIGHT, middle + draw(8.5, 9.5), -0.15, 0.45 * speed + draw(0.3, 1.2), -draw(0.1, 0.2)
+        PARKED_RIGHT, middle + draw(7.5, 8.3), -0.15, 0.6 * speed + draw(0.3, 1.2), draw(-0.2, -0.1)
     )
     plans = [("crossing", crossing), ("oncoming", oncoming), ("leading", lead), ("leaving", leaving)]
     kinds: dict[str, tuple[Kind, ...]] = {

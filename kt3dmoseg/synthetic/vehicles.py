@@ -85,12 +85,11 @@ def _wheels(half: float, length: float) -> list[Face]:
     )
     tread = Plain(22.0, 4.0, 2.0)
     skin = Skin(tread, tread, rim, tread)
-    faces = []
-    for x in (-half, half - 0.2):
-        for z in (-0.31 * length, 0.31 * length):
-            shift = 0.01 if x > 0 else -0.01  # a little proud of the flank
-            faces += box((x + shift, -0.66, z - 0.33), (x + 0.2 + shift, 0.0, z + 0.33), skin)
-    return faces
+    axles = []
+    for z in (-0.31 * length, 0.31 * length):
+        # One dark block per axle, a centimetre proud of the flanks; nobody looks under a car.
+        axles += box((-half - 0.01, -0.66, z - 0.33), (half + 0.01, 0.0, z + 0.33), skin)
+    return axles
 
 
 def _flank(paint: Plain, kind: Kind, rng: np.random.Generator) -> Painted:
