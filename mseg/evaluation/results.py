@@ -49,10 +49,14 @@ class ClipScore:
         True motions and scored trajectories.
     values : mapping of str to float
         Every metric by name.
+    n_found : int
+        Predicted groups among the scored trajectories.
+    prevalence : float
+        Classification error of putting every trajectory into the largest motion.
     reason : str
         Why there are no labels; empty when there are.
     table : Contingency or None
-        The counts behind the values; None when there are no labels.
+        The counts behind the values, where they are at hand.
     """
 
     clip: str
@@ -60,13 +64,10 @@ class ClipScore:
     n_motions: int
     n: int
     values: Mapping[str, float]
+    n_found: int = 0
+    prevalence: float = 1.0
     reason: str = ""
     table: Contingency | None = None
-
-    @property
-    def n_found(self) -> int:
-        """Number of predicted groups among the scored trajectories."""
-        return 0 if self.table is None else len(self.table.groups)
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,10 @@ class Summary:
     interval: Interval
 
 
+_BARE = SubmissionMeta("labels")
+_UNKNOWN = Provenance("", "", "", "")
+
+
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
     """All scores of a submission.
@@ -112,9 +117,9 @@ class ScoreTable:
     """
 
     clips: tuple[ClipScore, ...]
-    meta: SubmissionMeta = SubmissionMeta("labels")
+    meta: SubmissionMeta = _BARE
     protocol: Protocol | None = None
-    provenance: Provenance = Provenance("", "", "", "")
+    provenance: Provenance = _UNKNOWN
     problems: tuple[Problem, ...] = ()
 
     def __getitem__(self, metric: str) -> float:

@@ -20,7 +20,7 @@ from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.problems import numbered
 from mseg.evaluation.results import ClipScore, Provenance, ScoreTable
 from mseg.evaluation.submission import fingerprint
-from mseg.evaluation.validate import LACKS, Validation, validate_submission
+from mseg.evaluation.validate import Validation, validate_submission
 
 _Path = (str, os.PathLike)
 
@@ -82,13 +82,18 @@ def score(
 def score_clip(name: str, seed: int, table: Contingency) -> ClipScore:
     """Compute every metric of one clip and seed."""
     values = {key: metric(table) for key, metric in all_metrics().items()}
-    return ClipScore(name, seed, len(table.motions), table.n, values, table=table)
+    prevalence = (table.n - int(table.sizes.max())) / table.n
+    return ClipScore(
+        name, seed, len(table.motions), table.n, values, len(table.groups), prevalence, table=table
+    )
 
 
 def failed_clip(name: str, seed: int, clip: Clip, reason: str) -> ClipScore:
     """Give a failed or missing clip the worst value of every metric."""
     values = {key: metric.worst(clip.n_motions) for key, metric in all_metrics().items()}
-    return ClipScore(name, seed, clip.n_motions, int((clip.labels.label > 0).sum()), values, reason)
+    sizes = np.bincount(clip.labels.label)[1:]
+    n = int(sizes.sum())
+    return ClipScore(name, seed, clip.n_motions, n, values, 0, (n - int(sizes.max())) / n, reason)
 
 
 def score_submission(
@@ -124,11 +129,9 @@ def score_submission(
 
 def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     """Score what `validate_submission` found; see `score_submission`."""
-    serious = [p for p in checked.problems if p.code not in LACKS]
-    if (serious and not force) or not checked.clips:
+    if not checked.scorable and not (force and checked.clips):
         raise RejectedSubmissionError(
-            f"submission rejected: {len(checked.problems)} problem(s)",
-            fix="\n".join(["", numbered(checked.problems)]),
+            f"submission rejected, {len(checked.problems)} problem(s): {numbered(checked.problems)}"
         )
     clips = []
     for seed in checked.submission.seeds or [0]:

@@ -49,6 +49,11 @@ class Validation:
         """Whether the submission is valid."""
         return not self.problems
 
+    @property
+    def scorable(self) -> bool:
+        """Whether it can be scored: nothing is wrong but that clips are missing, which count as wrong."""
+        return bool(self.clips) and all(problem.code in LACKS for problem in self.problems)
+
     def __str__(self) -> str:
         """Give the verdict, the numbered problems and the notes."""
         runs = len(self.submission.seeds)

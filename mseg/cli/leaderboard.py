@@ -1,0 +1,73 @@
+"""Keep scored submissions in a small SQLite file and rank them per benchmark.
+
+A partial submission, or one with failed clips, is listed below the complete ones, without a rank.
+Scores on different data are never ranked together.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+_ACTIONS = ("add", "list", "rank", "export")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="{" + ",".join(_ACTIONS) + "}")
+    add = actions.add_parser("add", help="score a submission and keep the scores")
+    add.add_argument("submission", help="folder or zip, or a file written by 'mseg score --json'")
+    add.add_argument("data", nargs="?", help="folder of clips with labels")
+    add.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
+    listing = actions.add_parser("list", help="everything that is kept, oldest first")
+    rank = actions.add_parser("rank", help="ranked, per benchmark and data")
+    export = actions.add_parser("export", help="ranked, as a page or Markdown")
+    export.add_argument("-o", "--output", required=True, metavar="FILE", help="ends in .html or .md")
+    for each in (rank, export):
+        each.add_argument("--benchmark", default="", metavar="NAME", help="only this one")
+    for each in (add, listing, rank, export):
+        each.add_argument(
+            "--db",
+            default="leaderboard.sqlite",
+            metavar="FILE",
+            help="the leaderboard (default: %(default)s)",
+        )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what was asked."""
+    from mseg.evaluation.leaderboard import Leaderboard
+
+    board = Leaderboard(arguments.db, create=arguments.action == "add")
+    if arguments.action == "add":
+        print(_add(board, arguments))
+    elif arguments.action == "list":
+        print(board.listing().text())
+    elif arguments.action == "rank":
+        print("\n\n".join(table.text() for table in board.ranked(arguments.benchmark)))
+    else:
+        from mseg.evaluation.leaderboard_export import export
+
+        export(board, arguments.output, benchmark=arguments.benchmark)
+        print(f"wrote {arguments.output}")
+    return 0
+
+
+def _add(board: object, arguments: argparse.Namespace) -> str:
+    from mseg.evaluation.jsonform import load_scores
+    from mseg.evaluation.leaderboard import Leaderboard
+    from mseg.evaluation.scoring import score_submission
+
+    assert isinstance(board, Leaderboard)
+    if arguments.submission.endswith(".json") and arguments.data is None:
+        scores = load_scores(arguments.submission)
+    else:
+        from kt3dmoseg.errors import InvalidValueError
+
+        if arguments.data is None:
+            raise InvalidValueError(
+                "data", expected="a folder of clips", found="nothing", fix="give it after A"
+            )
+        scores = score_submission(arguments.submission, arguments.data, benchmark=arguments.benchmark)
+    number, new = board.add(scores)
+    state = "complete" if scores.complete else f"{scores.benchmark.coverage(scores.names)}"
+    return f"{'added' if new else 'already there'}: entry {number}, {scores.meta.method}, {state}"

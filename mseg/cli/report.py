@@ -1,0 +1,49 @@
+"""Write one self-contained HTML page about a submission, which opens offline.
+
+With --frames the trajectories are drawn on the pictures (FRAMES/<clip>/000001.png, ...). The table
+is also written beside the page where asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+_EXTRAS = {
+    "latex": "also write the table as .tex",
+    "markdown": "also write the table as .md",
+    "csv": "also write .csv, global_results-*.csv and per-sequence_results-*.csv",
+    "json": "also write all scores as .json",
+}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("submission", help="folder or zip")
+    parser.add_argument("data", help="folder of clips with labels (or one clip file)")
+    parser.add_argument(
+        "-o", "--output", default="report.html", metavar="FILE", help="the page (default: %(default)s)"
+    )
+    parser.add_argument("--frames", metavar="FOLDER", help="pictures, one sub-folder per clip")
+    parser.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
+    parser.add_argument("--force", action="store_true", help="count clips with problems as fully wrong")
+    for name, text in _EXTRAS.items():
+        parser.add_argument(f"--{name}", action="store_true", help=text)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the report."""
+    from mseg.evaluation.report import write_report
+
+    wrote = write_report(
+        arguments.submission,
+        arguments.data,
+        arguments.output,
+        frames=arguments.frames,
+        benchmark=arguments.benchmark,
+        force=arguments.force,
+        extras=[name for name in _EXTRAS if getattr(arguments, name)],
+    )
+    for path in wrote:
+        print(f"wrote {path} ({path.stat().st_size / 1e6:.2f} MB)", file=sys.stderr)
+    return 0

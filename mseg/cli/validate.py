@@ -1,0 +1,26 @@
+"""Say everything that is wrong with a submission, numbered, with how to fix it.
+
+Exit code 0: valid; 1: invalid; 2: wrong usage (no such file, no data).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("submission", help="folder or zip")
+    parser.add_argument("data", help="folder of clips (or one clip file)")
+    parser.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Validate."""
+    from mseg.evaluation.validate import validate_submission
+
+    found = validate_submission(arguments.submission, arguments.data, benchmark=arguments.benchmark)
+    print(json.dumps(found.as_dict(), indent=2) if arguments.json else str(found))
+    return 0 if found.ok else 1

@@ -1,0 +1,164 @@
+"""Submissions to start from: a simple example, or label files turned into one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
+from mseg.evaluation.predictions_of_others import read_label_files
+from mseg.evaluation.protocol import Protocol
+from mseg.evaluation.submission import FileFormat, SubmissionMeta, fingerprint, write_submission
+from mseg.evaluation.validate import choose_protocol, load_clips
+
+_MADE_UP = {"example_two": 2, "example_three": 3}
+_SIZE = (320, 240)
+
+
+class Written(NamedTuple):
+    """What was written: the submission, the data that it is for, and how many clips."""
+
+    folder: Path
+    data: Path
+    clips: int
+
+
+def example_submission(
+    data: str | os.PathLike[str] | None,
+    output: str | os.PathLike[str],
+    *,
+    seeds: int = 1,
+    format: FileFormat = "csv",
+    method: str = "example: left and right",
+    benchmark: str = "",
+) -> Written:
+    """Write a valid submission whose labels cut each clip in a left and a right part.
+
+    Parameters
+    ----------
+    data : path or None
+        The clips; None makes two small ones up, in ``<output>-data``.
+    output : path
+        Folder to write.
+    seeds : int
+        With more than one, each seed cuts elsewhere and has its own folder.
+    format : {"csv", "npz", "h5"}
+        File format of the predictions.
+    method, benchmark : str
+        For ``meta.toml``.
+
+    Raises
+    ------
+    InvalidValueError
+        For fewer than one seed, or when `output` exists.
+    """
+    if seeds < 1:
+        raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
+    folder = _new_folder(output)
+    place = Path(data) if data is not None else _write_made_up(folder.with_name(folder.name + "-data"))
+    clips = load_clips(place)
+    protocol = choose_protocol(benchmark, clips)
+    counted = {name: clip for name, clip in clips.items() if protocol.holds(name)}
+    runs = {seed: {n: _left_right(c, seed) for n, c in counted.items()} for seed in range(seeds)}
+    meta = SubmissionMeta(
+        method,
+        ("Your Name",),
+        dataset_version=_version(protocol, counted),
+        benchmark=protocol.name,
+        n_motions_given=False,
+        link="https://example.org/paper-or-code",
+        hardware="one CPU core",
+    )
+    write_submission(folder, counted.values(), runs[0] if seeds == 1 else runs, meta, format=format)
+    return Written(folder, place, len(counted))
+
+
+def from_label_files(
+    source: str | os.PathLike[str],
+    data: str | os.PathLike[str] | None,
+    output: str | os.PathLike[str],
+    *,
+    method: str = "unnamed",
+    benchmark: str = "",
+    format: FileFormat = "csv",
+) -> Written:
+    """Turn label files into a submission; see `mseg.evaluation.predictions_of_others`."""
+    if data is None:
+        raise InvalidValueError(
+            "data", expected="the folder of clips that the labels are for", found="nothing"
+        )
+    folder = _new_folder(output)
+    clips = load_clips(data)
+    protocol = choose_protocol(benchmark, clips)
+    labels = read_label_files(source, clips, names=protocol.clips)
+    used = {name: clips[name] for name in labels}
+    meta = SubmissionMeta(
+        method,
+        dataset_version=_version(protocol, used),
+        benchmark=protocol.name,
+        outliers=any(bool((v == 0).any()) and not _is_zero_based(v) for v in labels.values()),
+    )
+    write_submission(folder, used.values(), labels, meta, format=format)
+    return Written(folder, Path(data), len(used))
+
+
+def made_up_clips() -> dict[str, Clip]:
+    """Small clips of points in two and three motions, always the same."""
+    return {name: _made_up(name, motions) for name, motions in _MADE_UP.items()}
+
+
+def _made_up(name: str, motions: int) -> Clip:
+    rng = np.random.default_rng(motions)
+    n, frames = 30 * motions, 10
+    label = np.repeat(np.arange(1, motions + 1), 30)
+    start = rng.uniform((0, 40), (200, 200), size=(n, 2))
+    velocity = np.array([[1.0, 0.0], [4.0, 2.0], [-2.0, -3.0]])[label - 1]
+    xy = start[:, None] + velocity[:, None] * np.arange(frames)[:, None]
+    visible = np.ones((n, frames), dtype=np.bool_)
+    visible[::7, frames // 2 :] = False
+    xy[~visible] = np.nan
+    dense = Trajectories(xy, visible, image_size=_SIZE)
+    rows = np.flatnonzero(np.arange(n) % 3 > 0)
+    return Clip(name, dense, rows, Labels(label[rows], background=1))
+
+
+def _write_made_up(folder: Path) -> Path:
+    from kt3dmoseg.io import save
+
+    for name, clip in made_up_clips().items():
+        save(clip, folder / f"{name}.h5")
+    return folder
+
+
+def _left_right(clip: Clip, seed: int) -> IntArray:
+    tracks = clip.evaluated_trajectories
+    seen = np.maximum(tracks.visible.sum(axis=1), 1)
+    x = np.where(tracks.visible, np.nan_to_num(tracks.xy[..., 0]), 0.0).sum(axis=1) / seen
+    share = np.random.default_rng(seed).uniform(0.35, 0.65)
+    cut = min(max(1, round(share * len(x))), len(x) - 1)
+    label = np.full(len(x), 2, dtype=np.int64)
+    label[np.argsort(x, kind="stable")[:cut]] = 1
+    return label
+
+
+def _is_zero_based(label: IntArray) -> bool:
+    found = np.unique(label)
+    return len(found) > 1 and np.array_equal(found, np.arange(len(found)))
+
+
+def _version(protocol: Protocol, clips: Mapping[str, Clip]) -> str:
+    return protocol.version_of({n: fingerprint(c) for n, c in clips.items()}) or "unnamed"
+
+
+def _new_folder(output: str | os.PathLike[str]) -> Path:
+    folder = Path(output)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidValueError(
+            f"{folder}", expected="a new or empty folder", found="something there", fix="choose another -o"
+        )
+    return folder

@@ -1,0 +1,303 @@
+"""A leaderboard in one SQLite file: scored submissions with their provenance, ranked per benchmark."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import groupby
+from pathlib import Path
+
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from mseg.evaluation.jsonform import from_json, to_json
+from mseg.evaluation.layout import TextTable
+from mseg.evaluation.protocol import list_protocols, load_protocol
+from mseg.evaluation.results import ScoreTable
+
+_VERSION = 1
+_WAIT_SECONDS = 60.0
+_SCHEMA = """
+CREATE TABLE entries (
+    id INTEGER PRIMARY KEY,
+    added TEXT NOT NULL,
+    benchmark TEXT NOT NULL,
+    method TEXT NOT NULL,
+    dataset_version TEXT NOT NULL,
+    dataset_sha256 TEXT NOT NULL,
+    submission_sha256 TEXT NOT NULL,
+    toolkit_version TEXT NOT NULL,
+    clips INTEGER NOT NULL,
+    clips_in_full INTEGER NOT NULL,
+    failed INTEGER NOT NULL,
+    seeds INTEGER NOT NULL,
+    mean REAL NOT NULL,
+    median REAL NOT NULL,
+    scores TEXT NOT NULL,
+    UNIQUE (benchmark, dataset_sha256, submission_sha256, toolkit_version)
+)
+"""
+_COLUMNS = (
+    "id, added, benchmark, method, dataset_version, dataset_sha256, submission_sha256, toolkit_version, "
+    "clips, clips_in_full, failed, seeds, mean, median"
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One scored submission.
+
+    Parameters
+    ----------
+    id, added : int, str
+        Number and time (UTC, ISO 8601) of the entry.
+    benchmark, method : str
+        What was scored on what.
+    dataset_version, dataset_sha256, submission_sha256, toolkit_version : str
+        Provenance, see `Provenance`.
+    clips, clips_in_full : int
+        Clips scored, and in the whole benchmark.
+    failed, seeds : int
+        Clip runs counted as fully wrong, and number of seeds.
+    mean, median : float
+        Classification error over clips, fractions.
+    """
+
+    id: int
+    added: str
+    benchmark: str
+    method: str
+    dataset_version: str
+    dataset_sha256: str
+    submission_sha256: str
+    toolkit_version: str
+    clips: int
+    clips_in_full: int
+    failed: int
+    seeds: int
+    mean: float
+    median: float
+
+
+@dataclass(frozen=True)
+class Board:
+    """Entries that may be compared: one benchmark, one and the same data.
+
+    Parameters
+    ----------
+    title : str
+        Benchmark, how much of it, and which data.
+    ranked : list of (int or None, Entry)
+        Best first; None for entries with failed or missing clips, which come last.
+    """
+
+    title: str
+    ranked: list[tuple[int | None, Entry]]
+
+    def table(self) -> TextTable:
+        """Lay the board out."""
+        rows = [
+            [
+                "-" if rank is None else str(rank),
+                entry.method,
+                f"{100 * entry.mean:.2f}",
+                f"{100 * entry.median:.2f}",
+                str(entry.seeds),
+                str(entry.failed) if entry.failed else "",
+                entry.added[:10],
+                entry.submission_sha256[:8],
+            ]
+            for rank, entry in self.ranked
+        ]
+        columns = ["rank", "method", "mean", "median", "seeds", "failed", "added", "submission"]
+        return TextTable(self.title, columns, rows)
+
+
+class Leaderboard:
+    """The file; safe to use from several processes at once.
+
+    Parameters
+    ----------
+    path : path
+        The SQLite file.
+    create : bool
+        Make it when it is missing.
+
+    Raises
+    ------
+    InputFileError
+        When it is missing and not to be created, or cannot be opened.
+    FileFormatError
+        When it is no leaderboard, or of a newer version.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, create: bool = True) -> None:
+        self.path = Path(path)
+        if not create and not self.path.is_file():
+            raise InputFileError(
+                f"{self.path}",
+                expected="a leaderboard",
+                found="no such file",
+                fix="'mseg leaderboard add' makes it",
+            )
+        if create:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._prepare()
+
+    def add(self, scores: ScoreTable) -> tuple[int, bool]:
+        """Keep scores.
+
+        Returns
+        -------
+        id : int
+            Number of the entry.
+        new : bool
+            False when the very same submission was there already, scored on the same data by the
+            same version of the toolkit.
+        """
+        source, summary = scores.provenance, scores.summary()
+        assert summary is not None  # a score table has clips
+        values = (
+            datetime.now(UTC).isoformat(timespec="seconds"),
+            scores.benchmark.name,
+            scores.meta.method,
+            source.dataset_version,
+            source.dataset_sha256,
+            source.submission_sha256,
+            source.toolkit_version,
+            len(scores.names),
+            scores.benchmark.n_clips,
+            len(scores.failures),
+            len(scores.seeds),
+            summary.mean,
+            summary.median,
+            json.dumps(to_json(scores)),
+        )
+        names = _COLUMNS.removeprefix("id, ") + ", scores"
+        with self._transaction() as connection:
+            marks = ", ".join("?" * len(values))
+            cursor = connection.execute(f"INSERT OR IGNORE INTO entries ({names}) VALUES ({marks})", values)
+            if cursor.rowcount:
+                return int(cursor.lastrowid or 0), True
+            same = connection.execute(
+                "SELECT id FROM entries WHERE benchmark = ? AND dataset_sha256 = ?"
+                " AND submission_sha256 = ? AND toolkit_version = ?",
+                (
+                    scores.benchmark.name,
+                    source.dataset_sha256,
+                    source.submission_sha256,
+                    source.toolkit_version,
+                ),
+            ).fetchone()
+            return int(same[0]), False
+
+    def entries(self) -> list[Entry]:
+        """Everything that is kept, oldest first."""
+        with self._transaction() as connection:
+            rows = connection.execute(f"SELECT {_COLUMNS} FROM entries ORDER BY id").fetchall()
+        return [Entry(*row) for row in rows]
+
+    def scores(self, number: int) -> ScoreTable:
+        """Return the full scores of an entry."""
+        with self._transaction() as connection:
+            row = connection.execute("SELECT scores FROM entries WHERE id = ?", (number,)).fetchone()
+        if row is None:
+            raise InputFileError(f"{self.path}", expected=f"entry {number}", found="none of that number")
+        return from_json(row[0], f"{self.path}: entry {number}")
+
+    def boards(self, benchmark: str = "") -> list[Board]:
+        """Rank what is comparable; fuller data first.
+
+        Parameters
+        ----------
+        benchmark : str
+            Only this one; empty = all.
+        """
+        wanted = [e for e in self.entries() if benchmark in ("", e.benchmark)]
+        wanted.sort(key=lambda e: (e.benchmark, -e.clips, e.dataset_sha256))
+        keyed = groupby(wanted, key=lambda e: (e.benchmark, e.dataset_sha256))
+        return [_board(list(entries)) for _, entries in keyed]
+
+    def ranked(self, benchmark: str = "") -> list[TextTable]:
+        """Lay out `boards`."""
+        return [board.table() for board in self.boards(benchmark)]
+
+    def listing(self) -> TextTable:
+        """Lay out `entries`, with their provenance."""
+        rows = [
+            [
+                str(e.id),
+                e.added,
+                e.benchmark,
+                e.method,
+                f"{100 * e.mean:.2f}",
+                f"{e.clips}/{e.clips_in_full}",
+                str(e.failed),
+                e.dataset_version,
+                e.dataset_sha256[:8],
+                e.submission_sha256[:8],
+                e.toolkit_version,
+            ]
+            for e in self.entries()
+        ]
+        columns = ["id", "added", "benchmark", "method", "mean %", "clips", "failed", "version", "data"]
+        return TextTable(f"{self.path.name}", [*columns, "submission", "toolkit"], rows)
+
+    def _prepare(self) -> None:
+        """Make the table unless another process has; refuse a file that is something else."""
+        with self._transaction() as connection:
+            version = connection.execute("PRAGMA user_version").fetchone()[0]
+            tables = {r[0] for r in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            if not version and not tables:
+                connection.execute(_SCHEMA)
+                connection.execute(f"PRAGMA user_version = {_VERSION}")
+            elif version != _VERSION or "entries" not in tables:
+                raise FileFormatError(
+                    f"{self.path}",
+                    expected=f"a leaderboard of version {_VERSION}",
+                    found=f"version {version}",
+                )
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        connection = None
+        try:
+            connection = sqlite3.connect(self.path, timeout=_WAIT_SECONDS, isolation_level=None)
+            _write_ahead(connection)
+            connection.execute("BEGIN IMMEDIATE")
+            yield connection
+            connection.execute("COMMIT")
+        except sqlite3.DatabaseError as error:
+            raise FileFormatError(f"{self.path}", expected="a leaderboard", found=str(error)) from None
+        finally:
+            if connection is not None:
+                connection.close()  # rolls back what was not committed
+
+
+def _write_ahead(connection: sqlite3.Connection) -> None:
+    """Switch to write-ahead logging; SQLite does not wait by itself while another process does so."""
+    deadline = time.monotonic() + _WAIT_SECONDS
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
+
+
+def _board(entries: list[Entry]) -> Board:
+    first = entries[0]
+    protocol = load_protocol(first.benchmark) if first.benchmark in list_protocols() else None
+    name = protocol.title if protocol else first.benchmark
+    full = first.clips == first.clips_in_full
+    amount = f"all {first.clips} clips" if full else f"{first.clips} of {first.clips_in_full} clips, a part"
+    title = f"{name}, {amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"
+    ordered = sorted(entries, key=lambda e: (e.failed > 0, e.mean, e.id))
+    clean = [e.mean for e in ordered if not e.failed]
+    return Board(title, [(None if e.failed else 1 + clean.index(e.mean), e) for e in ordered])

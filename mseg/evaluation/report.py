@@ -1,0 +1,177 @@
+"""One self-contained page about a submission: tables, bars, confusions, overlays."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+from kt3dmoseg.files import write_text
+from kt3dmoseg.types import Clip
+from mseg.evaluation import tables
+from mseg.evaluation.jsonform import to_json
+from mseg.evaluation.layout import TextTable
+from mseg.evaluation.page import page
+from mseg.evaluation.report_bars import bars_per_clip, bars_published
+from mseg.evaluation.report_clip import clip_section
+from mseg.evaluation.results import ScoreTable
+from mseg.evaluation.scoring import score_validated
+from mseg.evaluation.validate import Validation, validate_submission
+
+
+def write_report(
+    submission: str | os.PathLike[str],
+    data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],
+    path: str | os.PathLike[str],
+    *,
+    frames: str | os.PathLike[str] | None = None,
+    benchmark: str = "",
+    force: bool = False,
+    extras: Sequence[str] = (),
+) -> list[Path]:
+    """Validate and score a submission and write the page about it.
+
+    Parameters
+    ----------
+    submission : path
+        Folder or zip.
+    data : path, mapping or iterable of Clip
+        The clips with their labels.
+    path : path
+        The page, ``report.html``.
+    frames : path, optional
+        Folder with one sub-folder of numbered pictures per clip; without it points are drawn on
+        a plain ground.
+    benchmark : str
+        Protocol; by default the submission's own.
+    force : bool
+        Report an invalid submission, its faulty clips counted as fully wrong.
+    extras : sequence of {"latex", "markdown", "csv", "json"}
+        Tables to write beside the page; "csv" includes the two DAVIS-style files.
+
+    Returns
+    -------
+    list of Path
+        The files written, the page first.
+
+    Raises
+    ------
+    RejectedSubmissionError
+        When the submission is invalid and not `force`.
+    InputFileError
+        When the frames of a clip are incomplete.
+    """
+    checked = validate_submission(submission, data, benchmark=benchmark)
+    scores = score_validated(checked, force=force)
+    target = Path(path)
+    write_text(target, report_html(checked, scores, frames=frames))
+    return [target, *_write_extras(scores, target, extras)]
+
+
+def report_html(
+    checked: Validation, scores: ScoreTable, *, frames: str | os.PathLike[str] | None = None
+) -> str:
+    """Make the page from a validated and scored submission."""
+    order = sorted(scores.names, key=lambda name: -scores.per_clip()[scores.names.index(name)])
+    folder = Path(frames) if frames is not None else None
+    clips = "".join(clip_section(checked, scores, name, folder) for name in order)
+    body = "".join(
+        [
+            _head(scores),
+            _failures(scores),
+            _cards(scores),
+            "<h2 id='table'>Benchmark table</h2>",
+            html_table(tables.headline(scores), own_row=0),
+            "<h2 id='clips'>Per clip, worst first</h2>",
+            bars_per_clip(scores, order),
+            bars_published(scores),
+            "<h2 id='metrics'>All metrics</h2>",
+            html_table(tables.all_means(scores)),
+            html_table(tables.per_clip(scores)),
+            "<h2 id='overlays'>Every clip, worst first</h2>",
+            "<p class='quiet'>Predicted groups have the colour of the motion they are assigned to; "
+            "errors are ringed in red. The slider takes arrow keys.</p>",
+            clips,
+        ]
+    )
+    return page(f"{scores.meta.method} on {scores.benchmark.title}", body, script="report")
+
+
+def html_table(table: TextTable, *, own_row: int | None = None) -> str:
+    """Turn a table of texts into HTML."""
+    head = "".join(f"<th scope='col'>{escape(c)}</th>" for c in table.columns)
+    rows = "".join(
+        f"<tr{' class=own' if i == own_row else ''}><th scope='row'>{escape(row[0])}</th>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for i, row in enumerate(table.rows)
+    )
+    notes = "".join(f"<p class='quiet'>{escape(note)}</p>" for note in table.notes)
+    return (
+        f"<div class='scroll'><table><caption>{escape(table.title)}</caption><thead><tr>{head}</tr></thead>"
+        f"<tbody>{rows}</tbody></table></div>{notes}"
+    )
+
+
+def _head(scores: ScoreTable) -> str:
+    facts = "".join(
+        f"<li>{escape(name)} <b>{escape(str(value))}</b></li>"
+        for name, value in tables.meta_lines(scores)
+        if name != "method"
+    )
+    links = (("table", "Table"), ("clips", "Bars"), ("metrics", "Metrics"), ("overlays", "Overlays"))
+    jump = "".join(f"<a href='#{key}'>{title}</a>" for key, title in links)
+    return (
+        f"<h1>{escape(scores.meta.method)}</h1><p>{escape(scores.benchmark.title)}, "
+        f"{escape(scores.benchmark.coverage(scores.names))}</p><ul class='facts'>{facts}</ul>"
+        f"<nav class='jump' aria-label='Sections'>{jump}</nav>"
+    )
+
+
+def _failures(scores: ScoreTable) -> str:
+    if not scores.failures:
+        return ""
+    lines = "".join(
+        f"<p>{escape(c.clip)}, seed {c.seed}: {escape(c.reason)}</p>" for c in scores.failures[:30]
+    )
+    more = f"<p>and {len(scores.failures) - 30} more</p>" if len(scores.failures) > 30 else ""
+    return f"<div class='notice' role='note'><p><b>Counted as fully wrong</b></p>{lines}{more}</div>"
+
+
+def _cards(scores: ScoreTable) -> str:
+    summary = scores.summary()
+    assert summary is not None  # a score table has clips
+    low, high = summary.interval
+    sd = "one seed" if summary.seed_sd is None else f"sd over {len(scores.seeds)} seeds"
+    prevalence = sum(scores.of(n).prevalence for n in scores.names) / len(scores.names)
+    cards = [
+        (f"{100 * summary.mean:.2f} %", f"mean error, {scores.benchmark.coverage(scores.names)}"),
+        (f"{100 * summary.median:.2f} %", "median error"),
+        ("-" if summary.seed_sd is None else f"{100 * summary.seed_sd:.2f}", sd),
+        (f"{100 * low:.1f}–{100 * high:.1f}", "95 % interval over clips"),
+        (f"{100 * prevalence:.2f} %", "prevalence baseline, same clips"),
+        (f"{len({c.clip for c in scores.failures})}", "failed or missing clips"),
+    ]
+    inner = "".join(
+        f"<div class='card'><b>{escape(value)}</b><span>{escape(text)}</span></div>" for value, text in cards
+    )
+    return f"<div class='cards'>{inner}</div>"
+
+
+def _write_extras(scores: ScoreTable, target: Path, extras: Sequence[str]) -> list[Path]:
+    headline = tables.headline(scores)
+    contents: dict[str, str] = {}
+    if "latex" in extras:
+        contents[f"{target.stem}.tex"] = headline.latex() + "\n"
+    if "markdown" in extras:
+        contents[f"{target.stem}.md"] = headline.markdown() + "\n"
+    if "csv" in extras:
+        contents[f"{target.stem}.csv"] = tables.per_clip(scores, scores.metrics).csv()
+        contents |= tables.davis_files(scores)
+    if "json" in extras:
+        contents[f"{target.stem}.json"] = json.dumps(to_json(scores), indent=1) + "\n"
+    for name, content in contents.items():
+        write_text(target.with_name(name), content)
+    return [target.with_name(name) for name in contents]

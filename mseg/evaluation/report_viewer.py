@@ -1,0 +1,149 @@
+"""The overlay of a clip: positions, labels and frames packed for the page's script."""
+
+from __future__ import annotations
+
+import base64
+import json
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.types import Clip, IntArray
+from mseg.evaluation.contingency import Contingency
+from mseg.evaluation.results import ScoreTable
+from mseg.evaluation.validate import Validation
+
+_MISSING = -32768
+_MAX_WIDTH = 960
+_QUALITY = 72
+_TALL = 2.0
+
+
+def viewer(checked: Validation, scores: ScoreTable, name: str, frames: Path | None) -> str:
+    """Make the overlay of a clip: truth above prediction, slider, seeds to choose from."""
+    clip = checked.clips[name]
+    width, height = _size(clip)
+    runs = [_run(clip, checked, scores, name, seed) for seed in scores.seeds]
+    drawn = [(seed, run) for seed, run in zip(scores.seeds, runs, strict=True) if run is not None]
+    scale = min(10.0, 32000 / max(width, height))
+    payload = {
+        "width": width,
+        "height": height,
+        "n_frames": clip.n_frames,
+        "scale": scale,
+        "numbers": clip.frame_numbers.tolist(),
+        "xy": _packed_positions(clip, scale),
+        "truth": _packed(_ranks(clip.labels.label)),
+        "runs": [run for _, run in drawn],
+        "frames": _frames(frames, clip) if frames is not None else [],
+    }
+    # "</" would end the script element; JSON may write it as "<\/".
+    content = json.dumps(payload, separators=(",", ":")).replace("</", "<\\/")
+    shape = " tall" if width < _TALL * height else ""
+    return (
+        f"<div class='viewer{shape}'><script type='application/json'>{content}</script><div class='views'>"
+        f"{_canvas(name, 'truth')}{_canvas(name, 'prediction') if drawn else ''}</div>"
+        f"{_controls(clip, [seed for seed, _ in drawn])}</div>"
+    )
+
+
+def shown_groups(table: Contingency) -> list[int]:
+    """Order predicted groups for display: assigned ones by motion, then the others by size."""
+    assigned = [int(j) for j in table.assignment if j >= 0]
+    free = [j for j in range(len(table.groups)) if j not in assigned]
+    free.sort(key=lambda j: -int(table.counts[:, j].sum()))
+    return assigned + free
+
+
+def group_colours(table: Contingency) -> dict[int, int]:
+    """Give an assigned group the colour number of its motion, the others numbers of their own."""
+    colours = {int(j): i + 1 for i, j in enumerate(table.assignment) if j >= 0}
+    free = [j for j in shown_groups(table) if j not in colours]
+    return colours | {j: len(table.motions) + 1 + k for k, j in enumerate(free)}
+
+
+def _run(clip: Clip, checked: Validation, scores: ScoreTable, name: str, seed: int) -> dict[str, str] | None:
+    labels, table = checked.labels.get((seed, name)), scores.of(name, seed).table
+    if labels is None or table is None:
+        return None
+    colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
+    for j, value in group_colours(table).items():
+        colour[table.groups[j]] = value
+    shown = colour[labels]
+    truth = _ranks(clip.labels.label)
+    return {"shown": _packed(shown), "wrong": _packed(((truth > 0) & (shown != truth)).astype(np.int64))}
+
+
+def _ranks(label: IntArray) -> IntArray:
+    """Renumber the motions 1..M in ascending order; 0 stays 0."""
+    motions = np.unique(label[label > 0])
+    return np.where(label > 0, np.searchsorted(motions, label) + 1, 0)
+
+
+def _packed(values: IntArray) -> str:
+    return base64.b64encode(np.minimum(values, 255).astype(np.uint8).tobytes()).decode()
+
+
+def _packed_positions(clip: Clip, scale: float) -> str:
+    tracks = clip.evaluated_trajectories
+    steps = np.rint(np.where(tracks.visible[..., None], tracks.xy, 0.0) * scale)
+    small = np.clip(steps, -32767, 32767).astype("<i2")
+    small[~tracks.visible] = _MISSING
+    return base64.b64encode(small.tobytes()).decode()
+
+
+def _size(clip: Clip) -> tuple[int, int]:
+    if clip.dense.image_size is not None:
+        return clip.dense.image_size
+    xy = clip.dense.xy[clip.dense.visible]
+    far = np.ceil(xy.max(axis=0)) if len(xy) else np.ones(2)
+    return int(max(1, far[0] + 1)), int(max(1, far[1] + 1))
+
+
+def _canvas(name: str, what: str) -> str:
+    label = escape(f"{name}: {what}")
+    return (
+        f"<figure><canvas role='img' aria-label='{label}'></canvas><figcaption>{what}</figcaption></figure>"
+    )
+
+
+def _controls(clip: Clip, seeds: list[int]) -> str:
+    options = "".join(f"<option>seed {seed}</option>" for seed in seeds)
+    choice = f"<label>run <select>{options}</select></label>" if len(seeds) > 1 else ""
+    return (
+        "<div class='controls'><button type='button' aria-pressed='false'>Play</button>"
+        f"<input type='range' min='0' max='{clip.n_frames - 1}' value='0' "
+        f"aria-label='frame of {escape(clip.name)}'>"
+        f"<output>frame {clip.frame_numbers[0]}</output><label><input type='checkbox'> only errors</label>"
+        f"{choice}</div>"
+    )
+
+
+def _frames(folder: Path, clip: Clip) -> list[str]:
+    """Return the frames of a clip as JPEG data URIs; none when the folder has no such clip."""
+    from kt3dmoseg.io.images import frame_paths, read_frame
+
+    place = folder / clip.name
+    if not place.is_dir():
+        return []
+    paths = frame_paths(place)
+    if len(paths) != clip.n_frames:
+        raise InputFileError(
+            f"{place}", expected=f"{clip.n_frames} frames, as the clip has", found=f"{len(paths)}"
+        )
+    return [_jpeg(read_frame(path, colour="luma")) for path in paths]
+
+
+def _jpeg(picture: npt.NDArray[Any]) -> str:
+    import cv2
+
+    height, width = picture.shape
+    if width > _MAX_WIDTH:
+        size = (_MAX_WIDTH, round(height * _MAX_WIDTH / width))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    _, content = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode()

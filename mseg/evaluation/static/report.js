@@ -1,0 +1,126 @@
+"use strict";
+// Draws the trajectories of a clip, true and predicted, on its frames. Data sit in the page.
+const COLOURS = ["#9aa0a6", "#56b4e9", "#e69f00", "#e377b8", "#2ecc8f", "#f0e442", "#ff6f3c", "#a58bff", "#c2b280", "#7fe3e3"];
+const colourOf = (i) => COLOURS[i === 0 ? 0 : 1 + ((i - 1) % (COLOURS.length - 1))];
+const MISSING = -32768;
+const stillPlease = matchMedia("(prefers-reduced-motion: reduce)").matches;
+
+function bytes(text) {
+  return Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+}
+
+function positions(text) {
+  const raw = bytes(text), view = new DataView(raw.buffer), out = new Int16Array(raw.length / 2);
+  for (let i = 0; i < out.length; i++) out[i] = view.getInt16(2 * i, true);
+  return out;
+}
+
+class Viewer {
+  constructor(root) {
+    this.root = root;
+    const data = JSON.parse(root.querySelector("script").textContent);
+    this.data = data;
+    this.xy = positions(data.xy);
+    this.truth = bytes(data.truth);
+    this.runs = data.runs.map((run) => ({ shown: bytes(run.shown), wrong: bytes(run.wrong) }));
+    this.canvases = [...root.querySelectorAll("canvas")];
+    this.slider = root.querySelector("input[type=range]");
+    this.output = root.querySelector("output");
+    this.onlyErrors = root.querySelector("input[type=checkbox]");
+    this.choice = root.querySelector("select");
+    this.button = root.querySelector("button");
+    this.images = data.frames.map(() => null);
+    this.timer = 0;
+    const redraw = () => this.draw();
+    this.slider.addEventListener("input", redraw);
+    this.onlyErrors.addEventListener("change", redraw);
+    if (this.choice) this.choice.addEventListener("change", redraw);
+    this.button.addEventListener("click", () => this.play());
+    this.draw();
+  }
+
+  play() {
+    if (this.timer) {
+      clearInterval(this.timer);
+      this.timer = 0;
+    } else {
+      this.timer = setInterval(() => {
+        this.slider.value = (Number(this.slider.value) + 1) % this.data.n_frames;
+        this.draw();
+      }, stillPlease ? 800 : 160);
+    }
+    this.button.textContent = this.timer ? "Pause" : "Play";
+    this.button.setAttribute("aria-pressed", String(Boolean(this.timer)));
+  }
+
+  image(frame) {
+    if (!this.data.frames.length) return null;
+    if (!this.images[frame]) {
+      const image = new Image();
+      image.onload = () => this.draw();
+      image.src = this.data.frames[frame];
+      this.images[frame] = image;
+    }
+    return this.images[frame].complete ? this.images[frame] : null;
+  }
+
+  draw() {
+    const frame = Number(this.slider.value);
+    this.output.textContent = `frame ${this.data.numbers[frame]}`;
+    this.slider.setAttribute("aria-valuetext", this.output.textContent);
+    const run = this.runs[this.choice ? this.choice.selectedIndex : 0];
+    this.canvases.forEach((canvas, i) => this.paint(canvas, frame, run, i === 1));
+  }
+
+  paint(canvas, frame, run, predicted) {
+    const { width, height, n_frames: frames, scale } = this.data;
+    const zoom = Math.max(1, Math.min(3, 1100 / width));
+    canvas.width = Math.round(width * zoom);
+    canvas.height = Math.round(height * zoom);
+    const pen = canvas.getContext("2d");
+    const image = this.image(frame);
+    if (image) pen.drawImage(image, 0, 0, canvas.width, canvas.height);
+    const shown = predicted ? run && run.shown : this.truth;
+    if (!shown) return;
+    // At least 1.4 px on the screen, however small the canvas is shown.
+    const radius = Math.max(2.6, canvas.width / 420, (1.4 * canvas.width) / (canvas.clientWidth || canvas.width));
+    for (let n = 0; n < shown.length; n++) {
+      const at = 2 * (n * frames + frame);
+      if (this.xy[at] === MISSING) continue;
+      const wrong = run && run.wrong[n];
+      if (this.onlyErrors.checked && !wrong) continue;
+      const x = (this.xy[at] / scale + 0.5) * zoom, y = (this.xy[at + 1] / scale + 0.5) * zoom;
+      pen.beginPath();
+      pen.arc(x, y, radius, 0, 7);
+      pen.fillStyle = colourOf(shown[n]);
+      pen.fill();
+      pen.lineWidth = 0.7;
+      pen.strokeStyle = "rgba(0,0,0,.65)";
+      pen.stroke();
+      if (predicted && wrong) {
+        pen.beginPath();
+        pen.arc(x, y, radius * 1.9, 0, 7);
+        pen.lineWidth = radius * 0.75;
+        pen.strokeStyle = "#ffffff";
+        pen.stroke();
+        pen.lineWidth = radius * 0.4;
+        pen.strokeStyle = "#e3170a";
+        pen.stroke();
+      }
+    }
+  }
+}
+
+// A viewer is made when it is first near the window: twenty clips of frames are not decoded at once.
+const seen = new IntersectionObserver((entries) => {
+  for (const entry of entries) {
+    if (entry.isIntersecting) {
+      seen.unobserve(entry.target);
+      new Viewer(entry.target);
+    }
+  }
+}, { rootMargin: "400px" });
+document.querySelectorAll(".viewer").forEach((root) => seen.observe(root));
+document.querySelectorAll("[data-colour]").forEach((dot) => {
+  dot.style.background = colourOf(Number(dot.dataset.colour));
+});
