@@ -1,0 +1,128 @@
+"""The flow cache never serves anything but what the backend would compute."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.flow import FlowCache, cache, flow_pair
+from kt3dmoseg.options import option
+
+CALLS = []
+
+
+@dataclass(frozen=True)
+class Counting:
+    """A backend that notes when it computes."""
+
+    factor: float = option(1.0, "multiplies the mean difference")
+
+    def __call__(self, a, b):
+        CALLS.append(self.factor)
+        value = self.factor * (float(b.mean()) - float(a.mean()))
+        return np.full((*a.shape, 2), value, np.float32)
+
+
+@pytest.fixture(autouse=True)
+def no_calls():
+    CALLS.clear()
+
+
+@pytest.fixture
+def pair(rng):
+    return tuple(rng.integers(0, 255, (40, 50), dtype=np.uint8) for _ in range(2))
+
+
+def only_entry(folder):
+    (path,) = [p for p in folder.rglob("*") if p.is_file()]
+    return path
+
+
+def test_each_direction_is_computed_once(tmp_path, pair):
+    first = flow_pair(Counting(), *pair, FlowCache(tmp_path))
+    again = flow_pair(Counting(), *pair, FlowCache(tmp_path))
+    reverse = flow_pair(Counting(), *pair[::-1], FlowCache(tmp_path))
+    assert len(CALLS) == 2
+    for one, two, three in zip(first, again, reversed(reverse), strict=True):
+        assert one.dtype == two.dtype == np.float32
+        np.testing.assert_array_equal(one, two)
+        np.testing.assert_array_equal(one, three)
+
+
+def test_without_cache_both_directions(pair):
+    forward, backward = flow_pair(Counting(), *pair)
+    np.testing.assert_array_equal(forward, -backward)
+    assert len(CALLS) == 2
+
+
+def test_other_parameters_or_frames_make_another_entry(tmp_path, pair):
+    a, b = pair
+    store = FlowCache(tmp_path)
+    store.get(Counting(), a, b)
+    doubled = store.get(Counting(2.0), a, b)
+    changed = b.copy()
+    changed[0, 0] ^= 1
+    other = store.get(Counting(), a, changed)
+    np.testing.assert_array_equal(doubled, Counting(2.0)(a, b))
+    np.testing.assert_array_equal(other, Counting()(a, changed))
+
+
+def test_another_version_makes_another_entry(tmp_path, pair, monkeypatch):
+    store = FlowCache(tmp_path)
+    store.get(Counting(), *pair)
+    monkeypatch.setattr(cache, "_versions", lambda: {"numpy": "another"})
+    store.get(Counting(), *pair)
+    monkeypatch.setattr(cache, "_source", lambda module: "another")
+    store.get(Counting(), *pair)
+    assert len(CALLS) == 3
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"",
+        lambda content: content[:-1],
+        lambda content: content + b"\0",
+        lambda content: content[:-1] + bytes([content[-1] ^ 1]),
+        lambda content: b"x" + content[1:],
+        lambda content: content.replace(b'"shape": [40, 50, 2]', b'"shape": [50, 40, 2]'),
+        lambda content: b"\n" * len(content),
+    ],
+)
+def test_a_damaged_entry_is_computed_anew(tmp_path, pair, damage):
+    store = FlowCache(tmp_path)
+    wanted = store.get(Counting(), *pair)
+    path = only_entry(tmp_path)
+    intact = path.read_bytes()
+    path.write_bytes(damage(intact))
+    np.testing.assert_array_equal(store.get(Counting(), *pair), wanted)
+    assert len(CALLS) == 2
+    assert path.read_bytes() == intact
+
+
+def test_an_entry_under_another_name_is_not_used(tmp_path, pair):
+    a, b = pair
+    store = FlowCache(tmp_path)
+    store.get(Counting(), a, b)
+    mine = only_entry(tmp_path)
+    store.get(Counting(), b, a)
+    (other,) = [p for p in tmp_path.rglob("*.flow") if p != mine]
+    other.write_bytes(mine.read_bytes())
+    np.testing.assert_array_equal(store.get(Counting(), b, a), Counting()(b, a))
+
+
+def test_what_cannot_be_named_is_not_kept(tmp_path, pair):
+    def nameless(a, b):
+        return Counting()(a, b)
+
+    FlowCache(tmp_path).get(nameless, *pair)
+    assert not list(tmp_path.iterdir())
+
+
+def test_unwritable_folder_is_one_clear_error(tmp_path, pair):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputFileError, match="cannot write"):
+        FlowCache(tmp_path / "file").get(Counting(), *pair)
