@@ -62,8 +62,9 @@ class Painting:
 def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None = None) -> Painting:
     """Colour the evaluated trajectories by their labels (n,), the clip's own or predicted."""
     values = np.asarray(label, dtype=np.int64)
-    known = clip.labels.background is not None and names is not None
-    called = ({clip.labels.background: "background"} if known else {}) | dict(names or {})
+    called = dict(names or {})
+    if names is not None and clip.labels.background is not None:
+        called.setdefault(clip.labels.background, "background")
     legend = [
         (_entry(value, int((values == value).sum()), called), label_colour(value))
         for value in np.unique(values).tolist()

@@ -1,0 +1,208 @@
+"""What is inside a file or folder, as a text that a person can read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.files import read_bytes
+from kt3dmoseg.io.dataset import dataset_paths
+from kt3dmoseg.io.formats import clip_files, load, recognise
+from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths
+from kt3dmoseg.types import Clip, Trajectories
+
+_FLOW_STARTS = (b"PIEH", b"\x93NUMPY")
+_PICTURE_LIMIT = 1 << 28
+_LONG = 100
+
+
+def info(path: str | os.PathLike[str]) -> str:
+    """Describe a clip, a folder of clips, a folder of frames (or of such folders), or a flow field.
+
+    Parameters
+    ----------
+    path : path
+        File or folder.
+
+    Returns
+    -------
+    str
+        Lines of text, without a final newline.
+
+    Raises
+    ------
+    InputFileError, FileFormatError
+        When there is nothing that can be described.
+    """
+    place = Path(path)
+    if not place.exists():
+        raise InputFileError(f"{place}", expected="a file or folder", found="nothing")
+    if place.is_dir():
+        return _folder(place)
+    with open(place, "rb") as stream:
+        head = stream.read(8)
+    if head[:4] == _FLOW_STARTS[0] or head[:6] == _FLOW_STARTS[1]:
+        return _flow(place)
+    if place.suffix.lower() in IMAGE_SUFFIXES:
+        return _picture(place)
+    return _npz(place) if head[:2] == b"PK" else _clip(load(place), recognise(place).name)
+
+
+def table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """Lay out cells in columns: the first to the left, numbers to the right.
+
+    >>> print(table([["a", "1"], ["bc", "10"]], ["clip", "n"]))
+    clip   n
+    a      1
+    bc    10
+    """
+    cells = [list(header), *map(list, rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    lines = ("  ".join(_aligned(row, widths)).rstrip() for row in cells)
+    return "\n".join(lines)
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int]) -> list[str]:
+    return [
+        f"{cell:<{w}}" if k == 0 else f"{cell:>{w}}"
+        for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+    ]
+
+
+def _clip(clip: Clip, format: str) -> str:
+    dense, scored = clip.dense, clip.evaluated_trajectories
+    numbers = clip.frame_numbers
+    rows = [
+        ("clip", clip.name),
+        ("format", format),
+        ("frames", f"{clip.n_frames}" + (f", numbered {numbers[0]}..{numbers[-1]}" if clip.n_frames else "")),
+        ("image size", _size(dense.image_size)),
+        ("trajectories", f"{len(dense)}, {_lengths(dense)}, {_missing(dense)} of the positions missing"),
+        ("evaluated", f"{len(scored)}, {_lengths(scored)}, {_missing(scored)} of the positions missing"),
+        ("motions", str(clip.n_motions) if clip.n_motions else "0, the clip is not labelled"),
+    ]
+    if clip.camera is not None:
+        rows.append(
+            ("camera", clip.camera.name or "unnamed" + (", K known" if clip.camera.K is not None else ""))
+        )
+    if clip.timestamps is not None and clip.n_frames:
+        rows.append(("time", f"{clip.timestamps[0]:.3f} s to {clip.timestamps[-1]:.3f} s"))
+    rows += [(f"provenance {key}", value) for key, value in _flat(clip.provenance, 2)]
+    width = max(len(name) for name, _ in rows)
+    text = "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+    return f"{text}\n\n{_motions(clip)}" if clip.n_motions else text
+
+
+def _motions(clip: Clip) -> str:
+    labels = clip.labels
+    rows = []
+    for value in np.unique(labels.label).tolist():
+        count = int((labels.label == value).sum())
+        known = "unlabelled or outlier" if value == 0 else "background" if value == labels.background else ""
+        rows.append([f"{value} {labels.names.get(value, known)}", str(count), f"{count / len(labels):.1%}"])
+    return table(rows, ["motion", "trajectories", "share"])
+
+
+def _clips(paths: dict[str, Path]) -> str:
+    rows, totals = [], np.zeros(3, dtype=np.int64)
+    for name, path in paths.items():
+        clip = load(path)
+        totals += clip.n_frames, len(clip.dense), len(clip.evaluated)
+        counts = [str(int((clip.labels.label == m).sum())) for m in clip.labels.motions]
+        sizes = [str(clip.n_frames), str(len(clip.dense)), str(len(clip.evaluated)), str(clip.n_motions)]
+        scored = clip.evaluated_trajectories
+        rows.append([name, *sizes, " ".join(counts) or "-", _missing(scored), _size(clip.dense.image_size)])
+    rows.append([f"{len(paths)} clips", *map(str, totals), "", "", "", ""])
+    header = ["clip", "frames", "dense", "evaluated", "motions", "per motion", "missing", "image size"]
+    return table(rows, header)
+
+
+def _folder(folder: Path) -> str:
+    if _has_pictures(folder):
+        return _frames([folder])
+    subfolders = [sub for sub in sorted(folder.iterdir()) if sub.is_dir() and not sub.name.startswith(".")]
+    if not clip_files(folder):
+        with_pictures = [sub for sub in subfolders if _has_pictures(sub)]
+        if with_pictures:
+            return _frames(with_pictures)
+    return _clips(dataset_paths(folder))
+
+
+def _has_pictures(folder: Path) -> bool:
+    return any(entry.suffix.lower() in IMAGE_SUFFIXES for entry in folder.iterdir())
+
+
+def _frames(folders: Sequence[Path]) -> str:
+    rows = []
+    for folder in folders:
+        try:
+            paths = frame_paths(folder)
+            first = decode(read_bytes(paths[0], _PICTURE_LIMIT), f"{paths[0]}")
+            numbers = f"{frame_number(paths[0])}..{frame_number(paths[-1])}"
+            size = f"{first.shape[1]}x{first.shape[0]}"
+            rows.append([folder.name, str(len(paths)), numbers, size, _kind(first), ""])
+        except (FileFormatError, InputFileError) as error:
+            rows.append([folder.name, "-", "-", "-", "-", str(error)])
+    return table(rows, ["frames of", "frames", "numbers", "size", "pixels", ""])
+
+
+def _picture(path: Path) -> str:
+    picture = decode(read_bytes(path, _PICTURE_LIMIT), f"{path}")
+    if picture.dtype == np.uint16 and picture.ndim == 3:
+        return _flow(path)
+    return f"{path.name}: a picture of {picture.shape[1]}x{picture.shape[0]}, {_kind(picture)}"
+
+
+def _kind(picture: np.ndarray[Any, Any]) -> str:
+    channels = 1 if picture.ndim == 2 else picture.shape[2]
+    return f"{8 * picture.dtype.itemsize}-bit " + ("gray" if channels == 1 else f"{channels} channels")
+
+
+def _npz(path: Path) -> str:
+    from kt3dmoseg.io.npy import npz_shapes
+
+    shapes = npz_shapes(path)
+    return _flow(path) if set(shapes) == {"flow"} or len(shapes) == 1 else _clip(load(path), "npz")
+
+
+def _flow(path: Path) -> str:
+    from kt3dmoseg.io.flow_files import read_flow
+
+    field = read_flow(path)
+    length = np.hypot(field[..., 0], field[..., 1])
+    known = np.isfinite(length)
+    size = f"{field.shape[1]}x{field.shape[0]}"
+    if not known.any():
+        return f"{path.name}: optical flow of {size}, nowhere known"
+    figures = f"mean {length[known].mean():.2f} px, longest {length[known].max():.2f} px"
+    return f"{path.name}: optical flow of {size}, {known.mean():.1%} known, {figures}"
+
+
+def _lengths(trajectories: Trajectories) -> str:
+    lengths = trajectories.lengths
+    if not len(lengths):
+        return "none"
+    return f"{lengths.min()} to {lengths.max()} frames long (mean {lengths.mean():.1f})"
+
+
+def _missing(trajectories: Trajectories) -> str:
+    return f"{1 - trajectories.visible.mean():.1%}" if trajectories.visible.size else "-"
+
+
+def _size(size: tuple[int, int] | None) -> str:
+    return "unknown" if size is None else f"{size[0]}x{size[1]}"
+
+
+def _flat(values: Mapping[str, Any], levels: int) -> Iterator[tuple[str, str]]:
+    """Give the entries as texts; the first levels of nested ones under joined names."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and levels > 0:
+            yield from ((f"{key}.{inner}", text) for inner, text in _flat(value, levels - 1))
+        else:
+            text = str(value)
+            yield key, text if len(text) <= _LONG else text[: _LONG - 3] + "..."
