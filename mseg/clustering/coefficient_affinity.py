@@ -9,6 +9,7 @@ from kt3dmoseg.types import FloatArray
 from mseg.clustering.laplacian import normalised_laplacian, unit_rows
 
 _RELATIVE_RANK = 1e-4
+_EIGENVALUE_FLOOR = 0.01
 
 
 def keep_largest(coefficients: FloatArray, share: float) -> FloatArray:
@@ -90,7 +91,7 @@ def low_rank_affinity(coefficients: FloatArray, power: int = 4) -> FloatArray:
 
 
 def count_by_eigengap(affinity: FloatArray, largest: int = 6) -> int:
-    """Count clusters by the widest gap in the spectrum of the normalised Laplacian.
+    """Count clusters by the widest relative gap in the spectrum of the normalised Laplacian.
 
     Parameters
     ----------
@@ -102,16 +103,34 @@ def count_by_eigengap(affinity: FloatArray, largest: int = 6) -> int:
     Returns
     -------
     int
-        ``argmax_k (lambda_{k+1} - lambda_k)`` over 2 <= k <= `largest`, eigenvalues ascending; the
-        smallest of equals. At least two motions are assumed: with one there is nothing to segment.
+        Number k in 2..`largest` of the widest of `relative_eigengaps`, the smallest of equals. At least
+        two motions are assumed: with one there is nothing to segment.
+    """
+    gaps = relative_eigengaps(affinity, largest)
+    return int(np.argmax(gaps[1:])) + 2 if len(gaps) > 1 else 1
 
-    References
+
+def relative_eigengaps(affinity: FloatArray, largest: int) -> FloatArray:
+    """Gaps ``(lambda_{k+1} - lambda_k) / (lambda_k + 0.01)`` for k = 1..`largest`.
+
+    Eigenvalues of the normalised Laplacian, ascending (von Luxburg, "A tutorial on spectral clustering",
+    2007, section 8.3). Dividing matters: on Hopkins155 the plain gap takes the bulk of the spectrum for a
+    cluster boundary. The floor keeps values that are zero but for rounding from deciding.
+
+    Parameters
     ----------
-    von Luxburg, "A tutorial on spectral clustering", 2007, section 8.3.
+    affinity : (N, N) float64
+        Symmetric weights >= 0.
+    largest : int
+        Number of gaps wanted; at most N - 1 exist.
+
+    Returns
+    -------
+    (min(largest, N - 1),) float64
     """
     largest = min(largest, len(affinity) - 1)
-    if largest < 2:
-        return 1
+    if largest < 1:
+        return np.zeros(0)
     laplacian = normalised_laplacian(affinity)
     values = eigvalsh(laplacian, subset_by_index=(0, largest), check_finite=False)
-    return int(np.argmax(np.diff(values)[1:])) + 2
+    return np.asarray(np.diff(values) / (np.maximum(values[:-1], 0) + _EIGENVALUE_FLOOR))

@@ -10,7 +10,8 @@ from scipy.linalg import eigvalsh
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import normalised_laplacian, unit_rows
+from mseg.clustering import unit_rows
+from mseg.clustering.coefficient_affinity import relative_eigengaps
 from mseg.clustering.discretise import discretise, offset_ncut_embedding
 from mseg.geometry.trajectory_matrix import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
@@ -35,7 +36,7 @@ class RSIM(CompleteDataMethod):
     starts from one random row, so that single sequences flip with the seed; here the best of several starts
     counts.
     Input: complete trajectories (gaps are completed; the authors use GROUSE there). Number of motions:
-    given, or by the eigengap relative to the eigenvalue below it, averaged over the ranks (ours). Outliers:
+    given, or by relative eigengaps averaged over the ranks (ours). Outliers:
     not handled. Cost: O(K N^3); O(N^2) memory.
     """
 
@@ -75,20 +76,12 @@ def shape_interaction_affinity(space: FloatArray, power: float) -> FloatArray:
 
 
 def count_motions(matrix: FloatArray, power: float, largest: int = 6) -> int:
-    """Find the k in 2..`largest` whose relative eigengap, averaged over the ranks k..4k, is widest.
-
-    The gap is ``(lambda_{k+1} - lambda_k) / lambda_k`` of the normalised Laplacian, ascending.
-    """
+    """Find the k in 2..`largest` whose relative eigengap, averaged over the ranks k..4k, is widest."""
     space = leading_row_space(matrix, 4 * largest)
-    largest = min(largest, len(space) - 1)
-    gaps: dict[int, list[float]] = {k: [] for k in range(2, largest + 1)}
-    for rank in range(min(2, space.shape[1]), space.shape[1] + 1):
-        laplacian = normalised_laplacian(shape_interaction_affinity(space[:, :rank], power))
-        values = np.maximum(eigvalsh(laplacian, subset_by_index=(0, largest), check_finite=False), 1e-9)
-        for k in range(-(-rank // 4), min(rank, largest) + 1):
-            if k in gaps:
-                gaps[k].append(float(values[k] / values[k - 1] - 1))
-    return max(gaps, key=lambda k: float(np.mean(gaps[k] or 0)), default=1)
+    ranks = range(1, space.shape[1] + 1)
+    gaps = [relative_eigengaps(shape_interaction_affinity(space[:, :r], power), largest) for r in ranks]
+    widest = [np.mean([g[k - 1] for g in gaps[k - 1 : 4 * k]] or 0) for k in range(2, len(gaps[0]) + 1)]
+    return int(np.argmax(widest)) + 2 if widest else 1
 
 
 def cut_over_gap(affinity: FloatArray, labels: IntArray, n_clusters: int) -> float:
