@@ -28,8 +28,8 @@ class LRR(CompleteDataMethod):
     Source: Liu, Lin, Yan, Sun, Yu, Ma, "Robust recovery of subspace structures by low-rank representation",
     TPAMI 2013, equation 7, algorithms 1 and 2; lambda = 4, the row of ones and the exponent are those of the
     authors' motion script.
-    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of the
-    affinity's normalised Laplacian. Outliers: whole bad trajectories are absorbed by E, but still labelled.
+    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of
+    the affinity's normalised Laplacian. Outliers: whole bad trajectories are absorbed by E, but still labelled.
     Cost: some 400 iterations of O(N F^2), then O(N^3); O(N^2) memory.
     """
 

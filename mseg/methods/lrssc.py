@@ -31,8 +31,8 @@ class LRSSC(CompleteDataMethod):
 
     Source: Wang, Xu, Leng, "Provable subspace clustering: when LRR meets SSC", NIPS 2013, equation 2. They
     publish no setting for trajectories; lambda was set on the public sequences, mu is that of SSC.
-    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of the
-    affinity's normalised Laplacian. Outliers: not handled. Cost: about 100 iterations of O(N^3); O(N^2)
+    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of
+    the affinity's normalised Laplacian. Outliers: not handled. Cost: about 100 iterations of O(N^3); O(N^2)
     memory.
     """
 

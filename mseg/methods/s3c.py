@@ -30,8 +30,8 @@ class S3C(CompleteDataMethod):
     2015, equations 6-11 and algorithm 2 (hard version); gamma = 0.1, nu = 1, growth 1.2 and at most 10 passes
     are those of the authors' code. Their motion settings of the SSC part are not published; those of SSC are
     used.
-    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap after the
-    first pass. Outliers: not handled. Cost: that of SSC times the number of passes, usually 2.
+    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap after
+    the first pass. Outliers: not handled. Cost: that of SSC times the number of passes, usually 2.
     """
 
     finds_n_motions: ClassVar[bool] = True

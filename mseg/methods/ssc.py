@@ -29,8 +29,8 @@ class SSC(CompleteDataMethod):
     Source: Elhamifar and Vidal, "Sparse subspace clustering: algorithm, theory and applications", TPAMI
     2013, equation 13, algorithm 2 and section 7.1; alpha = 800, affine, rho = 0.7, no projection are the
     published choices for motion ("2F-dimensional data").
-    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of W's
-    normalised Laplacian. Outliers: not handled. Cost: O(N^2 F) per iteration, 100-200 iterations, O(N^3)
+    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of
+    W's normalised Laplacian. Outliers: not handled. Cost: O(N^2 F) per iteration, 100-200 iterations, O(N^3)
     for the spectral step; O(N^2) memory.
     """
 
