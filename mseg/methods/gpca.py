@@ -37,7 +37,7 @@ class GPCA(CompleteDataMethod):
     """
 
     dimension: int = option(5, "dimension of the projection", low=2)
-    n_restarts: int = option(10, "restarts of k-means", low=1)
+    restarts: int = option(10, "restarts of k-means", low=1)
 
     def group(
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
@@ -53,7 +53,7 @@ class GPCA(CompleteDataMethod):
                 found=str(len(points)),
             )
         normals = unit_rows(gradients(points, powers, vanishing_polynomial(points, powers)))
-        labels = spectral_clustering((normals @ normals.T) ** 2, n_motions, rng, n_restarts=self.n_restarts)
+        labels = spectral_clustering((normals @ normals.T) ** 2, n_motions, rng, n_restarts=self.restarts)
         return labels, {"monomials": len(powers)}
 
 

@@ -29,7 +29,7 @@ class LRR(CompleteDataMethod):
     TPAMI 2013, equation 7, algorithms 1 and 2; lambda = 4, the row of ones and the exponent are those of the
     authors' motion script.
     Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of
-    the affinity's normalised Laplacian. Outliers: whole bad trajectories are absorbed by E, but still labelled.
+    the affinity's normalised Laplacian. Outliers: whole bad trajectories are absorbed by E, but labelled.
     Cost: some 400 iterations of O(N F^2), then O(N^3); O(N^2) memory.
     """
 
@@ -39,7 +39,7 @@ class LRR(CompleteDataMethod):
     power: int = option(4, "exponent of the affinity", low=1)
     tolerance: float = option(1e-8, "largest residual of the constraints at convergence", low=0)
     max_iterations: int = option(1000, "cap on iterations", low=1)
-    n_restarts: int = option(20, "restarts of k-means", low=1)
+    restarts: int = option(20, "restarts of k-means", low=1)
 
     def group(
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
@@ -53,7 +53,7 @@ class LRR(CompleteDataMethod):
         )
         affinity = low_rank_affinity(solved.coefficients, self.power)
         count = n_motions or count_by_eigengap(affinity)
-        labels = kmeans(random_walk_embedding(affinity, count), count, rng, n_restarts=self.n_restarts).labels
+        labels = kmeans(random_walk_embedding(affinity, count), count, rng, n_restarts=self.restarts).labels
         return labels + 1, {**solved.convergence.report(), "n_motions": count}
 
 

@@ -44,7 +44,7 @@ class LRSSC(CompleteDataMethod):
     weight: float = option(4.0, "weight of LRR's errors (cascade)", low=0)
     rho: float = option(0.7, "share of a column's l1 norm that is kept", low=0, high=1)
     max_iterations: int = option(400, "cap on ADMM iterations", low=1)
-    n_restarts: int = option(20, "restarts of k-means", low=1)
+    restarts: int = option(20, "restarts of k-means", low=1)
 
     def group(
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
@@ -53,7 +53,7 @@ class LRSSC(CompleteDataMethod):
         solved = self._joint(data) if self.variant == "joint" else self._cascade(data)
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
-        labels = spectral_clustering(affinity, count, rng, n_restarts=self.n_restarts)
+        labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
         return labels, {**solved.convergence.report(), "n_motions": count}
 
     def _joint(self, data: CompleteData) -> Representation:

@@ -36,7 +36,7 @@ class LSA(CompleteDataMethod):
 
     dimension: int = option(0, "dimension r of the projection; 0 = four times the number of motions", low=0)
     n_neighbours: int = option(6, "neighbours k that span a local subspace", low=1)
-    n_restarts: int = option(10, "restarts of k-means", low=1)
+    restarts: int = option(10, "restarts of k-means", low=1)
 
     def group(
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
@@ -49,7 +49,7 @@ class LSA(CompleteDataMethod):
             )
         points = unit_rows(leading_row_space(data.pixels, self.dimension or 4 * n_motions))
         affinity = local_subspace_affinity(points, self.n_neighbours)
-        labels = spectral_clustering(affinity, n_motions, rng, n_restarts=self.n_restarts)
+        labels = spectral_clustering(affinity, n_motions, rng, n_restarts=self.restarts)
         return labels, {"dimension": points.shape[1]}
 
 

@@ -43,7 +43,7 @@ class RSIM(CompleteDataMethod):
     finds_n_motions: ClassVar[bool] = True
 
     power: float = option(3.5, "exponent of the affinity", low=1)
-    n_starts: int = option(10, "starts of the discretisation", low=1)
+    starts: int = option(10, "starts of the discretisation", low=1)
 
     def group(
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
@@ -55,7 +55,7 @@ class RSIM(CompleteDataMethod):
         best, labels, chosen = np.inf, np.zeros(data.n_points, dtype=np.int64), 0
         for rank in range(min(k, space.shape[1]), space.shape[1] + 1):
             affinity = shape_interaction_affinity(space[:, :rank], self.power)
-            found = discretise(offset_ncut_embedding(affinity, k), rng, n_starts=self.n_starts)
+            found = discretise(offset_ncut_embedding(affinity, k), rng, n_starts=self.starts)
             score = cut_over_gap(affinity, found, k)
             if score < best or not chosen:
                 best, labels, chosen = score, found, rank

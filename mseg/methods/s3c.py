@@ -30,8 +30,8 @@ class S3C(CompleteDataMethod):
     2015, equations 6-11 and algorithm 2 (hard version); gamma = 0.1, nu = 1, growth 1.2 and at most 10 passes
     are those of the authors' code. Their motion settings of the SSC part are not published; those of SSC are
     used.
-    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap after
-    the first pass. Outliers: not handled. Cost: that of SSC times the number of passes, usually 2.
+    Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap
+    after the first pass. Outliers: not handled. Cost: that of SSC times the number of passes, usually 2.
     """
 
     finds_n_motions: ClassVar[bool] = True
@@ -43,7 +43,7 @@ class S3C(CompleteDataMethod):
     max_passes: int = option(10, "cap on passes", low=1)
     tolerance: float = option(2e-4, "largest residual of the constraints at convergence of a pass", low=0)
     max_iterations: int = option(400, "cap on ADMM iterations of a pass", low=1)
-    n_restarts: int = option(20, "restarts of k-means", low=1)
+    restarts: int = option(20, "restarts of k-means", low=1)
 
     def group(
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
@@ -52,13 +52,13 @@ class S3C(CompleteDataMethod):
         solved = self._represent(data, None, None, 1.0)
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
-        labels = spectral_clustering(affinity, count, rng, n_restarts=self.n_restarts)
+        labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
         passes, stable, nu = 1, False, self.growth
         while passes < self.max_passes and not stable:
             solved = self._represent(data, solved, labels, nu)
             affinity = sparse_affinity(solved.coefficients, self.rho)
             before = labels
-            labels = spectral_clustering(affinity, count, rng, n_restarts=self.n_restarts)
+            labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
             stable = bool(np.array_equal(_together(labels), _together(before)))
             passes, nu = passes + 1, nu * self.growth
         report = solved.convergence.report() | {"passes": passes, "n_motions": count}

@@ -42,7 +42,7 @@ class SSC(CompleteDataMethod):
     dimension: int = option(0, "project to this many dimensions first; 0 = no projection", low=0)
     tolerance: float = option(2e-4, "largest residual of the constraints at convergence", low=0)
     max_iterations: int = option(400, "cap on ADMM iterations", low=1)
-    n_restarts: int = option(20, "restarts of k-means", low=1)
+    restarts: int = option(20, "restarts of k-means", low=1)
 
     def group(
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
@@ -58,5 +58,5 @@ class SSC(CompleteDataMethod):
         )
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
-        labels = spectral_clustering(affinity, count, rng, n_restarts=self.n_restarts)
+        labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
         return labels, {**solved.convergence.report(), "n_motions": count}
