@@ -13,7 +13,7 @@ _Array = npt.NDArray[Any]
 
 
 def top_count(n_hypotheses: int, fraction: float) -> int:
-    """Number of preferred hypotheses: the fraction rounded half up, at least 1 of any."""
+    """Count the preferred hypotheses: the fraction rounded half up, at least 1 of any."""
     return min(n_hypotheses, max(1, int(np.floor(fraction * n_hypotheses + 0.5))))
 
 

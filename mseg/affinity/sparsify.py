@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.types import BoolArray, FloatArray
+
 _Array = npt.NDArray[Any]
+_BLOCK_ENTRIES = 1 << 20
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
@@ -36,20 +39,35 @@ def neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:
     Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR 2018,
     section 4 (the neighbourhood of the authors' released code).
     """
-    power = kernel**alpha
-    power = power.max(axis=1, keepdims=True) - power
-    total = power.sum(axis=1, keepdims=True)
-    np.divide(power, total, out=power, where=total > 0)
-    logarithm = np.log(power + _EPSILON)
-    mean = np.einsum("ij,ij->i", power, logarithm)
-    keep = (logarithm < mean[:, None]) & (total > 0)
+    keep = np.empty(kernel.shape, dtype=np.bool_)
+    rows = max(1, _BLOCK_ENTRIES // max(1, len(kernel)))
+    for start in range(0, len(kernel), rows):
+        block = kernel[start : start + rows]
+        keep[start : start + rows] = _kept_neighbours(block.astype(np.float64), alpha)
     mask: _Array = keep.astype(kernel.dtype)
     mask += keep.T
-    mask *= 0.5
+    mask *= kernel.dtype.type(0.5)
     return mask
 
 
 def sparsify(kernel: _Array, alpha: float) -> _Array:
     """Return the affinity times its `neighbourhood_mask`: symmetric, mostly zero."""
-    out: _Array = kernel * neighbourhood_mask(kernel, alpha)
+    out: _Array = neighbourhood_mask(kernel, alpha)
+    out *= kernel
     return out
+
+
+def _kept_neighbours(kernel: FloatArray, alpha: float) -> BoolArray:
+    """Rows of the mask before it is made symmetric.
+
+    In double precision: most distances of a row are nearly equal to its largest, and the threshold
+    lies among them.
+    """
+    power = kernel**alpha
+    distance = power.max(axis=1, keepdims=True) - power
+    total = distance.sum(axis=1, keepdims=True)
+    np.divide(distance, total, out=distance, where=total > 0)
+    logarithm = np.log(distance + _EPSILON)
+    mean = np.einsum("ij,ij->i", distance, logarithm)
+    kept: BoolArray = (logarithm < mean[:, None]) & (total > 0)
+    return kept

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from mseg.clustering.eigen import Symmetric, smallest_eigenvectors
+from mseg.clustering.fusion import Fusion, constrain_subsets, coregularise
 from mseg.clustering.kmeans import KMeans, kmeans
 from mseg.clustering.laplacian import (
+    GraphLaplacian,
     normalised_laplacian,
-    smallest_eigenvectors,
     spectral_embedding,
     unit_rows,
 )
 from mseg.clustering.spectral import spectral_clustering
 
 __all__ = [
+    "Fusion",
+    "GraphLaplacian",
     "KMeans",
+    "Symmetric",
+    "constrain_subsets",
+    "coregularise",
     "kmeans",
     "normalised_laplacian",
     "smallest_eigenvectors",

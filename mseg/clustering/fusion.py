@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray
-from mseg.clustering.laplacian import smallest_eigenvectors, unit_rows
+from mseg.clustering.eigen import Symmetric, smallest_eigenvectors
+from mseg.clustering.laplacian import unit_rows
 
-_Array = npt.NDArray[Any]
-_Reward: TypeAlias = Callable[[list[FloatArray], int], FloatArray]
+_Reward: TypeAlias = Callable[[list[FloatArray], int], Symmetric]
+_BLOCK_ENTRIES = 1 << 22
+_KEPT_ENTRIES = 1 << 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class Fusion:
 
 
 def coregularise(
-    laplacians: Sequence[_Array],
+    laplacians: Sequence[Symmetric],
     n_clusters: int,
     *,
     weight: float = 0.01,
@@ -60,8 +61,8 @@ def coregularise(
 
     Parameters
     ----------
-    laplacians : sequence of V arrays (N, N)
-        Normalised Laplacians of the views.
+    laplacians : sequence of V matrices (N, N)
+        Normalised Laplacians, arrays or `mseg.clustering.GraphLaplacian` of the views.
     n_clusters : int
         Number K of eigenvectors.
     weight : float
@@ -82,16 +83,14 @@ def coregularise(
     CVPR 2018, section 3.2.
     """
 
-    def agreement(embeddings: list[FloatArray], view: int) -> FloatArray:
-        others = np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1)
-        out: FloatArray = others @ others.T
-        return out
+    def agreement(embeddings: list[FloatArray], view: int) -> Symmetric:
+        return _LowRank(np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1))
 
     return _alternate(laplacians, n_clusters, agreement, weight, tolerance, max_sweeps, monitor_last=False)
 
 
 def constrain_subsets(
-    laplacians: Sequence[_Array],
+    laplacians: Sequence[Symmetric],
     n_clusters: int,
     *,
     weight: float = 0.01,
@@ -108,8 +107,9 @@ def constrain_subsets(
 
     Parameters
     ----------
-    laplacians : sequence of V arrays (N, N)
-        Normalised Laplacians, the smallest model first: affine, homography, fundamental.
+    laplacians : sequence of V matrices (N, N)
+        Normalised Laplacians, arrays or `mseg.clustering.GraphLaplacian`, the smallest model first:
+        affine, homography, fundamental.
     n_clusters : int
         Number K of eigenvectors.
     weight : float
@@ -130,19 +130,64 @@ def constrain_subsets(
     Xu, Cheong, Li, CVPR 2018, section 3.2, equations of the subset constraint.
     """
 
-    def nesting(embeddings: list[FloatArray], view: int) -> FloatArray:
-        reward = np.zeros((len(embeddings[view]),) * 2)
-        if view > 0:
-            reward += np.maximum(embeddings[view - 1] @ embeddings[view - 1].T, 0.0)
-        if view + 1 < len(embeddings):
-            reward += np.minimum(embeddings[view + 1] @ embeddings[view + 1].T, 0.0)
-        return reward
+    def nesting(embeddings: list[FloatArray], view: int) -> Symmetric:
+        smaller = embeddings[view - 1] if view > 0 else None
+        larger = embeddings[view + 1] if view + 1 < len(embeddings) else None
+        return _Nesting(smaller, larger, len(embeddings[view]))
 
     return _alternate(laplacians, n_clusters, nesting, weight, tolerance, max_sweeps, monitor_last=True)
 
 
+class _LowRank:
+    """U U^T for a thin U, never written out."""
+
+    def __init__(self, factor: FloatArray) -> None:
+        self.factor, self.shape = factor, (len(factor),) * 2
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        out: FloatArray = self.factor @ (self.factor.T @ vectors)
+        return out
+
+
+class _Nesting:
+    """max(U U^T, 0) of the smaller model plus min(U U^T, 0) of the larger, by blocks of rows.
+
+    Up to `_KEPT` entries are computed once and kept; beyond, memory matters more than time.
+    """
+
+    def __init__(self, smaller: FloatArray | None, larger: FloatArray | None, size: int) -> None:
+        self.smaller, self.larger, self.shape = smaller, larger, (size, size)
+        rows = max(1, _BLOCK_ENTRIES // size)
+        self.slices = [slice(start, start + rows) for start in range(0, size, rows)]
+        self.kept = [self._rows(part) for part in self.slices] if size * size <= _KEPT_ENTRIES else None
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        blocks = self.kept or (self._rows(part) for part in self.slices)
+        return np.concatenate([block @ vectors for block in blocks])
+
+    def _rows(self, part: slice) -> FloatArray:
+        block = np.zeros((len(range(self.shape[0])[part]), self.shape[0]))
+        if self.smaller is not None:
+            block += np.maximum(self.smaller[part] @ self.smaller.T, 0.0)
+        if self.larger is not None:
+            block += np.minimum(self.larger[part] @ self.larger.T, 0.0)
+        return block
+
+
+class _Rewarded:
+    """laplacian - weight * reward."""
+
+    def __init__(self, laplacian: Symmetric, weight: float, reward: Symmetric) -> None:
+        self.laplacian, self.weight, self.reward = laplacian, weight, reward
+        self.shape = laplacian.shape
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        out: FloatArray = self.laplacian @ vectors - self.weight * (self.reward @ vectors)
+        return out
+
+
 def _alternate(
-    laplacians: Sequence[_Array],
+    laplacians: Sequence[Symmetric],
     n_clusters: int,
     reward: _Reward,
     weight: float,
@@ -153,19 +198,21 @@ def _alternate(
 ) -> Fusion:
     if len({laplacian.shape for laplacian in laplacians}) != 1:
         shapes = ", ".join(str(laplacian.shape) for laplacian in laplacians)
-        raise InvalidValueError("laplacians", expected="at least one, all of one shape", found=shapes or "none")
+        raise InvalidValueError(
+            "laplacians", expected="at least one, all of one shape", found=shapes or "none"
+        )
     embeddings = [smallest_eigenvectors(laplacian, n_clusters) for laplacian in laplacians]
     objectives: list[float] = []
     converged = False
     while len(objectives) < max_sweeps and not converged:
         value = 0.0
         for view, laplacian in enumerate(laplacians):
-            target = laplacian - weight * reward(embeddings, view)
-            embeddings[view] = smallest_eigenvectors(target, n_clusters)
+            target = _Rewarded(laplacian, weight, reward(embeddings, view))
+            embeddings[view] = smallest_eigenvectors(target, n_clusters, start=embeddings[view])
             value += _trace(target, embeddings[view])
         if monitor_last:
             value = sum(
-                _trace(laplacian - weight * reward(embeddings, view), embeddings[view])
+                _trace(_Rewarded(laplacian, weight, reward(embeddings, view)), embeddings[view])
                 for view, laplacian in enumerate(laplacians)
             )
         converged = bool(objectives) and abs(value - objectives[-1]) < tolerance
@@ -173,5 +220,5 @@ def _alternate(
     return Fusion(tuple(embeddings), tuple(objectives), converged)
 
 
-def _trace(matrix: _Array, vectors: FloatArray) -> float:
+def _trace(matrix: Symmetric, vectors: FloatArray) -> float:
     return float(np.einsum("nk,nk->", vectors, matrix @ vectors))

@@ -122,15 +122,17 @@ def _means(points: FloatArray, labels: IntArray, centres: FloatArray) -> FloatAr
     count = member.sum(axis=1, keepdims=True)
     total = member @ points
     mean = np.divide(total, count, out=centres.reshape(-1, dimension).copy(), where=count > 0)
-    return mean.reshape(centres.shape)
+    out: FloatArray = mean.reshape(centres.shape)
+    return out
 
 
 def _distances(points: FloatArray, squares: FloatArray, centres: FloatArray) -> FloatArray:
     """Squared distances (C, N) of all points to all centres (C, d)."""
-    distance = -2.0 * (centres @ points.T)
+    distance: FloatArray = -2.0 * (centres @ points.T)
     distance += squares
     distance += np.einsum("cd,cd->c", centres, centres)[:, None]
-    return np.maximum(distance, 0.0, out=distance)
+    np.maximum(distance, 0.0, out=distance)
+    return distance
 
 
 def _check(points: FloatArray, n_clusters: int, n_restarts: int) -> None:

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import eigh
+from scipy.sparse import csr_array, diags_array
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray
-from mseg.errors import TooFewPointsError
+from mseg.clustering.eigen import smallest_eigenvectors
 
 _Array = npt.NDArray[Any]
 
@@ -39,7 +39,7 @@ def normalised_laplacian(affinity: _Array) -> _Array:
     Ng, Jordan, Weiss, "On spectral clustering", NIPS 2001; von Luxburg, "A tutorial on spectral
     clustering", 2007, section 3.2.
     """
-    _check_affinity(affinity)
+    _check_weights(affinity, affinity.shape)
     degree = affinity.sum(axis=1)
     scale = np.zeros_like(degree)
     np.divide(1.0, np.sqrt(degree), out=scale, where=degree > 0)
@@ -73,19 +73,45 @@ def spectral_embedding(affinity: _Array, n_clusters: int) -> FloatArray:
     return smallest_eigenvectors(normalised_laplacian(affinity), n_clusters)
 
 
-def smallest_eigenvectors(matrix: _Array, count: int) -> FloatArray:
-    """Orthonormal eigenvectors of the `count` smallest eigenvalues of a symmetric matrix, (N, count)."""
-    if not 1 <= count <= len(matrix):
-        raise TooFewPointsError("number of clusters", expected=f"1..{len(matrix)} (points)", found=str(count))
-    _, vectors = eigh(matrix, subset_by_index=(0, count - 1), driver="evr", check_finite=False)
-    return fixed_sign(np.asarray(vectors, dtype=np.float64))
+class GraphLaplacian:
+    """The normalised Laplacian of a sparse graph, as something to multiply with.
 
+    Parameters
+    ----------
+    affinity : (N, N) float, array or sparse
+        Symmetric weights W >= 0, mostly zero. Vertices without weight get rows of the identity.
+    uniform : float
+        Weight spread evenly over all pairs of vertices, as a fraction of the mean degree; 0 = none.
+        It keeps a few vertices that hang on no others from taking eigenvectors for themselves.
 
-def fixed_sign(vectors: FloatArray) -> FloatArray:
-    """Flip columns so that the entry of largest magnitude is positive: an eigenvector has no sign."""
-    largest = np.abs(vectors).argmax(axis=0)
-    sign = np.sign(vectors[largest, np.arange(vectors.shape[1])])
-    return vectors * np.where(sign == 0, 1.0, sign)
+    Raises
+    ------
+    InvalidValueError
+        When the affinity is not square, not finite or negative.
+
+    References
+    ----------
+    Amini, Chen, Bickel, Levina, "Pseudo-likelihood methods for community detection in large sparse
+    networks", Annals of Statistics 2013; Zhang and Rohe, "Understanding regularized spectral
+    clustering via graph conductance", NeurIPS 2018.
+    """
+
+    def __init__(self, affinity: _Array | csr_array, *, uniform: float = 0.0) -> None:
+        weights = csr_array(affinity).astype(np.float64)
+        _check_weights(weights.data, weights.shape)
+        self.shape = weights.shape
+        degree = np.asarray(weights.sum(axis=1))
+        weight = uniform * degree.mean() / len(degree) if len(degree) else 0.0
+        scale = np.zeros(len(degree))
+        np.divide(1.0, np.sqrt(degree + weight * len(degree)), out=scale, where=degree > 0)
+        self._adjacency = diags_array(scale) @ weights @ diags_array(scale)
+        self._uniform = (np.sqrt(weight) * scale)[:, None]
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        """Multiply with (N, b)."""
+        out: FloatArray = vectors - self._adjacency @ vectors
+        out -= self._uniform @ (self._uniform.T @ vectors)
+        return out
 
 
 def unit_rows(points: FloatArray) -> FloatArray:
@@ -96,8 +122,8 @@ def unit_rows(points: FloatArray) -> FloatArray:
     return scaled
 
 
-def _check_affinity(affinity: _Array) -> None:
-    if affinity.ndim != 2 or affinity.shape[0] != affinity.shape[1]:
-        raise InvalidValueError("affinity", expected="shape (N, N)", found=f"{affinity.shape}")
-    if affinity.size and not (np.isfinite(affinity).all() and affinity.min() >= 0):
+def _check_weights(weights: _Array, shape: tuple[int, ...]) -> None:
+    if len(shape) != 2 or shape[0] != shape[1]:
+        raise InvalidValueError("affinity", expected="shape (N, N)", found=f"{shape}")
+    if weights.size and not (np.isfinite(weights).all() and weights.min() >= 0):
         raise InvalidValueError("affinity", expected="finite weights >= 0", found="NaN, inf or negative")

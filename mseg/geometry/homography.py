@@ -110,7 +110,8 @@ def symmetric_transfer(models: _Array, x1: _Array, x2: _Array) -> _Array:
 def adjugate(matrices: _Array) -> _Array:
     """Transposed cofactors of 3 x 3 matrices: inverses up to scale, also where nearly singular."""
     a, b, c = matrices[:, 0], matrices[:, 1], matrices[:, 2]
-    return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    out: _Array = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    return out
 
 
 def _transfer(models: _Array, x1: _Array, x2: _Array) -> _Array:
@@ -121,10 +122,9 @@ def _transfer(models: _Array, x1: _Array, x2: _Array) -> _Array:
         v /= w
     u -= x2[:, :1]
     v -= x2[:, 1:]
-    u *= u
-    v *= v
-    u += v
-    return u
+    out: _Array = u * u
+    out += v * v
+    return out
 
 
 def _gradient_products(
@@ -172,7 +172,7 @@ def _four_points(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]
 
 
 def _projective_basis(points: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Maps of e1, e2, e3, (1, 1, 1) to the four points, (K, 3, 3), and where they exist."""
+    """Find the maps of e1, e2, e3, (1, 1, 1) to the four points, (K, 3, 3), and where they exist."""
     homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
     triples = np.array(list(combinations(range(4), 3)))
     area = np.abs(np.linalg.det(homogeneous[:, triples]))

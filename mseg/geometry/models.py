@@ -16,6 +16,8 @@ from mseg.types import ModelKind
 
 Distance: TypeAlias = Literal["sampson", "transfer"]
 _Array = npt.NDArray[Any]
+
+_Fit: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]]
 _Residual: TypeAlias = Callable[[_Array, _Array, _Array], _Array]
 
 
@@ -29,6 +31,8 @@ class Model:
         Size of a minimal sample.
     fit : callable
         ``fit(x1 (K, p, 2), x2 (K, p, 2)) -> models (K, 3, 3), ok (K,)``.
+    fit_together : callable
+        The same for samples of points that are normalised together already.
     sampson : callable
         ``sampson(models (K, 3, 3), x1 (P, 2), x2 (P, 2)) -> (P, K)`` squared Sampson distances.
     transfer : callable or None
@@ -38,18 +42,26 @@ class Model:
     """
 
     minimal: int
-    fit: Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]]
+    fit: _Fit
+    fit_together: _Fit
     sampson: _Residual
     transfer: _Residual | None
     maps_points: bool
 
 
 MODELS: dict[ModelKind, Model] = {
-    "affine": Model(affine.MINIMAL, affine.fit, affine.sampson, affine.symmetric_transfer, True),
+    "affine": Model(affine.MINIMAL, affine.fit, affine.fit, affine.sampson, affine.symmetric_transfer, True),
     "homography": Model(
-        homography.MINIMAL, homography.fit, homography.sampson, homography.symmetric_transfer, True
+        homography.MINIMAL,
+        homography.fit,
+        homography.fit,
+        homography.sampson,
+        homography.symmetric_transfer,
+        True,
     ),
-    "fundamental": Model(fundamental.MINIMAL, fundamental.fit, fundamental.sampson, None, False),
+    "fundamental": Model(
+        fundamental.MINIMAL, fundamental.fit, fundamental.eight_point, fundamental.sampson, None, False
+    ),
 }
 
 
@@ -87,14 +99,14 @@ def residuals(
 
 
 def change_frame(kind: ModelKind, models: FloatArray, t1: FloatArray, t2: FloatArray) -> FloatArray:
-    """Express models in new image coordinates T1 x1 and T2 x2 (similarities), Frobenius norm kept 1.
+    """Express models in new image coordinates T1 x1 and T2 x2 (similarities, one or one per model).
 
-    Affine maps keep their last row (0 0 1) instead.
+    Homographies and fundamental matrices come out with Frobenius norm 1, affine maps with (0 0 1).
     """
     if MODELS[kind].maps_points:
         moved = t2 @ models @ hartley.inverse(t1)
     else:
-        moved = hartley.inverse(t2).T @ models @ hartley.inverse(t1)
+        moved = np.swapaxes(hartley.inverse(t2), -1, -2) @ models @ hartley.inverse(t1)
     if kind == "affine":
         return moved
     size = np.linalg.norm(moved, axis=(1, 2), keepdims=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mseg.sampling.hypotheses import frame_pairs, sample_hypotheses
+from mseg.sampling.hypotheses import sample_hypotheses
 from mseg.sampling.subsets import draw_subsets
 
-__all__ = ["draw_subsets", "frame_pairs", "sample_hypotheses"]
+__all__ = ["draw_subsets", "sample_hypotheses"]

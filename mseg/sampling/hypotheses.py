@@ -5,17 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
-from mseg.geometry import MODELS
+from mseg.geometry import MODELS, change_frame, hartley
 from mseg.sampling.subsets import draw_subsets
 from mseg.types import Hypotheses, ModelKind
 
 _TRIES = 12
-
-
-def frame_pairs(n_frames: int, gap: int) -> IntArray:
-    """Pairs (f, f + gap) of frames, (n, 2)."""
-    first = np.arange(max(n_frames - gap, 0))
-    return np.stack([first, first + gap], axis=1)
 
 
 def sample_hypotheses(
@@ -28,9 +22,10 @@ def sample_hypotheses(
 ) -> Hypotheses:
     """Fit models to uniform minimal samples of every frame pair, all pairs at once.
 
-    Degenerate samples are drawn again, at most eleven times; then they are left out, so a pair may
-    hold fewer models than asked for. A pair with fewer visible points than a minimal sample holds
-    none.
+    The points of a pair are normalised together (Hartley), and a fundamental matrix is made rank 2
+    in that frame. Degenerate samples are drawn again, at most eleven times; then they are left out,
+    so a pair may hold fewer models than asked for. A pair with fewer visible points than a minimal
+    sample holds none.
 
     Parameters
     ----------
@@ -50,25 +45,41 @@ def sample_hypotheses(
     Hypotheses
         In pixel coordinates, pairs ascending.
     """
+    minimal = MODELS[kind].minimal
+    pairs = [(f, f + gap) for f in range(trajectories.n_frames - gap)]
+    points = [(pair, *trajectories.pair(*pair)[1:]) for pair in pairs]
+    usable = [(pair, x1, x2) for pair, x1, x2 in points if len(x1) >= minimal]
+    if not usable:
+        return Hypotheses(np.empty((0, 3, 3)), np.empty((0, 2), dtype=np.int64), kind)
+    first = [hartley.normalise(x1) for _, x1, _ in usable]
+    second = [hartley.normalise(x2) for _, _, x2 in usable]
+    size = np.array([len(x1) for x1, _ in first], dtype=np.int64)
+    of = np.repeat(np.arange(len(usable)), per_pair)
+    models, ok = _fit(
+        kind, np.concatenate([x for x, _ in first]), np.concatenate([x for x, _ in second]), size, of, rng
+    )
+    t1, t2 = (np.stack([t for _, t in side])[of] for side in (first, second))
+    pixels = change_frame(kind, models[ok], hartley.inverse(t1[ok]), hartley.inverse(t2[ok]))
+    return Hypotheses(pixels, np.array([pair for pair, _, _ in usable], dtype=np.int64)[of[ok]], kind)
+
+
+def _fit(
+    kind: ModelKind,
+    x1: FloatArray,
+    x2: FloatArray,
+    size: IntArray,
+    of: IntArray,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, BoolArray]:
+    """Fit one model per entry of `of`, the pair whose `size` points it samples."""
     model = MODELS[kind]
-    pairs = frame_pairs(trajectories.n_frames, gap)
-    points = [trajectories.pair(int(i), int(j)) for i, j in pairs]
-    size = np.array([len(rows) for rows, _, _ in points], dtype=np.int64)
-    usable = np.flatnonzero(size >= model.minimal)
-    pair_of = np.repeat(usable, per_pair)
-    models, ok = np.zeros((len(pair_of), 3, 3)), np.zeros(len(pair_of), dtype=np.bool_)
-    if len(usable):
-        x1, x2 = (np.concatenate([p[side] for p in points]) for side in (1, 2))
-        start = np.concatenate([[0], size.cumsum()[:-1]])
-        for _ in range(_TRIES):
-            todo = np.flatnonzero(~ok)
-            if not len(todo):
-                break
-            of = pair_of[todo]
-            sample = draw_subsets(size[of], model.minimal, rng) + start[of, None]
-            models[todo], ok[todo] = model.fit(x1[sample], x2[sample])
-    return _kept(models, pairs[pair_of], ok, kind)
-
-
-def _kept(models: FloatArray, pair: IntArray, ok: BoolArray, kind: ModelKind) -> Hypotheses:
-    return Hypotheses(models[ok], pair[ok], kind)
+    start = size.cumsum() - size
+    models, ok = np.zeros((len(of), 3, 3)), np.zeros(len(of), dtype=np.bool_)
+    for _ in range(_TRIES):
+        todo = np.flatnonzero(~ok)
+        if not len(todo):
+            break
+        pair = of[todo]
+        sample = draw_subsets(size[pair], model.minimal, rng) + start[pair, None]
+        models[todo], ok[todo] = model.fit_together(x1[sample], x2[sample])
+    return models, ok
