@@ -71,12 +71,16 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """
     try:
         with open(path, "rb") as stream:
-            content = stream.read(limit + 1)
+            # By blocks: asking for n bytes at once allocates n, however small the file is.
+            blocks, room = [], limit + 1
+            while room > 0 and (block := stream.read(min(_BLOCK, room))):
+                blocks.append(block)
+                room -= len(block)
     except OSError as error:
         raise InputFileError(f"{os.fspath(path)}: {error.strerror or error}") from error
-    if len(content) > limit:
+    if room <= 0:
         raise InputFileError(os.fspath(path), expected=f"at most {limit} bytes", found="more")
-    return content
+    return b"".join(blocks)
 
 
 def sha256_file(path: str | os.PathLike[str]) -> str:
