@@ -1,0 +1,84 @@
+"""How patient to be with a network, what went over it, and what can go wrong with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.options import option
+
+_LONGEST_WAIT = 30.0
+_PROGRESS = 1 << 14  # an attempt that brings this much is not counted against the server
+_KEPT = "what was fetched is kept; run it again later"
+
+
+class AbsentError(InputFileError):
+    """The server says that there is no such file."""
+
+
+class RangesIgnoredError(InputFileError):
+    """The server sends whole files only; `size` is the file's size when the server told it."""
+
+    def __init__(self, url: str, size: int | None) -> None:
+        super().__init__(f"{url}: the server ignores ranges")
+        self.url, self.size = url, size
+
+
+class ChangedError(InputFileError):
+    """The file on the server is not the one that was read before."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """How patient to be with the network."""
+
+    retries: int = option(8, "how often a request that brings nothing is repeated", low=0, high=100)
+    timeout: float = option(30.0, "seconds of silence after which a connection is given up", low=0.05)
+    wait: float = option(0.5, "seconds before the first repeat; doubles each time, up to 30 s", low=0.0)
+    slowest: float = option(
+        1000.0, "bytes per second below which, over one timeout, a connection is given up", low=0.0
+    )
+
+
+@dataclass
+class Traffic:
+    """What went over the network, and whom to tell."""
+
+    requests: int = 0
+    bytes: int = 0
+    listeners: list[Callable[[int], object]] = field(default_factory=list)
+
+    def received(self, count: int) -> None:
+        """Count bytes of a body and tell the listeners."""
+        self.bytes += count
+        for listener in self.listeners:
+            listener(count)
+
+
+class TransientError(Exception):
+    """Worth repeating; `pause` seconds if the server asked for them."""
+
+    def __init__(self, reason: str, pause: float = 0.0) -> None:
+        super().__init__(reason)
+        self.pause = pause
+
+
+class Patience:
+    """Counts failures in a row of one request, waits between them, and ends it."""
+
+    def __init__(self, url: str, network: Network) -> None:
+        self._url, self._network, self._failures = url, network, 0
+
+    def failed(self, error: TransientError, progress: int) -> None:
+        """Wait before the next attempt, longer each time; raise InputFileError after too many."""
+        if progress >= _PROGRESS:
+            self._failures = 0
+        self._failures += 1
+        if self._failures > self._network.retries:
+            raise InputFileError(
+                f"{self._url}: gave up after {self._failures} attempts", found=str(error), fix=_KEPT
+            ) from None
+        pause = max(error.pause, self._network.wait * 2 ** (self._failures - 1))
+        time.sleep(min(pause, _LONGEST_WAIT))
