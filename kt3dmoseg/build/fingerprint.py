@@ -10,6 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 import kt3dmoseg
 from kt3dmoseg.build.options import Settings
 from kt3dmoseg.build.sources import Shot
@@ -19,7 +21,7 @@ from kt3dmoseg.flow import Flow
 from kt3dmoseg.flow.cache import backend_identity
 from kt3dmoseg.io.hdf5 import provenance
 
-_LIBRARIES = {"numpy": "numpy", "scipy": "scipy", "h5py": "h5py"}
+_LIBRARIES = ("numpy", "scipy", "h5py")
 _CODE = ("annotate", "build", "io", "tracks")
 
 
@@ -48,7 +50,7 @@ def fingerprint(
         "labels": dict(labels),
         "options": settings.as_dict(),
         "flow": None if identity is None else json.loads(identity),
-        "versions": {"kt3dmoseg": kt3dmoseg.__version__} | {k: version(v) for k, v in _LIBRARIES.items()},
+        "versions": {"kt3dmoseg": kt3dmoseg.__version__} | _libraries(),
         "code": _code(),
     }
 
@@ -76,6 +78,11 @@ def _differences(old: object, new: object, where: str) -> Iterator[str]:
     elif old != new:
         digest = "sha256" in where or where == "code" or where.endswith("source")
         yield f"{where} changed" if digest else f"{where} was {old!r}, now {new!r}"
+
+
+@cache
+def _libraries() -> dict[str, str]:
+    return {"opencv": cv2.__version__} | {name: version(name) for name in _LIBRARIES}
 
 
 @cache
