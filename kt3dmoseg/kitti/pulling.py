@@ -173,7 +173,7 @@ def _take_whole(task: Task, place: Place, store: Store, traffic: Traffic, url: s
 def _bring(task: Task, root: Path, bar: tqdm[Any]) -> int:
     if task.holding is None:
         return 0
-    _remove_leftovers(root, task.missing)
+    _remove_leftovers(root, task.choice.names)
     count = 0
     for name, content in task.holding.read(task.missing):
         write_bytes(root / name, content)

@@ -165,8 +165,8 @@ class Store:
         return self._beside(url, "zip")
 
     def drop_zips(self) -> None:
-        """Remove zips that were downloaded whole and are complete."""
-        for path in self.folder.glob("*.zip"):
+        """Remove zips that were downloaded whole, and parts of them; everything wanted is on disk."""
+        for path in [*self.folder.glob("*.zip"), *self.folder.glob("*.part")]:
             path.unlink()
 
     def _beside(self, url: str, suffix: str) -> Path:

@@ -6,7 +6,6 @@ import re
 import shutil
 from pathlib import Path
 
-import conftest
 import kitti_drives as drives
 import pytest
 from conftest import CALIB, HIDDEN, SYNC, TRACKLETS, World
@@ -258,4 +257,3 @@ def test_command_line(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     assert "complete and verified: 18 files" in capsys.readouterr().out
     assert cli.main([*line, "--verify"]) == 0
     assert "verified 18 files" in capsys.readouterr().out
-    assert conftest.SYNC in world.server.requests[2][0]
