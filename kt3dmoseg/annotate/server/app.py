@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from html import escape
 from importlib import resources
+from urllib.parse import quote
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from kt3dmoseg.annotate.document import to_json
@@ -40,9 +42,13 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
         The guarded ASGI application.
     """
     static = _static_files()
+    template = bytes(static["index.html"].body).decode()
 
-    async def page(_: Request) -> Response:
-        return static["index.html"]
+    async def page(request: Request) -> Response:
+        asked = request.query_params.get("clip", "")
+        return HTMLResponse(
+            _page(template, static, routes.desks, asked), headers={"cache-control": "no-store"}
+        )
 
     async def file(request: Request) -> Response:
         # A table of the packaged files: no path of a request ever reaches the file system.
@@ -61,6 +67,15 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
         },
     )
     return Guard(app, hosts, token)
+
+
+def _page(template: str, static: Iterable[str], clips: Iterable[str], asked: str) -> str:
+    """Name the clip to open, and let the browser fetch at once what it would find out about step by step."""
+    names = list(clips)
+    clip = asked if asked in names else names[0]
+    modules = [f'<link rel="modulepreload" href="/static/{name}">' for name in static if name.endswith(".js")]
+    picture = f'<link rel="preload" as="image" href="/api/clips/{quote(clip, safe="")}/frames/0">'
+    return template.replace("{{clip}}", escape(clip)).replace("{{preload}}", "\n".join([picture, *modules]))
 
 
 def _static_files() -> Mapping[str, Response]:

@@ -19,6 +19,7 @@ import json
 import re
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -36,7 +37,7 @@ from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.server.compare import comparison
 from kt3dmoseg.annotate.server.desk import Desk, Progress, outcome
 from kt3dmoseg.annotate.store import save_revision
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
 
@@ -68,6 +69,16 @@ class Routes:
     other: Path | None = None
     masks: Path | None = None
     kitti: Path | None = None
+
+    @cached_property
+    def suffixes(self) -> dict[str, str]:
+        """The formats and their files' suffixes."""
+        return {name: formats.load(name).suffix for name in formats.FORMATS.names()}
+
+    @cached_property
+    def proposers(self) -> list[str]:
+        """Names of the proposers."""
+        return proposals.PROPOSERS.names()
 
     def table(self) -> list[Route]:
         """Return the routes for starlette."""
@@ -103,8 +114,8 @@ class Routes:
                 "annotation": to_json(annotation),
                 "annotator": self.annotator,
                 "kinds": KINDS,
-                "formats": {name: formats.load(name).suffix for name in formats.FORMATS.names()},
-                "proposers": proposals.PROPOSERS.names(),
+                "formats": self.suffixes,
+                "proposers": self.proposers,
                 "compare": self.other is not None,
             }
         )
@@ -219,18 +230,21 @@ class Routes:
 
 
 def _summary(desk: Desk) -> dict[str, Any]:
-    annotation = desk.annotation()
-    out: dict[str, Any] = {
-        "name": desk.source.name,
-        "n_frames": len(desk.source.frames),
+    """Tell how far a clip is, without opening its frames."""
+    out: dict[str, Any] = {"name": desk.source.name, "n_frames": len(desk.source.frames), "revision": 0}
+    if not desk.source.annotation.exists():
+        return out
+    try:
+        annotation = desk.annotation()
+    except KT3DMoSegError as error:
+        return out | {"error": str(error)}
+    out |= {
         "revision": annotation.revision,
         "annotator": annotation.annotator,
         "objects": len(annotation.objects),
         "motions": len(annotation.motions),
     }
-    if desk.ready:
-        out["counts"] = desk.labelled(annotation).counts()
-    return out
+    return out | {"counts": desk.labelled(annotation).counts()} if desk.ready else out
 
 
 def _if_match(request: Request) -> int:

@@ -1,0 +1,63 @@
+// Talking to the server. Every failure is an ApiError with the server's own sentence.
+
+export class ApiError extends Error {
+  constructor(message, status, body) {
+    super(message);
+    this.status = status;
+    this.body = body;
+  }
+
+  /** The server cannot be reached at all. */
+  get offline() {
+    return this.status === 0;
+  }
+}
+
+async function request(path, options = {}) {
+  let response;
+  try {
+    response = await fetch(path, options);
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new ApiError("the server does not answer", 0, null);
+  }
+  if (response.ok) return response;
+  const body = await response.json().catch(() => ({}));
+  throw new ApiError(body.error ?? response.statusText, response.status, body);
+}
+
+const json = (path, options) => request(path, options).then((response) => response.json());
+const clip = (name) => `/api/clips/${encodeURIComponent(name)}`;
+const post = (body, extra = {}) => ({
+  method: "POST",
+  body: typeof body === "object" && !(body instanceof Blob) ? JSON.stringify(body) : body,
+  headers: { "content-type": "application/json" },
+  ...extra,
+});
+
+export const listClips = () => json("/api/clips").then((answer) => answer.clips);
+export const getClip = (name) => json(clip(name));
+export const getAnnotation = (name) => json(`${clip(name)}/annotation`, { cache: "no-store" });
+export const frameAddress = (name, frame) => `${clip(name)}/frames/${frame}`;
+export const labels = (name, doc, signal) => json(`${clip(name)}/labels`, post(doc, { signal }));
+export const propose = (name, proposer, doc) => json(`${clip(name)}/proposals/${proposer}`, post(doc));
+export const compare = (name, doc) => json(`${clip(name)}/compare`, post(doc));
+export const exportAs = (name, format, doc) =>
+  request(`${clip(name)}/export/${format}`, post(doc)).then((response) => response.blob());
+export const importFrom = (name, format, file) => json(`${clip(name)}/import/${format}`, post(file));
+
+export async function putAnnotation(name, doc, revision) {
+  return json(`${clip(name)}/annotation`, {
+    method: "PUT",
+    body: JSON.stringify(doc),
+    headers: { "content-type": "application/json", "if-match": `"${revision}"` },
+  });
+}
+
+/** Trajectories as { xy: Float32Array, count, frames }, or { done, total } while they are computed. */
+export async function getTracks(name) {
+  const response = await request(`${clip(name)}/tracks`);
+  if (response.status === 202) return response.json();
+  const [count, frames] = response.headers.get("x-shape").split(",").map(Number);
+  return { xy: new Float32Array(await response.arrayBuffer()), count, frames };
+}

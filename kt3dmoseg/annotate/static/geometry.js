@@ -1,0 +1,82 @@
+// Plane geometry in pixels.
+
+/** Even-odd rule. */
+export function inside([x, y], polygon) {
+  let odd = false;
+  for (let i = 0, j = polygon.length - 1; i < polygon.length; j = i++) {
+    const [ax, ay] = polygon[i];
+    const [bx, by] = polygon[j];
+    if (ay > y !== by > y && x < ax + ((y - ay) * (bx - ax)) / (by - ay)) odd = !odd;
+  }
+  return odd;
+}
+
+export const distance = ([ax, ay], [bx, by]) => Math.hypot(ax - bx, ay - by);
+
+/** The point of segment ab nearest to p. */
+export function nearestOnSegment(p, a, b) {
+  const dx = b[0] - a[0];
+  const dy = b[1] - a[1];
+  const share = ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / (dx * dx + dy * dy || 1);
+  const t = Math.min(1, Math.max(0, share));
+  return [a[0] + t * dx, a[1] + t * dy];
+}
+
+export function nearestVertex(p, polygons, reach) {
+  let best = null;
+  polygons.forEach((polygon, part) => polygon.forEach((vertex, index) => {
+    const gap = distance(p, vertex);
+    if (gap <= (best?.gap ?? reach)) best = { part, index, gap };
+  }));
+  return best;
+}
+
+/** The edge near p, as the index at which a new vertex would go. */
+export function nearestEdge(p, polygons, reach) {
+  let best = null;
+  polygons.forEach((polygon, part) => polygon.forEach((vertex, i) => {
+    const point = nearestOnSegment(p, vertex, polygon[(i + 1) % polygon.length]);
+    const gap = distance(p, point);
+    if (gap <= (best?.gap ?? reach)) best = { part, index: i + 1, gap, point };
+  }));
+  return best;
+}
+
+export function boundsOf(polygons) {
+  const points = polygons.flat();
+  if (!points.length) return null;
+  const xs = points.map((p) => p[0]);
+  const ys = points.map((p) => p[1]);
+  return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+}
+
+/** Leave out points closer than `tolerance` to the outline without them (Douglas and Peucker 1973). */
+export function simplify(polygon, tolerance) {
+  if (polygon.length < 8) return polygon;
+  const closed = [...polygon, polygon[0]];
+  const kept = new Set([0]);
+  const middle = farthest(closed, 0, closed.length - 1, () => closed[0]).index;
+  kept.add(middle);
+  const stack = [[0, middle], [middle, closed.length - 1]];
+  while (stack.length) {
+    const [first, last] = stack.pop();
+    const worst = farthest(closed, first, last, (p) => nearestOnSegment(p, closed[first], closed[last]));
+    if (worst.gap > tolerance) {
+      kept.add(worst.index);
+      stack.push([first, worst.index], [worst.index, last]);
+    }
+  }
+  const simple = polygon.filter((_, i) => kept.has(i));
+  return simple.length >= 3 ? simple : polygon;
+}
+
+function farthest(points, first, last, reference) {
+  let worst = { index: first, gap: -1 };
+  for (let i = first + 1; i < last; i++) {
+    const gap = distance(points[i], reference(points[i]));
+    if (gap > worst.gap) worst = { index: i, gap };
+  }
+  return worst;
+}
+
+export const rounded = (polygon) => polygon.map(([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 100) / 100]);
