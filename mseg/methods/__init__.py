@@ -6,6 +6,7 @@ import builtins
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import from_mapping
@@ -102,7 +103,9 @@ def segment(
         raise InvalidValueError("n_motions", expected="at least 1", found=str(n_motions))
     chosen = create(method, **parameters) if isinstance(method, str) else method
     hidden = clip.without_labels()
-    result = chosen.segment(hidden, n_motions=n_motions, rng=np.random.default_rng(seed))
+    # With several BLAS threads sums are rounded in another order: one, for the same bytes anywhere.
+    with threadpool_limits(limits=1, user_api="blas"):
+        result = chosen.segment(hidden, n_motions=n_motions, rng=np.random.default_rng(seed))
     if len(result.labels) != len(clip.evaluated):
         raise SegmentationError(
             f"{method} on {clip.name}",
