@@ -1,0 +1,42 @@
+"""Segment every clip of a folder with a method and write the predictions.
+
+The output is a submission: 'mseg validate' and 'mseg score' read it. What is there already is kept,
+so an interrupted run goes on; a folder that holds predictions of another configuration is refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from mseg.cli.running import add_running_flags, progress_bar
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("data", help="folder of clips, or one clip")
+    parser.add_argument("-o", "--output", required=True, metavar="FOLDER", help="where predictions go")
+    parser.add_argument("--method", default="subset", metavar="NAME", help="method (default: subset)")
+    parser.add_argument(
+        "--n-motions", type=int, metavar="N", help="number of motions; default: that of each clip's labels"
+    )
+    add_running_flags(parser, seeds_help="number of seeds; several go to seed-0/, seed-1/, ... (default: 1)")
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Segment."""
+    from kt3dmoseg.options import parse_assignments
+    from mseg.benchmark import predict
+
+    with progress_bar(quiet=arguments.quiet) as progress:
+        folder = predict(
+            arguments.data,
+            arguments.output,
+            arguments.method,
+            n_motions=arguments.n_motions,
+            seeds=arguments.seeds,
+            parameters=parse_assignments(arguments.parameter),
+            workers=arguments.workers,
+            dask=arguments.dask,
+            progress=progress,
+        )
+    print(f"predictions in {folder}")

@@ -1,0 +1,41 @@
+"""What `mseg run` and `mseg benchmark` share: flags for parameters, seeds and workers, progress."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+def add_running_flags(parser: argparse.ArgumentParser, *, seeds_help: str) -> None:
+    """Add the flags."""
+    parser.add_argument("--seeds", type=_positive, default=1, metavar="N", help=seeds_help)
+    parser.add_argument(
+        "-p", "--parameter", action="append", default=[], metavar="NAME=VALUE",
+        help="parameter of a method, see 'mseg methods NAME'; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=_positive, default=1, metavar="N", help="processes (default: 1)")
+    parser.add_argument("--dask", default="", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+@contextmanager
+def progress_bar(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
+    """Give a function that draws progress on standard error, where that is a terminal."""
+    from tqdm import tqdm
+
+    with tqdm(disable=True if quiet else None, unit="task", smoothing=0) as bar:
+
+        def show(done: int, total: int, name: str) -> None:
+            bar.total = total
+            bar.set_postfix_str(name, refresh=False)
+            bar.update(done - bar.n)
+
+        yield show
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"expected a number >= 1, found {number}")
+    return number
