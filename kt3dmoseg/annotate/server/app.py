@@ -74,8 +74,11 @@ def _page(template: str, static: Iterable[str], clips: Iterable[str], asked: str
     names = list(clips)
     clip = asked if asked in names else names[0]
     modules = [f'<link rel="modulepreload" href="/static/{name}">' for name in static if name.endswith(".js")]
-    picture = f'<link rel="preload" as="image" href="/api/clips/{quote(clip, safe="")}/frames/0">'
-    return template.replace("{{clip}}", escape(clip)).replace("{{preload}}", "\n".join([picture, *modules]))
+    picture = f"/api/clips/{quote(clip, safe='')}/frames/0"
+    values = {"{{clip}}": escape(clip), "{{picture}}": picture, "{{modules}}": "\n".join(modules)}
+    for name, value in values.items():
+        template = template.replace(name, value)
+    return template
 
 
 def _static_files() -> Mapping[str, Response]:

@@ -25,6 +25,7 @@ export class Picture {
     if (!image?.complete || !image.naturalWidth || !state.view) return;
     const [x, y] = toScreen(state.view, [-0.5, -0.5]);
     context.imageSmoothingEnabled = state.view.scale < 3;
+    document.getElementById("first")?.remove();
     context.drawImage(image, x, y, image.naturalWidth * state.view.scale, image.naturalHeight * state.view.scale);
   }
 
