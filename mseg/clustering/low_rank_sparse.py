@@ -14,7 +14,7 @@ from mseg.iteration import iterate
 def low_rank_sparse_representation(
     data: FloatArray,
     *,
-    sparsity: float = 1.0,
+    sparsity: float = 0.1,
     alpha: float = 800.0,
     growth: float = 1.1,
     tolerance: float = 2e-4,

@@ -39,7 +39,7 @@ class LRSSC(CompleteDataMethod):
     finds_n_motions: ClassVar[bool] = True
 
     variant: Literal["joint", "cascade"] = option("joint", "one programme, or LRR followed by SSC")
-    sparsity: float = option(1.0, "weight lambda of the l1 norm (joint)", low=0)
+    sparsity: float = option(0.1, "weight lambda of the l1 norm (joint)", low=0)
     alpha: float = option(800.0, "weight of the fit, over the smallest coherence", low=0)
     weight: float = option(4.0, "weight of LRR's errors (cascade)", low=0)
     rho: float = option(0.7, "share of a column's l1 norm that is kept", low=0, high=1)
