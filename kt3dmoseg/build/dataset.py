@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -160,15 +160,21 @@ def _sole_writer(output: Path) -> Iterator[Path]:
         ) from None
     try:
         _check_writable(output)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputFileError(
-                f"{output}", expected="no other build", found="one at work in this folder", fix="wait for it"
-            ) from None
+        _lock(handle, output)
         yield output
     finally:
         os.close(handle)
+        with suppress(OSError):
+            output.rmdir()  # succeeds only when nothing came of it
+
+
+def _lock(handle: int, output: Path) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputFileError(
+            f"{output}", expected="no other build", found="one at work in this folder", fix="wait for it"
+        ) from None
 
 
 def _check_writable(output: Path) -> None:

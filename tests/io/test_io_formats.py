@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import time
 
@@ -114,7 +113,7 @@ def test_a_missing_file_is_said_to_be_missing(tmp_path):
 
 def test_an_unreadable_file_is_one_line(tmp_path):
     path = tmp_path / "loop.h5"
-    os.symlink(path, path)
+    path.symlink_to(path)
     with pytest.raises(InputFileError):
         load(path)
 

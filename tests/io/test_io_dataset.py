@@ -1,0 +1,130 @@
+"""Folders of clips, what `info` says and `convert` does."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from io_clips import small_clip
+
+from kt3dmoseg.cli import main
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.io import dataset_paths, load, load_dataset, save
+from kt3dmoseg.io.convert import convert
+from kt3dmoseg.io.flow_files import read_flow, write_flow
+from kt3dmoseg.io.info import info
+from kt3dmoseg.io.text import clip_name
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("folder", "count", "first"),
+    [
+        ("kt3dmoseg", 14, "Seq005_Clip01"),
+        ("kt3dmoseg/release", 14, "Seq005_Clip01"),
+        ("hopkins155", 100, "1R2RC"),
+        ("hopkins12", 8, "oc1R2RC"),
+        ("mtpv62", 7, "MTPV_data_Boat"),
+    ],
+)
+def test_every_layout_of_the_real_data(folder, count, first, data_root):
+    paths = dataset_paths(data_root / folder)
+    assert len(paths) == count
+    assert next(iter(paths)) == first
+    assert list(paths) == sorted(paths)
+    assert load(paths[first]).name == first
+
+
+def test_a_dataset_is_sorted_and_skips_what_is_unfinished(tmp_path):
+    for name in ("b", "a"):
+        save(small_clip(name), tmp_path / f"{name}.h5")
+    (tmp_path / ".c.h5.xyz.part").write_bytes(b"half")
+    (tmp_path / ".d.h5").write_bytes(b"half")
+    (tmp_path / "notes.txt").write_text("-")
+    assert list(load_dataset(tmp_path)) == ["a", "b"]
+
+
+def test_two_files_of_one_clip(tmp_path):
+    save(small_clip(), tmp_path / "a.h5")
+    save(small_clip(), tmp_path / "a_Tracks.mat")
+    with pytest.raises(FileFormatError, match=r"clip a: expected one file, found a\.h5 and a_Tracks\.mat"):
+        dataset_paths(tmp_path)
+
+
+def test_nothing_there(tmp_path):
+    with pytest.raises(InputFileError, match="expected clips"):
+        dataset_paths(tmp_path)
+    with pytest.raises(InputFileError, match="no such folder"):
+        dataset_paths(tmp_path / "none")
+
+
+def test_names_come_from_files():
+    assert clip_name("x/Seq028_clip03_Tracks.mat") == "Seq028_clip03"
+    assert clip_name("oc1R2RC_g12_Tracks.mat") == "oc1R2RC_g12"
+    assert clip_name("built.v2.h5") == "built.v2"
+
+
+def test_info_of_a_clip(tmp_path, capsys):
+    save(small_clip(), tmp_path / "tiny.h5")
+    assert main(["info", str(tmp_path / "tiny.h5")]) == 0
+    words = capsys.readouterr().out.split()
+    for expected in ("tiny", "hdf5", "64x48", "7..11", "car", "background", "provenance", "0.400"):
+        assert expected in words
+
+
+def test_info_of_a_folder_counts(tmp_path):
+    for name in ("a", "b"):
+        save(small_clip(name), tmp_path / f"{name}.npz")
+    lines = info(tmp_path).splitlines()
+    assert lines[1].split()[:7] == ["a", "5", "6", "4", "2", "2", "1"]
+    assert lines[-1].split() == ["2", "clips", "10", "12", "8"]
+
+
+def test_info_of_frames_flow_and_pictures(tmp_path):
+    clips = tmp_path / "frames"
+    for clip, numbers in (("good", (1, 2)), ("gap", (1, 3))):
+        (clips / clip).mkdir(parents=True)
+        for number in numbers:
+            cv2.imwrite(str(clips / clip / f"{number:06d}.png"), np.zeros((48, 64), np.uint8))
+    text = info(clips)
+    assert "without a gap" in text
+    assert text.splitlines()[2].split() == ["good", "2", "1..2", "64x48", "8-bit", "gray"]
+    assert info(clips / "good").split()[-5:-2] == ["2", "1..2", "64x48"]
+    write_flow(tmp_path / "a.flo", np.full((4, 6, 2), 3.0))
+    assert "optical flow of 6x4, 100.0% known, mean 4.24 px" in info(tmp_path / "a.flo")
+    write_flow(tmp_path / "a.png", np.full((4, 6, 2), np.nan))
+    assert "nowhere known" in info(tmp_path / "a.png")
+    assert "a picture of 64x48, 8-bit gray" in info(clips / "good/000001.png")
+
+
+def test_info_of_nothing(tmp_path, capsys):
+    assert main(["info", str(tmp_path / "none")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_convert_says_what_is_lost(tmp_path, capsys):
+    save(small_clip(), tmp_path / "tiny.h5")
+    assert main(["convert", str(tmp_path / "tiny.h5"), str(tmp_path / "tiny.npz")]) == 0
+    assert capsys.readouterr().out.strip().endswith("written")
+    assert main(["convert", str(tmp_path / "tiny.npz"), str(tmp_path / "tiny.mat")]) == 0
+    lost = capsys.readouterr().out.split(": ")[-1].strip().split(", ")
+    assert {"image size", "names of the motions", "camera", "timestamps", "provenance"} <= set(lost)
+    assert not {"coordinates", "labels", "name", "which label is the background"} & set(lost)
+
+
+def test_convert_flow(tmp_path):
+    field = np.array([[[0.5, 1 / 3]]])
+    write_flow(tmp_path / "a.flo", field)
+    assert convert(tmp_path / "a.flo", tmp_path / "a.npy") == []
+    assert convert(tmp_path / "a.flo", tmp_path / "a.png") == ["displacements are rounded by up to 0.0052 px"]
+    assert read_flow(tmp_path / "a.npy")[0, 0, 0] == 0.5
+
+
+def test_convert_refuses(tmp_path):
+    save(small_clip(), tmp_path / "tiny.h5")
+    with pytest.raises(InvalidValueError, match="another file than the source"):
+        convert(tmp_path / "tiny.h5", tmp_path / "tiny.h5")
+    with pytest.raises(InvalidValueError, match="expected a suffix of"):
+        convert(tmp_path / "tiny.h5", tmp_path / "tiny.xls")
+    with pytest.raises(FileFormatError):
+        convert(tmp_path / "tiny.h5", tmp_path / "tiny.flo")

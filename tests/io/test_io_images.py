@@ -1,0 +1,138 @@
+"""Folders of frames: every way in which they can be wrong."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.io.images import frame_number, frame_paths, read_frame
+from kt3dmoseg.io.index_images import decode_indices
+from kt3dmoseg.io.video import write_png
+
+
+def _frames(folder, names, picture=None):
+    folder.mkdir(exist_ok=True)
+    for name in names:
+        cv2.imwrite(str(folder / name), np.zeros((4, 6), np.uint8) if picture is None else picture)
+    return folder
+
+
+def test_frames_come_in_the_order_of_their_numbers(tmp_path):
+    folder = _frames(tmp_path, ["img9.png", "img10.png", "img8.png"])
+    (folder / "notes.txt").write_text("not a frame")
+    assert [p.name for p in frame_paths(folder)] == ["img8.png", "img9.png", "img10.png"]
+
+
+@pytest.mark.data
+def test_real_frames(data_root):
+    paths = frame_paths(data_root / "kt3dmoseg/frames/Seq028_clip03")
+    assert [frame_number(p) for p in paths] == list(range(1, 11))
+    assert read_frame(paths[0]).shape == (375, 1242)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ([], "at least two numbered frames.*found no pictures"),
+        (["000001.png"], "found only 000001.png"),
+        (
+            ["1.png", "2.png", "4.png"],
+            "frame 3: expected frames numbered 1 to 4 without a gap",
+        ),
+        (["1.png", "01.png", "2.png"], "frame 1: expected one file, found 01.png and 1.png"),
+        (["1.png", "last.png"], "ends in the frame's number"),
+    ],
+)
+def test_bad_folders(names, words, tmp_path):
+    with pytest.raises((FileFormatError, InputFileError), match=words) as caught:
+        frame_paths(_frames(tmp_path / "clip", names))
+    assert str(tmp_path / "clip") in str(caught.value)
+
+
+def test_a_missing_folder(tmp_path):
+    with pytest.raises(InputFileError, match="no such folder"):
+        frame_paths(tmp_path / "none")
+
+
+def test_gray_is_read_as_it_is(tmp_path):
+    picture = np.arange(24, dtype=np.uint8).reshape(4, 6)
+    write_png(tmp_path / "1.png", picture)
+    np.testing.assert_array_equal(read_frame(tmp_path / "1.png"), picture)
+
+
+def test_gray_stored_as_colour_is_gray(tmp_path):
+    picture = np.arange(24, dtype=np.uint8).reshape(4, 6)
+    write_png(tmp_path / "1.png", np.dstack([picture] * 3))
+    np.testing.assert_array_equal(read_frame(tmp_path / "1.png"), picture)
+
+
+def test_colour_is_refused_and_its_luma_given_when_asked_for(tmp_path):
+    picture = np.zeros((4, 6, 3), dtype=np.uint8)
+    picture[..., 0] = 100  # red
+    write_png(tmp_path / "1.png", picture)
+    with pytest.raises(FileFormatError, match=r"1\.png: expected a gray picture, found colour;.*luma"):
+        read_frame(tmp_path / "1.png")
+    assert read_frame(tmp_path / "1.png", "luma")[0, 0] == round(0.299 * 100)
+
+
+def test_16_bits_are_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((4, 6), np.uint16))
+    with pytest.raises(FileFormatError, match="8-bit picture, found 16 bits per channel; convert"):
+        read_frame(tmp_path / "1.png")
+
+
+def test_a_corrupt_picture_is_one_line_and_opencv_stays_silent(tmp_path, capfd):
+    write_png(tmp_path / "1.png", np.random.default_rng(0).integers(0, 255, (40, 60), dtype=np.uint8))
+    content = (tmp_path / "1.png").read_bytes()
+    for broken in (content[:100], b"\x89PNG\r\n\x1a\nnothing", b"", b"text"):
+        (tmp_path / "1.png").write_bytes(broken)
+        with pytest.raises(FileFormatError, match="expected a picture"):
+            read_frame(tmp_path / "1.png")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_huge_picture_is_refused_before_it_is_decoded(tmp_path):
+    write_png(tmp_path / "1.png", np.zeros((4, 6), np.uint8))
+    content = bytearray((tmp_path / "1.png").read_bytes())
+    content[16:24] = struct.pack(">II", 30_000, 30_000)
+    content[29:33] = struct.pack(">I", zlib.crc32(bytes(content[12:29])))
+    (tmp_path / "1.png").write_bytes(content)
+    with pytest.raises(FileFormatError, match="at most 67108864 pixels, found 30000x30000"):
+        read_frame(tmp_path / "1.png")
+
+
+def _palette_png(indices, bits, palette):
+    """Encode (H, W) indices by hand: OpenCV cannot."""
+    height, width = indices.shape
+    per_byte = 8 // bits
+    padded = np.pad(indices, ((0, 0), (0, -width % per_byte)))
+    shifts = np.arange(per_byte)[::-1] * bits
+    rows = (padded.reshape(height, -1, per_byte) << shifts).sum(axis=2).astype(np.uint8)
+    data = zlib.compress(np.pad(rows, ((0, 0), (1, 0))).tobytes())
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 3, 0, 0, 0)), (b"PLTE", palette)]
+    chunks = [*parts, (b"tRNS", b"\0"), (b"IDAT", data), (b"IEND", b"")]
+    packed = (struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in chunks)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8])
+def test_indices_come_back_whatever_the_palette(bits, rng):
+    indices = rng.integers(0, 1 << bits, (5, 7))
+    palette = bytes(3 << bits)  # all black: colours tell nothing
+    read, depth = decode_indices(_palette_png(indices, bits, palette), "mask.png")
+    np.testing.assert_array_equal(read, indices)
+    assert depth == bits
+
+
+def test_numbers_of_16_bits_and_colours(tmp_path):
+    stored = np.array([[0, 1005, 10000]], dtype=np.uint16)
+    content = bytes(cv2.imencode(".png", stored)[1])
+    np.testing.assert_array_equal(decode_indices(content, "mask.png")[0], stored)
+    coloured = bytes(cv2.imencode(".png", np.zeros((2, 2, 3), np.uint8))[1])
+    with pytest.raises(FileFormatError, match="one channel of numbers, found 3 channels"):
+        decode_indices(coloured, "mask.png")
