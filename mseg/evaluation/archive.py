@@ -154,7 +154,7 @@ def _zip(path: Path, contents: Contents) -> None:
 
 def _safe_members(archive: zipfile.ZipFile, contents: Contents) -> dict[str, zipfile.ZipInfo]:
     members: dict[str, zipfile.ZipInfo] = {}
-    infos = [i for i in archive.infolist() if not i.is_dir()]
+    infos = [i for i in archive.infolist() if not i.filename.endswith("/")]
     if len(infos) > MAX_FILES or sum(i.file_size for i in infos) > MAX_TOTAL_BYTES:
         _too_much(contents, f"{len(infos)} files, {sum(i.file_size for i in infos) >> 20} MiB unpacked")
         return members

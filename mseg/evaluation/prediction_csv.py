@@ -94,7 +94,7 @@ def _columns(out: Columns, rows: list[list[str]], names: list[str]) -> None:
         # Keep the exact integers of a column whose neighbour holds floats.
         for name in HEADER:
             whole = np.round(place[name])
-            if np.isfinite(place[name]).all() and _written_whole(rows, names.index(name)):
+            if (np.abs(place[name]) < 2**53).all() and _written_whole(rows, names.index(name)):
                 setattr(out, name, whole.astype(np.int64))
 
 

@@ -77,6 +77,8 @@ class Protocol:
         Error in per cent of the one-motion baseline on clips, where known.
     versions : mapping of str to mapping of str to str
         Dataset version -> clip -> `mseg.evaluation.fingerprint`, where known.
+    names : str
+        Regular expression by which clips of a benchmark that lists none are recognised.
     data : str
         Conventional name of the folder that holds the clips.
     """
@@ -92,6 +94,7 @@ class Protocol:
     published_dataset_version: str = ""
     prevalence: Mapping[str, float] = field(default_factory=dict)
     versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    names: str = ""
     data: str = ""
 
     def holds(self, clip: str) -> bool:
@@ -180,12 +183,17 @@ def protocol_of_clips(clips: Iterable[str]) -> Protocol:
 
 
 def guess_protocol(clips: Iterable[str]) -> Protocol:
-    """Return the benchmark that lists most of the clips by name; else `protocol_of_clips`."""
+    """Return the benchmark to which most of the clips belong by name; else `protocol_of_clips`."""
     names = list(clips)
     known = [load_protocol(name) for name in list_protocols()]
-    counts = [sum(any(n in g.clips for g in p.groups) for n in names) for p in known]
+    counts = [sum(_is_named_in(p, n) for n in names) for p in known]
     best = max(range(len(known)), key=counts.__getitem__)
     return known[best] if 2 * counts[best] > len(names) else protocol_of_clips(names)
+
+
+def _is_named_in(protocol: Protocol, clip: str) -> bool:
+    listed = any(clip in group.clips for group in protocol.groups)
+    return listed or re.fullmatch(protocol.names, clip) is not None
 
 
 def _protocol(name: str, raw: dict[str, Any]) -> Protocol:

@@ -11,7 +11,13 @@ import numpy as np
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.joining import join_labels
 from mseg.evaluation.problems import Problem, brief, numbered
-from mseg.evaluation.protocol import Protocol, guess_protocol, load_protocol, protocol_of_clips
+from mseg.evaluation.protocol import (
+    Protocol,
+    guess_protocol,
+    list_protocols,
+    load_protocol,
+    protocol_of_clips,
+)
 from mseg.evaluation.reading import Submission, read_submission
 from mseg.evaluation.submission import META, fingerprint
 
@@ -107,7 +113,8 @@ def validate_submission(
     """
     read = submission if isinstance(submission, Submission) else read_submission(submission)
     given = load_clips(data)
-    protocol = choose_protocol(benchmark or read.meta.benchmark, given)
+    own = read.meta.benchmark if read.meta.benchmark in ("custom", *list_protocols()) else ""
+    protocol = choose_protocol(benchmark or own, given)
     counted = {name: clip for name, clip in given.items() if protocol.holds(name)}
     checker = _Checker(read, protocol, given, counted)
     checker.check()
