@@ -13,5 +13,6 @@ from __future__ import annotations
 from kt3dmoseg.synthetic.drive import write_drive
 from kt3dmoseg.synthetic.options import SceneOptions
 from kt3dmoseg.synthetic.scene import Scene, make_scene
+from kt3dmoseg.synthetic.truth import track_errors
 
-__all__ = ["Scene", "SceneOptions", "make_scene", "write_drive"]
+__all__ = ["Scene", "SceneOptions", "make_scene", "track_errors", "write_drive"]

@@ -78,7 +78,8 @@ _WIDTH = (_SIZE >> np.arange(_LEVELS + 1)).astype(np.int32)
 
 def _cells(position: FloatArray, footprint: FloatArray) -> tuple[_Index, _Index, _Index, Float32Array]:
     """Level, the two neighbouring cells there, and the linear weight of the second."""
-    level = np.clip(np.frexp(footprint.astype(np.float32))[1] - 1, 0, _LEVELS)
+    # The level whose cells come nearest to the footprint: the rounded binary logarithm.
+    level = np.clip(np.frexp((np.sqrt(2) * footprint).astype(np.float32))[1] - 1, 0, _LEVELS)
     inside = position * _SHRINK[level] - 0.5
     low = np.floor(inside)
     part = (inside - low).astype(np.float32)

@@ -13,24 +13,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, save_annotation
-from kt3dmoseg.annotate.model import Polygon
+from kt3dmoseg.annotate import save_annotation
 from kt3dmoseg.build import build_dataset, find_sources
+from kt3dmoseg.demo.outlines import annotation_of
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.io import load_dataset
+from kt3dmoseg.files import write_text
+from kt3dmoseg.io import load
 from kt3dmoseg.options import option
-from kt3dmoseg.synthetic import Scene, SceneOptions, make_scene, write_drive
-from kt3dmoseg.types import ByteArray, Clip, FloatArray, Trajectories
+from kt3dmoseg.synthetic import Scene, SceneOptions, make_scene, track_errors, write_drive
+from kt3dmoseg.types import Clip
 
 _DRIVES = 2
-_KEY_EVERY = 3  # frames between key frames of the annotation
-_LEAST_AREA = 24.0  # pixels; a smaller piece of an object is not outlined
-_VERSION = "synthetic"
+_MARKER = ".kt3dmoseg-demo"
 _AFTER = 5  # frames after which tracks are compared with the truth
-_BASELINES = ("one_motion", "prevalence")
+_TRUE = 2.0  # pixels; a track that ends nearer to the truth has stayed on its point
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def run_demo(
     Parameters
     ----------
     output : path
-        Folder for everything; a former demo in it is replaced.
+        Folder for everything: absent, empty, or that of a former demo, which is replaced.
     options : DemoOptions, optional
         Seed, size, methods.
     tell : callable
@@ -103,7 +101,7 @@ def run_demo(
     Raises
     ------
     InputFileError
-        When the folder cannot be written.
+        When the folder cannot be written or holds something else.
     UnknownNameError
         For an unknown method.
     """
@@ -112,61 +110,14 @@ def run_demo(
     demo = Demo(Path(output), options or DemoOptions(), tell)
     for name in demo.options.methods:
         methods.create(name)
+    _claim(demo.folder)
     scenes = _render(demo)
     _annotate(demo, scenes)
-    clips = _build(demo, scenes)
-    submissions = _segment(demo, clips)
+    _build(demo, scenes)
+    submissions = _segment(demo)
     _validate(demo, submissions)
     _score(demo, submissions)
     return _report(demo, submissions)
-
-
-def outline(scene: Scene, body: int, frame: int) -> KeyFrame:
-    """Outline a vehicle in one frame, as a person would: the visible pieces, or hidden, or gone.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    body : int
-        Id of the vehicle in ``scene.ids``.
-    frame : int
-        Frame.
-    """
-    mask: ByteArray = (scene.ids(frame) == body).astype(np.uint8)
-    found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    pieces = [cv2.approxPolyDP(c, 0.7, closed=True)[:, 0] for c in found if cv2.contourArea(c) >= _LEAST_AREA]
-    polygons: tuple[Polygon, ...] = tuple(tuple((float(x), float(y)) for x, y in p) for p in pieces)
-    if polygons:
-        return KeyFrame(frame, "visible", polygons)
-    return KeyFrame(frame, "occluded" if mask.any() else "outside")
-
-
-def annotation_of(scene: Scene, clip: str) -> Annotation:
-    """Annotate a scene from its own knowledge of the vehicles' outlines, on every third frame."""
-    last = scene.n_frames - 1
-    keys = sorted({*range(0, scene.n_frames, _KEY_EVERY), last})
-    objects = []
-    for number, vehicle in enumerate(scene.vehicles, start=1):
-        frames = tuple(outline(scene, number + 1, frame) for frame in keys)
-        objects.append(AnnotatedObject(number, vehicle.name, vehicle.kind, number, frames))
-    return Annotation(clip, scene.image_size, scene.n_frames, tuple(objects), annotator="demo")
-
-
-def track_errors(scene: Scene, tracks: Trajectories, after: int) -> FloatArray:
-    """Distances in pixels between trajectories and the truth, `after` frames behind their starts.
-
-    Only trajectories that live that long and whose true point is still seen then.
-    """
-    start = tracks.visible.argmax(axis=1)
-    rows = np.flatnonzero(tracks.visible.any(axis=1) & (start + after < tracks.n_frames))
-    rows = rows[tracks.visible[rows, start[rows] + after]]
-    seeds = np.column_stack([tracks.xy[rows, start[rows]], start[rows]])
-    truth = scene.trajectories(seeds)
-    end = start[rows] + after
-    seen = truth.visible[np.arange(len(rows)), end]
-    apart = truth.xy[seen, end[seen]] - tracks.xy[rows[seen], end[seen]]
-    return np.asarray(np.linalg.norm(apart, axis=1))
 
 
 def _render(demo: Demo) -> dict[str, Scene]:
@@ -204,70 +155,55 @@ def _annotate(demo: Demo, scenes: dict[str, Scene]) -> None:
         demo.say(f"{path.relative_to(demo.folder)}: {len(scene.vehicles)} objects")
 
 
-def _build(demo: Demo, scenes: dict[str, Scene]) -> list[Clip]:
+def _build(demo: Demo, scenes: dict[str, Scene]) -> None:
     kitti, dataset = demo.folder / "kitti", demo.folder / "dataset"
     demo.step(
         "Track points through the frames, label the trajectories, write the dataset",
         f"kt3dmoseg build --frames {kitti} --annotations {demo.folder / 'annotations'} -o {dataset}",
     )
-    for outcome in build_dataset(find_sources(kitti), dataset, annotations=demo.folder / "annotations"):
+    sources, annotations = find_sources(kitti), demo.folder / "annotations"
+    for outcome in build_dataset(sources, dataset, annotations=annotations, workers=1):
         if outcome.status == "failed":
             raise InputFileError(f"{outcome.path}: {outcome.reason}")
         counts = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
         demo.say(f"{outcome.path.relative_to(demo.folder)}: {counts or outcome.status}")
-    clips = [clip for name, clip in load_dataset(dataset).items() if name in scenes]
-    for clip in clips:
-        _check_against_truth(demo, clip, scenes[clip.name])
-    return clips
+    for name, scene in scenes.items():
+        _check_against_truth(demo, load(dataset / f"{name}.h5"), scene)
 
 
 def _check_against_truth(demo: Demo, clip: Clip, scene: Scene) -> None:
     """Say what only a synthetic scene can tell: how wrong the tracks and the labels are."""
     errors = track_errors(scene, clip.dense, _AFTER)
+    middle, most = np.nanpercentile(errors, [50, 90])
     demo.say(
-        f"{clip.name}: after {_AFTER} frames tracks are off by {np.median(errors):.2f} px (median), "
-        f"{np.percentile(errors, 95):.2f} px (95th percentile)"
+        f"{clip.name}: {_AFTER} frames after their start tracks are off by {middle:.2f} px (median), "
+        f"{most:.1f} px (90th percentile)"
     )
     tracks = clip.evaluated_trajectories
+    true = track_errors(scene, tracks) < _TRUE
     start = tracks.visible.argmax(axis=1)
     seeds = np.column_stack([tracks.xy[np.arange(len(tracks)), start], start])
     right = scene.labels(seeds).label == clip.labels.label
-    demo.say(f"{clip.name}: {100 * right.mean():.1f} % of the labels are those of the object at its start")
+    demo.say(
+        f"{clip.name}: {100 * right[true].mean():.1f} % of the labels are right "
+        f"({true.sum()} tracks that stay on their point)"
+    )
 
 
-def _segment(demo: Demo, clips: list[Clip]) -> dict[str, Path]:
-    from mseg import segment
-    from mseg.errors import SegmentationError
-    from mseg.evaluation import SubmissionMeta, fingerprint, write_failure, write_meta, write_prediction
+def _segment(demo: Demo) -> dict[str, Path]:
+    from mseg.benchmark import predict
 
+    dataset, runs = demo.folder / "dataset", demo.options.runs
     demo.step(
-        "Segment the trajectories by their motion, and write the predictions as submissions",
-        f"mseg run --method {demo.options.methods[-1]} {demo.folder / 'dataset'} -o SUBMISSION",
+        "Segment the trajectories by their motion; the predictions of a method are a submission",
+        f"mseg run {dataset} --method METHOD --seeds {runs} -o {demo.folder / 'submissions' / 'METHOD'}",
     )
     submissions = {}
+    seeds = range(demo.options.seed, demo.options.seed + runs)
     for method in demo.options.methods:
-        folder = _emptied(demo.folder / "submissions" / method)
         begin = time.perf_counter()
-        for run in range(demo.options.runs):
-            seed = demo.options.seed + run
-            for clip in clips:
-                try:
-                    found = segment(clip, method, n_motions=clip.n_motions, seed=seed)
-                    write_prediction(folder, clip, found.labels, seed=seed)
-                except SegmentationError as error:
-                    write_failure(folder, clip, str(error), seed=seed)
-        seconds = (time.perf_counter() - begin) / demo.options.runs
-        prints = {clip.name: fingerprint(clip) for clip in clips}
-        meta = SubmissionMeta(
-            method,
-            authors=("the demo",),
-            dataset_version=_VERSION,
-            seconds=round(seconds, 3),
-            baseline=method in _BASELINES,
-            fingerprints=prints,
-        )
-        write_meta(folder, meta)
-        demo.say(f"{folder.relative_to(demo.folder)}: {demo.options.runs} runs, {seconds:.1f} s each")
+        folder = predict(dataset, _emptied(demo.folder / "submissions" / method), method, seeds=seeds)
+        demo.say(f"{method}: {runs} runs in {time.perf_counter() - begin:.1f} s")
         submissions[method] = folder
     return submissions
 
@@ -275,10 +211,10 @@ def _segment(demo: Demo, clips: list[Clip]) -> dict[str, Path]:
 def _validate(demo: Demo, submissions: dict[str, Path]) -> None:
     from mseg.evaluation import validate_submission
 
-    dataset = demo.folder / "dataset"
-    demo.step("Check the submissions", f"mseg validate SUBMISSION {dataset}")
+    demo.step("Check the submissions", f"mseg validate SUBMISSION {demo.folder / 'dataset'}")
     for method, folder in submissions.items():
-        demo.say(f"{method}: {validate_submission(folder, dataset)}")
+        checked = validate_submission(folder, demo.folder / "dataset")
+        demo.say(f"{method}: {str(checked).splitlines()[0]}")
 
 
 def _score(demo: Demo, submissions: dict[str, Path]) -> None:
@@ -315,8 +251,24 @@ def _report(demo: Demo, submissions: dict[str, Path]) -> dict[str, Path]:
             0
         ]
         demo.say(str(reports[method]))
-    demo.tell(f"\nDone in {time.perf_counter() - demo.started:.0f} s. Open the reports in a browser.")
+    demo.tell(
+        f"\nDone in {time.perf_counter() - demo.started:.0f} s. Open a report in a browser, for instance:"
+    )
+    demo.tell(f"  {reports[demo.options.methods[-1]].resolve()}")
+    demo.tell(f"What is in a clip:  kt3dmoseg info {dataset}")
     return reports
+
+
+def _claim(folder: Path) -> None:
+    """Make sure that nothing but a former demo is replaced."""
+    if folder.exists() and not (folder / _MARKER).exists() and any(folder.iterdir()):
+        raise InputFileError(
+            f"{folder}",
+            expected="an empty folder, or a former demo's",
+            found="other files",
+            fix="choose another",
+        )
+    write_text(folder / _MARKER, "kt3dmoseg demo replaces what is in this folder\n")
 
 
 def _emptied(folder: Path) -> Path:
