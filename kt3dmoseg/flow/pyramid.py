@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow.base import check_pair
 from kt3dmoseg.flow.smoothing import smooth
 from kt3dmoseg.options import option
@@ -15,37 +16,47 @@ from kt3dmoseg.types import ByteArray, Float32Array
 
 @dataclass(frozen=True)
 class VariationalPyramid:
-    """DIS at reduced size, refined level by level up to full size.
+    """DIS at half size, refined level by level up to full size.
 
-    DIS (Kroeger et al., ECCV 2016) finds motions of any size; at each level the energy of Brox,
-    Bruhn, Papenberg and Weickert (ECCV 2004) - robust gray and gradient constancy, robust
-    smoothness - is minimised around the warped flow with OpenCV's `VariationalRefinement`.
+    DIS (Kroeger, Timofte, Dai, Van Gool, ECCV 2016) finds motions of any size. At each level the
+    energy of Brox, Bruhn, Papenberg and Weickert (ECCV 2004) - robust constancy of gray values and
+    of gradients, robust smoothness - is minimised around the flow so far with OpenCV's
+    `VariationalRefinement`, which divides each constancy term by the squared gradient plus
+    0.1^2 (Zimmer, Bruhn, Weickert, IJCV 2011, section 3.1). `contrast` moves that 0.1: at the
+    default, edges steeper than 0.1 / 0.02 = 5 gray values per pixel count alike and fainter ones
+    less, so that noise in flat places has little say. Measured in docs/tracking.md.
     """
 
-    smoothing: float = option(0.8, "presmoothing of the frames, sigma in pixels", low=0, high=5)
-    coarsest: float = option(0.5, "size of the first level to the frame", low=0.1, high=1)
-    step: float = option(0.9, "size of a level to the next finer one", low=0.3, high=0.98)
+    smoothing: float = option(0.8, "smoothing of the frames before the refinement, sigma", low=0, high=5)
+    scales: tuple[float, ...] = option(
+        (0.5, 0.6, 0.72, 0.86, 1.0, 1.0), "size of each level to the frame; the flow is warped once at each"
+    )
+    contrast: float = option(
+        0.02, "gray values are multiplied by this before the refinement", low=1e-4, high=10
+    )
     alpha: float = option(20.0, "weight of smoothness", low=0)
-    delta: float = option(0.5, "weight of gray value constancy", low=0)
+    delta: float = option(2.0, "weight of gray value constancy", low=0)
     gamma: float = option(6.0, "weight of gradient constancy", low=0)
     iterations: int = option(3, "fixed-point iterations at each level", low=1, high=100)
     relaxations: int = option(3, "SOR sweeps in each fixed-point iteration", low=1, high=100)
 
+    def __post_init__(self) -> None:
+        if not self.scales or not all(0.1 <= scale <= 1 for scale in self.scales) or self.scales[-1] != 1:
+            raise InvalidValueError(
+                "scales", expected="sizes from 0.1 to 1, the last 1", found=f"{self.scales}"
+            )
+
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
         """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`."""
         check_pair(a, b)
-        frames = [smooth(frame.astype(np.float32), self.smoothing) for frame in (a, b)]
-        field = self._seed(*(np.rint(frame).astype(np.uint8) for frame in frames))
+        field = _seed(a, b)
+        frames = [smooth(frame * np.float32(self.contrast), self.smoothing) for frame in (a, b)]
         solver = self._solver()
-        for scale in self._scales():
+        for scale in self.scales:
             first, second = (_resize(frame, scale) for frame in frames)
             field = _resize_flow(field, first.shape)
             field = np.asarray(solver.calc(first, second, field), np.float32)
         return field
-
-    def _seed(self, a: ByteArray, b: ByteArray) -> Float32Array:
-        solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        return np.asarray(solver.calc(a, b, None), np.float32)  # type: ignore[call-overload]  # its stub forgets None
 
     def _solver(self) -> cv2.VariationalRefinement:
         solver = cv2.VariationalRefinement.create()
@@ -56,23 +67,27 @@ class VariationalPyramid:
         solver.setSorIterations(self.relaxations)
         return solver
 
-    def _scales(self) -> list[float]:
-        levels = int(np.ceil(np.log(self.coarsest) / np.log(self.step) - 1e-9))
-        return [max(self.coarsest, self.step**level) for level in range(levels, -1, -1)]
+
+def _seed(a: ByteArray, b: ByteArray) -> Float32Array:
+    """DIS medium on lightly smoothed frames: noise misleads its gradient descent."""
+    smooth_a, smooth_b = (cv2.GaussianBlur(frame, (5, 5), 0.8) for frame in (a, b))
+    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    field = solver.calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
+    return np.asarray(field, np.float32)
 
 
 def _resize(frame: Float32Array, scale: float) -> Float32Array:
-    height, width = (max(1, round(side * scale)) for side in frame.shape)
+    height, width = (round(side * scale) for side in frame.shape)
     if (height, width) == frame.shape:
         return frame
     return np.asarray(cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _resize_flow(field: Float32Array, shape: tuple[int, int]) -> Float32Array:
+def _resize_flow(field: Float32Array, shape: tuple[int, ...]) -> Float32Array:
+    """Resample a field and scale its vectors alike."""
     if field.shape[:2] == shape:
         return field
-    ratio = np.array([shape[1] / field.shape[1], shape[0] / field.shape[0]], np.float32)
-    shrinks = shape[0] < field.shape[0]
-    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    resized = cv2.resize(field, (shape[1], shape[0]), interpolation=method)
-    return np.asarray(resized * ratio, np.float32)
+    height, width = shape
+    ratio = np.array([width / field.shape[1], height / field.shape[0]], np.float32)
+    method = cv2.INTER_AREA if height < field.shape[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(field, (width, height), interpolation=method) * ratio, np.float32)
