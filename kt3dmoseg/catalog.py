@@ -113,7 +113,7 @@ def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
     for name, table in clips.items():
         try:
             entries[name] = _entry(name, table)
-        except (KT3DMoSegError, TypeError) as error:
+        except KT3DMoSegError as error:
             problems.append(f"clips.{name}: {error}")
     return entries, problems
 
@@ -157,7 +157,7 @@ def _entry(name: str, table: Any) -> Entry:  # noqa: ANN401  # whatever TOML hol
         length=whole(table["length"], "length", MOST_FRAMES),
         size=None if size is None else _size(size),
         numbers=None if numbers is None else parse_numbers(numbers),
-        frames=tuple(_fingerprint(frame, k) for k, frame in enumerate(table.get("frames", ()))),
+        frames=_frames(table.get("frames", [])),
         proof=str(table.get("proof", "")),
         source=str(table.get("source", "")),
     )
@@ -167,6 +167,12 @@ def _size(value: Any) -> tuple[int, int]:  # noqa: ANN401
     if not isinstance(value, list) or len(value) != 2:
         raise InvalidValueError("size", expected="[width, height]", found=repr(value))
     return whole(value[0], "width", 1 << 16), whole(value[1], "height", 1 << 16)
+
+
+def _frames(value: Any) -> tuple[Fingerprint, ...]:  # noqa: ANN401
+    if not isinstance(value, list):
+        raise InvalidValueError("frames", expected="a list", found=repr(value)[:80])
+    return tuple(_fingerprint(frame, index) for index, frame in enumerate(value))
 
 
 def _fingerprint(frame: Any, index: int) -> Fingerprint:  # noqa: ANN401

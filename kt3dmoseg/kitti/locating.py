@@ -149,12 +149,14 @@ def _by_checksum(entry: Entry, holding: Holding, camera: int) -> Verdict:
     frames = drive_frames(holding, entry.drive, camera)
     for number, name in frames.items():
         by_size.setdefault(holding.size(name), []).append(number)
-    return match_exact(
-        [
-            [n for n in by_size.get(mark.bytes, ()) if holding.crc32(frames[n]) == mark.crc32]
-            for mark in entry.frames
-        ]
-    )
+    equal = [
+        [n for n in by_size.get(mark.bytes, ()) if holding.crc32(frames[n]) == mark.crc32]
+        for mark in entry.frames
+    ]
+    given = entry.numbers or ()
+    if given and all(n in found for n, found in zip(given, equal, strict=True)):
+        return Verdict(given)
+    return match_exact(equal)
 
 
 def _by_pictures(entry: Entry, holding: Holding, own: list[Float32Array]) -> tuple[str, Verdict]:
