@@ -70,14 +70,7 @@ class Job:
     def build(self, *, cache: Path | None = None, progress: Progress | None = None) -> Clip:
         """Track, label, subsample."""
         settings, name = self.settings, self.source.name
-        total = None if self.shot.numbers is None else len(self.shot.numbers)
-        dense = track(
-            self.source.frames(settings.build.colour),
-            self.flow,
-            cache=cache,
-            progress=None if progress is None else lambda done, _: progress(done, total),
-            **asdict(settings.tracks),
-        )
+        dense = self._track(cache, progress)
         numbers = np.arange(dense.n_frames) if self.shot.numbers is None else np.array(self.shot.numbers)
         evaluated, labels = _choose(self.labels.label(dense, numbers, name), len(dense), settings, name)
         return Clip(
@@ -90,6 +83,16 @@ class Job:
             camera=self.shot.camera,
             provenance={"format": "kt3dmoseg-build", "fingerprint": dict(self.fingerprint)},
         )
+
+    def _track(self, cache: Path | None, progress: Progress | None) -> Trajectories:
+        total = None if self.shot.numbers is None else len(self.shot.numbers)
+        frames = self.source.frames(self.settings.build.colour)
+        tell = None if progress is None else lambda done, _: progress(done, total)
+        options = asdict(self.settings.tracks)
+        try:
+            return track(frames, self.flow, cache=cache, progress=tell, **options)
+        except InvalidValueError as error:  # of the frames' arrays: say whose they are
+            raise InvalidValueError(f"{self.source.where}: {error}") from None
 
 
 def prepare(source: Source, labels: LabelSource, settings: Settings) -> Job:

@@ -76,8 +76,15 @@ def _differences(old: object, new: object, where: str) -> Iterator[str]:
         for key in sorted({*old, *new}):
             yield from _differences(old.get(key), new.get(key), f"{where} {key}".strip())
     elif old != new:
-        digest = "sha256" in where or where == "code" or where.endswith("source")
-        yield f"{where} changed" if digest else f"{where} was {old!r}, now {new!r}"
+        yield _change(where, old, new)
+
+
+def _change(where: str, old: object, new: object) -> str:
+    if old is None or new is None:
+        return f"{where} {'added' if old is None else 'removed'}"
+    if where == "code" or where.startswith("labels") or where.endswith(("sha256", "source")):
+        return f"{where} changed"
+    return f"{where} was {old!r}, now {new!r}"
 
 
 @cache

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from kt3dmoseg.options import from_mapping, option, option_names
+from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.tracks import TrackOptions
 
 
@@ -38,9 +39,12 @@ class Settings:
         InvalidValueError
             For a value of the wrong type or out of bounds.
         """
-        tracker = set(option_names(TrackOptions))
+        own, tracker = option_names(BuildOptions), option_names(TrackOptions)
+        for name in options:
+            if name not in (*own, *tracker):
+                raise unknown_name("option", name, [*own, *tracker])
         return cls(
-            from_mapping(BuildOptions, {k: v for k, v in options.items() if k not in tracker}),
+            from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own}),
             from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker}),
             dict(flow_parameters or {}),
         )

@@ -15,11 +15,20 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_file
-from kt3dmoseg.io.images import IMAGE_SUFFIXES, Colour, frame_number, frame_paths, gray, read_frame
+from kt3dmoseg.io.images import (
+    IMAGE_SUFFIXES,
+    Colour,
+    frame_number,
+    frame_paths,
+    gray,
+    quiet_opencv,
+    read_frame,
+)
 from kt3dmoseg.kitti import Drive, RawDrive
 from kt3dmoseg.types import ByteArray, Camera, FloatArray
 
 VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
+_FFMPEG_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET; a damaged video is our one line to tell
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_sync")
 
 
@@ -56,6 +65,11 @@ class Source(Protocol):
         """Name of the clip."""
         ...
 
+    @property
+    def where(self) -> str:
+        """The place on this machine, for messages."""
+        ...
+
     def inspect(self) -> Shot:
         """Check the source and say what is known without decoding it."""
         ...
@@ -75,6 +89,11 @@ class FrameFolder:
     def name(self) -> str:
         """Name of the folder."""
         return self.folder.resolve().name
+
+    @property
+    def where(self) -> str:
+        """The folder."""
+        return f"{self.folder}"
 
     def inspect(self) -> Shot:
         """Check names and numbers and hash the files."""
@@ -106,6 +125,11 @@ class VideoFile:
         """Name of the file without its suffix."""
         return self.file.stem
 
+    @property
+    def where(self) -> str:
+        """The file."""
+        return f"{self.file}"
+
     def inspect(self) -> Shot:
         """Hash the file."""
         digest = sha256_file(self.file)
@@ -114,7 +138,9 @@ class VideoFile:
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Give the luma of every frame."""
         del colour  # a video is in colour by nature
-        video = cv2.VideoCapture(os.fspath(self.file))
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
+        with quiet_opencv():
+            video = cv2.VideoCapture(os.fspath(self.file))
         try:
             if not video.isOpened():
                 raise FileFormatError(
@@ -144,6 +170,11 @@ class KittiClip:
         span = "" if self.first is None else f"_{self.first:06d}-{self.last:06d}"
         return self.title or f"{self.drive.drive.name}{span}"
 
+    @property
+    def where(self) -> str:
+        """The root and the drive in it."""
+        return f"{self.drive.root}: {self.drive.drive.name}"
+
     def inspect(self) -> Shot:
         """Check that the frames are there, hash them, and read their times and the calibration."""
         numbers = self._numbers()
@@ -172,7 +203,7 @@ class KittiClip:
         last = self.last if self.last is not None else max(present, default=0)
         if last <= first:
             raise InvalidValueError(
-                f"{self.drive}: range", expected="at least two frames, FIRST-LAST", found=f"{first}-{last}"
+                f"{self.where}: range", expected="at least two frames, FIRST-LAST", found=f"{first}-{last}"
             )
         return list(range(first, last + 1))
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -112,19 +113,24 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
     _check_png_size(content, where)
     picture = None
     if content:
-        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        try:
+        with quiet_opencv(), suppress(cv2.error):
             picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            picture = None
-        finally:
-            cv2.utils.logging.setLogLevel(level)
     if picture is None:
         found = f"{len(content)} bytes that are not" if content else "an empty file"
         raise FileFormatError(
             where, expected="a picture", found=found, fix="the file is damaged; fetch it again"
         )
     return np.asarray(picture)
+
+
+@contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV from writing to standard error: a damaged file is our one line to tell."""
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> ByteArray:

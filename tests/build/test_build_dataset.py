@@ -1,0 +1,256 @@
+"""A folder of clips: up to date or why not, failures, interruptions, bad input at the command line."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip, write_masks
+
+from kt3dmoseg.build import build_dataset, dataset
+from kt3dmoseg.cli import main
+from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.io import hdf5, load
+
+FLOW = ["--flow", "dis_medium"]
+
+
+@pytest.fixture
+def frames(tmp_path):
+    for seed, name in enumerate(("a", "b", "c")):
+        write_clip(tmp_path / "frames" / name, seed)
+    return tmp_path / "frames"
+
+
+def build(frames, output, **options):
+    return build_dataset(frames, output, flow="dis_medium", workers=options.pop("workers", 1), **options)
+
+
+def statuses(outcomes):
+    return {outcome.name: outcome.status for outcome in outcomes}
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_one_file_per_clip_then_nothing_to_do(frames, tmp_path):
+    assert statuses(build(frames, tmp_path / "out")) == dict.fromkeys("abc", "built")
+    before = contents(tmp_path / "out")
+    assert sorted(before) == ["a.h5", "b.h5", "c.h5"]
+    assert statuses(build(frames, tmp_path / "out")) == dict.fromkeys("abc", "up to date")
+    assert contents(tmp_path / "out") == before
+
+
+def test_any_number_of_workers_gives_the_same_bytes(frames, tmp_path):
+    seen = []
+    build(frames, tmp_path / "one")
+    build(frames, tmp_path / "two", workers=2, progress=lambda *message: seen.append(message))
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    assert sorted(seen) == [(clip, k, FRAMES) for clip in "abc" for k in range(1, FRAMES + 1)]
+
+
+def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    assert {o.reason for o in build(frames, out)} == {"new"}
+    assert {o.reason for o in build(frames, out, spacing=6)} == {"options spacing was 8, now 6"}
+    shutil.copy(frames / "b/000002.png", frames / "a/000003.png")
+    outcomes = {o.name: o for o in build(frames, out, spacing=6)}
+    assert outcomes["a"].reason == "source sha256 changed"
+    assert outcomes["b"].status == "up to date"
+    write_masks(tmp_path / "masks/b")
+    outcomes = {o.name: o for o in build(frames, out, spacing=6, masks=tmp_path / "masks")}
+    assert outcomes["b"].reason == "labels masks added"
+    assert outcomes["b"].counts["motions"] == 2
+    assert outcomes["a"].status == "up to date"
+    (out / "c.h5").write_bytes(b"half a file")
+    outcomes = {o.name: o for o in build(frames, out, spacing=6)}
+    assert "no sound clip" in outcomes["c"].reason
+    assert {o.reason for o in build(frames, out, spacing=6, force=True)} == {"asked for"}
+    from kt3dmoseg.build import fingerprint
+
+    monkeypatch.setattr(fingerprint, "_code", lambda: "other")
+    assert {o.reason for o in build(frames, out, spacing=6)} == {"code changed"}
+
+
+def test_a_bad_clip_does_not_stop_the_others(frames, tmp_path, capsys):
+    (frames / "b/000003.png").unlink()
+    command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW]
+    assert main([*command, "--workers", "1"]) == 2
+    told = capsys.readouterr()
+    assert sorted(contents(tmp_path / "out")) == ["a.h5", "c.h5"]
+    assert told.err.count("\n") == 1
+    assert "b failed" in told.err
+    assert "frame 3" in told.err
+    assert "2 built, 0 up to date, 1 failed" in told.out
+
+
+def _colour(folder):
+    picture = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    picture[..., 2] = 90
+    cv2.imwrite(str(folder / "000002.png"), picture)
+
+
+def _rewrite(folder, picture):
+    cv2.imwrite(str(folder / "000002.png"), picture)
+
+
+BAD = {
+    "empty folder": (lambda f: [p.unlink() for p in f.iterdir()], "empty folder"),
+    "one frame": (lambda f: [p.unlink() for p in sorted(f.iterdir())[1:]], "only 000001.png"),
+    "two sizes": (lambda f: _rewrite(f, np.zeros((80, 90), np.uint8)), "expected 96x64 px.*found 90x80"),
+    "colour": (_colour, "expected a gray picture, found colour; convert"),
+    "16 bit": (lambda f: _rewrite(f, np.zeros((HEIGHT, WIDTH), np.uint16)), "8-bit picture, found 16 bits"),
+    "corrupt": (lambda f: (f / "000002.png").write_bytes(b"\x89PNG\r\n\x1a\n"), "expected a picture"),
+    "gap": (lambda f: (f / "000003.png").unlink(), "frame 3: .*without a gap"),
+    "too thin": (lambda f: [_thin(p) for p in f.iterdir()], "at least 32"),
+}
+
+
+def _thin(path):
+    cv2.imwrite(str(path), np.zeros((16, 64), np.uint8))
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_frames_are_one_line_and_leave_nothing(name, tmp_path, capfd):
+    import re
+
+    spoil, words = BAD[name]
+    folder = write_clip(tmp_path / "clip")
+    spoil(folder)
+    code = main(["build", "--frames", str(folder), "-o", str(tmp_path / "out"), *FLOW])
+    told = capfd.readouterr().err
+    assert code == 2
+    assert told.count("\n") == 1
+    assert re.search(words, told), told
+    assert str(folder) in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_colour_is_built_when_its_luma_is_asked_for(tmp_path):
+    folder = write_clip(tmp_path / "clip")
+    for path in folder.iterdir():
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), np.dstack([picture, picture, 255 - picture]))
+    build(folder, tmp_path / "out", colour="luma")
+    assert len(load(tmp_path / "out/clip.h5").dense) > 0
+
+
+def test_a_file_where_the_output_folder_should_be(frames, tmp_path, capsys):
+    (tmp_path / "out").write_text("in the way")
+    assert main(["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "cannot write" in told
+
+
+def test_a_read_only_output_folder(frames, tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset.os, "access", lambda *_: False)  # root may write anywhere
+    with pytest.raises(InputFileError, match="out: cannot write: found a read-only folder; give another"):
+        build(frames, tmp_path / "out")
+
+
+_FULL_DISK = """
+import resource, signal, sys
+from kt3dmoseg.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_full_disk(frames, tmp_path):
+    command = ["build", "--frames", str(frames / "a"), "-o", str(tmp_path / "out"), *FLOW, "--workers", "1"]
+    done = subprocess.run(
+        [sys.executable, "-c", _FULL_DISK, *command], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "cannot write" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_builds_do_not_share_a_folder(frames, tmp_path):
+    with dataset._sole_writer(tmp_path / "out"), pytest.raises(InputFileError, match="one at work"):
+        build(frames, tmp_path / "out")
+
+
+def test_bad_numbers_of_workers(frames, tmp_path):
+    with pytest.raises(InvalidValueError, match="workers: expected at least 1"):
+        build(frames, tmp_path / "out", workers=0)
+
+
+def _start(frames, output):
+    command = ["build", "--frames", str(frames), "-o", str(output), "--workers", "2"]
+    # Its own session, so that signals reach it and its workers as from a terminal.
+    return subprocess.Popen(
+        [sys.executable, "-m", "kt3dmoseg.cli", *command],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def _wait_for_a_clip(process, output):
+    while not list(output.glob("*.h5")):
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.01)
+
+
+def _wait_for_the_end(group):
+    """Wait until no process of the group is left: workers end with their parent."""
+    while True:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
+    for seed in range(6):
+        write_clip(tmp_path / "frames" / f"clip{seed}", seed)
+    process = _start(tmp_path / "frames", tmp_path / "out")
+    _wait_for_a_clip(process, tmp_path / "out")
+    if how == signal.SIGINT:
+        os.killpg(process.pid, how)
+    else:
+        process.send_signal(how)
+    told = process.communicate()[1]
+    _wait_for_the_end(process.pid)
+    assert process.returncode == (130 if how == signal.SIGINT else -how)
+    if how == signal.SIGINT:
+        assert told == "kt3dmoseg: interrupted; what was finished is kept\n"
+    finished = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.h5")}
+    assert 1 <= len(finished) < 6
+    for name in finished:
+        hdf5.read(tmp_path / "out" / name)
+    (tmp_path / "out/.clip5.h5.leftover.part").write_bytes(b"half")
+    outcomes = build_dataset(tmp_path / "frames", tmp_path / "out", workers=1)
+    assert {f"{o.name}.h5" for o in outcomes if o.status == "up to date"} == set(finished)
+    build_dataset(tmp_path / "frames", tmp_path / "fresh", workers=1)
+    assert contents(tmp_path / "out") == contents(tmp_path / "fresh")
+
+
+def test_memory_does_not_grow_with_the_length_of_a_clip(tmp_path):
+    """Frames are read one at a time: thrice the length costs no more than its trajectories."""
+    peaks = []
+    for count in (20, 60):
+        folder = write_clip(tmp_path / f"clip{count}", frames=count)
+        code = (
+            "import resource, sys; from kt3dmoseg.build import build_clip;"
+            f"build_clip({str(folder)!r}, flow='dis_medium');"
+            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        peaks.append(int(done.stdout))
+    assert peaks[1] < peaks[0] + 20_000  # kilobytes

@@ -1,0 +1,127 @@
+"""Pictures of trajectories."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip
+
+from kt3dmoseg.cli import main
+from kt3dmoseg.draw import PALETTE, UNLABELLED, DrawOptions, by_label, by_length, draw_frame, label_colour
+from kt3dmoseg.io import save
+from kt3dmoseg.types import Clip, Labels, Trajectories
+
+
+@pytest.fixture
+def clip():
+    x = np.array([[30.0, 32, 34, 36, 38, 40], [60, 60, 60, 60, np.nan, np.nan], [80, 80, np.nan, 80, 80, 80]])
+    xy = np.stack([x, np.where(np.isnan(x), np.nan, 58.0)], axis=2)
+    tracks = Trajectories(xy, ~np.isnan(x), image_size=(WIDTH, HEIGHT))
+    return Clip("clip", tracks, np.arange(3), Labels(np.array([1, 2, 0]), 1, {2: "car"}))
+
+
+@pytest.fixture
+def file(clip, tmp_path):
+    save(clip, tmp_path / "clip.h5")
+    return tmp_path / "clip.h5"
+
+
+def test_points_have_their_labels_colours(clip):
+    picture = draw_frame(by_label(clip, clip.labels.label), 0)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    assert tuple(picture[58, 30]) == label_colour(1)
+    assert tuple(picture[58, 60]) == label_colour(2)
+    assert tuple(picture[58, 80]) == UNLABELLED
+
+
+def test_a_trail_leads_back_but_not_over_a_gap(clip):
+    painting = by_label(clip, clip.labels.label)
+    picture = draw_frame(painting, 5, options=DrawOptions(trail=3))
+    assert picture[58, 35].any()
+    assert not picture[58, 32].any()
+    assert not draw_frame(painting, 5, options=DrawOptions(trail=0))[58, 35].any()
+    assert not picture[58, 60].any()
+
+
+def test_frames_lie_beneath_dimmed_and_enlarged(clip):
+    frame = np.full((HEIGHT, WIDTH), 100, np.uint8)
+    picture = draw_frame(by_label(clip, [0, 0, 0]), 0, frame, options=DrawOptions(scale=2, dim=0.5))
+    assert picture.shape == (2 * HEIGHT, 2 * WIDTH, 3)
+    assert picture[2 * 58, 2 * 10].tolist() == [50, 50, 50]
+    assert tuple(picture[2 * 58 + 1, 2 * 30 + 1]) == UNLABELLED
+
+
+def test_the_legend_names_and_counts(clip):
+    assert [text for text, _ in by_label(clip, clip.labels.label, clip.labels.names).legend] == [
+        "0 unlabelled: 1",
+        "1 background: 1",
+        "2 car: 1",
+    ]
+
+
+def test_lengths_go_from_dark_to_bright(clip):
+    colours = by_length(clip.dense).colours.astype(int).sum(axis=1)
+    assert colours[1] < colours[2] < colours[0]
+
+
+def test_colours_repeat_only_after_the_palette_ends():
+    assert len({label_colour(k) for k in range(len(PALETTE) + 1)}) == len(PALETTE) + 1
+    assert label_colour(1 + len(PALETTE)) == label_colour(1)
+
+
+def test_a_folder_of_pictures(file, tmp_path, capsys):
+    frames = write_clip(tmp_path / "frames/clip").parent
+    assert main(["show", str(file), "--frames", str(frames), "-o", str(tmp_path / "shown")]) == 0
+    names = sorted(path.name for path in (tmp_path / "shown").iterdir())
+    assert names == [f"clip_{k:06d}.png" for k in range(1, FRAMES + 1)]
+    assert cv2.imread(str(tmp_path / "shown" / names[0])).shape == (HEIGHT, WIDTH, 3)
+    assert "6 pictures" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".avi"])
+def test_a_video(suffix, file, tmp_path):
+    path = tmp_path / f"clip{suffix}"
+    assert main(["show", str(file), "-o", str(path), "--by", "length"]) == 0
+    video = cv2.VideoCapture(str(path))
+    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == FRAMES
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".gif", b"GIF8"), (".apng", b"\x89PNG"), (".webp", b"RIFF")])
+@pytest.mark.skipif(not hasattr(cv2, "imwriteanimation"), reason="OpenCV before 4.11")
+def test_an_animation(suffix, start, file, tmp_path):
+    path = tmp_path / f"clip{suffix}"
+    assert main(["show", str(file), "-o", str(path)]) == 0
+    assert path.read_bytes()[:4] == start
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["clip.h5", path.name])
+
+
+def test_a_prediction_in_one_picture(file, tmp_path):
+    (tmp_path / "pred.csv").write_text("track,label\n0,3\n1,3\n2,3\n")
+    out = tmp_path / "one.png"
+    assert main(["show", str(file), "--pred", str(tmp_path / "pred.csv"), "--at", "0", "-o", str(out)]) == 0
+    assert tuple(cv2.imread(str(out))[58, 60, ::-1]) == label_colour(3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--by", "prediction"], "--pred FILE"),
+        (["--at", "6"], "expected 0..5, found 6"),
+        (["-o", "clip.xyz"], "a suffix of .mp4"),
+        (["--frames", "nowhere"], "no such folder"),
+        (["--rate", "0"], "above 0"),
+        (["--scale", "99"], "scale"),
+    ],
+)
+def test_what_cannot_be_shown(arguments, words, file, capsys):
+    assert main(["show", str(file), *arguments]) == 2
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+
+
+def test_frames_of_another_clip(file, tmp_path, capsys):
+    write_clip(tmp_path / "other", frames=3)
+    assert main(["show", str(file), "--frames", str(tmp_path / "other")]) == 2
+    assert "expected the 6 frames of clip, found 3" in capsys.readouterr().err
