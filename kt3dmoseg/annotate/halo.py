@@ -18,9 +18,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Motion
-from kt3dmoseg.annotate.motion import apply, fit_similarity
+from kt3dmoseg.annotate.motion import fit_similarities
 from kt3dmoseg.annotate.polygons import bounds, signed_distance
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
@@ -70,10 +71,10 @@ def decide_by_motion(
     for item in moving:
         depth = depths[item.id]
         clear = np.nan_to_num(depth, nan=-np.inf) > rule.margin
-        for row in _along(depth, rule.halo, rule.margin):
-            winner = _winner(trajectories, int(row), clear, behind, rule)
-            if winner is not None:
-                decided[int(row)] = item.motion if winner else BACKGROUND
+        rows = _along(depth, rule.halo, rule.margin)
+        for row, with_object in zip(rows, _winners(trajectories, rows, clear, behind, rule), strict=True):
+            if with_object is not None:
+                decided[int(row)] = item.motion if with_object else BACKGROUND
     return decided
 
 
@@ -108,39 +109,58 @@ def _along(depth: FloatArray, halo: float, margin: float) -> IntArray:
     return np.flatnonzero((close.sum(axis=1) * 2 > seen.sum(axis=1)) & seen.any(axis=1))
 
 
-def _winner(
-    trajectories: Trajectories, row: int, clear: BoolArray, behind: BoolArray, rule: HaloRule
-) -> bool | None:
-    """Tell whether it moves with the object (True), the background (False), or neither clearly (None)."""
-    errors, gaps = [], []
-    visible = trajectories.visible[row]
-    for frame in np.flatnonzero(visible[:-1] & visible[1:]):
-        here, there = trajectories.xy[row, frame], trajectories.xy[row, frame + 1]
-        with_object = _predict(trajectories, clear, row, int(frame))
-        with_background = _predict(trajectories, behind, row, int(frame))
-        if with_object is None or with_background is None:
-            continue
-        errors.append((_length(there - here - with_object), _length(there - here - with_background)))
-        gaps.append(_length(with_object - with_background))
-    if len(gaps) < _MIN_STEPS or float(np.median(gaps)) < rule.least_gap:
+def _winners(
+    trajectories: Trajectories, rows: IntArray, clear: BoolArray, behind: BoolArray, rule: HaloRule
+) -> list[bool | None]:
+    """Tell of each row whether it moves with the object, with the background (False), or cannot be told."""
+    steps = [_errors(trajectories, rows, clear, behind, f) for f in range(trajectories.n_frames - 1)]
+    errors = np.array(steps).reshape(len(steps), len(rows), 3)
+    return [_winner(errors[~np.isnan(errors[:, k, 0]), k], rule) for k in range(len(rows))]
+
+
+def _winner(errors: FloatArray, rule: HaloRule) -> bool | None:
+    if len(errors) < _MIN_STEPS:
         return None
-    of_object, of_background = np.median(np.array(errors), axis=0)
+    of_object, of_background, gap = np.median(errors, axis=0)
+    if gap < rule.least_gap:
+        return None
     if of_object * rule.ratio <= of_background:
         return True
     return False if of_background * rule.ratio <= of_object else None
 
 
-def _predict(trajectories: Trajectories, mask: BoolArray, row: int, frame: int) -> FloatArray | None:
-    """Displacement (2,) at the trajectory, from the nearest masked ones; None where there are too few."""
-    usable = mask[:, frame] & trajectories.visible[:, frame + 1]
-    usable[row] = False
-    rows = np.flatnonzero(usable)
-    here = trajectories.xy[row, frame]
-    away = ((trajectories.xy[rows, frame] - here) ** 2).sum(axis=1)
-    nearest = rows[np.argsort(away, kind="stable")[:_NEIGHBOURS]]
-    model = fit_similarity(trajectories.xy[nearest, frame], trajectories.xy[nearest, frame + 1])
-    return None if model is None else apply(model, here[None])[0] - here
+def _errors(
+    trajectories: Trajectories, rows: IntArray, clear: BoolArray, behind: BoolArray, frame: int
+) -> FloatArray:
+    """Errors (n, 3) of one step: of the object's prediction, of the background's, and their difference."""
+    out = np.full((len(rows), 3), np.nan)
+    both = trajectories.visible[:, frame] & trajectories.visible[:, frame + 1]
+    here = np.flatnonzero(both[rows])
+    if not len(here):
+        return out
+    asked = rows[here]
+    step = trajectories.xy[asked, frame + 1] - trajectories.xy[asked, frame]
+    of_object, object_ok = _predict(trajectories, clear[:, frame] & both, asked, frame)
+    of_background, background_ok = _predict(trajectories, behind[:, frame] & both, asked, frame)
+    told = object_ok & background_ok
+    vectors = (step - of_object, step - of_background, of_object - of_background)
+    out[here[told]] = np.stack([np.hypot(*vector[told].T) for vector in vectors], axis=1)
+    return out
 
 
-def _length(vector: FloatArray) -> float:
-    return float(np.hypot(vector[0], vector[1]))
+def _predict(
+    trajectories: Trajectories, usable: BoolArray, rows: IntArray, frame: int
+) -> tuple[FloatArray, BoolArray]:
+    """Displacements (n, 2) at the rows from the nearest usable others, and where there are enough (n,)."""
+    others = np.flatnonzero(usable)
+    here = trajectories.xy[rows, frame]
+    if not len(others):
+        return np.zeros_like(here), np.zeros(len(rows), dtype=np.bool_)
+    count = min(_NEIGHBOURS + 1, len(others))
+    _, nearest = cKDTree(trajectories.xy[others, frame]).query(here, k=range(1, count + 1))
+    found = others[nearest]
+    known = found != rows[:, None]
+    # One more was asked for than needed, because a row may find itself.
+    known &= np.cumsum(known, axis=1) <= _NEIGHBOURS
+    models, ok = fit_similarities(trajectories.xy[found, frame], trajectories.xy[found, frame + 1], known)
+    return (models[:, :, :2] @ here[..., None])[..., 0] + models[:, :, 2] - here, ok

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.annotate.polygons import bounds, signed_distance
-from kt3dmoseg.types import Float32Array, FloatArray, Trajectories
+from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
+
+ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
 # Correspondences below which a similarity is not worth fitting: it has four unknowns.
 _ENOUGH = 4
@@ -18,6 +21,9 @@ _NOISE = 0.3
 # Strength of the prior "no turn, no growth", in square pixels of spread: a few close points tell
 # the translation of a region but not its scale.
 _PRIOR = 100.0
+# Changes of the model below this no longer matter.
+_STILL = 1e-5
+_TINY = 1e-12
 
 
 class ImageMotion(Protocol):
@@ -111,9 +117,6 @@ class NoMotion:
 def fit_similarity(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
     """Fit a similarity robustly: ``x2 = A x1 + t`` with A a scaled rotation.
 
-    Iteratively reweighted least squares with Tukey's biweight (Beaton and Tukey 1974), started at
-    the median displacement, so that up to nearly half of the points may follow another motion.
-
     Parameters
     ----------
     x1, x2 : (n, 2) float64
@@ -126,16 +129,49 @@ def fit_similarity(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
     """
     if len(x1) < _ENOUGH:
         return None
-    model = np.column_stack([np.eye(2), np.median(x2 - x1, axis=0)])
+    models, _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
+    return np.asarray(models[0])
+
+
+def fit_similarities(x1: FloatArray, x2: FloatArray, known: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """Fit many similarities at once, each robustly.
+
+    Iteratively reweighted least squares with Tukey's biweight (Beaton and Tukey 1974), started at
+    the median displacement, so that up to nearly half of the points may follow another motion.
+
+    Parameters
+    ----------
+    x1, x2 : (B, n, 2) float64
+        Corresponding points in pixels.
+    known : (B, n) bool
+        Which of them count.
+
+    Returns
+    -------
+    models : (B, 2, 3) float64
+        ``[A | t]`` each.
+    ok : (B,) bool
+        False for fewer than 4 correspondences.
+    """
+    z1, z2 = x1[..., 0] + 1j * x1[..., 1], x2[..., 0] + 1j * x2[..., 1]
+    shift = _median((x2 - x1)[..., 0], known) + 1j * _median((x2 - x1)[..., 1], known)
+    a, t = np.ones(len(x1), dtype=np.complex128), shift
+    ok = known.sum(axis=1) >= _ENOUGH
+    live = ok.copy()
     for _ in range(_ROUNDS):
-        residual = np.hypot(*(x2 - apply(model, x1)).T)
+        residual = np.abs(z2 - a[:, None] * z1 - t[:, None])
         # 1.4826 * MAD estimates the standard deviation; 4.685 gives 95 % efficiency (Huber 1981).
-        cut = 4.685 * max(_NOISE, 1.4826 * float(np.median(residual)))
-        weight = np.where(residual < cut, (1 - (residual / cut) ** 2) ** 2, 0.0)
-        if np.count_nonzero(weight) < _ENOUGH:
+        cut = 4.685 * np.maximum(_NOISE, 1.4826 * _median(residual, known))[:, None]
+        weight = np.where(known & (residual < cut), (1 - (residual / cut) ** 2) ** 2, 0.0)
+        live &= np.count_nonzero(weight, axis=1) >= _ENOUGH
+        new_a, new_t = _weighted_similarity(z1, z2, weight)
+        new_a, new_t = np.where(live, new_a, a), np.where(live, new_t, t)
+        still = np.abs(new_a - a).max(initial=0.0) < _STILL and np.abs(new_t - t).max(initial=0.0) < _STILL
+        a, t = new_a, new_t
+        if still:
             break
-        model = _weighted_similarity(x1, x2, weight)
-    return model
+    models = np.stack([np.stack([a.real, -a.imag, t.real], -1), np.stack([a.imag, a.real, t.imag], -1)], 1)
+    return models, ok
 
 
 def apply(model: FloatArray, points: FloatArray) -> FloatArray:
@@ -143,15 +179,26 @@ def apply(model: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(points @ model[:, :2].T + model[:, 2])
 
 
-def _weighted_similarity(x1: FloatArray, x2: FloatArray, weight: FloatArray) -> FloatArray:
+def _weighted_similarity(
+    z1: ComplexArray, z2: ComplexArray, weight: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
     """Regularised least squares in complex numbers: ``z2 - m2 = a (z1 - m1)`` with a near 1."""
-    z1, z2 = x1[:, 0] + 1j * x1[:, 1], x2[:, 0] + 1j * x2[:, 1]
-    total = weight.sum()
-    m1, m2 = (weight * z1).sum() / total, (weight * z2).sum() / total
-    spread = (weight * np.abs(z1 - m1) ** 2).sum()
-    a = ((weight * np.conj(z1 - m1) * (z2 - m2)).sum() + _PRIOR) / (spread + _PRIOR)
-    t = m2 - a * m1
-    return np.array([[a.real, -a.imag, t.real], [a.imag, a.real, t.imag]])
+    total = np.maximum(weight.sum(axis=1), _TINY)
+    m1, m2 = (weight * z1).sum(axis=1) / total, (weight * z2).sum(axis=1) / total
+    d1, d2 = z1 - m1[:, None], z2 - m2[:, None]
+    spread = (weight * np.abs(d1) ** 2).sum(axis=1)
+    a = ((weight * np.conj(d1) * d2).sum(axis=1) + _PRIOR) / (spread + _PRIOR)
+    return a, m2 - a * m1
+
+
+def _median(values: FloatArray, known: BoolArray) -> FloatArray:
+    """Median of the known values of each row; 0 in a row without any."""
+    ordered = np.sort(np.where(known, values, np.inf), axis=1)
+    count = known.sum(axis=1)
+    rows = np.arange(len(values))
+    low, high = ordered[rows, np.maximum(count - 1, 0) // 2], ordered[rows, np.minimum(count // 2, count - 1)]
+    with np.errstate(invalid="ignore"):
+        return np.where(count > 0, (low + high) / 2, 0.0)
 
 
 def _reversed(forward: Float32Array) -> Float32Array:
