@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import eigh
 
 from kt3dmoseg.types import FloatArray
-from mseg.clustering.self_expressive import Representation, ShiftedInverse, smallest_coherence
+from mseg.clustering.self_expressive import (
+    Representation,
+    ShiftedInverse,
+    shrink_leading,
+    smallest_coherence,
+)
 from mseg.completion import shrink
 from mseg.iteration import iterate
 
@@ -67,7 +71,7 @@ def low_rank_sparse_representation(
     def step() -> float:
         nonlocal low, sparse, y_low, y_sparse, penalty
         c = system.solve(target + penalty * (low + sparse) - y_low - y_sparse, 2 * penalty)
-        low = _shrink_square(c + y_low / penalty, 1 / penalty)
+        low = shrink_leading(c + y_low / penalty, 1 / penalty)
         sparse = shrink(c + y_sparse / penalty, sparsity / penalty)
         np.fill_diagonal(sparse, 0)
         y_low += penalty * (c - low)
@@ -77,10 +81,3 @@ def low_rank_sparse_representation(
 
     convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
     return Representation(sparse, convergence)
-
-
-def _shrink_square(matrix: FloatArray, threshold: float) -> FloatArray:
-    """Soft threshold of singular values through the few eigenvectors above it of ``M^T M``."""
-    squares, right = eigh(matrix.T @ matrix, subset_by_value=(threshold**2, np.inf), check_finite=False)
-    gain = 1 - threshold / np.sqrt(squares)
-    return np.asarray((matrix @ right * gain) @ right.T)
