@@ -200,6 +200,8 @@ class Client:
         except requests.exceptions.TooManyRedirects:
             raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
         except (requests.exceptions.RequestException, OSError) as error:
+            if "certificate" in str(error).lower():
+                raise InputFileError(f"{url}: the server's certificate is not trusted") from None
             raise TransientError(_reason(error)) from None
         if response.status_code in _TRANSIENT:
             response.close()
@@ -262,7 +264,7 @@ def _write(stream: Any, block: bytes, path: Path) -> None:  # noqa: ANN401  # a 
 
 def _reason(error: BaseException) -> str:
     text = str(error)
-    for words in ("timed out", "refused", "reset", "resolve", "closed", "certificate"):
+    for words in ("timed out", "refused", "reset", "resolve", "closed"):
         if words in text.lower():
             return f"{words} ({type(error).__name__})"
     return type(error).__name__

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from kt3dmoseg import catalog
 from kt3dmoseg.entries import CAMERAS, Drive, Entry, format_numbers
@@ -17,7 +18,7 @@ from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.kitti import layout
 from kt3dmoseg.kitti.frames import decode, frame_paths, read_frame
 from kt3dmoseg.kitti.match import Verdict, descriptor, match_exact, match_graded
-from kt3dmoseg.kitti.network import Traffic
+from kt3dmoseg.kitti.network import RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.places import Holding, Origin, Place, open_place
 from kt3dmoseg.kitti.store import Store
 from kt3dmoseg.options import from_mapping, option
@@ -87,7 +88,7 @@ def locate(
     with store.lock(waiting), open_place(chosen, store, traffic) as place:
         for entry in entries:
             try:
-                found[entry.name] = _locate_in(entry, place, chosen)
+                found[entry.name] = _locate_in(entry, place, chosen, say)
                 store.keep_located([found[entry.name]])
                 say(_line(found[entry.name]))
             except NotLocatedError as error:
@@ -98,8 +99,12 @@ def locate(
     return found
 
 
-def _locate_in(entry: Entry, place: Place, options: LocateOptions) -> Entry:
-    holding = place.frames(entry.drive, whole=True)
+def _locate_in(entry: Entry, place: Place, options: LocateOptions, say: Callable[[str], object]) -> Entry:
+    try:
+        holding = place.frames(entry.drive)
+    except RangesIgnoredError as error:
+        say(f"{error}; fetching all of the file, which pull will use")
+        holding = place.whole(error.url)
     if not holding.local:
         try:
             return locate_entry(entry, holding)
@@ -165,7 +170,9 @@ def _by_pictures(entry: Entry, holding: Holding, own: list[Float32Array]) -> tup
     number_of = {name: number for number, name in frames.items()}
     digests: dict[int, str] = {}
     described: dict[int, Float32Array] = {}
-    for name, content in holding.read(frames.values()):
+    contents = holding.read(frames.values())
+    title = f"{entry.name}: comparing pixels"
+    for name, content in tqdm(contents, title, len(frames), unit="frame", disable=None):
         try:
             image = decode(content, name)
         except FileFormatError:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+
+from tqdm import tqdm
 
 from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.options import option
@@ -80,5 +83,7 @@ class Patience:
             raise InputFileError(
                 f"{self._url}: gave up after {self._failures} attempts", found=str(error), fix=_KEPT
             ) from None
-        pause = max(error.pause, self._network.wait * 2 ** (self._failures - 1))
-        time.sleep(min(pause, _LONGEST_WAIT))
+        pause = min(max(error.pause, self._network.wait * 2 ** (self._failures - 1)), _LONGEST_WAIT)
+        if self._failures > 1 and sys.stderr.isatty():
+            tqdm.write(f"{self._url}: {error}; again in {pause:.0f} s", file=sys.stderr)
+        time.sleep(pause)

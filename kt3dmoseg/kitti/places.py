@@ -65,8 +65,8 @@ class Holding(Protocol):
 class Place(Protocol):
     """Somewhere that has drives."""
 
-    def frames(self, drive: Drive, *, whole: bool = False) -> Holding:
-        """Frames, timestamps and GPS/IMU packets of a drive; `whole` allows to download all of it."""
+    def frames(self, drive: Drive) -> Holding:
+        """Frames, timestamps and GPS/IMU packets of a drive."""
 
     def calibration(self, date: str) -> Holding:
         """Calibration of a day."""
@@ -144,13 +144,13 @@ class Server:
         self._base, self._client, self._store = address.rstrip("/"), client, store
         self._fresh: set[str] = set()
 
-    def frames(self, drive: Drive, *, whole: bool = False) -> Archive:
-        """Open the drive's zip through ranges; with `whole`, download all of it where that is refused."""
-        return self._open(layout.sync_zip(drive), whole=whole)
+    def frames(self, drive: Drive) -> Archive:
+        """Open the drive's zip through ranges."""
+        return self._open(layout.sync_zip(drive))
 
     def calibration(self, date: str) -> Archive:
-        """Open the day's small zip."""
-        return self._open(layout.calibration_zip(date), whole=True)
+        """Open the day's zip, which is small."""
+        return self._open(layout.calibration_zip(date), small=True)
 
     def tracklets(self, drive: Drive) -> Archive | None:
         """Open the drive's tracklets; None, and remembered as such, when the server has none."""
@@ -159,7 +159,7 @@ class Server:
         if known and known.size is None:
             return None
         try:
-            return self._open(address, whole=True)
+            return self._open(address, small=True)
         except AbsentError:
             self._store.keep_directory(f"{self._base}/{address}", Directory(None, b""))
             return None
@@ -186,7 +186,7 @@ class Server:
         part.replace(copy)
         return Archive(FileSource(copy))
 
-    def _open(self, address: str, *, whole: bool) -> Archive:
+    def _open(self, address: str, *, small: bool = False) -> Archive:
         url = f"{self._base}/{address}"
         copy = self._store.zip_path(url)
         if copy.is_file():
@@ -198,7 +198,7 @@ class Server:
         try:
             archive = Archive(HttpSource(self._client, url, self._client.size(url)))
         except RangesIgnoredError:
-            if not whole or self._store.frozen:
+            if not small or self._store.frozen:
                 raise
             return self.whole(url)
         self._store.keep_directory(url, Directory(archive.source.size, archive.tail))
@@ -213,7 +213,7 @@ class Folder:
             raise InputFileError(f"{path}: no such file or folder")
         self._path = path
 
-    def frames(self, drive: Drive, *, whole: bool = False) -> Holding:
+    def frames(self, drive: Drive) -> Holding:
         """Find the extracted drive or its zip."""
         return self._find(layout.drive_folder(drive), layout.sync_zip(drive))
 

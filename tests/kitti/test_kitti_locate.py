@@ -207,6 +207,17 @@ def test_all_clips_are_tried_before_the_error(world: World) -> None:
     assert "Hidden" in catalog.load(world.root / "located.toml", built_in=False)
 
 
+def test_server_without_ranges_sends_the_zip_once_for_locate_and_pull(world: World) -> None:
+    world.server.ranges = False
+    assert _locate(world)["Hidden"].numbers == HIDDEN
+    assert "ignores ranges; fetching all" in world.said[0]
+    world.server.reset()
+    world.pull()
+    world.check()
+    assert world.server.requests_for("_sync") == []
+    assert not list(world.root.rglob("*.zip"))
+
+
 def test_command_line(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     line = [
         "locate",
