@@ -1,0 +1,84 @@
+"""A small drive tracked end to end: figures pinned with the tolerance that OpenCV's versions need."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kt3dmoseg
+from kt3dmoseg import cli
+from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
+
+OPTIONS = SceneOptions(width=320, height=128, frames=6, objects=1, seed=3, speed=6.0, turn=2.0, noise=1.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene(OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def folder(scene, tmp_path_factory):
+    return write_drive(scene, tmp_path_factory.mktemp("drive")) / "image_00" / "data"
+
+
+def test_tracks_follow_the_truth(scene):
+    tracks = kt3dmoseg.track(scene.frames())
+    first = tracks.visible.argmax(axis=1)
+    seeds = np.c_[tracks.xy[np.arange(len(tracks)), first], first]
+    exact = scene.trajectories(seeds)
+    rows = np.flatnonzero((first == 0) & tracks.visible[:, 5] & exact.visible[:, 5])
+    error = np.linalg.norm(tracks.xy[rows, 5] - exact.xy[rows, 5], axis=1)
+    assert len(rows) > 100
+    assert np.median(error) < 0.55
+    assert (error < 2).mean() > 0.8
+
+
+def test_translation_is_exact_to_a_few_hundredths():
+    scene = make_scene(SceneOptions(width=320, height=128, frames=2, objects=0, noise=0.0))
+    still = scene.frame(0)
+    frames = [np.ascontiguousarray(still[:, k : k + 280]) for k in (0, 2, 4, 6, 8)]
+    tracks = kt3dmoseg.track(frames, seeds=[[140, 100, 0], [200, 60, 0], [80, 90, 0]])
+    np.testing.assert_allclose(tracks.xy[:, 4] - tracks.xy[:, 0], [[-8, 0]] * 3, atol=0.06)
+
+
+@pytest.mark.parametrize("suffix", ["h5", "mat", "npz", "dat"])
+def test_the_command_writes_what_track_returns(folder, tmp_path, capsys, suffix):
+    out = tmp_path / f"clip.{suffix}"
+    command = ["track", str(folder), "-o", str(out), "--flow", "dis_medium", "--min-length", "3"]
+    assert cli.main([*command, "--set", "preset=fast", "--cache", str(tmp_path / "cache")]) == 0
+    wanted = kt3dmoseg.track(folder, kt3dmoseg.flow.create("dis_medium", preset="fast"), min_length=3)
+    assert f"{len(wanted)} trajectories in 6 frames" in capsys.readouterr().out
+    clip = kt3dmoseg.load(out)
+    np.testing.assert_allclose(clip.dense.xy, wanted.xy, atol=1e-4)
+    assert len(clip.evaluated) == len(wanted)
+    assert clip.n_motions == 0
+
+
+def test_the_clip_says_where_it_comes_from(folder, tmp_path):
+    out = tmp_path / "clip.h5"
+    assert cli.main(["track", str(folder), "-o", str(out), "--flow", "farneback"]) == 0
+    provenance = kt3dmoseg.load(out).provenance
+    assert len(provenance["frames"]) == 6
+    assert provenance["flow"] == "Farneback"
+    assert provenance["flow_options"]["window"] == 15
+    assert provenance["track_options"]["spacing"] == 8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--flow", "flownet"], "unknown flow 'flownet'"),
+        (["--set", "presett=fast"], "unknown option"),
+        (["--set", "contrast"], "expected name=value"),
+        (["--spacing", "0"], "spacing: expected a number >= 1"),
+        (["--set", "scales=0.5"], "the last 1"),
+    ],
+)
+def test_bad_arguments_are_one_line_and_write_nothing(folder, tmp_path, capsys, arguments, says):
+    out = tmp_path / "clip.h5"
+    assert cli.main(["track", str(folder), "-o", str(out), *arguments]) == 2
+    message = capsys.readouterr().err
+    assert says in message
+    assert message.count("\n") == 1
+    assert not out.exists()
