@@ -68,26 +68,8 @@ def save_annotation(path: str | os.PathLike[str], annotation: Annotation) -> Non
 
 
 def dumps(annotation: Annotation) -> str:
-    """Return the JSON text of an annotation, one key frame's polygon a line."""
-    data = to_json(annotation)
-    holes: list[str] = []
-
-    def hold(polygon: list[list[float]]) -> str:
-        holes.append(json.dumps(polygon))
-        return f"\0{len(holes) - 1}\0"
-
-    for item in data["objects"]:
-        for key in item["key_frames"]:
-            key["polygons"] = [hold(polygon) for polygon in key["polygons"]]
-    for mark in data["marks"]:
-        mark["polygon"] = hold(mark["polygon"])
-    out = json.dumps(data, indent=1, ensure_ascii=False)
-    parts = out.split('"\\u0000')
-    filled = [parts[0]]
-    for part in parts[1:]:
-        index, rest = part.split('\\u0000"', 1)
-        filled.append(holes[int(index)] + rest)
-    return "".join(filled) + "\n"
+    """Return the JSON text of an annotation, one polygon a line."""
+    return _indented(to_json(annotation), 0) + "\n"
 
 
 def to_json(annotation: Annotation) -> dict[str, Any]:
@@ -156,6 +138,22 @@ _TOP = (
     "n_frames",
     "objects",
 )
+
+
+def _indented(value: Any, depth: int) -> str:  # noqa: ANN401  # whatever JSON holds
+    """Lay JSON out one entry a line, but lists of numbers and of points on one line each."""
+    inner, outer = "\n" + " " * (depth + 1), "\n" + " " * depth
+    if isinstance(value, dict) and value:
+        entries = [f"{json.dumps(key)}: {_indented(entry, depth + 1)}" for key, entry in value.items()]
+        return "{" + inner + f",{inner}".join(entries) + outer + "}"
+    if isinstance(value, list) and value and not _is_flat(value):
+        return "[" + inner + f",{inner}".join(_indented(entry, depth + 1) for entry in value) + outer + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _is_flat(value: list[Any]) -> bool:
+    first = value[0]
+    return isinstance(first, (int, float)) or (isinstance(first, list) and not isinstance(first[0], list))
 
 
 def _object_to_json(item: AnnotatedObject) -> dict[str, Any]:

@@ -1,0 +1,275 @@
+"""Formats of other tools: export then import is identity, within what each format can hold."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from annotation_scenes import FRAMES, SIZE, annotations, box, scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, formats
+from kt3dmoseg.annotate.formats import rle
+from kt3dmoseg.annotate.formats.indexed_png import decode_indexed, encode_indexed
+from kt3dmoseg.annotate.formats.masks import label_image, mask_of, polygons_of, simplify
+from kt3dmoseg.annotate.model import REJECT
+from kt3dmoseg.errors import KT3DMoSegError
+
+ALL = formats.FORMATS.names()
+EMPTY = replace(scene(), objects=(), marks=())
+
+
+def cycle(name, annotation):
+    chosen = formats.load(name)
+    return chosen.parse(chosen.dump(annotation, formats.regions(annotation)), annotation.emptied())
+
+
+def motions(annotation):
+    """The motion of every pixel in every frame, 99 = rejected."""
+    values = {o.id: 99 if o.motion == REJECT else int(o.motion) for o in annotation.objects}
+    regions = formats.regions(annotation)
+    return [label_image(annotation, regions, f, values).tolist() for f in range(annotation.n_frames)]
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_same_bytes_every_time(name):
+    chosen = formats.load(name)
+    assert chosen.dump(scene(), formats.regions(scene())) == chosen.dump(scene(), formats.regions(scene()))
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_no_objects(name):
+    assert cycle(name, replace(scene(), objects=())).objects == ()
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_pixels_keep_their_motion(name):
+    assert motions(cycle(name, scene())) == motions(scene())
+
+
+@settings(max_examples=30, deadline=None)
+@given(annotations())
+def test_cvat_keeps_objects_key_frames_and_polygons(annotation):
+    # Its one limit: what is occluded at an unknown place is one hidden shape.
+    assert cycle("cvat", annotation).objects == annotation.objects
+
+
+@settings(max_examples=15, deadline=None)
+@given(annotations())
+def test_labelme_keeps_the_regions_of_every_frame(annotation):
+    before, back = formats.regions(annotation), cycle("labelme", annotation)
+    after = formats.regions(back)
+    for item in annotation.objects:
+        for frame in range(FRAMES):
+            old = [np.round(p, 2).tolist() for p in before[item.id][frame].polygons]
+            new = [p.tolist() for p in after[item.id][frame].polygons] if item.id in after else []
+            assert new == old
+
+
+@settings(max_examples=15, deadline=None)
+@given(annotations())
+def test_coco_keeps_the_pixels_of_every_object(annotation):
+    before, back = formats.regions(annotation), cycle("coco", annotation)
+    after = formats.regions(back)
+    for item in annotation.objects:
+        for frame, region in enumerate(before[item.id]):
+            old = mask_of(region.polygons if region.visibility == "visible" else [], SIZE)
+            new = mask_of(after[item.id][frame].polygons if item.id in after else [], SIZE)
+            assert (old == new).all()
+        if item.id in after:
+            same = back.object(item.id)
+            assert (same.name, same.kind, same.motion) == (item.name, item.kind, item.motion)
+
+
+@pytest.mark.parametrize("name", ["davis", "mots_png", "mots_txt"])
+@settings(max_examples=10, deadline=None)
+@given(annotation=annotations())
+def test_label_images_keep_the_motion_of_every_pixel(name, annotation):
+    # One kind: MOTS tells objects of two classes apart even when they share a motion.
+    alike = replace(annotation, objects=tuple(replace(o, kind="car") for o in annotation.objects))
+    assert motions(cycle(name, alike)) == motions(alike)
+
+
+@settings(max_examples=60, deadline=None)
+@given(hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))))
+def test_masks_to_polygons_and_back(mask):
+    height, width = mask.shape
+    back = mask_of([np.array(p) for p in polygons_of(mask)], (width, height))
+    assert (back == mask).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(hnp.arrays(np.bool_, st.tuples(st.integers(1, 40), st.integers(1, 40))))
+def test_rle_is_that_of_pycocotools(mask):
+    from pycocotools import mask as theirs
+
+    text = theirs.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"].decode()
+    assert rle.encode(mask) == text
+    assert (rle.decode(text, *mask.shape) == mask).all()
+
+
+@pytest.mark.parametrize("text", ["~~", "P", "1", "0" * 40 + "P", "\x00", "ooooooooooooo"])
+def test_damaged_rle(text):
+    with pytest.raises(KT3DMoSegError):
+        rle.decode(text, 4, 4)
+
+
+def test_indexed_png_is_what_opencv_and_palette_say():
+    image = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    content = encode_indexed(image)
+    assert (decode_indexed(content, "x") == image).all()
+    colours = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    assert colours[0, 1].tolist() == [0, 0, 128]  # BGR: DAVIS's first object is dark red
+
+
+def test_simplify_keeps_corners():
+    assert simplify(np.array([(0, 0), (5, 0.2), (10, 0), (10, 10), (0, 10)], float), 0.5).tolist() == [
+        [10, 10],
+        [0, 10],
+        [0, 0],
+        [10, 0],
+    ]
+
+
+def test_foreign_cvat_tracks_become_objects():
+    text = b"""<annotations><track id="0" label="Car">
+      <polygon frame="1" outside="0" occluded="0" keyframe="1" points="1,1;9,1;9,9"/>
+      <polygon frame="2" outside="0" occluded="0" keyframe="0" points="2,1;9,1;9,9"/>
+      <polygon frame="3" outside="1" occluded="0" keyframe="1" points="2,1;9,1;9,9"/></track>
+      <track id="1" label="unicorn"><polygon frame="0" points="1,1;9,1;9,9"/></track></annotations>"""
+    car, other = formats.load("cvat").parse(text, EMPTY).objects
+    assert [(k.frame, k.visibility) for k in car.key_frames] == [
+        (0, "outside"),
+        (1, "visible"),
+        (3, "outside"),
+    ]
+    assert (car.kind, car.motion, other.kind, other.motion) == ("car", 1, "other", 2)
+
+
+def test_foreign_mots_ids_of_two_classes_are_two_motions():
+    mask = np.zeros((SIZE[1], SIZE[0]), bool)
+    mask[:5, :5] = True
+    lines = f"0 1001 1 64 96 {rle.encode(mask)}\n0 2001 2 64 96 {rle.encode(~mask)}\n"
+    found = formats.load("mots_txt").parse(lines.encode(), EMPTY).objects
+    assert [(o.kind, o.motion) for o in found] == [("car", 1), ("pedestrian", 2)]
+
+
+def test_foreign_coco_polygons():
+    data = {
+        "images": [{"id": 10}, {"id": 11}],
+        "categories": [{"id": 1, "name": "Car"}],
+        "annotations": [
+            {"image_id": 11, "category_id": 1, "track_id": 5, "segmentation": [[1, 1, 9, 1, 9, 9]]}
+        ],
+    }
+    (item,) = formats.load("coco").parse(json.dumps(data).encode(), EMPTY).objects
+    assert (item.kind, item.motion, [k.frame for k in item.key_frames]) == ("car", 1, [0, 1, 2])
+
+
+def zipped(**entries):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name.replace("__", "/"), content)
+    return out.getvalue()
+
+
+BOMB = b"""<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "x"><!ENTITY c "&b;&b;&b;">]>
+<annotations>&c;</annotations>"""
+XXE = b"""<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><annotations>&b;</annotations>"""
+
+HOSTILE = [
+    ("cvat", BOMB),
+    ("cvat", BOMB.decode().encode("utf-16")),
+    ("cvat", XXE),
+    ("cvat", b"<a>" * 100_000),
+    ("cvat", b"<other/>"),
+    ("cvat", b"<annotations><track label='car'><box frame='0'/></track></annotations>"),
+    (
+        "cvat",
+        b"<annotations><track label='car'><polygon frame='99' points='1,1;2,2;3,1'/></track></annotations>",
+    ),
+    ("cvat", b"<annotations><track label='car'><polygon frame='0' points='1,x'/></track></annotations>"),
+    (
+        "cvat",
+        b"<annotations><track label='car'><polygon frame='0' points='1,1;nan,2;3,1'/></track></annotations>",
+    ),
+    ("davis", zipped(**{"00000.png": b"x"})),
+    ("davis", zipped(**{"readme.png": encode_indexed(np.zeros((64, 96), np.uint8))})),
+    ("davis", zipped(**{"00009.png": encode_indexed(np.zeros((64, 96), np.uint8))})),
+    ("davis", zipped(**{"00000.png": encode_indexed(np.zeros((9, 9), np.uint8))})),
+    ("davis", zipped(**{"a__00000.png": b"x", "b__00000.png": b"x"})),
+    ("davis", zipped()),
+    ("mots_png", zipped(**{"00000.png": cv2.imencode(".png", np.zeros((64, 96, 3), np.uint8))[1].tobytes()})),
+    ("mots_txt", b"0 1001 1 64 96"),
+    ("mots_txt", b"0 1001 1 9 9 Qa0"),
+    ("mots_txt", b"0 1001 1 1000000000 1000000000 Qa0"),
+    ("mots_txt", b"7 1001 1 64 96 Qa0"),
+    ("coco", b"[]"),
+    ("coco", b"{}"),
+    ("coco", b'{"images": [{"id": 0}], "annotations": [{"image_id": 4, "segmentation": []}]}'),
+    (
+        "coco",
+        b'{"images": [{"id": 0}], "annotations": ['
+        b'{"image_id": 0, "segmentation": {"size": [9, 9], "counts": "x"}}]}',
+    ),
+    ("coco", b'{"images": [{"id": 0}], "annotations": [{"image_id": 0, "segmentation": [[1, 2, 3]]}]}'),
+    ("labelme", zipped(**{"0.json": b"{}"})),
+    ("labelme", zipped(**{"0.json": b"[" * 100_000})),
+    ("labelme", zipped(**{"0.json": b'{"shapes": [{"label": "a", "points": [[1, 2]]}]}'})),
+    ("labelme", zipped(**{"0.json": b'{"shapes": [{"label": "a", "shape_type": "circle", "points": []}]}'})),
+]
+
+
+@pytest.mark.parametrize(("name", "content"), HOSTILE)
+def test_hostile_files_are_refused_in_one_line(name, content):
+    with pytest.raises(KT3DMoSegError) as caught:
+        formats.load(name).parse(content, EMPTY)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ALL)
+@settings(max_examples=25, deadline=None)
+@given(junk=st.binary(max_size=300))
+def test_junk_is_refused(name, junk):
+    if name == "mots_txt" and not junk.decode("ascii", "replace").strip():
+        assert formats.load(name).parse(junk, EMPTY).objects == ()
+        return
+    with pytest.raises(KT3DMoSegError):
+        formats.load(name).parse(junk, EMPTY)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_truncated_files_are_refused_or_shorter(name):
+    chosen = formats.load(name)
+    whole = chosen.dump(scene(), formats.regions(scene()))
+    for share in (0.1, 0.5, 0.9):
+        try:
+            found = chosen.parse(whole[: int(share * len(whole))], EMPTY)
+        except KT3DMoSegError:
+            continue
+        assert name == "mots_txt"
+        assert len(found.objects) <= len(scene().objects)
+
+
+def test_zip_that_promises_too_much_is_refused():
+    content = bytearray(zipped(**{"00000.png": b"x" * 100}))
+    at = content.rindex(b"PK\x01\x02")
+    content[at + 24 : at + 28] = (1 << 31).to_bytes(4, "little")
+    with pytest.raises(KT3DMoSegError, match="at most"):
+        formats.load("davis").parse(bytes(content), EMPTY)
+
+
+def test_motions_that_a_format_cannot_hold():
+    item = AnnotatedObject(1, "a", "car", 999, (KeyFrame(0, polygons=(box(1, 1),)),))
+    annotation = Annotation("scene", SIZE, FRAMES, (item,))
+    with pytest.raises(KT3DMoSegError, match="253"):
+        cycle("davis", annotation)
+    assert cycle("mots_png", annotation).motions == [999]

@@ -1,0 +1,121 @@
+"""Regions between key frames follow the image motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, FlowMotion, KeyFrame, TrackMotion, propagate
+from kt3dmoseg.annotate.motion import NoMotion, apply, fit_similarity
+from kt3dmoseg.annotate.polygons import area, blend, inside, resample, signed_distance
+from kt3dmoseg.types import Trajectories
+
+FRAMES = 9
+SQUARE = np.array([(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)])
+
+
+def path(frame):
+    """Out and back: no straight line between the ends has anything to do with it."""
+    return np.array([30 * np.sin(np.pi * frame / (FRAMES - 1)), 2.0 * frame])
+
+
+def tracks(n=80):
+    rng = np.random.default_rng(0)
+    start = rng.uniform((41, 41), (59, 59), (n, 1, 2))
+    xy = start + np.array([path(f) for f in range(FRAMES)])[None]
+    still = rng.uniform((0, 0), (150, 120), (200, 1, 2)) + np.zeros((1, FRAMES, 1))
+    xy = np.concatenate([xy, still])
+    return Trajectories(xy, np.ones(xy.shape[:2], bool))
+
+
+def annotation(*keys):
+    return Annotation("c", (150, 120), FRAMES, (AnnotatedObject(1, "a", "car", 1, keys),))
+
+
+def at(frame):
+    return tuple(map(tuple, SQUARE + path(frame)))
+
+
+def test_between_key_frames_the_region_follows_the_motion_not_a_line():
+    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(FRAMES - 1, polygons=(at(FRAMES - 1),)))
+    regions = propagate(told, TrackMotion(tracks()))[1]
+    for frame in range(FRAMES):
+        assert np.abs(regions[frame].polygons[0] - SQUARE - path(frame)).max() < 1.0
+    line = propagate(told, NoMotion())[1][4].polygons[0]
+    assert np.abs(line - SQUARE - path(4)).max() > 20
+
+
+def test_before_the_first_and_after_the_last_key_frame():
+    regions = propagate(annotation(KeyFrame(4, polygons=(at(4),))), TrackMotion(tracks()))[1]
+    for frame in (0, 8):
+        assert np.abs(regions[frame].polygons[0] - SQUARE - path(frame)).max() < 2.0
+
+
+def test_key_frames_are_exact_whatever_moves():
+    odd = ((1.5, 2.25), (30.125, 3.0), (7.0, 50.0))
+    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(5, polygons=(odd, at(1))))
+    regions = propagate(told, TrackMotion(tracks()))[1]
+    assert regions[5].key
+    assert [tuple(map(tuple, p)) for p in regions[5].polygons] == [odd, at(1)]
+
+
+def test_flow_carries_like_trajectories():
+    fields = [np.full((120, 150, 2), path(f + 1) - path(f), np.float32) for f in range(FRAMES - 1)]
+    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(FRAMES - 1, polygons=(at(FRAMES - 1),)))
+    regions = propagate(told, FlowMotion.from_stack(fields))[1]
+    assert np.abs(regions[4].polygons[0] - SQUARE - path(4)).max() < 0.1
+
+
+def test_too_few_trajectories_fall_back_to_the_line():
+    few = tracks(2).select(np.arange(2))
+    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(4, polygons=(at(4),)))
+    middle = propagate(told, TrackMotion(few))[1][2].polygons[0]
+    assert np.allclose(middle, SQUARE + (path(0) + path(4)) / 2)
+
+
+def test_visibility_holds_until_the_next_key_frame():
+    told = annotation(
+        KeyFrame(1, "outside"),
+        KeyFrame(2, polygons=(at(2),)),
+        KeyFrame(5, "occluded"),
+        KeyFrame(7, "outside"),
+    )
+    regions = propagate(told)[1]
+    shown = [region.visibility for region in regions]
+    assert shown == ["outside"] * 2 + ["visible"] * 3 + ["occluded"] * 2 + ["outside"] * 2
+    assert [len(region.polygons) for region in regions] == [0, 0, 1, 1, 1, 0, 0, 0, 0]
+
+
+def test_fit_ignores_a_minority_that_moves_otherwise():
+    rng = np.random.default_rng(3)
+    x1 = rng.uniform(0, 50, (60, 2))
+    model = np.array([[1.02, -0.03, 4.0], [0.03, 1.02, -2.0]])
+    x2 = apply(model, x1) + rng.normal(0, 0.05, x1.shape)
+    x2[:20] += (15, 3)
+    assert np.abs(apply(fit_similarity(x1, x2), x1) - apply(model, x1)).max() < 0.15
+
+
+def test_fit_needs_four():
+    assert fit_similarity(np.zeros((3, 2)), np.ones((3, 2))) is None
+    assert np.allclose(fit_similarity(np.zeros((4, 2)), np.ones((4, 2))), [[1, 0, 1], [0, 1, 1]])
+
+
+def test_outlines_drawn_anew_are_blended_by_shape():
+    finer = np.roll(resample(SQUARE, 12), 5, axis=0)[::-1] + np.array([10.0, 0.0])
+    half = blend([SQUARE], [finer], 0.5)[0]
+    assert abs(area(half)) == pytest.approx(400, rel=0.05)
+    assert np.allclose(half.mean(axis=0), (55, 50), atol=0.5)
+    assert np.allclose(blend([SQUARE], [finer], 0.0)[0].mean(axis=0), (50, 50))
+
+
+def test_signed_distance_by_hand():
+    points = np.array([(50.0, 50.0), (42.0, 50.0), (35.0, 50.0), (63.0, 64.0)])
+    assert signed_distance(points, [SQUARE]).tolist() == [10, 2, -5, -5]
+    assert np.isneginf(signed_distance(points, [])).all()
+
+
+def test_inside_is_even_odd():
+    star = np.array(
+        [(0, 0), (10, 0), (10, 10), (0, 10), (0, 0), (3, 3), (7, 3), (7, 7), (3, 7), (3, 3)], float
+    )
+    assert inside(np.array([(1.0, 1.0), (5.0, 5.0), (11.0, 5.0)]), star).tolist() == [True, False, False]

@@ -1,0 +1,434 @@
+"""The labelling server: every route, every bad request."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from annotation_scenes import write_clip
+from asgi_client import Client
+
+from kt3dmoseg.annotate import AnnotatedObject, AnnotationSession, KeyFrame, load_annotation
+from kt3dmoseg.annotate.document import to_json
+from kt3dmoseg.annotate.server import guard
+from kt3dmoseg.annotate.server.app import create_app
+from kt3dmoseg.annotate.server.desk import Desk
+from kt3dmoseg.annotate.server.routes import Routes
+from kt3dmoseg.annotate.server.serve import is_loopback
+from kt3dmoseg.annotate.workspace import find_clips
+from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.io import load
+from kt3dmoseg.types import Trajectories
+
+HOST = "127.0.0.1:8000"
+BOX = [[60.0, 70.0], [140.0, 70.0], [140.0, 130.0], [60.0, 130.0]]
+
+
+def never(frames, progress):
+    raise AssertionError("the trajectories are in a file")
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clips")
+    write_clip(folder, "one")
+    write_clip(folder, "two", frames=3, tracks=10)
+    return folder
+
+
+def routes(clips, tmp_path, tracker=never, tracks=True, **options):
+    found = find_clips(
+        clips / "frames", annotations=tmp_path / "notes", tracks=clips / "tracks" if tracks else None
+    )
+    return Routes({name: Desk(source, tracker) for name, source in found.items()}, **options)
+
+
+def client(routes, **options):
+    return Client(create_app(routes, hosts=[HOST], **options), f"http://{HOST}")
+
+
+@pytest.fixture
+def page(clips, tmp_path):
+    return client(routes(clips, tmp_path))
+
+
+def drawn(page, clip="one"):
+    doc = page.get(f"/api/clips/{clip}").json()["annotation"]
+    keys = [{"frame": 0, "visibility": "visible", "polygons": [BOX]}]
+    doc["objects"] = [{"id": 1, "name": "box", "kind": "car", "motion": 1, "key_frames": keys}]
+    return doc
+
+
+def save(page, doc, revision, **headers):
+    headers = {"If-Match": f'"{revision}"'} | headers
+    return page.put("/api/clips/one/annotation", json=doc, headers=headers)
+
+
+def wait(page, clip="one"):
+    while (answer := page.get(f"/api/clips/{clip}/tracks")).status_code == 202:
+        pass
+    return answer
+
+
+def test_page_and_its_files(page):
+    html = page.get("/").text
+    assert 'data-clip="one"' in html
+    assert "/api/clips/one/frames/0" in html
+    assert 'data-clip="two"' in page.get("/?clip=two").text
+    assert 'data-clip="one"' in page.get('/?clip="><script>').text
+    for part in html.split('href="')[1:]:
+        answer = page.get(part.partition('"')[0])
+        assert answer.status_code == 200
+    assert page.get("/static/main.js").headers["content-type"].startswith("text/javascript")
+    assert "script-src 'self'" in page.get("/").headers["content-security-policy"]
+
+
+def test_clips_and_progress(page):
+    assert [c["name"] for c in page.get("/api/clips").json()["clips"]] == ["one", "two"]
+    save(page, drawn(page), 0)
+    wait(page)
+    first = page.get("/api/clips").json()["clips"][0]
+    assert (first["revision"], first["objects"]) == (1, 1)
+    assert sum(first["counts"].values()) == 400
+
+
+def test_clip(page):
+    told = page.get("/api/clips/two").json()
+    assert told["image_size"] == [320, 200]
+    assert told["n_frames"] == 3
+    assert told["annotation"]["revision"] == 0
+    assert told["formats"]["cvat"] == ".xml"
+    assert {"residual", "tracklets", "masks"} <= set(told["proposers"])
+
+
+def test_frames(page, clips):
+    answer = page.get("/api/clips/one/frames/2")
+    assert answer.content == (clips / "frames" / "one" / "000003.png").read_bytes()
+    assert answer.headers["content-type"] == "image/png"
+    assert page.get("/api/clips/one/frames/6").status_code == 404
+    assert page.get("/api/clips/one/frames/-1").status_code == 404
+    assert page.get("/api/clips/one/frames/x").status_code == 404
+
+
+def test_frames_that_browsers_do_not_show_are_sent_as_png(tmp_path):
+    folder = tmp_path / "frames" / "odd"
+    folder.mkdir(parents=True)
+    image = np.arange(32 * 40, dtype=np.uint8).reshape(32, 40)
+    for k in range(2):
+        cv2.imwrite(str(folder / f"{k}.pgm"), image)
+    found = find_clips(folder, annotations=tmp_path)
+    page = client(Routes({n: Desk(s, never) for n, s in found.items()}))
+    content = page.get("/api/clips/odd/frames/0").content
+    assert (cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) == image).all()
+
+
+def test_tracks_from_the_file(page, clips):
+    answer = wait(page)
+    count, frames = map(int, answer.headers["x-shape"].split(","))
+    xy = np.frombuffer(answer.content, "<f4").reshape(count, frames, 2)
+    assert np.allclose(xy, load(clips / "tracks" / "one.npz").dense.xy, atol=1e-3)
+
+
+def test_tracks_are_computed_with_progress(clips, tmp_path):
+    go = threading.Event()
+
+    def slow(frames, progress):
+        seen = [next(frames)]
+        progress(1, 3)
+        assert go.wait(20)
+        seen += list(frames)
+        xy = np.zeros((4, len(seen), 2))
+        return Trajectories(xy, np.ones(xy.shape[:2], bool))
+
+    page = client(routes(clips, tmp_path, slow, tracks=False))
+    page.get("/api/clips/two/tracks")
+    while (told := page.get("/api/clips/two/tracks")).json()["done"] < 1:
+        pass
+    assert told.status_code == 202
+    assert told.json() == {"done": 1, "total": 3, "error": ""}
+    assert page.post("/api/clips/two/labels", json=drawn(page, "two")).status_code == 202
+    go.set()
+    assert wait(page, "two").headers["x-shape"] == "4,3"
+
+
+def test_tracks_that_fail_say_why(clips, tmp_path):
+    def broken(frames, progress):
+        raise InvalidValueError("frames", expected="courage", found="none")
+
+    page = client(routes(clips, tmp_path, broken, tracks=False))
+    answer = wait(page)
+    assert answer.status_code == 500
+    assert "courage" in answer.json()["error"]
+    assert "courage" in page.post("/api/clips/one/proposals/residual", json=drawn(page)).json()["error"]
+
+
+def test_tracks_of_another_clip_are_refused(clips, tmp_path):
+    found = find_clips(clips / "frames" / "two", annotations=tmp_path, tracks=clips / "tracks" / "one.npz")
+    source = replace(found["two"], tracks=clips / "tracks" / "one.npz")
+    answer = wait(client(Routes({"two": Desk(source, never)})), "two")
+    assert "3 frames" in answer.json()["error"]
+
+
+def test_save_and_read(page, tmp_path):
+    answer = save(page, drawn(page), 0)
+    assert (answer.status_code, answer.json(), answer.headers["etag"]) == (200, {"revision": 1}, '"1"')
+    stored = load_annotation(tmp_path / "notes" / "one.json")
+    assert stored.objects[0].name == "box"
+    answer = page.get("/api/clips/one/annotation")
+    assert answer.json() == to_json(stored)
+    assert answer.headers["etag"] == '"1"'
+
+
+def test_annotator_is_written(clips, tmp_path):
+    page = client(routes(clips, tmp_path, annotator="me"))
+    save(page, drawn(page), 0)
+    assert load_annotation(tmp_path / "notes" / "one.json").annotator == "me"
+
+
+def test_stale_revision_is_refused_with_the_present_document(page, tmp_path):
+    first = drawn(page)
+    second = json.loads(json.dumps(first))
+    second["objects"][0]["name"] = "other"
+    assert save(page, first, 0).status_code == 200
+    answer = save(page, second, 0)
+    assert answer.status_code == 412
+    assert answer.json()["annotation"]["objects"][0]["name"] == "box"
+    assert load_annotation(tmp_path / "notes" / "one.json").objects[0].name == "box"
+    assert save(page, second, 1).json() == {"revision": 2}
+
+
+def test_a_revision_from_the_future_is_refused(page):
+    answer = save(page, drawn(page), 5)
+    assert answer.status_code == 412
+    assert answer.json()["annotation"]["revision"] == 0
+
+
+def test_if_match_is_required_and_checked(page):
+    assert page.put("/api/clips/one/annotation", json=drawn(page)).status_code == 428
+    for bad in ("0", "*", '"x"', 'W/"0"', '"-1"', '"99999999999999999999"'):
+        assert save(page, drawn(page), 0, **{"If-Match": bad}).status_code == 400
+
+
+@pytest.mark.parametrize(
+    ("body", "word"),
+    [(b"", "JSON"), (b"{", "JSON"), (b"[]", "annotation"), (b"[" * 90_000, "JSON"), (b"\xff", "JSON")],
+)
+@pytest.mark.parametrize("route", ["labels", "proposals/residual", "export/cvat"])
+def test_bodies_that_are_no_annotation(page, route, body, word):
+    wait(page)
+    answer = page.post(f"/api/clips/one/{route}", content=body)
+    assert answer.status_code == 400
+    assert word in answer.json()["error"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("clip", "two"), ("n_frames", 5), ("image_size", [1, 1]), ("objects", 3), ("x", 1)]
+)
+def test_annotations_of_another_clip_or_form_name_the_field(page, field, value, tmp_path):
+    answer = save(page, drawn(page) | {field: value}, 0)
+    assert answer.status_code == 400
+    assert field in answer.json()["error"]
+    assert not (tmp_path / "notes" / "one.json").exists()
+
+
+def test_a_damaged_annotation_file_is_told_and_kept(page, tmp_path):
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "one.json").write_text("{ not json")
+    assert "one.json" in page.get("/api/clips/one").json()["error"]
+    assert "one.json" in page.get("/api/clips").json()["clips"][0]["error"]
+    doc = drawn(page, "two") | {"clip": "one", "n_frames": 6}
+    assert save(page, doc, 0).status_code == 400
+    assert (tmp_path / "notes" / "one.json").read_text() == "{ not json"
+
+
+def test_an_unwritable_folder_is_told(page, tmp_path):
+    (tmp_path / "notes").write_text("a file where the folder should be")
+    answer = save(page, drawn(page), 0)
+    assert answer.status_code == 500
+    assert "notes" in answer.json()["error"]
+
+
+def test_labels_and_regions(page, clips):
+    wait(page)
+    told = page.post("/api/clips/one/labels", json=drawn(page)).json()
+    assert len(told["label"]) == 400
+    assert told["counts"]["motions"].keys() <= {"0", "1", "2"}
+    assert told["counts"]["motions"]["2"] > 20
+    last = told["regions"]["1"][5]
+    assert last["key"] is False
+    assert np.allclose(last["polygons"][0], np.array(BOX) + np.array([20.0, 0.0]), atol=0.5)
+
+
+def test_residual_proposals_accept_nothing_by_themselves(page, tmp_path):
+    wait(page)
+    answer = page.post("/api/clips/one/proposals/residual", json=drawn(page))
+    assert answer.status_code == 200
+    assert all(item["id"] > 1 for item in answer.json()["objects"])
+    assert not (tmp_path / "notes" / "one.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "word"),
+    [("tracklets", 500, "--kitti"), ("masks", 500, "--masks"), ("magic", 400, "proposer")],
+)
+def test_proposals_that_cannot_be_made_say_why(page, name, status, word):
+    answer = page.post(f"/api/clips/one/proposals/{name}", json=drawn(page))
+    assert answer.status_code == status
+    assert word in answer.json()["error"]
+
+
+def test_proposals_from_masks(clips, tmp_path):
+    masks = tmp_path / "masks" / "one"
+    masks.mkdir(parents=True)
+    for k in range(6):
+        mask = np.zeros((200, 320), np.uint8)
+        mask[70:130, 60 + 4 * k : 140 + 4 * k] = 3
+        cv2.imwrite(str(masks / f"{k:05d}.png"), mask)
+    page = client(routes(clips, tmp_path, masks=tmp_path / "masks"))
+    (item,) = page.post("/api/clips/one/proposals/masks", json=drawn(page)).json()["objects"]
+    assert (item["id"], item["motion"]) == (2, 4)
+    assert len(item["key_frames"]) == 6
+    assert item["key_frames"][0]["polygons"] == [[[59.5, 69.5], [139.5, 69.5], [139.5, 129.5], [59.5, 129.5]]]
+
+
+def test_compare(clips, tmp_path):
+    page = client(routes(clips, tmp_path, other=tmp_path / "other"))
+    doc = drawn(page)
+    assert "one.json" in page.post("/api/clips/one/compare", json=doc).json()["error"]
+    session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
+    session.add_object("half", 0, [[(60, 70), (100, 70), (100, 130), (60, 130)]], motion=4)
+    session.save(tmp_path / "other" / "one.json")
+    told = page.post("/api/clips/one/compare", json=doc).json()
+    assert 0 < told["different"] < 100
+    assert 0.5 < told["kappa"] < 1
+    assert told["agreement"] == pytest.approx(1 - told["different"] / 400)
+    assert {d["mine"] for d in told["differences"]} >= {"box"}
+    assert told["differences"][0].keys() == {"row", "frame", "xy", "mine", "theirs"}
+
+
+def test_compare_needs_another_annotator(page):
+    assert page.post("/api/clips/one/compare", json=drawn(page)).status_code == 404
+
+
+@pytest.mark.parametrize("name", ["cvat", "davis", "mots_txt", "mots_png", "coco", "labelme"])
+def test_export_and_import(page, name):
+    wait(page)
+    content = page.post(f"/api/clips/one/export/{name}", json=drawn(page)).content
+    back = page.post(f"/api/clips/one/import/{name}", content=content).json()
+    assert len(back["objects"]) == 1
+    assert back["clip"] == "one"
+
+
+def test_import_of_nonsense(page):
+    answer = page.post("/api/clips/one/import/cvat", content=b"<!DOCTYPE x><annotations/>")
+    assert answer.status_code == 400
+    assert "DOCTYPE" in answer.json()["error"]
+    assert page.post("/api/clips/one/import/excel", content=b"").status_code == 400
+    assert page.post("/api/clips/one/export/excel", json=drawn(page)).status_code == 400
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/nothing",
+        "/api/clips/three",
+        "/api/clips/three/frames/0",
+        "/api/clips/..%2F..%2Fetc/annotation",
+        "/api/clips/one%2F..%2Ftwo",
+        "/static/..%2F..%2Fmodel.py",
+        "/static/../model.py",
+        "/static/model.py",
+        "/static//etc/passwd",
+        "/static/%00",
+    ],
+)
+def test_what_is_not_there(page, path):
+    answer = page.get(path)
+    assert answer.status_code == 404
+    assert answer.json()["error"]
+
+
+def test_other_methods_are_refused(page):
+    assert page.delete("/api/clips/one/annotation").status_code == 405
+    assert page.post("/api/clips").status_code == 405
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example", "evil.example:8000", "127.0.0.1", "127.0.0.1:9", "", "127.0.0.1:8000.evil.example"],
+)
+def test_foreign_hosts_are_refused(page, host):
+    assert page.get("/api/clips", headers={"Host": host}).status_code == 421
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:9", "http://localhost:8000"]
+)
+def test_foreign_origins_are_refused(page, origin, tmp_path):
+    assert page.get("/api/clips", headers={"Origin": origin}).status_code == 403
+    assert save(page, drawn(page), 0, Origin=origin).status_code == 403
+    assert not (tmp_path / "notes").exists()
+
+
+def test_own_origin_is_served(page):
+    assert save(page, drawn(page), 0, Origin=f"http://{HOST}").status_code == 200
+
+
+def test_bodies_are_bounded(page, monkeypatch):
+    monkeypatch.setattr(guard, "MAX_BODY", 1000)
+    huge = b"x" * 1001
+    assert page.post("/api/clips/one/import/cvat", content=huge).status_code == 413
+
+    def chunks():
+        for _ in range(100):
+            yield b"x" * 100
+
+    answer = page.post("/api/clips/one/import/cvat", content=chunks())
+    assert answer.status_code == 413
+
+
+def test_token(clips, tmp_path):
+    page = client(routes(clips, tmp_path), token="secret")
+    assert page.get("/").status_code == 401
+    assert page.get("/?token=wrong").status_code == 401
+    assert page.get("/api/clips?token=secret").status_code == 401
+    assert page.get("/api/clips", headers={"Authorization": "Bearer secret"}).status_code == 200
+    welcome = page.get("/?token=secret", follow_redirects=False)
+    assert welcome.status_code == 303
+    assert "httponly" in welcome.headers["set-cookie"].lower()
+    assert "samesite=strict" in welcome.headers["set-cookie"].lower()
+    assert "secret" not in welcome.headers["location"]
+    assert page.get("/api/clips").status_code == 200
+
+
+def test_loopback():
+    assert [is_loopback(h) for h in ("127.0.0.1", "::1", "localhost", "127.9.9.9")] == [True] * 4
+    assert [is_loopback(h) for h in ("0.0.0.0", "::", "192.168.0.4", "example.org")] == [False] * 4
+
+
+def test_find_clips(clips, tmp_path):
+    def names(path, **options):
+        return {
+            n: (len(s.frames), s.tracks) for n, s in find_clips(path, annotations=tmp_path, **options).items()
+        }
+
+    one, two = clips / "tracks" / "one.npz", clips / "tracks" / "two.npz"
+    assert names(clips / "frames") == {"one": (6, None), "two": (3, None)}
+    assert names(clips / "frames" / "one") == {"one": (6, None)}
+    assert names(one) == {"one": (6, one)}
+    assert names(clips / "tracks", frames=clips / "frames") == {"one": (6, one), "two": (3, two)}
+    assert names(one, frames=clips / "frames" / "one") == {"one": (6, one)}
+    with pytest.raises(InputFileError, match="--frames"):
+        names(one, frames=tmp_path)
+    with pytest.raises(InputFileError, match="clip"):
+        names(tmp_path)
+
+
+def test_saved_file_is_the_shared_model(page, tmp_path):
+    save(page, drawn(page), 0)
+    expected = AnnotatedObject(1, "box", "car", 1, (KeyFrame(0, polygons=(tuple(map(tuple, BOX)),)),))
+    assert load_annotation(tmp_path / "notes" / "one.json").objects == (expected,)
