@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby, islice, pairwise
+from typing import TypeVar
+
 import numpy as np
 
-from kt3dmoseg.types import Float32Array, FloatArray, Trajectories
-from mseg.affinity.ordered_residuals import ordered_residual_kernel
+from kt3dmoseg.types import Float32Array, FloatArray, IntArray, Trajectories
+from mseg.affinity.ordered_residuals import preferences, top_count
 from mseg.geometry import Distance, change_frame, hartley, residuals
 from mseg.types import Hypotheses
 
 # The authors' guard against division by zero, part of the values that alpha is applied to.
 _GUARD = 0.1
+_PAIRS_AT_A_TIME = 4
+_T = TypeVar("_T")
 
 
 def view_kernel(
@@ -45,18 +51,52 @@ def view_kernel(
     section 3.1.
     """
     total: Float32Array = np.zeros((len(trajectories), len(trajectories)), dtype=np.float32)
-    pairs, start = np.unique(hypotheses.pair, axis=0, return_index=True)
-    stop = np.append(start[1:], len(hypotheses.pair))
-    for (i, j), begin, end in zip(pairs, start, stop, strict=True):
-        rows, x1, x2 = trajectories.pair(int(i), int(j))
-        if len(rows):
-            residual = _pair_residuals(hypotheses, slice(begin, end), x1, x2, distance)
-            total[np.ix_(rows, rows)] += ordered_residual_kernel(residual, fraction=fraction)
+    for rows, marks, count in _marked_chunks(trajectories, hypotheses, fraction, distance):
+        shared = marks @ marks.T
+        shared /= np.float32(count)
+        total[np.ix_(rows, rows)] += shared
     seen = trajectories.visible.astype(np.float32)
-    shared: Float32Array = seen @ seen.T
-    shared += np.float32(_GUARD)
-    total /= shared
+    together: Float32Array = seen @ seen.T
+    together += np.float32(_GUARD)
+    total /= together
     return total
+
+
+def _marked_chunks(
+    trajectories: Trajectories, hypotheses: Hypotheses, fraction: float, distance: Distance
+) -> Iterator[tuple[IntArray, Float32Array, int]]:
+    """Yield rows (R,), their preferred hypotheses (R, M) as 0 and 1, and how many each prefers.
+
+    Several frame pairs at a time: one product of their marks side by side is the sum of their
+    kernels, and the sum is spread into the large matrix once.
+    """
+    pairs, start = np.unique(hypotheses.pair, axis=0, return_index=True)
+    parts = [slice(b, e) for b, e in pairwise([*start, len(hypotheses.pair)])]
+    for count, group in groupby(
+        zip(pairs, parts, strict=True), key=lambda item: top_count(item[1].stop - item[1].start, fraction)
+    ):
+        for chunk in _batched(group, _PAIRS_AT_A_TIME):
+            yield *_marks(trajectories, hypotheses, chunk, count, distance), count
+
+
+def _marks(
+    trajectories: Trajectories,
+    hypotheses: Hypotheses,
+    chunk: Sequence[tuple[IntArray, slice]],
+    count: int,
+    distance: Distance,
+) -> tuple[IntArray, Float32Array]:
+    seen = [(part, *trajectories.pair(int(i), int(j))) for (i, j), part in chunk]
+    rows = np.unique(np.concatenate([r for _, r, _, _ in seen]))
+    marks: Float32Array = np.zeros((len(rows), sum(p.stop - p.start for p, *_ in seen)), dtype=np.float32)
+    column = 0
+    for part, visible, x1, x2 in seen:
+        end = column + part.stop - part.start
+        if len(visible):
+            residual = _pair_residuals(hypotheses, part, x1, x2, distance)
+            marks[np.searchsorted(rows, visible), column:end] = preferences(residual, count)
+        column = end
+    return rows, marks
 
 
 def _pair_residuals(
@@ -68,3 +108,10 @@ def _pair_residuals(
     models = change_frame(hypotheses.kind, hypotheses.models[part], t1, t2)
     single = n1.astype(np.float32), n2.astype(np.float32)
     return residuals(hypotheses.kind, models, *single, distance=distance)
+
+
+def _batched(items: Iterable[_T], size: int) -> Iterator[list[_T]]:
+    """Split into lists of at most `size` (itertools.batched is new in Python 3.12)."""
+    iterator = iter(items)
+    while chunk := list(islice(iterator, size)):
+        yield chunk

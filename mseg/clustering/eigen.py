@@ -5,15 +5,16 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.linalg import eigh, qr
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dgeqrf, dorgqr
 
 from kt3dmoseg.types import FloatArray
 from mseg.errors import TooFewPointsError
 
-_DENSE = 600
+_DENSE = 250
 _GUARD = 4
-_BLOCKS = 8
-_MAX_RESTARTS = 60
+_EXPANSIONS = 4
+_MAX_RESTARTS = 150
 _START_SEED = 20180618
 
 
@@ -28,13 +29,7 @@ class Symmetric(Protocol):
         """Multiply with (N, b) float64."""
 
 
-def smallest_eigenvectors(
-    matrix: Symmetric,
-    count: int,
-    *,
-    start: FloatArray | None = None,
-    tolerance: float = 1e-8,
-) -> FloatArray:
+def smallest_eigenvectors(matrix: Symmetric, count: int, *, tolerance: float = 1e-8) -> FloatArray:
     """Orthonormal eigenvectors of the smallest eigenvalues of a symmetric matrix.
 
     Small matrices are written out and given to LAPACK. Larger ones go through a block Krylov
@@ -48,8 +43,6 @@ def smallest_eigenvectors(
         Symmetric.
     count : int
         Number of eigenvectors K.
-    start : (N, k) float64, optional
-        Guess at the eigenvectors, which saves work when it is good.
     tolerance : float
         Largest norm of an eigenvector's residual |M u - theta u|.
 
@@ -68,16 +61,36 @@ def smallest_eigenvectors(
     Stewart, "A Krylov-Schur algorithm for large eigenproblems", SIAM J. Matrix Anal. Appl. 2001;
     Zhou and Saad, "Block Krylov-Schur method for large symmetric eigenvalue problems", 2008.
     """
+    return fixed_sign(smallest_subspace(matrix, count, tolerance=tolerance)[:, :count])
+
+
+def smallest_subspace(
+    matrix: Symmetric, count: int, *, start: FloatArray | None = None, tolerance: float = 1e-8
+) -> FloatArray:
+    """Find what `smallest_eigenvectors` finds, without fixed signs, and some approximate ones more.
+
+    Parameters
+    ----------
+    matrix, count, tolerance
+        See there.
+    start : (N, m) float64, optional
+        What this function gave for a matrix nearby; saves most of the work.
+
+    Returns
+    -------
+    (N, m) float64
+        Orthonormal, m >= K; the first K columns are the eigenvectors.
+    """
     size = matrix.shape[0]
     if not 1 <= count <= size:
         raise TooFewPointsError("number of clusters", expected=f"1..{size} (points)", found=str(count))
     block = count + _GUARD
-    if size <= max(_DENSE, (_BLOCKS + 2) * block):
-        dense = matrix if isinstance(matrix, np.ndarray) else matrix @ np.eye(size)
+    if size <= max(_DENSE, (_EXPANSIONS + 3) * block):
+        dense = np.asarray(matrix)
         vectors = eigh(dense, subset_by_index=(0, count - 1), driver="evr", check_finite=False)[1]
-    else:
-        vectors = _krylov(matrix, _starting_block(size, block, start), count, tolerance)
-    return fixed_sign(np.ascontiguousarray(vectors))
+        return np.ascontiguousarray(vectors)
+    first = _random_block(size, block) if start is None else start
+    return _krylov(matrix, first, count, tolerance)
 
 
 def fixed_sign(vectors: FloatArray) -> FloatArray:
@@ -87,33 +100,36 @@ def fixed_sign(vectors: FloatArray) -> FloatArray:
     return vectors * np.where(sign == 0, 1.0, sign)
 
 
-def _starting_block(size: int, block: int, start: FloatArray | None) -> FloatArray:
-    """Orthonormal (N, block): the guess, filled up with a fixed random block."""
-    random = np.random.default_rng(_START_SEED).standard_normal((size, block))
-    return _orthonormal(random if start is None else np.concatenate([start, random], axis=1)[:, :block])
+def _random_block(size: int, block: int) -> FloatArray:
+    return _orthonormal(np.random.default_rng(_START_SEED).standard_normal((size, block)))
 
 
 def _krylov(matrix: Symmetric, first: FloatArray, count: int, tolerance: float) -> FloatArray:
-    """Expand by blocks, solve the projected problem, keep the best, repeat."""
-    block = first.shape[1]
-    basis, image = first, matrix @ first
-    direction: FloatArray = image
+    """Solve the problem projected on a basis, expand the basis by residuals, repeat."""
+    block = count + _GUARD
+    kept = first.shape[1]
+    basis = np.empty((len(first), max(kept, 2 * block) + _EXPANSIONS * block), order="F")
+    image = np.empty_like(basis, order="F")
+    basis[:, :kept], image[:, :kept] = first, matrix @ np.ascontiguousarray(first)
+    filled = kept
     for _ in range(_MAX_RESTARTS):
-        for _ in range(_BLOCKS):
-            direction = _orthonormal(_without(direction, basis))
-            direction = _orthonormal(_without(direction, basis))
-            basis = np.concatenate([basis, direction], axis=1)
-            direction = matrix @ direction
-            image = np.concatenate([image, direction], axis=1)
-        projected = basis.T @ image
+        projected = basis[:, :filled].T @ image[:, :filled]
         values, rotation = eigh((projected + projected.T) / 2, check_finite=False)
-        keep = rotation[:, : 2 * block]
-        basis, image = basis @ keep, image @ keep
-        residual = image[:, :block] - basis[:, :block] * values[:block]
-        if np.linalg.norm(residual[:, :count], axis=0).max() < tolerance:
+        kept = min(filled, 2 * block)
+        best = np.asfortranarray(rotation[:, :kept])
+        basis[:, :kept], image[:, :kept] = basis[:, :filled] @ best, image[:, :filled] @ best
+        direction = image[:, :block] - basis[:, :block] * values[:block]
+        if np.linalg.norm(direction[:, :count], axis=0).max() < tolerance:
             break
-        direction = residual
-    return basis[:, :count]
+        filled = kept
+        for _ in range(_EXPANSIONS):
+            direction = _orthonormal(_without(direction, basis[:, :filled]))
+            direction = _orthonormal(_without(direction, basis[:, :filled]))
+            basis[:, filled : filled + block] = direction
+            direction = matrix @ np.ascontiguousarray(direction)
+            image[:, filled : filled + block] = direction
+            filled += block
+    return np.ascontiguousarray(basis[:, :kept])
 
 
 def _without(vectors: FloatArray, basis: FloatArray) -> FloatArray:
@@ -122,4 +138,6 @@ def _without(vectors: FloatArray, basis: FloatArray) -> FloatArray:
 
 
 def _orthonormal(vectors: FloatArray) -> FloatArray:
-    return np.asarray(qr(vectors, mode="economic", check_finite=False)[0], dtype=np.float64)
+    # Straight to LAPACK: the blocks are thin, and wrappers would take most of the time.
+    reflectors, tau, *_ = dgeqrf(vectors)
+    return np.asarray(dorgqr(reflectors, tau)[0], dtype=np.float64)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray
-from mseg.clustering.eigen import Symmetric, smallest_eigenvectors
+from mseg.clustering.eigen import Symmetric, fixed_sign, smallest_subspace
 from mseg.clustering.laplacian import unit_rows
 
 _Reward: TypeAlias = Callable[[list[FloatArray], int], Symmetric]
@@ -131,6 +132,8 @@ def constrain_subsets(
     """
 
     def nesting(embeddings: list[FloatArray], view: int) -> Symmetric:
+        if len(embeddings) == 1:
+            return _LowRank(np.zeros((len(embeddings[0]), 1)))
         smaller = embeddings[view - 1] if view > 0 else None
         larger = embeddings[view + 1] if view + 1 < len(embeddings) else None
         return _Nesting(smaller, larger, len(embeddings[view]))
@@ -144,6 +147,10 @@ class _LowRank:
     def __init__(self, factor: FloatArray) -> None:
         self.factor, self.shape = factor, (len(factor),) * 2
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        out: FloatArray = self.factor @ self.factor.T
+        return out
+
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
         out: FloatArray = self.factor @ (self.factor.T @ vectors)
         return out
@@ -152,25 +159,32 @@ class _LowRank:
 class _Nesting:
     """max(U U^T, 0) of the smaller model plus min(U U^T, 0) of the larger, by blocks of rows.
 
-    Up to `_KEPT` entries are computed once and kept; beyond, memory matters more than time.
+    Up to `_KEPT_ENTRIES` are computed once and kept, in single precision, whose error the weight of
+    the constraint takes below that of the eigenvectors; beyond, memory matters more than time.
     """
 
     def __init__(self, smaller: FloatArray | None, larger: FloatArray | None, size: int) -> None:
         self.smaller, self.larger, self.shape = smaller, larger, (size, size)
         rows = max(1, _BLOCK_ENTRIES // size)
         self.slices = [slice(start, start + rows) for start in range(0, size, rows)]
-        self.kept = [self._rows(part) for part in self.slices] if size * size <= _KEPT_ENTRIES else None
+        small = size * size <= _KEPT_ENTRIES
+        self.kept = [self._rows(part, np.float32) for part in self.slices] if small else None
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        return np.concatenate([self._rows(part, np.float64) for part in self.slices])
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        blocks = self.kept or (self._rows(part) for part in self.slices)
-        return np.concatenate([block @ vectors for block in blocks])
+        single = vectors.astype(np.float32)
+        blocks = self.kept or (self._rows(part, np.float32) for part in self.slices)
+        return np.concatenate([block @ single for block in blocks]).astype(np.float64)
 
-    def _rows(self, part: slice) -> FloatArray:
-        block = np.zeros((len(range(self.shape[0])[part]), self.shape[0]))
-        if self.smaller is not None:
-            block += np.maximum(self.smaller[part] @ self.smaller.T, 0.0)
-        if self.larger is not None:
-            block += np.minimum(self.larger[part] @ self.larger.T, 0.0)
+    def _rows(self, part: slice, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+        block: npt.NDArray[Any] = np.zeros((len(range(self.shape[0])[part]), self.shape[0]), dtype)
+        for clip, embedding in ((np.maximum, self.smaller), (np.minimum, self.larger)):
+            if embedding is not None:
+                vectors = embedding.astype(dtype)
+                agreement = vectors[part] @ vectors.T
+                block += clip(agreement, 0, out=agreement)
         return block
 
 
@@ -180,6 +194,10 @@ class _Rewarded:
     def __init__(self, laplacian: Symmetric, weight: float, reward: Symmetric) -> None:
         self.laplacian, self.weight, self.reward = laplacian, weight, reward
         self.shape = laplacian.shape
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        out: FloatArray = np.asarray(self.laplacian) - self.weight * np.asarray(self.reward)
+        return out
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
         out: FloatArray = self.laplacian @ vectors - self.weight * (self.reward @ vectors)
@@ -201,14 +219,16 @@ def _alternate(
         raise InvalidValueError(
             "laplacians", expected="at least one, all of one shape", found=shapes or "none"
         )
-    embeddings = [smallest_eigenvectors(laplacian, n_clusters) for laplacian in laplacians]
+    subspaces = [smallest_subspace(laplacian, n_clusters) for laplacian in laplacians]
+    embeddings = [subspace[:, :n_clusters] for subspace in subspaces]
     objectives: list[float] = []
     converged = False
     while len(objectives) < max_sweeps and not converged:
         value = 0.0
         for view, laplacian in enumerate(laplacians):
             target = _Rewarded(laplacian, weight, reward(embeddings, view))
-            embeddings[view] = smallest_eigenvectors(target, n_clusters, start=embeddings[view])
+            subspaces[view] = smallest_subspace(target, n_clusters, start=subspaces[view])
+            embeddings[view] = subspaces[view][:, :n_clusters]
             value += _trace(target, embeddings[view])
         if monitor_last:
             value = sum(
@@ -217,7 +237,7 @@ def _alternate(
             )
         converged = bool(objectives) and abs(value - objectives[-1]) < tolerance
         objectives.append(value)
-    return Fusion(tuple(embeddings), tuple(objectives), converged)
+    return Fusion(tuple(map(fixed_sign, embeddings)), tuple(objectives), converged)
 
 
 def _trace(matrix: Symmetric, vectors: FloatArray) -> float:

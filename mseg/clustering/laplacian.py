@@ -107,6 +107,13 @@ class GraphLaplacian:
         self._adjacency = diags_array(scale) @ weights @ diags_array(scale)
         self._uniform = (np.sqrt(weight) * scale)[:, None]
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        """Write the matrix out, (N, N) float64."""
+        out: FloatArray = -self._adjacency.toarray()
+        out -= self._uniform @ self._uniform.T
+        out.flat[:: len(out) + 1] += 1.0
+        return out
+
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
         """Multiply with (N, b)."""
         out: FloatArray = vectors - self._adjacency @ vectors

@@ -117,8 +117,8 @@ def _least_squares(design: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 def _nearest_rank_2(matrices: FloatArray) -> FloatArray:
     """Remove the smallest singular value: F - F v v^T with v its right singular vector."""
-    _, _, right = np.linalg.svd(matrices)
-    smallest = right[:, 2]
+    _, right = np.linalg.eigh(matrices.transpose(0, 2, 1) @ matrices)
+    smallest = right[:, :, 0]
     out: FloatArray = matrices - (matrices @ smallest[:, :, None]) * smallest[:, None, :]
     return out
 

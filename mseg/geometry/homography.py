@@ -174,11 +174,11 @@ def _four_points(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]
 def _projective_basis(points: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Find the maps of e1, e2, e3, (1, 1, 1) to the four points, (K, 3, 3), and where they exist."""
     homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
-    triples = np.array(list(combinations(range(4), 3)))
-    area = np.abs(np.linalg.det(homogeneous[:, triples]))
+    a, b, c = (points[:, triple] for triple in np.array(list(combinations(range(4), 3))).T)
+    area: FloatArray = np.abs((b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0])
     columns = homogeneous[:, :3].transpose(0, 2, 1)
     weights = adjugate(columns) @ homogeneous[:, 3, :, None]
-    return columns * weights.transpose(0, 2, 1), (area > _DEGENERATE).all(axis=1)
+    return columns * weights.transpose(0, 2, 1), np.asarray((area > _DEGENERATE).all(axis=1))
 
 
 def _direct_linear(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
