@@ -9,8 +9,8 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing.queues import SimpleQueue
-from multiprocessing.synchronize import Event
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from typing import Any, Protocol, TypeVar
 
 import cv2
@@ -20,7 +20,7 @@ from kt3dmoseg.errors import KT3DMoSegError
 TaskT = TypeVar("TaskT", contravariant=True)
 ResultT = TypeVar("ResultT", covariant=True)
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_messages: SimpleQueue[Any] | None = None
+_said: Connection | None = None
 
 
 class Work(Protocol[TaskT, ResultT]):
@@ -55,28 +55,29 @@ def in_processes(
         cv2.setNumThreads(1)
         yield from (work(task, tell) for task in tasks)
         return
-    context = multiprocessing.get_context("spawn")
-    messages: SimpleQueue[Any] = context.SimpleQueue()
-    stop = context.Event()
     for name in _ONE_THREAD:  # inherited; a library reads them once, when it is loaded
         os.environ.setdefault(name, "1")
-    listener = threading.Thread(target=_listen, args=(messages, tell), daemon=True)
+    context = multiprocessing.get_context("spawn")
+    # Pipes, no locks or events: a worker that dies holding a lock would block everyone else.
+    heard, said = context.Pipe(duplex=False)
+    held, lifeline = context.Pipe(duplex=False)
+    listener = threading.Thread(target=_listen, args=(heard, tell), daemon=True)
     listener.start()
-    pool = ProcessPoolExecutor(workers, context, _start, (messages, stop))
+    pool = ProcessPoolExecutor(workers, context, _start, (said, held))
     try:
         for future in as_completed([pool.submit(_call, work, task) for task in tasks]):
             result: ResultT = future.result()
             yield result
+        pool.shutdown()
     except BrokenProcessPool:
         raise KT3DMoSegError(
             "a worker process was killed",
             fix="perhaps memory ran out: run again with fewer --workers; finished clips are kept",
         ) from None
     finally:
-        # After the last task nobody is at work any more; before it, work in progress is given up.
-        stop.set()
+        lifeline.close()  # gives up work in progress, if there is any
         pool.shutdown(cancel_futures=True)
-        messages.put(None)
+        said.send(None)
         listener.join()
 
 
@@ -84,28 +85,28 @@ def _call(work: Work[Any, Any], task: object) -> Any:  # noqa: ANN401  # whateve
     return work(task, _send)
 
 
-def _start(messages: SimpleQueue[Any], stop: Event) -> None:
-    global _messages  # one channel per worker process
-    _messages = messages
+def _start(said: Connection, held: Connection) -> None:
+    global _said  # one channel per worker process
+    _said = said
     cv2.setNumThreads(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too, and says stop
-    parent = multiprocessing.parent_process()
-    for wait in (stop.wait, parent.join if parent else stop.wait):
-        threading.Thread(target=_end_after, args=(wait,), daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too, and drops the lifeline
+    threading.Thread(target=_end_with_lifeline, args=(held,), daemon=True).start()
 
 
-def _end_after(wait: Callable[[], object]) -> None:
-    wait()
+def _end_with_lifeline(held: Connection) -> None:
+    """Wait for the other end to close: by the parent, or by the system when the parent is gone."""
+    with suppress(EOFError, OSError):
+        held.recv_bytes()
     os._exit(1)
 
 
 def _send(clip: str, done: int, total: int | None) -> None:
-    assert _messages is not None
-    _messages.put((clip, done, total))
+    assert _said is not None
+    _said.send((clip, done, total))  # shorter than PIPE_BUF, so messages of workers do not mix
 
 
-def _listen(messages: SimpleQueue[Any], tell: Callable[[str, int, int | None], None]) -> None:
-    while (message := messages.get()) is not None:
+def _listen(heard: Connection, tell: Callable[[str, int, int | None], None]) -> None:
+    while (message := heard.recv()) is not None:
         tell(*message)
 
 
