@@ -264,7 +264,7 @@ def _write(stream: Any, block: bytes, path: Path) -> None:  # noqa: ANN401  # a 
 
 def _reason(error: BaseException) -> str:
     text = str(error)
-    for words in ("timed out", "refused", "reset", "resolve", "closed"):
+    for words in ("timed out", "refused", "reset", "closed"):
         if words in text.lower():
-            return f"{words} ({type(error).__name__})"
+            return f"connection {words} ({type(error).__name__})"
     return type(error).__name__

@@ -164,12 +164,12 @@ def _by_checksum(entry: Entry, holding: Holding, camera: int) -> Verdict:
     return match_exact(equal)
 
 
-def _by_pictures(entry: Entry, holding: Holding, own: list[Float32Array]) -> tuple[str, Verdict]:
-    """Read all frames of the camera once, for digests and, with the clip's own frames, descriptors."""
+def _by_pictures(entry: Entry, holding: Holding, own: Float32Array | None) -> tuple[str, Verdict]:
+    """Read all frames of the camera once, for their digests and their correlations with the clip's own."""
     frames = drive_frames(holding, entry.drive, entry.camera)
     number_of = {name: number for number, name in frames.items()}
     digests: dict[int, str] = {}
-    described: dict[int, Float32Array] = {}
+    columns: dict[int, Float32Array] = {}
     contents = holding.read(frames.values())
     title = f"{entry.name}: comparing pixels"
     for name, content in tqdm(contents, title, len(frames), unit="frame", disable=None):
@@ -178,27 +178,27 @@ def _by_pictures(entry: Entry, holding: Holding, own: list[Float32Array]) -> tup
         except FileFormatError:
             continue  # not a picture: cannot be one of the clip's frames
         digests[number_of[name]] = sha256_arrays(image)
-        if own:
-            described[number_of[name]] = descriptor(image)
+        if own is not None and (described := descriptor(image)).shape == own.shape[1:]:
+            columns[number_of[name]] = own @ described
     exact = match_exact([[n for n in frames if digests.get(n) == mark.pixels] for mark in entry.frames])
-    if exact.numbers or exact.ambiguous or not own:
+    if exact.numbers or exact.ambiguous or own is None:
         return PIXELS, exact
-    numbers = [n for n in sorted(described) if described[n].shape == own[0].shape]
-    theirs = np.array([described[n] for n in numbers]).reshape(len(numbers), -1)
-    similarity = np.array(own) @ theirs.T if numbers else np.zeros((len(own), 0))
+    numbers = sorted(columns)
+    similarity = np.array([columns[n] for n in numbers]).reshape(len(numbers), len(own)).T
     return CORRELATION, match_graded(similarity, numbers)
 
 
-def _own_frames(entry: Entry, folder: str | None) -> list[Float32Array]:
+def _own_frames(entry: Entry, folder: str | None) -> Float32Array | None:
+    """Descriptors of the clip's own frames, (F, n)."""
     if folder is None:
-        return []
+        return None
     path = Path(folder) / entry.name
     paths = frame_paths(path if path.is_dir() else Path(folder))
     if len(paths) != entry.length:
         raise FileFormatError(
             folder, expected=f"{entry.length} frames of {entry.name}", found=f"{len(paths)}"
         )
-    return [descriptor(read_frame(path)) for path in paths]
+    return np.array([descriptor(read_frame(path)) for path in paths])
 
 
 def _not_located(entry: Entry, holding: Holding, verdict: Verdict, tried: str) -> NotLocatedError:

@@ -80,9 +80,8 @@ class Patience:
             self._failures = 0
         self._failures += 1
         if self._failures > self._network.retries:
-            raise InputFileError(
-                f"{self._url}: gave up after {self._failures} attempts", found=str(error), fix=_KEPT
-            ) from None
+            what = f"gave up after {self._failures} attempts, the last: {error}"
+            raise InputFileError(f"{self._url}: {what}", fix=_KEPT) from None
         pause = min(max(error.pause, self._network.wait * 2 ** (self._failures - 1)), _LONGEST_WAIT)
         if self._failures > 1 and sys.stderr.isatty():
             tqdm.write(f"{self._url}: {error}; again in {pause:.0f} s", file=sys.stderr)

@@ -20,7 +20,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.kitti.http import Client
 from kt3dmoseg.kitti.network import Network, Traffic
 
-SHORT = {"timeout": 0.3}
+SHORT = {"timeout": 0.6}
 
 
 @pytest.mark.parametrize(
