@@ -25,7 +25,7 @@ MAX_TOTAL_BYTES = 512 << 20
 _MAX_RATIO, _RATIO_FREE = 200, 1 << 20
 _MAX_DEPTH = 4
 _DRIVE = re.compile(r"[A-Za-z]:")
-_IGNORED_NAMES = {"__MACOSX", ".DS_Store", "Thumbs.db", "desktop.ini"}
+_IGNORED_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _UNZIPPABLE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -205,8 +205,8 @@ def _is_bomb(info: zipfile.ZipInfo) -> bool:
 
 
 def _ignored(name: str) -> bool:
-    """Whether an operating system or editor left the file there."""
-    return any(part in _IGNORED_NAMES or part.startswith("._") for part in PurePosixPath(name).parts)
+    """Whether the file is hidden, or an operating system left it there: no part of the submission."""
+    return any(part in _IGNORED_NAMES or part.startswith(".") for part in PurePosixPath(name).parts)
 
 
 def _link(name: str) -> Problem:

@@ -127,6 +127,11 @@ class Protocol:
                 return version
         return ""
 
+    def contradicts(self, version: str, fingerprints: Mapping[str, str]) -> bool:
+        """Whether the clips at hand are known not to be of a version."""
+        here, known = self.version_of(fingerprints), self.versions.get(version, {})
+        return (here not in ("", version)) or any(known.get(n, f) != f for n, f in fingerprints.items())
+
     def members(self, group: Group, motions: Mapping[str, int]) -> list[str]:
         """Names of the clips at hand that belong to a group.
 

@@ -71,32 +71,44 @@ def write_report(
 
 
 def report_html(
-    checked: Validation, scores: ScoreTable, *, frames: str | os.PathLike[str] | None = None
+    checked: Validation,
+    scores: ScoreTable,
+    *,
+    frames: str | os.PathLike[str] | None = None,
+    overlays: bool = True,
 ) -> str:
-    """Make the page from a validated and scored submission."""
+    """Make the page from a validated and scored submission.
+
+    Without `overlays` it holds scores only: nothing from which true labels could be read.
+    """
     order = sorted(scores.names, key=lambda name: -scores.per_clip()[scores.names.index(name)])
     folder = Path(frames) if frames is not None else None
-    clips = "".join(clip_section(checked, scores, name, folder) for name in order)
     body = "".join(
         [
-            _head(scores),
+            _head(scores, overlays=overlays),
             _failures(scores),
             _cards(scores),
             "<h2 id='table'>Benchmark table</h2>",
             html_table(tables.headline(scores), own_row=0),
             "<h2 id='clips'>Per clip, worst first</h2>",
-            bars_per_clip(scores, order),
+            bars_per_clip(scores, order, linked=overlays),
             bars_published(scores),
             "<h2 id='metrics'>All metrics</h2>",
             html_table(tables.all_means(scores)),
             html_table(tables.per_clip(scores)),
-            "<h2 id='overlays'>Every clip, worst first</h2>",
-            "<p class='quiet'>Predicted groups have the colour of the motion they are assigned to; "
-            "errors are ringed in red. The slider takes arrow keys.</p>",
-            clips,
+            _overlays(checked, scores, order, folder) if overlays else "",
         ]
     )
     return page(f"{scores.meta.method} on {scores.benchmark.title}", body, script="report")
+
+
+def _overlays(checked: Validation, scores: ScoreTable, order: Sequence[str], folder: Path | None) -> str:
+    clips = "".join(clip_section(checked, scores, name, folder) for name in order)
+    return (
+        "<h2 id='overlays'>Every clip, worst first</h2>"
+        "<p class='quiet'>Predicted groups have the colour of the motion they are assigned to; "
+        f"errors are ringed in red. The slider takes arrow keys.</p>{clips}"
+    )
 
 
 def html_table(table: TextTable, *, own_row: int | None = None) -> str:
@@ -115,14 +127,15 @@ def html_table(table: TextTable, *, own_row: int | None = None) -> str:
     )
 
 
-def _head(scores: ScoreTable) -> str:
+def _head(scores: ScoreTable, *, overlays: bool) -> str:
     facts = "".join(
         f"<li>{escape(name)} <b>{escape(str(value))}</b></li>"
         for name, value in tables.meta_lines(scores)
         if name != "method"
     )
-    links = (("table", "Table"), ("clips", "Bars"), ("metrics", "Metrics"), ("overlays", "Overlays"))
-    jump = "".join(f"<a href='#{key}'>{title}</a>" for key, title in links)
+    links = {"table": "Table", "clips": "Bars", "metrics": "Metrics"}
+    links |= {"overlays": "Overlays"} if overlays else {}
+    jump = "".join(f"<a href='#{key}'>{title}</a>" for key, title in links.items())
     return (
         f"<h1>{escape(scores.meta.method)}</h1><p>{escape(scores.benchmark.title)}, "
         f"{escape(scores.benchmark.coverage(scores.names))}</p><ul class='facts'>{facts}</ul>"

@@ -11,7 +11,7 @@ from mseg.evaluation.tables import published_for
 _MAX_DOTS = 30
 
 
-def bars_per_clip(scores: ScoreTable, order: Sequence[str]) -> str:
+def bars_per_clip(scores: ScoreTable, order: Sequence[str], *, linked: bool) -> str:
     """Draw the error of each clip: bar = mean over seeds, dots = seeds, line = prevalence baseline."""
     matrix = scores.matrix()
     place = {name: i for i, name in enumerate(scores.names)}
@@ -23,9 +23,10 @@ def bars_per_clip(scores: ScoreTable, order: Sequence[str]) -> str:
         seeds = "".join(_mark("seed", v / top) for v in runs[:_MAX_DOTS]) if len(runs) > 1 else ""
         drawn = _bar(runs.mean() / top) + _mark("base", base / top) + seeds
         failed = any(scores.of(name, seed).reason for seed in scores.seeds)
+        title = f"<a href='#clip-{escape(name)}'>{escape(name)}</a>" if linked else escape(name)
         rows.append(
-            f"<tr class='{'failed' if failed else ''}'><th scope='row'><a href='#clip-{escape(name)}'>"
-            f"{escape(name)}</a>{' <span class=bad>failed</span>' if failed else ''}</th>"
+            f"<tr class='{'failed' if failed else ''}'><th scope='row'>{title}"
+            f"{' <span class=bad>failed</span>' if failed else ''}</th>"
             f"<td>{100 * runs.mean():.2f}</td><td class='wide'>{100 * base:.2f}</td>"
             f"<td class='track'><div>{drawn}</div></td></tr>"
         )

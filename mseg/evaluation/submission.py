@@ -48,7 +48,8 @@ class SubmissionMeta:
     authors : tuple of str
         Who made it.
     dataset_version : str
-        Version of the dataset, for instance ``"2018"`` for the release of that year.
+        Version of the dataset, for instance ``"2018"`` for the release of that year; may be empty
+        when there are fingerprints.
     benchmark : str
         Name of the protocol, see `list_protocols`; empty = the one that the clips belong to.
     n_motions_given : bool
@@ -71,7 +72,7 @@ class SubmissionMeta:
 
     method: str
     authors: tuple[str, ...] = ("unnamed",)
-    dataset_version: str = "2018"
+    dataset_version: str = ""
     benchmark: str = ""
     n_motions_given: bool = True
     link: str = ""

@@ -21,8 +21,9 @@ from mseg.evaluation.protocol import (
 from mseg.evaluation.reading import Submission, read_submission
 from mseg.evaluation.submission import META, fingerprint
 
-# These leave a clip without labels, which the scorer counts as fully wrong; the rest forbids scoring.
-LACKS = frozenset({"missing-clip"})
+# With these a submission is invalid but can be scored: a missing clip counts as fully wrong, a clip
+# with one label as what it is. Anything else forbids scoring.
+_SCORABLE = frozenset({"missing-clip", "one-label"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +58,8 @@ class Validation:
 
     @property
     def scorable(self) -> bool:
-        """Whether it can be scored: nothing is wrong but that clips are missing, which count as wrong."""
-        return bool(self.clips) and all(problem.code in LACKS for problem in self.problems)
+        """Whether it can be scored: valid, or wrong only in clips that are missing or have one label."""
+        return bool(self.clips) and all(problem.code in _SCORABLE for problem in self.problems)
 
     def __str__(self) -> str:
         """Give the verdict, the numbered problems and the notes."""
@@ -122,7 +123,7 @@ def validate_submission(
 
 
 def load_clips(data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip]) -> dict[str, Clip]:
-    """Return clips by name from a path, a mapping or clips."""
+    """Return clips by name, in the order of their names, from a path, a mapping or clips."""
     if isinstance(data, (str, os.PathLike)):
         from kt3dmoseg.io import load, load_dataset
 
@@ -130,7 +131,8 @@ def load_clips(data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip
             clip = load(data)
             return {clip.name: clip}
         return load_dataset(data)
-    return dict(data) if isinstance(data, Mapping) else {clip.name: clip for clip in data}
+    by_name = dict(data) if isinstance(data, Mapping) else {clip.name: clip for clip in data}
+    return dict(sorted(by_name.items()))
 
 
 def choose_protocol(name: str, clips: Iterable[str]) -> Protocol:
@@ -165,7 +167,7 @@ class _Checker:
             if found is not None:
                 problems += self._label_problems(found, clip, file)
             self.problems += problems
-            if not problems and found is not None:
+            if found is not None and all(problem.code in _SCORABLE for problem in problems):
                 self.labels[seed, name] = found
         self.notes += [
             Problem("failed", self.read.files[key], key[1], found=reason, fix="it counts as fully wrong")
@@ -234,14 +236,14 @@ class _Checker:
         for name, value in declared.items():
             if name in prints and value != prints[name]:
                 self.problems.append(_other_data(name, prints[name], value))
-        here = self.protocol.version_of(prints)
-        if version and here and version != here:
+        if version and self.protocol.contradicts(version, prints):
+            here = self.protocol.version_of(prints)
             self.problems.append(
                 Problem(
                     "dataset-version",
                     META,
-                    expected=f"dataset_version = {here!r}, which the data here are",
-                    found=repr(version),
+                    expected=f"dataset_version = {here!r}" if here else "the version of the data given here",
+                    found=f"{version!r}, which these data are not",
                     fix="segment these data, or validate against the version that was segmented",
                 )
             )

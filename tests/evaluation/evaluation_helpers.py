@@ -12,7 +12,7 @@ from mseg.evaluation.example import made_up_clips
 
 CLIPS = made_up_clips()
 NAMES = sorted(CLIPS)
-META = SubmissionMeta("tested", ("A. Tester",))
+META = SubmissionMeta("tested", ("A. Tester",), dataset_version="made up")
 
 
 def truth(scale: int = 1) -> dict[str, np.ndarray]:

@@ -87,41 +87,46 @@ def base_files(kind: str, seeds: int) -> dict[str, bytes]:
 
 
 def mutate_files(files: dict[str, bytes], rng: np.random.Generator) -> None:
-    """Change the content or the names of some files."""
+    """Change the content or the name of a file."""
     name = sorted(files)[rng.integers(len(files))] if files else "meta.toml"
     content = files.get(name, b"")
-    choice = rng.integers(12)
-    if choice == 0:
+    choice = rng.integers(len(_CONTENTS) + 5)
+    if choice < len(_CONTENTS):
+        files[name] = _CONTENTS[choice](content, rng)
+    elif choice == len(_CONTENTS):
         files.pop(name, None)
-    elif choice == 1:
+    elif choice == len(_CONTENTS) + 1:
         files[_NAMES[rng.integers(len(_NAMES))]] = files.pop(name, b"")
-    elif choice == 2:
-        files["meta.toml"] = (
-            _META[rng.integers(len(_META))].encode("latin-1") + b"\n" + files.get("meta.toml", b"")
-        )
-    elif choice == 3:
-        files[name] = _other_array(rng)
-    elif choice == 4 and content:
-        rows = content.decode("utf-8", "replace").split("\n")
-        row = rng.integers(len(rows))
-        rows[row] = rows[row].split(",")[0] + "," + _CELLS[rng.integers(len(_CELLS))]
-        files[name] = "\n".join(rows).encode("utf-8", "replace")
-    elif choice == 5:
-        rows = [line.split(b",") for line in content.split(b"\n")]
-        files[name] = b"\n".join(b",".join(r[0] for r in rows if r) for _ in range(2))
-    elif choice == 6:
-        files[name] = content * int(rng.integers(2, 4))
-    elif choice == 7:
-        files[name] = bytes(rng.integers(0, 256, rng.integers(0, 300), dtype=np.uint8))
-    elif choice == 8:
+    elif choice == len(_CONTENTS) + 2:
+        line = _META[rng.integers(len(_META))].encode("latin-1")
+        files["meta.toml"] = line + b"\n" + files.get("meta.toml", b"")
+    elif choice == len(_CONTENTS) + 3:
         files[name.rpartition(".")[0] + ".failed"] = b"\xff\x00 reason \n" * int(rng.integers(0, 9))
-    elif choice == 9:
-        files[f"top/{name}"] = content
     else:
-        files[name] = flip(content, rng)
+        files[f"top/{name}"] = content
 
 
-def _other_array(rng: np.random.Generator) -> bytes:
+def _other_cell(content: bytes, rng: np.random.Generator) -> bytes:
+    rows = content.decode("utf-8", "replace").split("\n")
+    row = rng.integers(len(rows))
+    rows[row] = rows[row].split(",")[0] + "," + _CELLS[rng.integers(len(_CELLS))]
+    return "\n".join(rows).encode("utf-8", "replace")
+
+
+def _transposed(content: bytes, rng: np.random.Generator) -> bytes:
+    columns = zip(*(line.split(b",") for line in content.split(b"\n")), strict=False)
+    return b"\n".join(b",".join(column) for column in columns)
+
+
+def _repeated(content: bytes, rng: np.random.Generator) -> bytes:
+    return content * int(rng.integers(2, 4))
+
+
+def _noise(content: bytes, rng: np.random.Generator) -> bytes:
+    return bytes(rng.integers(0, 256, rng.integers(0, 300), dtype=np.uint8))
+
+
+def _other_array(content: bytes, rng: np.random.Generator) -> bytes:
     arrays = (
         {"track": np.arange(5), "label": np.array([None, {}], dtype=object)},
         {"track": np.arange(6).reshape(2, 3), "label": np.arange(6).reshape(2, 3)},
@@ -154,6 +159,9 @@ def flip(content: bytes, rng: np.random.Generator) -> bytes:
         else:
             data[at:at] = data[at : at + 50]
     return bytes(data)
+
+
+_CONTENTS = (_other_array, _other_cell, _transposed, _repeated, _noise, flip, flip)
 
 
 def pack(files: dict[str, bytes], rng: np.random.Generator) -> bytes:

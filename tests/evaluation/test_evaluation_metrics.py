@@ -103,7 +103,9 @@ def test_motions_as_scikit_learn(pairs):
     truth, pred = split(pairs)
     truth, pred = truth[truth > 0], pred[truth > 0]
     table = contingency(truth, pred)
-    names = {int(table.groups[j]): int(m) for m, j in zip(table.motions, table.assignment) if j >= 0}
+    names = {
+        int(table.groups[j]): int(m) for m, j in zip(table.motions, table.assignment, strict=False) if j >= 0
+    }
     renamed = np.array([names.get(int(p), 99) for p in pred])
     p, r, f, _ = precision_recall_fscore_support(truth, renamed, labels=table.motions, zero_division=0)
     np.testing.assert_allclose(per_motion.precision_per_motion(table), p)

@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import shutil
 import stat
 import struct
@@ -11,7 +10,7 @@ import zipfile
 import h5py
 import numpy as np
 import pytest
-from evaluation_helpers import CLIPS, META, NAMES, codes, perfect, truth, zip_folder
+from evaluation_helpers import CLIPS, META, codes, perfect, truth, zip_folder
 
 import mseg.cli
 from kt3dmoseg.types import Clip, Trajectories
@@ -76,7 +75,7 @@ def extra_clip(folder):
 
 def symlink(folder):
     (folder / f"{ONE}.csv").unlink()
-    os.symlink("/etc/passwd", folder / f"{ONE}.csv")
+    (folder / f"{ONE}.csv").symlink_to("/etc/passwd")
 
 
 def object_array(folder):
@@ -132,7 +131,11 @@ MISTAKES = [
     ("missing-array", lambda f: npz(f, labels=LABEL), "np.savez(file, track=ids, label=labels)"),
     ("float", lambda f: npz(f, track=IDS, label=LABEL / 1.0), "write integers"),
     ("ragged", lambda f: npz(f, track=IDS, label=LABEL[1:]), "as many labels"),
-    ("no-header", lambda f: text(f, "".join(f"{t},{v}\n" for t, v in zip(IDS, LABEL))), "first line"),
+    (
+        "no-header",
+        lambda f: text(f, "".join(f"{t},{v}\n" for t, v in zip(IDS, LABEL, strict=False))),
+        "first line",
+    ),
     ("label-only", lambda f: text(f, "\n".join(map(str, LABEL))), "--from"),
     ("separator", lambda f: text(f, "track;label\n1;2\n"), "commas"),
     ("header", lambda f: text(f, "id,motion\n1,2\n"), "track,label"),
@@ -174,7 +177,8 @@ def test_mistake(folder, code, spoil, advice):
     told = [p for p in checked.problems if p.code == code]
     assert told, str(checked)
     assert advice in str(told[0])
-    assert told[0].found and told[0].expected
+    assert told[0].found
+    assert told[0].expected
 
 
 def test_several_problems_are_told_at_once_and_numbered(folder):
@@ -209,6 +213,19 @@ def test_dataset_version_is_recognised_by_its_trajectories(folder):
     other = {**CLIPS, ONE: Clip(ONE, moved, CLIP.evaluated, CLIP.labels)}
     (problem,) = validate_submission(folder, other).problems
     assert (problem.code, problem.clip) == ("dataset-version", ONE)
+
+
+def test_declared_version_that_the_data_are_not(tmp_path):
+    """The trajectories of the 2018 release are known by their fingerprints."""
+    clip = Clip("Seq005_Clip01", CLIP.dense, CLIP.evaluated, CLIP.labels)
+    meta = SubmissionMeta("m", dataset_version="2018")
+    folder = write_submission(tmp_path / "s", [clip], {clip.name: LABEL}, meta)
+    (problem,) = validate_submission(folder, [clip]).problems
+    assert (problem.code, problem.file) == ("dataset-version", "meta.toml")
+    other = Clip("Seq005_Clip02", CLIP.dense, CLIP.evaluated, CLIP.labels)  # not listed: cannot be told
+    assert validate_submission(
+        write_submission(tmp_path / "t", [other], {other.name: LABEL}, meta), [other]
+    ).ok
 
 
 def test_unlabelled_clip_is_not_scored_but_no_mistake(folder):
@@ -348,7 +365,9 @@ def test_json(folder, data, capsys):
         ONE,
         f"{ONE}.csv",
     )
-    assert problem["expected"] and problem["found"] and problem["fix"]
+    assert problem["expected"]
+    assert problem["found"]
+    assert problem["fix"]
 
 
 def test_extra_clip_of_a_listed_benchmark_is_a_note(tmp_path):

@@ -1,0 +1,62 @@
+"""The scoring program of a Codabench competition: the same validator and scorer, its file layout."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.files import write_text
+from mseg.evaluation.metrics import all_metrics
+from mseg.evaluation.report import report_html
+from mseg.evaluation.results import ScoreTable
+from mseg.evaluation.scoring import score_validated
+from mseg.evaluation.validate import validate_submission
+
+SCORES = "scores.json"
+DETAILS = "detailed_results.html"
+
+
+def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
+    """Score ``INPUT/res`` against ``INPUT/ref`` and write ``OUTPUT/scores.json`` and the report.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        INPUT and OUTPUT, on Codabench ``/app/input`` and ``/app/output``.
+    benchmark : str
+        Protocol that the competition scores by.
+
+    Returns
+    -------
+    int
+        0; 1 when the submission is rejected, with every problem on standard error; 2 when the
+        folders are not as they should be.
+    """
+    if len(arguments) != 2:
+        print("usage: score.py INPUT OUTPUT", file=sys.stderr)
+        return 2
+    source, target = Path(arguments[0]), Path(arguments[1])
+    name = "" if benchmark == "custom" else benchmark
+    try:
+        checked = validate_submission(source / "res", source / "ref", benchmark=name)
+        print(checked, file=sys.stderr)
+        if not checked.scorable:
+            return 1
+        scores = score_validated(checked)
+        write_text(target / SCORES, json.dumps(leaderboard_values(scores)) + "\n")
+        write_text(target / DETAILS, report_html(checked, scores, overlays=False))
+    except KT3DMoSegError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def leaderboard_values(scores: ScoreTable) -> dict[str, float]:
+    """Give the numbers of the leaderboard's columns; fractions in per cent, failed = clip runs."""
+    out = {name: scores[name] * (100 if metric.percent else 1) for name, metric in all_metrics().items()}
+    summary = scores.summary()
+    assert summary is not None  # a score table has clips
+    return out | {"error_median": 100 * summary.median, "failed": float(len(scores.failures))}

@@ -1,0 +1,136 @@
+"""Label vectors as people have them become valid submissions."""
+
+import h5py
+import numpy as np
+import pytest
+from evaluation_helpers import CLIPS, NAMES, truth
+from scipy.io import savemat
+
+import kt3dmoseg
+import mseg.cli
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from mseg.evaluation import score_submission, validate_submission
+from mseg.evaluation.predictions_of_others import (
+    read_brox_labels,
+    read_cluster_idx,
+    read_label_files,
+    read_label_text,
+)
+
+
+@pytest.fixture
+def data(tmp_path):
+    for name, clip in CLIPS.items():
+        kt3dmoseg.save(clip, tmp_path / "data" / f"{name}.h5")
+    return tmp_path / "data"
+
+
+def cells(*vectors):
+    out = np.empty((1, len(vectors)), dtype=object)
+    out[0, :] = vectors
+    return out
+
+
+def same(found):
+    assert sorted(found) == NAMES
+    for name in NAMES:
+        np.testing.assert_array_equal(found[name], truth()[name])
+
+
+def test_cells_of_the_authors_scripts(tmp_path):
+    vectors = [truth()[name].astype(np.uint8)[:, None] for name in NAMES]
+    savemat(tmp_path / "Error.mat", {"ClusterIdx": cells(*vectors), "error": [0.1, 0.2]})
+    same(read_label_files(tmp_path / "Error.mat", CLIPS))
+
+
+def test_cells_of_a_whole_benchmark_by_its_list_of_names(tmp_path):
+    names = ["other", *NAMES]
+    vectors = [np.ones((3, 1)), *(truth()[name].astype(float)[None] for name in NAMES)]
+    savemat(tmp_path / "r.mat", {"ClusterIdx": cells(*vectors)})
+    same(read_label_files(tmp_path / "r.mat", CLIPS, names=names))
+    with pytest.raises(FileFormatError, match="2 cells"):
+        read_label_files(tmp_path / "r.mat", CLIPS)
+
+
+def test_cells_in_version_73(tmp_path):
+    with h5py.File(tmp_path / "r.mat", "w", userblock_size=512) as file:
+        references = np.empty((len(NAMES), 1), dtype=h5py.ref_dtype)
+        for i, name in enumerate(NAMES):
+            references[i, 0] = file.create_dataset(f"#refs#/{i}", data=truth()[name][None].astype(float)).ref
+        file.create_dataset("ClusterIdx", data=references)
+    same(read_label_files(tmp_path / "r.mat", CLIPS))
+
+
+def test_empty_cell_is_a_clip_without_labels(tmp_path):
+    savemat(tmp_path / "r.mat", {"ClusterIdx": cells(np.zeros((0, 0)), truth()[NAMES[1]])})
+    assert list(read_label_files(tmp_path / "r.mat", CLIPS)) == [NAMES[1]]
+
+
+def test_text_mat_and_all_trajectories_in_a_folder(tmp_path):
+    every = np.zeros(len(CLIPS[NAMES[0]].dense), dtype=int)
+    every[CLIPS[NAMES[0]].evaluated] = truth()[NAMES[0]]
+    (tmp_path / f"{NAMES[0]}.txt").write_text("# labels\n" + "\r\n".join(map(str, every)) + "\n\n")
+    savemat(tmp_path / f"{NAMES[1]}_Tracks.mat", {"groups": truth()[NAMES[1]][:, None], "k": 3})
+    (tmp_path / "readme.txt").write_text("hello")
+    same(read_label_files(tmp_path, CLIPS))
+
+
+def test_brox_labels_count_from_zero(tmp_path):
+    path = tmp_path / "x.dat"
+    path.write_text("2\n4\n0 1\n1 1 0\n1 2\n1 1 0\n2 2 1\n-1 1\n3 3 1\n1\n1\n4 4 0\n")
+    assert read_brox_labels(path).tolist() == [1, 2, 0, 2]
+    path.write_text("2\n2\n1 1\n1 1 0\n2 1\n1 1 0\n")
+    assert read_brox_labels(path).tolist() == [1, 2]
+
+
+def test_brox_file_as_the_toolkit_writes_it(tmp_path):
+    for name, clip in CLIPS.items():
+        kt3dmoseg.save(clip, tmp_path / f"{name}.dat")
+    found = read_label_files(tmp_path, CLIPS)
+    for name in NAMES:  # there 0 is "not evaluated"; as a label file 0 is the first cluster
+        np.testing.assert_array_equal(found[name], truth()[name] + 1)
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [("1\nx\n", "'x'"), ("1\n2.5\n", "2.5"), ("1 2 3\n", "one whole number"), ("nan\n", "nan")],
+)
+def test_text_that_is_no_labels(tmp_path, content, word):
+    (tmp_path / "a.txt").write_text(content)
+    with pytest.raises(FileFormatError, match=word):
+        read_label_text(tmp_path / "a.txt")
+
+
+def test_what_is_something_else(tmp_path):
+    (tmp_path / "r.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
+    with pytest.raises(FileFormatError):
+        read_cluster_idx(tmp_path / "r.mat")
+    savemat(tmp_path / "s.mat", {"error": [1.0]})
+    with pytest.raises(FileFormatError, match="ClusterIdx"):
+        read_cluster_idx(tmp_path / "s.mat")
+    with pytest.raises(InputFileError, match="none of the clips"):
+        read_label_files(tmp_path, CLIPS)
+    with pytest.raises(FileFormatError, match="ClusterIdx"):
+        read_label_files(tmp_path / "labels.xls", CLIPS)
+    (tmp_path / f"{NAMES[0]}.txt").write_text("1\n2\n")
+    with pytest.raises(FileFormatError, match="60 labels"):
+        read_label_files(tmp_path, CLIPS)
+
+
+def test_command(tmp_path, data, capsys):
+    folder = tmp_path / "labels"
+    folder.mkdir()
+    for name in NAMES:
+        (folder / f"{name}.txt").write_text("\n".join(map(str, truth()[name])))
+    out = tmp_path / "out"
+    assert (
+        mseg.cli.main(
+            ["example-submission", str(data), "--from", str(folder), "-o", str(out), "--method", "m"]
+        )
+        == 0
+    )
+    assert validate_submission(out, CLIPS).ok
+    assert score_submission(out, CLIPS).error == 0
+    assert mseg.cli.main(["example-submission", str(data), "--from", str(folder), "-o", str(out)]) == 2
+    assert mseg.cli.main(["example-submission", "--from", str(folder), "-o", str(tmp_path / "o")]) == 2
+    assert "the folder of clips" in capsys.readouterr().err

@@ -1,0 +1,207 @@
+import csv
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from evaluation_helpers import CLIPS, META, NAMES, perfect, truth
+
+import kt3dmoseg
+import mseg.cli
+from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.types import Clip, Labels
+from mseg.errors import RejectedSubmissionError
+from mseg.evaluation import SubmissionMeta, score_submission, write_failure, write_submission
+from mseg.evaluation.layout import TextTable
+from mseg.evaluation.report import write_report
+from mseg.evaluation.tables import headline, per_clip
+
+
+@pytest.fixture
+def submission(tmp_path):
+    """Two seeds, one clip partly wrong."""
+    worse = truth()
+    worse["example_two"][:10] = 9
+    return write_submission(
+        tmp_path / "s",
+        CLIPS.values(),
+        {0: truth(), 1: worse},
+        SubmissionMeta("<b>mine</b>", link="https://x.org/<a>"),
+    )
+
+
+def frames(folder: Path, *, lacking: int = 0) -> Path:
+    for name, clip in CLIPS.items():
+        (folder / name).mkdir(parents=True)
+        for i in range(clip.n_frames - lacking):
+            cv2.imwrite(str(folder / name / f"{i + 1:06}.png"), np.full((240, 320), 20 * i, np.uint8))
+    return folder
+
+
+class Page(HTMLParser):
+    def __init__(self, content: str) -> None:
+        super().__init__()
+        self.tags, self.open, self.links, self.text = [], [], [], ""
+        self.feed(content)
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.tags.append((tag, values))
+        self.links += [values[k] for k in ("src", "href") if values.get(k)]
+        if tag not in ("meta", "link", "input", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def payloads(content: str) -> list[dict]:
+    return [json.loads(t) for t in re.findall(r"<script type='application/json'>(.*?)</script>", content)]
+
+
+def test_page_is_whole_and_needs_nothing_else(submission, tmp_path):
+    (path,) = write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "f"))
+    content = path.read_text()
+    page = Page(content)
+    assert page.open == []
+    anchors = {v["id"] for _, v in page.tags if "id" in v}
+    for link in page.links:
+        assert link.startswith("data:") or link[1:] in anchors, link
+    assert "default-src 'none'" in content
+    assert "<b>mine" not in content
+    assert "&lt;b&gt;mine" in content
+
+
+def test_worst_clip_first_with_its_errors(submission, tmp_path):
+    (path,) = write_report(submission, CLIPS, tmp_path / "r.html")
+    content = path.read_text()
+    sections = re.findall(r"<section class='clip' id='clip-(\w+)'", content)
+    assert sections == ["example_two", "example_three"]
+    first = payloads(content)[0]
+    assert [len(first[k]) for k in ("runs", "numbers", "frames")] == [2, 10, 0]
+    import base64
+
+    wrong = [sum(base64.b64decode(run["wrong"])) for run in first["runs"]]
+    assert wrong == [0, 10]
+    assert len(base64.b64decode(first["xy"])) == 40 * 10 * 2 * 2
+
+
+def test_frames_are_inside(submission, tmp_path):
+    (path,) = write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "f"))
+    for payload in payloads(path.read_text()):
+        assert len(payload["frames"]) == 10
+        assert all(f.startswith("data:image/jpeg;base64,") for f in payload["frames"])
+    with pytest.raises(InputFileError, match="10 frames"):
+        write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "g", lacking=1))
+
+
+def test_failed_clip_is_shown(tmp_path):
+    folder = perfect(tmp_path / "s")
+    (folder / "example_two.csv").unlink()
+    write_failure(folder, CLIPS["example_two"], "no <luck>")
+    (path,) = write_report(folder, CLIPS, tmp_path / "r.html")
+    text = Page(path.read_text()).text
+    assert "Counted as fully wrong" in text
+    assert "no <luck>" in text
+    (folder / "example_three.csv").write_text("track,label\n1,1.5\n")
+    with pytest.raises(RejectedSubmissionError):
+        write_report(folder, CLIPS, tmp_path / "r.html")
+    write_report(folder, CLIPS, tmp_path / "r.html", force=True)
+
+
+def test_published_results_and_prevalence_stand_beside_and_a_part_is_no_whole(tmp_path):
+    clip = CLIPS["example_two"]
+    clips = {"Seq005_Clip01": Clip("Seq005_Clip01", clip.dense, clip.evaluated, clip.labels)}
+    folder = write_submission(tmp_path / "s", clips.values(), {"Seq005_Clip01": clip.labels.label}, META)
+    (path,) = write_report(folder, clips, tmp_path / "r.html")
+    text = Page(path.read_text()).text
+    assert "CoReg" in text
+    assert "7.92" in text
+    assert "1 of 22 clips" in text
+    notes = " ".join(headline(score_submission(folder, clips)).notes)
+    assert "A part of the benchmark" in notes
+    assert "not comparable" in notes  # neither is it the data of 2018
+    assert "50.00" in text  # prevalence of this clip
+
+
+def test_tables_beside_the_page(submission, tmp_path):
+    wrote = write_report(
+        submission, CLIPS, tmp_path / "out" / "r.html", extras=["latex", "markdown", "csv", "json"]
+    )
+    names = {p.name for p in wrote}
+    davis = {"global_results-custom.csv", "per-sequence_results-custom.csv"}
+    assert names == davis | {f"r.{ending}" for ending in ("html", "tex", "md", "csv", "json")}
+    folder = tmp_path / "out"
+    rows = list(csv.DictReader((folder / "per-sequence_results-custom.csv").read_text().splitlines()))
+    assert [row["Sequence"] for row in rows] == NAMES
+    assert [float(row["error-Mean"]) for row in rows] == [0, 10 / 40 / 2]
+    (mean,) = csv.DictReader((folder / "global_results-custom.csv").read_text().splitlines())
+    assert float(mean["error-Mean"]) == pytest.approx(10 / 40 / 2 / 2)
+    assert r"\textless" not in (folder / "r.tex").read_text()
+    assert json.loads((folder / "r.json").read_text())["format"] == "mseg-scores"
+
+
+def test_layouts_escape():
+    table = TextTable("T", ["a_b", "x|y"], [["50 %", "c,d"]], ["note"])
+    assert r"a\_b & x|y \\" in table.latex()
+    assert r"50 \% & c,d \\" in table.latex()
+    assert "| a_b | x\\|y |" in table.markdown()
+    assert table.csv() == 'a_b,x|y\n50 %,"c,d"\n'
+    assert table.text().splitlines() == ["T", "", "a_b   x|y", "----  ---", "50 %  c,d", "note"]
+
+
+def test_background_unknown_and_few_labels(tmp_path):
+    clip = CLIPS["example_two"].with_labels(Labels(np.where(np.arange(40) < 20, 0, 3)))
+    folder = write_submission(
+        tmp_path / "s", [clip], {clip.name: np.arange(40) % 3}, SubmissionMeta("m", outliers=True)
+    )
+    (path,) = write_report(folder, [clip], tmp_path / "r.html")
+    assert "outlier" in Page(path.read_text()).text
+    assert per_clip(score_submission(folder, [clip])).rows[0][2] == "1"
+
+
+def test_command(submission, tmp_path, capsys):
+    for name, clip in CLIPS.items():
+        kt3dmoseg.save(clip, tmp_path / "data" / f"{name}.h5")
+    out = tmp_path / "r.html"
+    assert (
+        mseg.cli.main(["report", str(submission), str(tmp_path / "data"), "-o", str(out), "--latex", "--csv"])
+        == 0
+    )
+    assert out.exists()
+    assert (tmp_path / "r.tex").exists()
+    assert mseg.cli.main(["report", str(tmp_path / "none"), str(tmp_path / "data"), "-o", str(out)]) == 2
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1440, 390])
+def test_in_chromium(submission, tmp_path, width):
+    playwright = pytest.importorskip("playwright.sync_api")
+    (path,) = write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "f"))
+    with playwright.sync_playwright() as run:
+        browser = run.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        page = browser.new_context(viewport={"width": width, "height": 800}, offline=True).new_page()
+        said = []
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.goto(path.as_uri())
+        viewer = page.locator(".viewer").first
+        viewer.scroll_into_view_if_needed()
+        slider = viewer.locator("input[type=range]")
+        playwright.expect(viewer.locator("output")).to_have_text("frame 0")
+        slider.focus()
+        page.keyboard.press("ArrowRight")
+        playwright.expect(viewer.locator("output")).to_have_text("frame 1")
+        canvas = viewer.locator("canvas").nth(1)
+        before = canvas.evaluate("c => c.toDataURL()")
+        viewer.locator("select").select_option("seed 1")
+        assert canvas.evaluate("c => c.toDataURL()") != before  # other labels, errors ringed
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert said == []
+        browser.close()

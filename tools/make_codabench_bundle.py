@@ -1,0 +1,201 @@
+"""Write a Codabench competition bundle whose scoring program is this package.
+
+Usage: python tools/make_codabench_bundle.py DATA -o bundle.zip [--benchmark kt3dmoseg] [--image IMAGE]
+
+DATA is the folder of clips with their labels; it becomes the reference data, which participants do
+not see. The image must have Python 3.11 or newer; numpy, scipy and h5py are installed where missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import struct
+import sys
+import zipfile
+import zlib
+from pathlib import Path
+
+import kt3dmoseg
+import mseg
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.files import write_bytes
+from kt3dmoseg.io import dataset_paths
+from mseg.evaluation.metrics import all_metrics
+from mseg.evaluation.protocol import load_protocol
+from mseg.evaluation.validate import choose_protocol
+
+_STAMP = (1980, 1, 1, 0, 0, 0)
+# What the scoring program imports; the rest of the packages (methods, trackers, servers) stays out.
+_PARTS = {
+    kt3dmoseg: ("__init__.py", "errors.py", "files.py", "registry.py", "options.py", "types.py", "io/**/*"),
+    mseg: ("__init__.py", "errors.py", "types.py", "evaluation/**/*", "benchmarks/*.toml"),
+}
+_COLUMNS = ("error", "error_median", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f", "failed")
+
+SCORE_PY = '''"""python score.py INPUT OUTPUT: score the submission INPUT/res against the data INPUT/ref."""
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+
+if __name__ == "__main__":
+    if not all(map(find_spec, ("numpy", "scipy", "h5py"))):  # a plain Python image
+        subprocess.check_call([sys.executable, "-m", "pip", "install", "-q", "-r", HERE / "requirements.txt"])
+    sys.path.insert(0, str(HERE))
+    from mseg.evaluation.codabench import main
+
+    sys.exit(main(sys.argv[1:], benchmark={benchmark!r}))
+'''
+
+TERMS = """# Terms
+
+The KT3DMoSeg labels derive from KITTI and carry its licence, CC BY-NC-SA 3.0.
+"""
+
+OVERVIEW = """# {title}
+
+Segment the point trajectories of each clip by the 3D rigid motion that they follow.
+
+Hand in a zip of `meta.toml` and one `track,label` file per clip. `mseg example-submission` writes one
+to start from; `mseg validate SUBMISSION DATA` runs the very checks that are run here.
+A missing clip, or one on which a method failed, counts as fully wrong.
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", help="folder of clips with labels")
+    parser.add_argument("-o", "--output", required=True, help="bundle to write, a .zip")
+    parser.add_argument("--benchmark", default="", help="protocol; default: the one the clips belong to")
+    parser.add_argument("--image", default="python:3.12", help="docker image (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    try:
+        write_bytes(options.output, make_bundle(options.data, options.benchmark, options.image))
+    except KT3DMoSegError as error:
+        print(f"make_codabench_bundle: {error}", file=sys.stderr)
+        return error.exit_code
+    print(f"wrote {options.output} ({Path(options.output).stat().st_size / 1e6:.2f} MB)")
+    return 0
+
+
+def make_bundle(data: str, benchmark: str, image: str) -> bytes:
+    """Return the bundle; the same data give the same bytes."""
+    paths = dataset_paths(data)
+    name = load_protocol(benchmark).name if benchmark else choose_protocol("", paths).name
+    title = load_protocol(name).title if name != "custom" else "Motion segmentation"
+    reference = {path.name: path.read_bytes() for path in paths.values()}
+    return pack(
+        {
+            "competition.yaml": competition_yaml(title, image).encode(),
+            "logo.png": logo(),
+            "terms.md": TERMS.encode(),
+            "overview.md": OVERVIEW.format(title=title).encode(),
+            "scoring_program.zip": pack(scoring_program(name)),
+            "reference_data.zip": pack(reference),
+        }
+    )
+
+
+def scoring_program(benchmark: str) -> dict[str, bytes]:
+    """Files of the scoring program: a start script and the part of the packages that scores."""
+    out = {
+        "metadata.yaml": b"command: python /app/program/score.py /app/input /app/output\n",
+        "score.py": SCORE_PY.format(benchmark=benchmark).encode(),
+        "requirements.txt": b"numpy>=1.26\nscipy>=1.12\nh5py>=3.10\n",
+    }
+    for package, patterns in _PARTS.items():
+        root = Path(package.__file__ or "").parent
+        for pattern in patterns:
+            for path in sorted(root.glob(pattern)):
+                if path.is_file() and "__pycache__" not in path.parts:
+                    out[f"{package.__name__}/{path.relative_to(root).as_posix()}"] = path.read_bytes()
+    return out
+
+
+def competition_yaml(title: str, image: str) -> str:
+    """Describe the competition, version 2; JSON values are YAML values."""
+    metrics = all_metrics()
+    columns = []
+    for index, key in enumerate(_COLUMNS):
+        metric = metrics.get(key.removesuffix("_median"))
+        lower = metric is None or metric.better == "lower"
+        columns.append(
+            {
+                "title": {"error": "mean error %", "error_median": "median error %"}.get(key, key),
+                "key": key,
+                "index": index,
+                "sorting": "asc" if lower else "desc",
+                "precision": 2,
+            }
+        )
+    fields = {
+        "version": 2,
+        "title": title,
+        "description": "3D rigid motion segmentation of point trajectories",
+        "image": "logo.png",
+        "terms": "terms.md",
+        "docker_image": image,
+        "registration_auto_approve": True,
+        "enable_detailed_results": True,
+        "pages": [{"title": "Overview", "file": "overview.md"}],
+        "tasks": [
+            {
+                "index": 0,
+                "name": title,
+                "scoring_program": "scoring_program.zip",
+                "reference_data": "reference_data.zip",
+            }
+        ],
+        "phases": [
+            {
+                "index": 0,
+                "name": "Evaluation",
+                "start": "2026-01-01 00:00:00",
+                "accepts_only_result_submissions": True,
+                "tasks": [0],
+            }
+        ],
+        "leaderboards": [
+            {"title": "Results", "key": "main", "submission_rule": "Force_Last", "columns": columns}
+        ],
+    }
+    return "".join(f"{key}: {json.dumps(value)}\n" for key, value in fields.items())
+
+
+def logo() -> bytes:
+    """Draw two groups of dots in motion: a PNG of 160 x 160."""
+    rows = bytearray()
+    for y in range(160):
+        rows.append(0)
+        for x in range(160):
+            first = (x % 40 - 20) ** 2 + (y % 40 - 20) ** 2 < 90
+            inside = 40 <= x < 120 and 80 <= y < 160
+            rows += bytes((230, 159, 0) if first and inside else (86, 180, 233) if first else (27, 30, 35))
+    header = struct.pack(">IIBBBBB", 160, 160, 8, 2, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(rows), 9)), (b"IEND", b""))
+    body = b"".join(
+        struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c)) for k, c in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + body
+
+
+def pack(files: dict[str, bytes]) -> bytes:
+    """Zip files without time stamps."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(files):
+            info = zipfile.ZipInfo(name, _STAMP)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, files[name])
+    return buffer.getvalue()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
