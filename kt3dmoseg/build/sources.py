@@ -28,7 +28,9 @@ from kt3dmoseg.kitti import Drive, RawDrive
 from kt3dmoseg.types import ByteArray, Camera, FloatArray
 
 VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
-_FFMPEG_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET; a damaged video is our one line to tell
+# FFmpeg's AV_LOG_QUIET, which OpenCV reads once: a damaged video is our one line to tell.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_sync")
 
 
@@ -138,7 +140,6 @@ class VideoFile:
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Give the luma of every frame."""
         del colour  # a video is in colour by nature
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
         with quiet_opencv():
             video = cv2.VideoCapture(os.fspath(self.file))
         try:
