@@ -25,7 +25,7 @@ export function watchStatus(app) {
   });
   state.on(["hint", "pending", "tool"], () => (by("hint").textContent = state.hint || standing(state)));
   state.on(["computing"], () => (by("loading").textContent = state.computing ?? ""));
-  state.on(["tool", "playing", "flickered"], () => {
+  state.on(["tool", "playing", "flickered", "clip"], () => {
     document.querySelectorAll("[data-tool]").forEach((b) => b.classList.toggle("on", b.dataset.tool === state.tool));
     by("play").classList.toggle("on", state.playing);
     by("flicker").classList.toggle("on", state.flickered !== null);
