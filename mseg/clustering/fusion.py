@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +15,6 @@ from kt3dmoseg.types import FloatArray
 from mseg.clustering.eigen import Symmetric, fixed_sign, smallest_subspace
 from mseg.clustering.laplacian import unit_rows
 
-_Reward: TypeAlias = Callable[[list[FloatArray], int], Symmetric]
 _BLOCK_ENTRIES = 1 << 22
 _KEPT_ENTRIES = 1 << 24
 
@@ -84,7 +84,7 @@ def coregularise(
     CVPR 2018, section 3.2.
     """
 
-    def agreement(embeddings: list[FloatArray], view: int) -> Symmetric:
+    def agreement(embeddings: list[FloatArray], view: int) -> _LowRank:
         return _LowRank(np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1))
 
     return _alternate(laplacians, n_clusters, agreement, weight, tolerance, max_sweeps, monitor_last=False)
@@ -131,7 +131,7 @@ def constrain_subsets(
     Xu, Cheong, Li, CVPR 2018, section 3.2, equations of the subset constraint.
     """
 
-    def nesting(embeddings: list[FloatArray], view: int) -> Symmetric:
+    def nesting(embeddings: list[FloatArray], view: int) -> _LowRank | _Nesting:
         if len(embeddings) == 1:
             return _LowRank(np.zeros((len(embeddings[0]), 1)))
         smaller = embeddings[view - 1] if view > 0 else None
@@ -155,6 +155,9 @@ class _LowRank:
         out: FloatArray = self.factor @ (self.factor.T @ vectors)
         return out
 
+    def energy(self, vectors: FloatArray) -> float:
+        return float(((self.factor.T @ vectors) ** 2).sum())
+
 
 class _Nesting:
     """max(U U^T, 0) of the smaller model plus min(U U^T, 0) of the larger, by blocks of rows.
@@ -167,8 +170,12 @@ class _Nesting:
         self.smaller, self.larger, self.shape = smaller, larger, (size, size)
         rows = max(1, _BLOCK_ENTRIES // size)
         self.slices = [slice(start, start + rows) for start in range(0, size, rows)]
-        small = size * size <= _KEPT_ENTRIES
-        self.kept = [self._rows(part, np.float32) for part in self.slices] if small else None
+
+    @cached_property
+    def kept(self) -> list[npt.NDArray[Any]] | None:
+        if self.shape[0] ** 2 > _KEPT_ENTRIES:
+            return None
+        return [self._rows(part, np.float32) for part in self.slices]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
         return np.concatenate([self._rows(part, np.float64) for part in self.slices])
@@ -177,6 +184,13 @@ class _Nesting:
         single = vectors.astype(np.float32)
         blocks = self.kept or (self._rows(part, np.float32) for part in self.slices)
         return np.concatenate([block @ single for block in blocks]).astype(np.float64)
+
+    def energy(self, vectors: FloatArray) -> float:
+        # tr(V^T Q V) = sum over ij of Q_ij (V V^T)_ij, in double precision for the stopping rule.
+        return sum(
+            float(np.einsum("ij,ij->", self._rows(part, np.float64), vectors[part] @ vectors.T))
+            for part in self.slices
+        )
 
     def _rows(self, part: slice, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         block: npt.NDArray[Any] = np.zeros((len(range(self.shape[0])[part]), self.shape[0]), dtype)
@@ -191,7 +205,7 @@ class _Nesting:
 class _Rewarded:
     """laplacian - weight * reward."""
 
-    def __init__(self, laplacian: Symmetric, weight: float, reward: Symmetric) -> None:
+    def __init__(self, laplacian: Symmetric, weight: float, reward: _LowRank | _Nesting) -> None:
         self.laplacian, self.weight, self.reward = laplacian, weight, reward
         self.shape = laplacian.shape
 
@@ -203,11 +217,15 @@ class _Rewarded:
         out: FloatArray = self.laplacian @ vectors - self.weight * (self.reward @ vectors)
         return out
 
+    def energy(self, vectors: FloatArray) -> float:
+        own = float(np.einsum("nk,nk->", vectors, self.laplacian @ vectors))
+        return own - self.weight * self.reward.energy(vectors)
+
 
 def _alternate(
     laplacians: Sequence[Symmetric],
     n_clusters: int,
-    reward: _Reward,
+    reward: Callable[[list[FloatArray], int], _LowRank | _Nesting],
     weight: float,
     tolerance: float,
     max_sweeps: int,
@@ -229,16 +247,12 @@ def _alternate(
             target = _Rewarded(laplacian, weight, reward(embeddings, view))
             subspaces[view] = smallest_subspace(target, n_clusters, start=subspaces[view])
             embeddings[view] = subspaces[view][:, :n_clusters]
-            value += _trace(target, embeddings[view])
+            value += target.energy(embeddings[view])
         if monitor_last:
             value = sum(
-                _trace(_Rewarded(laplacian, weight, reward(embeddings, view)), embeddings[view])
+                _Rewarded(laplacian, weight, reward(embeddings, view)).energy(embeddings[view])
                 for view, laplacian in enumerate(laplacians)
             )
         converged = bool(objectives) and abs(value - objectives[-1]) < tolerance
         objectives.append(value)
     return Fusion(tuple(map(fixed_sign, embeddings)), tuple(objectives), converged)
-
-
-def _trace(matrix: Symmetric, vectors: FloatArray) -> float:
-    return float(np.einsum("nk,nk->", vectors, matrix @ vectors))

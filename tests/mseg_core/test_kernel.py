@@ -1,0 +1,139 @@
+"""Sampling, ordered residual kernels, co-visibility and sparsification."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from kt3dmoseg.types import Trajectories
+from mseg.affinity import neighbourhood_mask, ordered_residual_kernel, preferences, sparsify, view_kernel
+from mseg.sampling import draw_subsets, sample_hypotheses
+
+
+@given(size=st.integers(1, 12), count=st.integers(1, 12))
+def test_subsets_are_distinct_members(size, count):
+    count = min(size, count)
+    drawn = draw_subsets(np.full(50, size), count, np.random.default_rng(size))
+    assert drawn.min() >= 0
+    assert drawn.max() < size
+    assert all(len(set(row)) == count for row in drawn.tolist())
+
+
+def test_subsets_are_uniform():
+    """Each of the 10 subsets of 2 of 5 about 2000 times in 20000: sd 42."""
+    drawn = np.sort(draw_subsets(np.full(20000, 5), 2, np.random.default_rng(0)), axis=1)
+    _, counts = np.unique(drawn, axis=0, return_counts=True)
+    assert len(counts) == 10
+    assert np.abs(counts - 2000).max() < 250
+
+
+def test_exactly_the_best_are_preferred():
+    values = np.array([[3.0, 1.0, 2.0, 0.5], [1.0, 1.0, 1.0, 1.0], [np.nan, 2.0, np.nan, np.inf]])
+    expected = [[0, 1, 0, 1], [1, 1, 0, 0], [0, 1, 0, 1]]
+    assert_array_equal(preferences(values, 2), np.array(expected, bool))
+
+
+@given(st.integers(0, 1000))
+def test_preferences_are_those_of_a_stable_sort(seed):
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 6, size=(8, 20)).astype(np.float32)
+    values[rng.random(values.shape) < 0.2] = np.nan
+    count = int(rng.integers(1, 20))
+    expected = np.zeros(values.shape, bool)
+    np.put_along_axis(expected, np.argsort(values, axis=1, kind="stable")[:, :count], True, axis=1)
+    assert_array_equal(preferences(values, count), expected)
+
+
+def test_ordered_residual_kernel_by_hand():
+    """Two of four preferred: points 0 and 1 share one, point 2 shares none with 0."""
+    values = np.array([[0, 1, 2, 3], [3, 0, 1, 2], [3, 2, 1, 0]], float)
+    assert_allclose(ordered_residual_kernel(values, fraction=0.5), [[1, 0.5, 0], [0.5, 1, 0.5], [0, 0.5, 1]])
+
+
+def test_view_kernel_is_the_plain_sum_over_pairs(make_clip):
+    trajectories = make_clip(missing=0.2, frames=8).evaluated_trajectories
+    found = view_kernel(
+        trajectories, sample_hypotheses(trajectories, "affine", np.random.default_rng(0), per_pair=40)
+    )
+    assert_allclose(found, found.T)
+    full = trajectories.visible.astype(float)
+    together = full @ full.T
+    pairs = full[:, 1:] * full[:, :-1]
+    assert_allclose(
+        np.diagonal(found), np.diagonal(pairs @ pairs.T) / (np.diagonal(together) + 0.1), rtol=1e-5
+    )
+    assert (found[pairs @ pairs.T == 0] == 0).all()
+
+
+def test_kernel_tells_motions_apart(make_clip):
+    clip = make_clip()
+    trajectories, same = clip.evaluated_trajectories, clip.labels.label[:, None] == clip.labels.label
+    for kind in ("affine", "homography", "fundamental"):
+        kernel = view_kernel(trajectories, sample_hypotheses(trajectories, kind, np.random.default_rng(0)))
+        assert kernel[same].mean() > 1.3 * kernel[~same].mean()
+
+
+def test_same_stream_same_hypotheses(make_clip):
+    trajectories = make_clip().evaluated_trajectories
+    first, second = (
+        sample_hypotheses(trajectories, "homography", np.random.default_rng(3)) for _ in range(2)
+    )
+    assert_array_equal(first.models, second.models)
+
+
+def test_pairs_with_few_points_are_left_out(make_clip):
+    clip = make_clip(points=5, motions=2, frames=4)
+    visible = clip.dense.visible.copy()
+    visible[7:, 2] = False
+    xy = np.where(visible[..., None], clip.dense.xy, np.nan)
+    trajectories = Trajectories(xy, visible)
+    pairs = {
+        tuple(p)
+        for p in sample_hypotheses(trajectories, "fundamental", np.random.default_rng(0)).pair.tolist()
+    }
+    assert pairs == {(0, 1)}
+    assert len(sample_hypotheses(trajectories, "affine", np.random.default_rng(0)).pair) == 1500
+
+
+# Values of the authors' function, executed once elsewhere.
+BLOCKS = np.array([[1, 0.8, 0.1, 0.05], [0.8, 1, 0.2, 0.1], [0.1, 0.2, 1, 0.6], [0.05, 0.1, 0.6, 1]])
+FIVE = np.array(
+    [
+        [0.9, 0.5, 0.45, 0.4, 0.1],
+        [0.5, 0.9, 0.3, 0.35, 0.2],
+        [0.45, 0.3, 0.9, 0.5, 0.4],
+        [0.4, 0.35, 0.5, 0.9, 0.6],
+        [0.1, 0.2, 0.4, 0.6, 0.9],
+    ]
+)
+
+
+@pytest.mark.parametrize("alpha", [1, 5])
+def test_neighbourhoods_of_two_blocks(alpha):
+    assert_array_equal(neighbourhood_mask(BLOCKS, alpha), np.kron(np.eye(2), np.ones((2, 2))))
+
+
+def test_neighbourhoods_of_five_points():
+    expected = [
+        [1, 1, 1, 0.5, 0],
+        [1, 1, 0, 0.5, 0],
+        [1, 0, 1, 1, 0.5],
+        [0.5, 0.5, 1, 1, 1],
+        [0, 0, 0.5, 1, 1],
+    ]
+    assert_array_equal(neighbourhood_mask(FIVE, 2), expected)
+    assert_allclose(sparsify(FIVE, 2), FIVE * expected)
+
+
+def test_sparsification_in_single_precision_is_that_in_double(make_clip):
+    trajectories = make_clip(points=60).evaluated_trajectories
+    kernel = view_kernel(trajectories, sample_hypotheses(trajectories, "affine", np.random.default_rng(0)))
+    assert_array_equal(neighbourhood_mask(kernel, 10), neighbourhood_mask(kernel.astype(np.float64), 10))
+
+
+def test_constant_rows_keep_nothing():
+    assert not neighbourhood_mask(np.zeros((3, 3)), 2).any()
+    assert not neighbourhood_mask(np.ones((3, 3)), 2).any()
