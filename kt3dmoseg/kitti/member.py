@@ -17,7 +17,7 @@ LARGEST_MEMBER = 64 << 20
 LOCAL = struct.Struct("<4s5H3L2H")
 
 _LONGEST_GAP = 4096  # a smaller hole between two members is read over rather than asked around
-_LONGEST_RUN = 8 << 20
+_LONGEST_RUN = 2 << 20  # what is under way is lost when a pull is killed
 _DESCRIBED = 0x8
 
 
@@ -40,7 +40,7 @@ class Member:
 
 
 def runs(members: Iterable[Member]) -> Iterator[list[Member]]:
-    """Group members that lie side by side, to be asked for in one request of at most 8 MiB."""
+    """Group members that lie side by side, to be asked for in one request of at most 2 MiB."""
     run: list[Member] = []
     for member in sorted(members, key=lambda member: member.offset):
         near = run and member.offset - run[-1].end <= _LONGEST_GAP
