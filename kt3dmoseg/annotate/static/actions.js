@@ -2,7 +2,7 @@
 
 import * as edits from "./edits.js";
 import { boundsOf, distance, inside, rounded, simplify } from "./geometry.js";
-import { regionOf } from "./region.js";
+import { editableRegion, regionOf } from "./region.js";
 import * as views from "./view.js";
 
 const FRAME_TIME = 110;
@@ -11,13 +11,8 @@ const FLICKER_TIME = 220;
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 export const selectedObject = ({ state }) => state.doc && edits.objectOf(state.doc, state.selected);
 
-/** The selected object's region here, thinned out where it will become a person's. */
-export function regionHere(app) {
-  const item = selectedObject(app);
-  const region = regionOf(app.state, item, app.state.frame);
-  if (region.key) return region;
-  return { ...region, polygons: region.polygons.map((polygon) => rounded(simplify(polygon, 0.4))) };
-}
+/** The selected object's region here, ready to be edited. */
+export const regionHere = (app) => editableRegion(app.state, selectedObject(app), app.state.frame);
 
 export function say(app, text) {
   app.state.set({ hint: text });
@@ -187,10 +182,9 @@ export function copyToNext(app) {
   const { frame, clip, doc, regions } = app.state;
   if (!item || frame + 1 >= clip.n_frames) return;
   if (!regions) say(app, "No trajectories yet: copied without motion");
-  const region = regionOf(app.state, item, frame + 1);
-  const polygons = region.polygons.map((polygon) => rounded(simplify(polygon, 0.4)));
-  if (region.visibility !== "visible" || !polygons.length) return say(app, "It is not visible there");
-  if (!region.key) app.history.edit(edits.setKey(doc, item.id, edits.visible(frame + 1, polygons)));
+  const region = editableRegion(app.state, item, frame + 1);
+  if (region.visibility !== "visible" || !region.polygons.length) return say(app, "It is not visible there");
+  if (!region.key) app.history.edit(edits.setKey(doc, item.id, edits.visible(frame + 1, region.polygons)));
   goTo(app, frame + 1);
 }
 

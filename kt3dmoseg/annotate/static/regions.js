@@ -1,7 +1,8 @@
 // Regions, handles, the outline being drawn, the lasso and the keyboard's cross.
 
 import { colourOfMotion } from "./colours.js";
-import { regionOf } from "./region.js";
+import { boundsOf } from "./geometry.js";
+import { editableRegion, regionOf } from "./region.js";
 import { toScreen } from "./view.js";
 
 export class Regions {
@@ -44,7 +45,7 @@ export class Regions {
       context.fill();
       context.globalAlpha = 1;
     }
-    if (chosen && !this.state.pending) this.#drawHandles(context, region, colour);
+    if (chosen && !this.state.pending) this.#drawHandles(context, editableRegion(this.state, item, frame), colour);
     this.#drawName(context, item, region, colour, chosen);
   }
 
@@ -69,11 +70,12 @@ export class Regions {
   }
 
   #drawName(context, item, region, colour, chosen) {
-    const points = region.polygons.flat();
-    if (!points.length) return;
-    const left = Math.min(...points.map((p) => p[0]));
-    const top = Math.min(...points.map((p) => p[1]));
-    const [x, y] = toScreen(this.state.view, [left, top]);
+    const box = boundsOf(region.polygons);
+    if (!box) return;
+    const [x, y] = toScreen(this.state.view, box);
+    const [right, bottom] = toScreen(this.state.view, box.slice(2));
+    const { clientWidth, clientHeight } = this.layer.canvas;
+    if (right < 0 || bottom < 0 || x > clientWidth || y > clientHeight) return;
     const motion = item.motion === "reject" ? "x" : item.motion;
     this.#label(context, `${motion} ${item.name}`, Math.max(2, x), Math.max(15, y - 5), colour, chosen);
   }
