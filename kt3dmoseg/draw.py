@@ -78,7 +78,7 @@ def by_length(trajectories: Trajectories) -> Painting:
     colours = _ramp(lengths, trajectories.n_frames)
     ends = [1, max(1, trajectories.n_frames // 2), trajectories.n_frames]
     shown = _ramp(np.array(ends), trajectories.n_frames)
-    legend = [(f"{end} frames", _rgb(colour)) for end, colour in zip(ends, shown, strict=True)]
+    legend = [(f"{end} frame{'' if end == 1 else 's'}", _rgb(colour)) for end, colour in zip(ends, shown, strict=True)]
     return Painting(trajectories, colours, legend)
 
 
