@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from functools import cache
+from itertools import permutations
+
 import numpy as np
 
 from kt3dmoseg.types import FloatArray, IntArray
+
+_MAX_SEARCH = 1000
 
 
 def best_assignment(counts: IntArray) -> IntArray:
@@ -64,10 +70,23 @@ def assign(gain: FloatArray) -> IntArray:
 
 
 def _solve(gain: FloatArray) -> tuple[IntArray, IntArray]:
-    if min(gain.shape) == 1:
-        best = np.unravel_index(int(np.argmax(gain)), gain.shape)
-        return np.array([best[0]]), np.array([best[1]])
-    from scipy.optimize import linear_sum_assignment  # 0.2 s to import: only when there is a choice
+    """Find the best one-to-one choice: by search when it is small, else with scipy.
 
-    rows, columns = linear_sum_assignment(gain, maximize=True)
-    return rows, columns
+    The search spares the import of scipy.optimize, which takes longer than scoring a benchmark.
+    """
+    few, many = sorted(gain.shape)
+    if math.perm(many, few) > _MAX_SEARCH:
+        from scipy.optimize import linear_sum_assignment
+
+        rows, columns = linear_sum_assignment(gain, maximize=True)
+        return rows, columns
+    wide = gain if len(gain) == few else gain.T
+    choices = _choices(many, few)
+    best = choices[np.argmax(wide[np.arange(few), choices].sum(axis=1))]
+    return (np.arange(few), best) if len(gain) == few else (best, np.arange(few))
+
+
+@cache
+def _choices(many: int, few: int) -> IntArray:
+    """Every ordered choice of `few` out of `many`, (P, few)."""
+    return np.array(list(permutations(range(many), few)), dtype=np.int64)

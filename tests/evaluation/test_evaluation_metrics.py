@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score, precision_recall_fscore_support
 
 import mseg.evaluation
@@ -146,6 +147,18 @@ def test_error_by_hand(truth, pred, error):
 def test_many_groups_cost_nothing(rng):
     truth, pred = rng.integers(1, 40, 5000), rng.integers(1, 400, 5000)
     assert 0 < classification_error(truth, pred) < 1
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (4, 4), (3, 9), (9, 3), (6, 6), (7, 12), (5, 0)])
+def test_assignment_is_the_best_there_is(shape, rng):
+    """Small tables are searched, large ones solved; both are optimal."""
+    for _ in range(20):
+        counts = rng.integers(0, 9, shape)
+        chosen = best_assignment(counts)
+        taken = chosen[chosen >= 0]
+        assert len(set(taken.tolist())) == len(taken)
+        rows, columns = linear_sum_assignment(counts, maximize=True)
+        assert counts[chosen >= 0, taken].sum() == counts[rows, columns].sum()
 
 
 def test_tie_goes_to_the_larger_overlap():
