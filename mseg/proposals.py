@@ -1,0 +1,69 @@
+"""Motion segmentation as proposals for the labelling page of kt3dmoseg.
+
+Registered in the entry point group ``kt3dmoseg.proposers``, as any third party would.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
+from mseg.errors import TooFewPointsError
+from mseg.methods import segment
+
+# A person waits: enough trajectories to cover the frame, few enough for some seconds.
+_MOST = 700
+_FEWEST = 50
+_SHORTEST = 5
+_MOTIONS = 4
+_METHOD = "keradd"
+
+
+class ProposalRequest(Protocol):
+    """What the labelling page tells; see `kt3dmoseg.annotate.proposals.Request`."""
+
+    @property
+    def clip(self) -> str:
+        """Name of the clip."""
+        ...
+
+    @property
+    def trajectories(self) -> Trajectories:
+        """Trajectories of the whole clip."""
+        ...
+
+
+def propose(request: ProposalRequest) -> Labels:
+    """Segment a sample of the trajectories into four groups; the largest is taken as background.
+
+    Returns
+    -------
+    Labels
+        One per trajectory of the request; 0 = not in the sample.
+
+    Raises
+    ------
+    TooFewPointsError
+        When fewer than 50 trajectories live for 5 frames.
+    SegmentationError
+        When the method cannot segment the clip.
+    """
+    tracks = request.trajectories
+    rows = _sample(tracks)
+    clip = Clip(request.clip, tracks, rows, Labels(np.zeros(len(rows), dtype=np.int64)))
+    found = segment(clip, _METHOD, n_motions=_MOTIONS, seed=0).labels
+    largest = int(np.argmax(np.bincount(found, minlength=2)[1:])) + 1
+    label = np.zeros(len(tracks), dtype=np.int64)
+    label[rows] = np.where(found == largest, 1, np.where(found > 0, found + 1, 0))
+    return Labels(label, background=1)
+
+
+def _sample(tracks: Trajectories) -> IntArray:
+    rows = np.flatnonzero(tracks.lengths >= _SHORTEST)
+    if len(rows) < _FEWEST:
+        raise TooFewPointsError("mseg", expected=f"{_FEWEST} trajectories of 5 frames", found=str(len(rows)))
+    if len(rows) <= _MOST:
+        return rows
+    return np.sort(np.random.default_rng(0).choice(rows, _MOST, replace=False))
