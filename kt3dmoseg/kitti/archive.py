@@ -14,7 +14,7 @@ import struct
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 
-from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
 from kt3dmoseg.kitti.member import LOCAL, DamagedError, Member, acceptable, runs, unpack
 from kt3dmoseg.kitti.source import FileSource, Source
 
@@ -187,7 +187,7 @@ def _parse_tail(source: Source, data: bytes) -> tuple[bytes, Mapping[str, Member
     try:
         with zipfile.ZipFile(tail) as archive:
             infos, directory = archive.infolist(), archive.start_dir
-    except FileFormatError:
+    except KT3DMoSegError:
         raise
     except (
         zipfile.BadZipFile,

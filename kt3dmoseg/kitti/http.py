@@ -7,13 +7,12 @@ found by the readers above, which hold checksums.
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.kitti.network import (
@@ -176,11 +175,9 @@ class Client:
                 raise TransientError(f"a range from byte {at} instead of {have}")
             expected = _length(response)
             end = at if expected is None else at + expected
-            with open(path, "ab") as stream:
-                for block in self._body(response):
-                    fresh = block[max(0, have - at) :]
-                    _write(stream, fresh, path)
-                    at += len(block)
+            for block in self._body(response):
+                _append_to(path, block[max(0, have - at) :])
+                at += len(block)
         if expected is not None and at < end:
             raise TransientError(f"the connection ended {end - at} bytes early")
 
@@ -254,12 +251,12 @@ def _seconds(text: str) -> float:
     return float(text) if text.isdigit() else 0.0
 
 
-def _write(stream: Any, block: bytes, path: Path) -> None:  # noqa: ANN401  # a binary file
+def _append_to(path: Path, block: bytes) -> None:
     try:
-        stream.write(block)
-        stream.flush()
+        with open(path, "ab") as stream:
+            stream.write(block)
     except OSError as error:
-        raise InputFileError(f"{os.fspath(path)}: cannot write", found=error.strerror or str(error)) from None
+        raise InputFileError(f"{path}: cannot write", found=error.strerror or str(error)) from None
 
 
 def _reason(error: BaseException) -> str:
