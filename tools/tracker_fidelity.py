@@ -65,16 +65,16 @@ def starts(tracks: Trajectories) -> np.ndarray:
     return np.c_[tracks.xy[np.arange(len(tracks)), first], first]
 
 
-def compare(clip: Clip, frames: Path, flow: Flow) -> Release:
+def compare(clip: Clip, frames: Path, flow: Flow, cache: str | None) -> Release:
     """Compare one clip with its release."""
     dense = clip.dense.select(clip.dense.lengths > 0)
     label = np.zeros(len(clip.dense), int)
     label[clip.evaluated] = clip.labels.label
     label = label[clip.dense.lengths > 0]
     seeds = starts(dense)
-    with tempfile.TemporaryDirectory() as cache:
-        followed = track(frames, flow, seeds, cache=cache, **NO_STOPS)
-        ours = track(frames, flow, cache=cache)
+    with tempfile.TemporaryDirectory() as temporary:
+        followed = track(frames, flow, seeds, cache=cache or temporary, **NO_STOPS)
+        ours = track(frames, flow, cache=cache or temporary)
     out = Release()
     gap = np.linalg.norm(followed.xy - dense.xy, axis=2)
     for k in AFTER:
@@ -230,22 +230,23 @@ def main() -> None:
         "--clips", nargs="*", help="default: every released clip; none: --clips without names"
     )
     parser.add_argument("--scenes", type=int, default=4, help="number of synthetic drives")
+    parser.add_argument("--cache", metavar="FOLDER", help="keep the flow of real clips here (4 MB a field)")
     parser.add_argument("-o", "--output")
     arguments = parser.parse_args()
     flow = create(arguments.flow, **parse_assignments(arguments.set))
-    text = report(arguments.data / "kt3dmoseg", flow, arguments.clips, arguments.scenes)
+    text = report(arguments.data / "kt3dmoseg", flow, arguments.clips, arguments.scenes, arguments.cache)
     if arguments.output:
         write_text(arguments.output, text)
     sys.stdout.write(text)
 
 
-def report(data: Path, flow: Flow, clips: list[str] | None, scenes: int) -> str:
+def report(data: Path, flow: Flow, clips: list[str] | None, scenes: int, cache: str | None) -> str:
     """Both tables, in Markdown."""
     known = sorted(p.name.removesuffix("_Tracks.mat") for p in (data / "release").glob("*_Tracks.mat"))
     chosen = known if clips is None else clips
     release = {
         name: lambda name=name: compare(
-            load(data / "release" / f"{name}_Tracks.mat"), data / "frames" / name, flow
+            load(data / "release" / f"{name}_Tracks.mat"), data / "frames" / name, flow, cache
         )
         for name in chosen
     }

@@ -1,0 +1,115 @@
+"""The RAFT adapter around a stand-in for torch: what it says when it lacks something, what it hands over."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from kt3dmoseg import flow
+from kt3dmoseg.errors import MissingDependencyError
+from kt3dmoseg.flow import raft
+
+
+class Array:
+    """As much of a tensor as the adapter uses, around an array."""
+
+    def __init__(self, array):
+        self.array = array
+
+    def to(self, device):
+        return self
+
+    def __getitem__(self, item):
+        return Array(self.array[item])
+
+    def permute(self, *axes):
+        return Array(self.array.transpose(axes))
+
+    def cpu(self):
+        return self
+
+    def numpy(self):
+        return self.array
+
+
+class Network:
+    """Notes its input; the flow is (column, row) of each padded pixel."""
+
+    seen = ()
+
+    def __init__(self, weights):
+        if weights == "DEFAULT":
+            raise OSError("no route to host\nmore")
+
+    def load_state_dict(self, state):
+        self.state = state
+
+    def eval(self):
+        return self
+
+    def to(self, device):
+        return self
+
+    def __call__(self, a, b, num_flow_updates):
+        Network.seen = a.array, b.array, num_flow_updates
+        height, width = a.array.shape[2:]
+        rows, columns = np.indices((height, width))
+        return [None, Array(np.stack([columns, rows])[None])]
+
+
+@pytest.fixture
+def torch(monkeypatch):
+    modules = {name: ModuleType(name) for name in ("torch", "torchvision", "torchvision.models")}
+    modules["torch"].from_numpy = Array
+    modules["torch"].inference_mode = nullcontext
+    modules["torch"].load = lambda path, **_: {"from": path}
+    nets = SimpleNamespace(raft_large=lambda weights: Network(weights), raft_small=None)
+    modules["torchvision.models"].optical_flow = nets
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    raft._network.cache_clear()
+    yield modules["torch"]
+    raft._network.cache_clear()
+
+
+@pytest.fixture
+def frames(rng):
+    return tuple(rng.integers(0, 255, (130, 45), dtype=np.uint8) for _ in range(2))
+
+
+@pytest.mark.parametrize("package", ["torch", "torchvision"])
+def test_a_missing_package_is_named(torch, frames, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingDependencyError, match=rf"no {package}; pip install 'kt3dmoseg\[gpu\]'"):
+        flow.create("raft")(*frames)
+
+
+def test_missing_weights_are_named(torch, frames):
+    with pytest.raises(
+        MissingDependencyError, match=r"weights of torchvision.*no route to host; .*weights=FILE"
+    ):
+        flow.create("raft")(*frames)
+
+
+def test_a_missing_weights_file_is_named(torch, frames):
+    def absent(path, **_):
+        raise FileNotFoundError(f"{path} not found")
+
+    torch.load = absent
+    with pytest.raises(MissingDependencyError, match=r"weights my\.pth: .*not found"):
+        flow.create("raft", weights="my.pth")(*frames)
+
+
+def test_frames_are_padded_for_the_network_and_its_flow_is_cut_back(torch, frames):
+    field = flow.create("raft", weights="my.pth", updates=7)(*frames)
+    a, _, updates = Network.seen
+    assert a.shape == (1, 3, 136, 128)
+    assert updates == 7
+    np.testing.assert_allclose(a[0, 1, :130, :45], frames[0] / 127.5 - 1, atol=1e-6)
+    assert field.shape == (130, 45, 2)
+    assert field.dtype == np.float32
+    assert field[100, 30].tolist() == [30, 100]
