@@ -78,7 +78,8 @@ def by_length(trajectories: Trajectories) -> Painting:
     colours = _ramp(lengths, trajectories.n_frames)
     ends = [1, max(1, trajectories.n_frames // 2), trajectories.n_frames]
     shown = _ramp(np.array(ends), trajectories.n_frames)
-    legend = [(f"{end} frame{'' if end == 1 else 's'}", _rgb(colour)) for end, colour in zip(ends, shown, strict=True)]
+    names = [f"{end} frame" + "s" * (end > 1) for end in ends]
+    legend = [(name, _rgb(colour)) for name, colour in zip(names, shown, strict=True)]
     return Painting(trajectories, colours, legend)
 
 

@@ -15,7 +15,8 @@ from kt3dmoseg.annotate import label_tracks, load_annotation
 from kt3dmoseg.build.fingerprint import fingerprint
 from kt3dmoseg.build.masks import by_frame, label_by_masks, mask_paths
 from kt3dmoseg.build.options import Settings
-from kt3dmoseg.build.sources import Shot, Source, find_sources
+from kt3dmoseg.build.shot import Shot, Source
+from kt3dmoseg.build.sources import find_sources
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_file
 from kt3dmoseg.flow import Flow, create

@@ -13,7 +13,8 @@ from typing import Any, Literal, TypeAlias
 from kt3dmoseg.build.clip import label_source, prepare
 from kt3dmoseg.build.fingerprint import why_build
 from kt3dmoseg.build.options import Settings
-from kt3dmoseg.build.sources import Source, find_sources
+from kt3dmoseg.build.shot import Source
+from kt3dmoseg.build.sources import find_sources
 from kt3dmoseg.build.workers import in_processes
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io import hdf5

@@ -14,7 +14,7 @@ import cv2
 
 import kt3dmoseg
 from kt3dmoseg.build.options import Settings
-from kt3dmoseg.build.sources import Shot
+from kt3dmoseg.build.shot import Shot
 from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.files import sha256_file
 from kt3dmoseg.flow import Flow

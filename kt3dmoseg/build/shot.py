@@ -1,0 +1,82 @@
+"""What a source of frames is, and what all kinds of them share."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.files import sha256_file
+from kt3dmoseg.io.images import Colour, read_frame
+from kt3dmoseg.types import ByteArray, Camera, FloatArray
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What is known of a clip before its frames are read.
+
+    Parameters
+    ----------
+    numbers : sequence of int or None
+        Numbers of the frames; None when only reading tells.
+    sha256 : str
+        Of everything the frames are decoded from, in order.
+    description : mapping
+        Where the frames come from, for the provenance; no path of this machine.
+    timestamps : (F,) float64 or None
+        Seconds.
+    camera : Camera or None
+        The camera.
+    """
+
+    numbers: Sequence[int] | None
+    sha256: str
+    description: dict[str, Any]
+    timestamps: FloatArray | None = None
+    camera: Camera | None = None
+
+
+class Source(Protocol):
+    """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built."""
+
+    @property
+    def name(self) -> str:
+        """Name of the clip."""
+        ...
+
+    @property
+    def where(self) -> str:
+        """The place on this machine, for messages."""
+        ...
+
+    def inspect(self) -> Shot:
+        """Check the source and say what is known without decoding it."""
+        ...
+
+    def frames(self, colour: Colour) -> Iterator[ByteArray]:
+        """Give gray frames one after the other."""
+        ...
+
+
+def pictures(paths: Sequence[Path], colour: Colour) -> Iterator[ByteArray]:
+    """Read pictures as gray frames, one after the other, all of one size."""
+    first: tuple[int, ...] | None = None
+    for path in paths:
+        frame = read_frame(path, colour)
+        first = first or frame.shape
+        if frame.shape != first:
+            raise FileFormatError(
+                f"{path}",
+                expected=f"{first[1]}x{first[0]} px, as {paths[0].name}",
+                found=f"{frame.shape[1]}x{frame.shape[0]}",
+                fix="give frames of one size",
+            )
+        yield frame
+
+
+def sha256_of(paths: Sequence[Path]) -> str:
+    """SHA-256 over the SHA-256 of each file, in order."""
+    return hashlib.sha256("\n".join(map(sha256_file, paths)).encode()).hexdigest()
