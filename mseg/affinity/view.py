@@ -14,7 +14,7 @@ from mseg.geometry import Distance, change_frame, hartley, residuals
 from mseg.types import Hypotheses
 
 # The authors' guard against division by zero, part of the values that alpha is applied to.
-_GUARD = 0.1
+GUARD = 0.1
 _PAIRS_AT_A_TIME = 4
 _T = TypeVar("_T")
 
@@ -55,11 +55,15 @@ def view_kernel(
         shared = marks @ marks.T
         shared /= np.float32(count)
         total[np.ix_(rows, rows)] += shared
+    total /= covisible_frames(trajectories) + np.float32(GUARD)
+    return total
+
+
+def covisible_frames(trajectories: Trajectories) -> Float32Array:
+    """Count (N, N) the frames in which both of two trajectories are visible."""
     seen = trajectories.visible.astype(np.float32)
     together: Float32Array = seen @ seen.T
-    together += np.float32(_GUARD)
-    total /= together
-    return total
+    return together
 
 
 def _marked_chunks(

@@ -1,0 +1,49 @@
+"""Motion segmentation via a sparsity constraint (MSSC)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kt3dmoseg.options import option
+from kt3dmoseg.types import Clip, Float32Array
+from mseg.affinity import GUARD, covisible_frames
+from mseg.clustering import smallest_eigenvectors, unit_rows
+from mseg.methods.views import ViewMethod
+from mseg.types import ModelKind, Segmentation
+
+
+@dataclass(frozen=True)
+class MSSC(ViewMethod):
+    """Accumulate which homographies trajectories share, keep the informative neighbours, cut the graph.
+
+    1. Homographies are fitted to random minimal samples of every two consecutive frames. Two trajectories
+       correlate in a frame pair by the share of common hypotheses among the best ones of each.
+    2. Correlations are summed over all frame pairs. The sum is not divided by the number of frames in which
+       both are seen, as the paper of 2018 does: long common histories weigh more.
+    3. A trajectory keeps the neighbours whose share of the row's distances has a logarithm under the row's
+       mean (negative entropy), `mseg.affinity.sparsify` with alpha = 1.
+    4. Spectral clustering.
+
+    Source: Lai, Wang, Yan, Chin, Zhao, "Motion segmentation via a sparsity constraint", IEEE T-ITS 18(4),
+    2017. No code of it is public; steps 1 to 3 follow its description in Xu, Cheong, Li, CVPR 2018 (section
+    3.1 and 4), whose H view differs by the division and the power alpha. Numbers of hypotheses, of preferred
+    ones and restarts are those of 2018. Its segment-and-merge search for the number of motions is not
+    described there and is left out.
+    Input: gaps allowed. Number of motions: given. Outliers: not handled. Cost: O(F N^2 M) for M hypotheses
+    per pair, O(N^2) memory.
+    """
+
+    alpha: float = option(1.0, "power of the kernel before neighbours are chosen", low=0)
+
+    def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
+        """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`."""
+        views, count, kmeans_rng = self.prepare(clip, n_motions, ["homography"], rng)
+        embedding = smallest_eigenvectors(self.laplacian(views.kernels[0]), count)
+        return self.cluster(views, unit_rows(embedding), count, kmeans_rng, {})
+
+    def _kernel(self, clip: Clip, kind: ModelKind, rng: np.random.Generator) -> Float32Array:
+        # Undoing the division keeps one kernel in the cache for this method and the paper's views.
+        divisor = covisible_frames(clip.evaluated_trajectories) + np.float32(GUARD)
+        return np.asarray(super()._kernel(clip, kind, rng) * divisor, dtype=np.float32)
