@@ -18,7 +18,7 @@ from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.kitti import layout
 from kt3dmoseg.kitti.frames import decode, frame_paths, read_frame
 from kt3dmoseg.kitti.match import Verdict, descriptor, match_exact, match_graded
-from kt3dmoseg.kitti.network import RangesIgnoredError, Traffic
+from kt3dmoseg.kitti.network import AbsentError, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.places import Holding, Origin, Place, open_place
 from kt3dmoseg.kitti.store import Store
 from kt3dmoseg.options import from_mapping, option
@@ -76,14 +76,15 @@ def locate(
 
     Raises
     ------
-    NotLocatedError
-        When a clip is not there or is ambiguous; after all clips have been tried, with what was found
+    NotLocatedError, AbsentError
+        When a clip or its drive is not there, or is ambiguous; after all clips have been tried, with what was found
         already written.
     """
     chosen = from_mapping(LocateOptions, options)
     entries = catalog.select(catalog.load(*catalogs), clips)
     store = Store(Path(root))
-    found, failures = {}, []
+    found: dict[str, Entry] = {}
+    failures: dict[str, KT3DMoSegError] = {}
     waiting = f"another process works in {root}; waiting for it"
     with store.lock(waiting), open_place(chosen, store, traffic) as place:
         for entry in entries:
@@ -91,11 +92,12 @@ def locate(
                 found[entry.name] = _locate_in(entry, place, chosen, say)
                 store.keep_located([found[entry.name]])
                 say(_line(found[entry.name]))
-            except NotLocatedError as error:
-                failures.append(error)
-                say(str(error))
+            except (NotLocatedError, AbsentError) as error:
+                failures[entry.name] = error
+                if len(entries) > 1:
+                    say(str(error))
     if failures:
-        raise failures[0] if len(entries) == 1 else _summary(failures, len(entries))
+        raise _summary(failures, len(entries))
     return found
 
 
@@ -225,6 +227,7 @@ def _line(entry: Entry) -> str:
     )
 
 
-def _summary(failures: list[NotLocatedError], n: int) -> NotLocatedError:
-    names = ", ".join(failure.where.partition(":")[0] for failure in failures)
-    return NotLocatedError(f"{len(failures)} of {n} clips were not located", found=names)
+def _summary(failures: dict[str, KT3DMoSegError], n: int) -> KT3DMoSegError:
+    if n == 1:
+        return next(iter(failures.values()))
+    return NotLocatedError(f"{len(failures)} of {n} clips were not located", found=", ".join(failures))

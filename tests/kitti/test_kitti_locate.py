@@ -207,6 +207,15 @@ def test_all_clips_are_tried_before_the_error(world: World) -> None:
     assert "Hidden" in catalog.load(world.root / "located.toml", built_in=False)
 
 
+def test_drive_that_the_server_lacks_does_not_stop_the_others(world: World) -> None:
+    with pytest.raises(NotLocatedError, match="1 of 2 clips were not located: found Seq071_Clip01"):
+        _locate(world, "Seq071_Clip01", "Hidden")
+    assert "answered 404" in world.said[0]
+    assert "frames 11-16" in world.said[1]
+    with pytest.raises(OSError, match="answered 404"):
+        _locate(world, "Seq071_Clip01")
+
+
 def test_server_without_ranges_sends_the_zip_once_for_locate_and_pull(world: World) -> None:
     world.server.ranges = False
     assert _locate(world)["Hidden"].numbers == HIDDEN
