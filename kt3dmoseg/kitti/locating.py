@@ -77,8 +77,8 @@ def locate(
     Raises
     ------
     NotLocatedError, AbsentError
-        When a clip or its drive is not there, or is ambiguous; after all clips have been tried, with what was found
-        already written.
+        When a clip or its drive is not there, or the clip is ambiguous; after all clips have been tried,
+        with what was found already written.
     """
     chosen = from_mapping(LocateOptions, options)
     entries = catalog.select(catalog.load(*catalogs), clips)
