@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,6 +44,12 @@ class _Sum:
 
     def __init__(self, terms: list[GraphLaplacian]) -> None:
         self.terms, self.shape = terms, terms[0].shape
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        total = np.zeros(self.shape)
+        for term in self.terms:
+            total += np.asarray(term)
+        return total
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
         total = np.zeros_like(vectors)

@@ -1,0 +1,235 @@
+"""The runner: same bytes for any number of workers, resumable, nothing mixed, nothing hidden."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import mseg
+from kt3dmoseg.errors import InputFileError, KT3DMoSegError
+from kt3dmoseg.io import save
+from kt3dmoseg.types import Clip, Labels
+from mseg.benchmark import Configuration, execution, find_clips, predict, run
+from mseg.benchmark import runner as runner_module
+from mseg.benchmark.store import Store, key
+from mseg.benchmark.tasks import Outcome, Task, run_task
+from mseg.cli import main
+from mseg.evaluation import load_protocol
+
+CLIPS = ("Seq005_Clip01", "Seq009_Clip02", "Seq011_Clip01")
+
+
+@pytest.fixture(scope="module")
+def data(make_clip, tmp_path_factory):
+    """Three tiny clips under names of the benchmark."""
+    folder = tmp_path_factory.mktemp("data") / "kt3dmoseg"
+    for seed, name in enumerate(CLIPS):
+        clip = make_clip(points=14, seed=seed)
+        save(Clip(name, clip.dense, clip.evaluated, clip.labels), folder / f"{name}.h5")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(data):
+    return run("kt3dmoseg", ["affine", "subset"], data=[data], seeds=2)
+
+
+def test_scores_and_coverage(serial):
+    assert serial.errors.shape == (2, 3, 2)
+    assert serial.mean("subset") == serial.errors[1].mean()
+    text = serial.summary().text()
+    assert "KT3DMoSeg, 3 of 22 clips, 2 seeds" in text
+    assert "all clips (3 of 22): mean" in text
+    assert "published Subset" in text
+    assert "19 of 22 clips are missing" in text
+    assert "mean of 3 of 22" in serial.per_clip().text()
+
+
+def test_workers_change_nothing(serial, data):
+    parallel = run("kt3dmoseg", ["affine", "subset"], data=[data], seeds=2, workers=2)
+    assert_array_equal(parallel.errors, serial.errors)
+
+
+def _same_labels(tasks, results):
+    expected = {task.name: run_task(task) for task in tasks}
+    assert sorted(task.name for task, _ in results) == sorted(expected)
+    for task, outcomes in results:
+        assert not any(outcome.reason for outcome in outcomes)
+        for found, wanted in zip(outcomes, expected[task.name], strict=True):
+            assert_array_equal(found.labels, wanted.labels)
+
+
+@pytest.fixture(scope="module")
+def tasks(make_clip):
+    clip = make_clip(points=14).without_labels()
+    return [
+        Task(clip, 2, seed, (("a", Configuration("affine")), ("s", Configuration("subset"))))
+        for seed in range(6)
+    ]
+
+
+def test_a_killed_process_costs_nothing(tasks):
+    results = []
+    for item in execution.execute(tasks, workers=2):
+        if not results:
+            os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
+        results.append(item)
+    _same_labels(tasks, results)
+
+
+def test_a_killed_dask_worker_costs_nothing(tasks):
+    distributed = pytest.importorskip("distributed")
+    results = []
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        for item in execution.execute(tasks, dask=cluster.scheduler_address):
+            if not results:
+                os.kill(cluster.workers[0].process.pid, signal.SIGKILL)
+            results.append(item)
+    _same_labels(tasks, results)
+
+
+def test_no_scheduler_there(tasks, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(execution, "_CONNECT_SECONDS", 1)
+    with pytest.raises(InputFileError, match="a Dask scheduler"):
+        list(execution.execute(tasks, dask="tcp://127.0.0.1:9"))
+
+
+def test_processes_that_keep_dying_are_told(tasks, monkeypatch):
+    def broken(*_):
+        raise execution.BrokenProcessPool
+        yield
+
+    monkeypatch.setattr(execution, "_one_pool", broken)
+    results = list(execution.execute(tasks, workers=2))
+    assert len(results) == len(tasks)
+    assert all("died 3 times" in outcome.reason for _, outcomes in results for outcome in outcomes)
+
+
+def test_cached_outcomes_are_not_run_again(serial, data, tmp_path, monkeypatch):
+    done = []
+    kwargs = {"data": [data], "seeds": 2, "cache": tmp_path, "progress": lambda *a: done.append(a)}
+    run("kt3dmoseg", ["affine"], **kwargs)
+    assert [d[:2] for d in done] == [(i, 6) for i in range(1, 7)]
+    done.clear()
+    again = run("kt3dmoseg", ["affine", "subset"], **kwargs)
+    assert len(done) == 6
+    assert_array_equal(again.errors, serial.errors)
+    monkeypatch.setattr(
+        runner_module, "execute", lambda tasks, **_: pytest.fail("ran") if tasks else iter(())
+    )
+    assert_array_equal(run("kt3dmoseg", ["affine", "subset"], **kwargs).errors, serial.errors)
+
+
+def test_keys_tell_everything_apart(make_clip):
+    clip, other = make_clip(), make_clip(seed=1)
+    keys = [
+        key(Configuration("affine"), clip, 2, 0),
+        key(Configuration("homography"), clip, 2, 0),
+        key(Configuration("affine", {"alpha": 9.0}), clip, 2, 0),
+        key(Configuration("affine"), other, 2, 0),
+        key(Configuration("affine"), clip, 3, 0),
+        key(Configuration("affine"), clip, 2, 1),
+    ]
+    assert len(set(keys)) == len(keys)
+    assert key(Configuration("affine", {"alpha": 8.0}), clip, 2, 0) == keys[0]
+
+
+def test_store_keeps_failures_but_not_deaths(tmp_path):
+    store = Store(tmp_path / "cache")
+    store.write(Outcome("failed", None, 1.0, "too few points"))
+    store.write(Outcome("died", None, float("nan"), "worker died"))
+    kept = store.read("failed")
+    assert kept is not None
+    assert (kept.labels, kept.reason) == (None, "too few points")
+    assert store.read("died") is None
+    assert store.read("never seen") is None
+
+
+def test_a_failure_counts_as_fully_wrong(data, make_clip, tmp_path):
+    small = make_clip(points=3)
+    save(Clip("Seq113_Clip01", small.dense, small.evaluated, small.labels), tmp_path / "Seq113_Clip01.h5")
+    result = run("kt3dmoseg", ["fundamental"], data=[data, tmp_path])
+    row = result.clips.index("Seq113_Clip01")
+    assert result.errors[0, row, 0] == 1.0
+    assert len(result.failures) == 1
+    text = result.summary().text()
+    assert (
+        "Counted as fully wrong: fundamental on Seq113_Clip01, seed 0: Seq113_Clip01, fundamental view"
+        in text
+    )
+
+
+def test_clips_of_other_benchmarks_are_not_counted(data, make_clip, tmp_path):
+    clip = make_clip(points=14)
+    save(Clip("cars1", clip.dense, clip.evaluated, clip.labels), tmp_path / "cars1.h5")
+    clips, others = find_clips(load_protocol("kt3dmoseg"), [data, tmp_path])
+    assert (list(clips), others) == (list(CLIPS), ["cars1"])
+    with pytest.raises(InputFileError, match="clips of KT3DMoSeg"):
+        find_clips(load_protocol("kt3dmoseg"), [tmp_path])
+
+
+def test_default_folder(data, monkeypatch, tmp_path):
+    monkeypatch.setenv("KT3DMOSEG_DATA", str(data.parent))
+    assert list(find_clips(load_protocol("kt3dmoseg"))[0]) == list(CLIPS)
+    monkeypatch.setenv("KT3DMOSEG_DATA", str(tmp_path))
+    with pytest.raises(InputFileError, match="KT3DMOSEG_DATA"):
+        find_clips(load_protocol("kt3dmoseg"))
+
+
+def test_parameters_go_to_the_methods_that_have_them(data):
+    result = run("kt3dmoseg", ["one_motion", "coreg"], data=[data], parameters={"lam": "0.1"})
+    assert [c.title for c in result.configurations] == ["one_motion", "coreg lam=0.1"]
+    with pytest.raises(KT3DMoSegError, match="did you mean 'lam'"):
+        run("kt3dmoseg", ["coreg"], data=[data], parameters={"lan": 1})
+
+
+def test_predictions_resume_and_do_not_mix(data, tmp_path):
+    out, done = tmp_path / "predictions", []
+    predict(data, out, "affine", seeds=2, progress=lambda *a: done.append(a))
+    assert len(done) == 6
+    wanted = {p: p.read_bytes() for p in sorted(out.glob("seed-*/*.csv"))}
+    assert len(wanted) == 6
+    (out / "seed-1" / f"{CLIPS[0]}.csv").unlink()
+    done.clear()
+    predict(data, out, "affine", seeds=2, workers=2, progress=lambda *a: done.append(a))
+    assert [name for *_, name in done] == [f"{CLIPS[0]}, seed 1"]
+    assert {p: p.read_bytes() for p in sorted(out.glob("seed-*/*.csv"))} == wanted
+    with pytest.raises(KT3DMoSegError, match="differs in parameters"):
+        predict(data, out, "affine", seeds=2, parameters={"alpha": 3})
+
+
+def test_unlabelled_clips_need_a_number(make_clip, tmp_path):
+    clip = make_clip(points=14)
+    bare = Clip("bare", clip.dense, clip.evaluated, Labels(np.zeros(len(clip.evaluated), int)))
+    save(bare, tmp_path / "bare.h5")
+    predict(tmp_path / "bare.h5", tmp_path / "told", "affine", n_motions=2)
+    assert (tmp_path / "told" / "bare.csv").is_file()
+    predict(tmp_path / "bare.h5", tmp_path / "untold", "affine")
+    assert "cannot find it" in (tmp_path / "untold" / "bare.failed").read_text()
+
+
+def test_command_line(data, tmp_path, capsys):
+    out = tmp_path / "predictions"
+    assert main(["run", "--method", "subset", str(data), "-o", str(out), "-p", "alpha=10", "--quiet"]) == 0
+    assert main(["validate", str(out), str(data)]) == 0
+    command = ["benchmark", "kt3dmoseg", "--methods", "affine", "coreg", "--data", str(data)]
+    assert main([*command, "--seeds", "2", "--cache", str(tmp_path / "cache"), "--quiet"]) == 0
+    assert "3 of 22 clips" in capsys.readouterr().out
+    assert main([*command, "-p", "alpah=2", "--no-cache", "--quiet"]) == 2
+    assert "did you mean 'alpha'" in capsys.readouterr().err
+
+
+def test_methods_command(capsys):
+    assert main(["methods"]) == 0
+    listed = capsys.readouterr().out
+    assert all(name in listed for name in mseg.methods.list())
+    assert main(["methods", "subset"]) == 0
+    assert "gamma" in capsys.readouterr().out

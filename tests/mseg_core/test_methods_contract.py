@@ -1,0 +1,127 @@
+"""What every registered method owes its callers."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import pickle
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import mseg
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.options import describe
+from kt3dmoseg.registry import Registry
+from kt3dmoseg.types import Clip, Labels, Trajectories
+from mseg.errors import SegmentationError
+from mseg.methods import METHODS
+
+
+def _present(registry: Registry) -> list[str]:
+    names = []
+    for name in registry.names():
+        try:
+            registry.load(name)
+        except ModuleNotFoundError:
+            continue
+        names.append(name)
+    return names
+
+
+pytestmark = pytest.mark.parametrize("method", _present(METHODS))
+
+
+@pytest.fixture(scope="module")
+def tiny(make_clip) -> Clip:
+    return make_clip(points=16)
+
+
+def test_is_a_described_frozen_dataclass(method):
+    cls = METHODS.load(method)
+    assert dataclasses.is_dataclass(cls)
+    made = cls()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        made.anything = 1
+    assert "Source:" in (inspect.getdoc(cls) or "")
+    assert all(text for _, _, text in describe(cls))
+    assert pickle.loads(pickle.dumps(made)) == made
+
+
+def test_labels_every_evaluated_trajectory(method, tiny):
+    result = mseg.segment(tiny, method, n_motions=2, seed=1)
+    assert result.labels.shape == (len(tiny.evaluated),)
+    assert result.labels.dtype == np.int64
+    assert set(result.labels.tolist()) <= {0, 1, 2}
+
+
+def test_same_seed_same_labels(method, tiny):
+    first, second = (mseg.segment(tiny, method, n_motions=2, seed=3).labels for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_labels_of_the_clip_are_not_looked_at(method, tiny):
+    other = tiny.with_labels(Labels(np.ones(len(tiny.evaluated), dtype=np.int64)))
+    first, second = (mseg.segment(c, method, n_motions=2, seed=0).labels for c in (tiny, other))
+    np.testing.assert_array_equal(first, second)
+
+
+def _clip(xy: np.ndarray) -> Clip:
+    visible = np.isfinite(xy).all(axis=2)
+    return Clip("degenerate", Trajectories(xy, visible), np.arange(len(xy)), Labels(np.ones(len(xy), int)))
+
+
+def _set(index: object, value: object) -> Callable[[np.ndarray], np.ndarray]:
+    def change(xy: np.ndarray) -> np.ndarray:
+        xy[index] = value
+        return xy
+
+    return change
+
+
+CASES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "never visible": _set(3, np.nan),
+    "nothing visible": _set(slice(None), np.nan),
+    "duplicated": lambda xy: np.concatenate([xy, xy[:1], xy[:1], xy[:1]]),
+    "all identical": lambda xy: np.repeat(xy[:1], 24, axis=0),
+    "all standing still in one place": _set(slice(None), 7.0),
+    "collinear": lambda xy: np.stack([xy[..., 0], 2 * xy[..., 0]], axis=2),
+    "too few points": lambda xy: xy[:2],
+    "one frame": lambda xy: xy[:, :1],
+    "no points": lambda xy: xy[:0],
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_degenerate_clips_give_labels_or_a_reason(method, case, make_clip):
+    clip = _clip(CASES[case](np.array(make_clip(points=12).dense.xy)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            labels = mseg.segment(clip, method, n_motions=2, seed=0).labels
+        except SegmentationError as error:
+            assert "\n" not in str(error)
+        else:
+            assert labels.shape == (len(clip.evaluated),)
+            assert set(labels.tolist()) <= {0, 1, 2}
+
+
+def test_more_motions_than_points(method, make_clip):
+    clip = _clip(np.array(make_clip(points=5).dense.xy))
+    try:
+        labels = mseg.segment(clip, method, n_motions=11, seed=0).labels
+    except SegmentationError:
+        return
+    assert labels.shape == (10,)
+
+
+def test_bad_numbers_of_motions_are_refused(method, tiny):
+    with pytest.raises(KT3DMoSegError, match="n_motions"):
+        mseg.segment(tiny, method, n_motions=0)
+
+
+def test_misspelt_parameters_are_refused(method, tiny):
+    with pytest.raises(KT3DMoSegError, match="no_such_option"):
+        mseg.segment(tiny, method, n_motions=2, no_such_option=1)
