@@ -25,6 +25,8 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tif
 _NUMBER = re.compile(r"(\d{1,18})\D*$")
 _MAX_FILE, _MAX_PIXELS = 1 << 28, 1 << 26
 _MIN_FRAMES = 2
+_PNG_HEADER, _PNG_CHANNELS = 33, {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+_DEFLATE_RATIO = 1032  # the most that deflate packs
 
 
 def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
@@ -170,13 +172,19 @@ def check_sizes(shapes: Sequence[tuple[int, int]], paths: Sequence[os.PathLike[s
 
 
 def _check_png_size(content: bytes, where: str) -> None:
-    """Refuse a PNG that claims to be huge before its pixels are allocated."""
-    if content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) >= 24:
-        width, height = struct.unpack(">II", content[16:24])
-        if width * height > _MAX_PIXELS:
-            raise FileFormatError(
-                where, expected=f"a picture of at most {_MAX_PIXELS} pixels", found=f"{width}x{height}"
-            )
+    """Refuse a PNG that claims to be huge, or larger than its bytes can unpack to."""
+    if content[:8] != b"\x89PNG\r\n\x1a\n" or len(content) < _PNG_HEADER:
+        return
+    width, height, bits, colour = struct.unpack(">IIBB", content[16:26])
+    raw = height * (width * bits * _PNG_CHANNELS.get(colour, 4) // 8)
+    if width * height > _MAX_PIXELS or raw > _DEFLATE_RATIO * len(content):
+        most = min(_MAX_PIXELS, _DEFLATE_RATIO * len(content))
+        raise FileFormatError(
+            where,
+            expected=f"a picture of at most {most} pixels in {len(content)} bytes",
+            found=f"{width}x{height}",
+            fix="the file is damaged; fetch it again",
+        )
 
 
 def _check_consecutive(root: Path, numbers: Sequence[int]) -> None:

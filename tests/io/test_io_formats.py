@@ -17,7 +17,7 @@ from kt3dmoseg.io.formats import FORMATS
 
 SUFFIXES = [f.suffix for f in FORMATS]
 LOSSLESS = [".h5", ".npz"]
-quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
