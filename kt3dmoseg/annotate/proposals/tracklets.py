@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,10 @@ _NEAR = 0.5
 _SMALLEST = 12.0
 _FULLY_OCCLUDED = 2
 # Metres over the clip that the boxes of a parked object wander by drawing and GPS errors.
-_PARKED = 1.5
+_PARKED = 1.0
+_RAW = re.compile(
+    r"(?P<date>\d{4}_\d\d_\d\d)_drive_(?P<drive>\d{4})_sync/image_0(?P<camera>\d)/data/(?P<number>\d{10})\.\w+$"
+)
 _KIND_OF = {"person (sitting)": "pedestrian", "misc": "other"}
 
 
@@ -37,11 +41,7 @@ def propose(request: Request) -> list[AnnotatedObject]:
     """
     if request.kitti is None:
         raise InputFileError("tracklets", found="no KITTI folder", fix="start with --kitti FOLDER")
-    entry = catalog.load().get(request.clip)
-    if entry is None:
-        raise InvalidValueError("tracklets", expected="a clip of the catalog", found=request.clip)
-    drive = RawDrive(request.kitti, entry.drive.date, entry.drive.number, entry.camera)
-    numbers = entry.numbers or _numbers(request.frames, drive)
+    drive, numbers = _drive(request, request.kitti)
     tracklets = drive.tracklets()
     moving = _moving(drive, tracklets, numbers)
     objects: list[AnnotatedObject] = []
@@ -61,6 +61,20 @@ def propose(request: Request) -> list[AnnotatedObject]:
                 )
             )
     return objects
+
+
+def _drive(request: Request, root: Path) -> tuple[RawDrive, tuple[int, ...]]:
+    """Find the clip's drive and frame numbers: from where its frames lie, else from the catalog."""
+    places = [_RAW.search(frame.resolve().as_posix()) for frame in request.frames]
+    if places and all(places):
+        date, drive, camera = places[0].group("date", "drive", "camera")  # type: ignore[union-attr]  # all() saw it
+        numbers = tuple(int(place.group("number")) for place in places if place)
+        return RawDrive(root, date, int(drive), int(camera)), numbers
+    entry = catalog.load().get(request.clip)
+    if entry is None:
+        raise InvalidValueError("tracklets", expected="a clip of the catalog", found=request.clip)
+    found = RawDrive(root, entry.drive.date, entry.drive.number, entry.camera)
+    return found, entry.numbers or _numbers(request.frames, found)
 
 
 def _numbers(frames: tuple[Path, ...], drive: RawDrive) -> tuple[int, ...]:

@@ -1,0 +1,159 @@
+"""Proposals: what moves by itself, KITTI's boxes, masks, and those of other packages."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kt3dmoseg import synthetic
+from kt3dmoseg.annotate import Annotation, label_tracks, proposals
+from kt3dmoseg.annotate.formats.masks import mask_of
+from kt3dmoseg.annotate.proposals import tracklets
+from kt3dmoseg.annotate.proposals.outlines import outline
+from kt3dmoseg.catalog import Drive, Entry
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.types import Labels, Trajectories
+
+SIZE, FRAMES = (400, 200), 8
+
+
+def tracks(seed=0):
+    """A camera that drives forward through points, and a close group of points that crosses to the right."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform((-12, -4, 8), (12, 3, 40), (900, 3))
+    walker = rng.uniform((-2.5, -1, 12), (-0.5, 1, 12.5), (120, 3))
+    points = np.concatenate([place, walker])
+    xy = np.empty((len(points), FRAMES, 2))
+    for frame in range(FRAMES):
+        at = points - (0, 0, 0.5 * frame)
+        at[len(place) :, 0] += 0.25 * frame
+        xy[:, frame] = 250 * at[:, :2] / at[:, 2:] + (200, 100)
+    xy += rng.normal(0, 0.05, xy.shape)
+    visible = ((xy > 0) & (xy < np.array(SIZE) - 1)).all(axis=2)
+    moving = np.arange(len(points)) >= len(place)
+    return Trajectories(np.where(visible[..., None], xy, np.nan), visible, image_size=SIZE), moving
+
+
+def request(trajectories, **options):
+    annotation = Annotation("clip", SIZE, FRAMES)
+    return proposals.Request("clip", annotation, trajectories, (), **options)
+
+
+def test_residual_finds_what_moves_by_itself():
+    trajectories, moving = tracks()
+    asked = request(trajectories)
+    found = proposals.propose("residual", asked)
+    labels = label_tracks(trajectories, replace(asked.annotation, objects=(found[0],)))
+    seen = trajectories.lengths > 3
+    told = labels.label[seen] == 2
+    assert told[moving[seen]].mean() > 0.9
+    assert told[~moving[seen]].mean() < 0.1
+
+
+def test_residual_finds_nothing_where_all_stands_still():
+    trajectories, moving = tracks()
+    assert proposals.propose("residual", request(trajectories.select(~moving))) == []
+
+
+def test_residual_needs_trajectories():
+    trajectories, _ = tracks()
+    with pytest.raises(InvalidValueError, match="trajectories"):
+        proposals.propose("residual", request(trajectories.select(np.arange(9))))
+
+
+def test_proposals_take_numbers_that_are_free():
+    trajectories, _ = tracks()
+    asked = request(trajectories)
+    first = proposals.propose("residual", asked)[0]
+    again = proposals.propose(
+        "residual", replace(asked, annotation=replace(asked.annotation, objects=(first,)))
+    )
+    assert again[0].id > first.id
+    assert again[0].motion > first.motion
+
+
+def test_labels_of_another_package_become_regions(monkeypatch):
+    trajectories, moving = tracks()
+
+    def third_party(asked):
+        return Labels(np.where(moving, 5, 1), background=1, names={5: "walker"})
+
+    monkeypatch.setattr(proposals.PROPOSERS, "load", lambda name: third_party)
+    (item,) = proposals.propose("anything", request(trajectories))
+    assert (item.name, item.motion) == ("walker", 1)
+    mask = mask_of([np.array(p) for p in item.key_frames[0].polygons], SIZE)
+    x, y = np.rint(trajectories.xy[moving & trajectories.visible[:, 0], 0]).astype(int).T
+    assert mask[y, x].mean() > 0.85
+    assert mask.mean() < 0.1
+
+
+def test_mseg_proposes_as_a_third_party_would():
+    trajectories, moving = tracks()
+    from mseg.proposals import propose
+
+    labels = propose(request(trajectories)).label
+    sampled = labels > 0
+    assert len(labels) == len(trajectories)
+    groups = [moving[labels == k].mean() for k in np.unique(labels[sampled])]
+    assert max(groups) > 0.8
+    with pytest.raises(KT3DMoSegError, match="50"):
+        propose(request(trajectories.select(np.arange(9))))
+
+
+def test_outline_follows_concave_shapes():
+    corner = [(x, y) for x in range(40, 120, 8) for y in range(40, 120, 8) if x < 64 or y < 64]
+    mask = mask_of([np.array(p) for p in outline(np.array(corner, float), SIZE)], SIZE)
+    assert mask[44, 112]
+    assert mask[112, 44]
+    assert not mask[100, 100]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    root = tmp_path_factory.mktemp("kitti")
+    options = synthetic.SceneOptions(width=320, height=120, frames=8, objects=2, samples=1, seed=3)
+    scene = synthetic.make_scene(options)
+    return root, scene, synthetic.write_drive(scene, root)
+
+
+def tracklet_request(drive, frames):
+    root, _, _ = drive
+    annotation = Annotation("clip", (320, 120), 8)
+    some = Trajectories(np.zeros((1, 8, 2)), np.ones((1, 8), bool))
+    return proposals.Request("clip", annotation, some, tuple(frames), kitti=root)
+
+
+def check_boxes(found, scene):
+    """Every vehicle that shows some size lies in the proposed region around it."""
+    labels = scene.ids(0)
+    boxes = np.zeros(labels.shape, bool)
+    for item in found:
+        boxes |= mask_of([np.array(p) for p in item.key_frames[0].polygons], (320, 120))
+    assert (labels > 1).sum() > 100
+    assert boxes[labels > 1].mean() > 0.9
+
+
+def test_tracklets_of_a_drive(drive):
+    _, scene, folder = drive
+    frames = sorted((folder / "image_00" / "data").glob("*.png"))
+    check_boxes(proposals.propose("tracklets", tracklet_request(drive, frames)), scene)
+
+
+def test_tracklets_of_frames_that_were_copied_elsewhere(drive, tmp_path, monkeypatch):
+    _, scene, folder = drive
+    frames = [
+        Path(shutil.copy(file, tmp_path / f"{k + 1:06d}.png"))
+        for k, file in enumerate(sorted((folder / "image_00" / "data").glob("*.png")))
+    ]
+    entry = Entry("clip", Drive("2011_09_26", 1), 0, 8, numbers=tuple(range(8)))
+    monkeypatch.setattr(tracklets.catalog, "load", lambda: {"clip": entry})
+    check_boxes(proposals.propose("tracklets", tracklet_request(drive, frames)), scene)
+    hollow = replace(tracklet_request(drive, frames), clip="other")
+    with pytest.raises(InvalidValueError, match="catalog"):
+        proposals.propose("tracklets", hollow)
+    with pytest.raises(InputFileError, match="--kitti"):
+        proposals.propose("tracklets", replace(hollow, kitti=None))
