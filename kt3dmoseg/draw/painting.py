@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.options import option
+from kt3dmoseg.draw.options import DrawOptions
 from kt3dmoseg.types import ByteArray, Clip, IntArray, Trajectories
 
 # Okabe and Ito (2008): told apart also with a colour vision deficiency. RGB; label 1 comes first.
@@ -28,16 +28,6 @@ PALETTE = np.array(
 UNLABELLED = (190, 190, 190)
 _SHIFT = 4  # OpenCV draws at 1/16 px
 _FONT, _FONT_SCALE, _LINE = cv2.FONT_HERSHEY_SIMPLEX, 0.42, 15
-
-
-@dataclass(frozen=True)
-class DrawOptions:
-    """How trajectories are drawn."""
-
-    trail: int = option(8, "length of the trails, frames", low=0)
-    radius: float = option(2.0, "radius of the points, pixels of the picture", low=0.5, high=50)
-    scale: int = option(1, "enlargement of the frames", low=1, high=8)
-    dim: float = option(0.6, "brightness of the frames under the trajectories", low=0, high=1)
 
 
 @dataclass(frozen=True)
