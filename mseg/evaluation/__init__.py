@@ -13,12 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    from mseg.evaluation.comparison import compare as compare
+    from mseg.evaluation.example import example_submission as example_submission
+    from mseg.evaluation.leaderboard import Leaderboard as Leaderboard
+    from mseg.evaluation.predictions_of_others import read_label_files as read_label_files
     from mseg.evaluation.protocol import Group as Group
     from mseg.evaluation.protocol import Protocol as Protocol
     from mseg.evaluation.protocol import list_protocols as list_protocols
     from mseg.evaluation.protocol import load_protocol as load_protocol
     from mseg.evaluation.reading import Submission as Submission
     from mseg.evaluation.reading import read_submission as read_submission
+    from mseg.evaluation.report import write_report as write_report
     from mseg.evaluation.results import ClipScore as ClipScore
     from mseg.evaluation.results import ScoreTable as ScoreTable
     from mseg.evaluation.scoring import score as score
@@ -33,6 +38,11 @@ if TYPE_CHECKING:
     from mseg.evaluation.validate import validate_submission as validate_submission
 
 _PUBLIC = {
+    "compare": "comparison",
+    "example_submission": "example",
+    "Leaderboard": "leaderboard",
+    "read_label_files": "predictions_of_others",
+    "write_report": "report",
     "Group": "protocol",
     "Protocol": "protocol",
     "list_protocols": "protocol",

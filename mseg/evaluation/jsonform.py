@@ -11,6 +11,13 @@ from typing import Any
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import read_bytes
+from mseg.evaluation.contingency import Contingency
+from mseg.evaluation.metrics.motions import (
+    f_per_motion,
+    iou_per_motion,
+    precision_per_motion,
+    recall_per_motion,
+)
 from mseg.evaluation.protocol import Protocol, list_protocols, load_protocol
 from mseg.evaluation.results import ClipScore, Provenance, ScoreTable
 from mseg.evaluation.submission import SubmissionMeta
@@ -87,7 +94,30 @@ def _clip(score: ClipScore) -> dict[str, Any]:
         "prevalence": score.prevalence,
         "reason": score.reason,
         "values": dict(score.values),
+        "motions": _motions(score.table) if score.table is not None else [],
     }
+
+
+def _motions(table: Contingency) -> list[dict[str, Any]]:
+    """Give every motion with its group, its confusion and its own scores; for readers, not read back."""
+    columns = {
+        "precision": precision_per_motion(table),
+        "recall": recall_per_motion(table),
+        "f_measure": f_per_motion(table),
+        "iou": iou_per_motion(table),
+    }
+    return [
+        {
+            "motion": int(motion),
+            "n": int(table.sizes[i]),
+            "group": int(table.groups[table.assignment[i]]) if table.assignment[i] >= 0 else None,
+            "background": table.background == i,
+            "outliers": int(table.unassigned[i]),
+            "confusion": {str(g): int(c) for g, c in zip(table.groups, table.counts[i], strict=True)},
+            **{name: float(values[i]) for name, values in columns.items()},
+        }
+        for i, motion in enumerate(table.motions)
+    ]
 
 
 def _summary(summary: Any) -> dict[str, Any]:  # noqa: ANN401  # Summary; asdict of a NamedTuple field
@@ -100,7 +130,7 @@ def _checked(clip: Mapping[str, Any]) -> dict[str, Any]:
     numbers = [clip["seed"], clip["n"], clip["n_motions"], clip["n_found"], clip["prevalence"]]
     if not all(math.isfinite(v) for v in (*numbers, *clip["values"].values())) or not clip["values"]:
         raise ValueError("a value that is no number")
-    return dict(clip)
+    return {key: value for key, value in clip.items() if key != "motions"}
 
 
 def _check_grid(clips: tuple[ClipScore, ...]) -> None:

@@ -294,7 +294,7 @@ def _write_ahead(connection: sqlite3.Connection) -> None:
 def _board(entries: list[Entry]) -> Board:
     first = entries[0]
     protocol = load_protocol(first.benchmark) if first.benchmark in list_protocols() else None
-    name = protocol.title if protocol else first.benchmark
+    name = protocol.title if protocol else "Clips of no benchmark"
     full = first.clips == first.clips_in_full
     amount = f"all {first.clips} clips" if full else f"{first.clips} of {first.clips_in_full} clips, a part"
     title = f"{name}, {amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"

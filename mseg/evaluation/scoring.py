@@ -16,6 +16,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Clip, Labels
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.contingency import Contingency, contingency
+from mseg.evaluation.label_file import LABEL_FILES, read_label_file
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.problems import numbered
 from mseg.evaluation.results import ClipScore, Provenance, ScoreTable
@@ -40,7 +41,7 @@ def score(
         True labels, 0 = not scored; or a clip; or a data file or folder.
     pred : (n,) array of int, Segmentation, Labels or path
         Predicted labels in the same order, 0 = outlier; or, with truth a path or clip, a
-        submission.
+        submission, or one clip's file of labels.
     benchmark : str
         Protocol of a submission; by default its own.
     force : bool
@@ -65,13 +66,16 @@ def score(
     >>> score(truth=[1, 1, 1, 2, 2, 0], pred=[4, 4, 7, 7, 7, 4]).error
     0.2
     """
-    if isinstance(pred, _Path):
+    label_file = isinstance(pred, _Path) and Path(pred).suffix.lower() in LABEL_FILES
+    if isinstance(pred, _Path) and not label_file:
         data = [truth] if isinstance(truth, Clip) else truth
         return score_submission(pred, data, benchmark=benchmark, force=force)
     if isinstance(truth, _Path):
         from kt3dmoseg.io import load
 
         truth = load(truth)
+    if label_file:
+        pred = read_label_file(pred, truth)
     name = truth.name if isinstance(truth, Clip) else "clip"
     labels = truth.labels if isinstance(truth, Clip) else truth
     background = labels.background if isinstance(labels, Labels) else None

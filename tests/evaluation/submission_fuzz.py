@@ -1,7 +1,8 @@
 """Mutated submissions: whatever is handed in, the validator answers, quickly, and writes nothing.
 
-``python tests/evaluation/submission_fuzz.py 10000`` runs the full number in separate processes, so
-that a crash or a hang of a C library would be seen; the test suite runs a small sample.
+``python tests/evaluation/submission_fuzz.py 10000`` runs the full number (a second number is the first
+seed) in separate processes, so that a crash or a hang of a C library would be seen; the test suite
+runs a small sample.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from mseg.evaluation.example import made_up_clips
 from mseg.evaluation.scoring import score_validated
 
 CLIPS = made_up_clips()
-BATCH = 250
+BATCH = 500
 SLOW_SECONDS = 10.0
 _NAMES = ["../evil.csv", "/tmp/evil.csv", "C:\\evil.csv", "a/b/c/d/e/f.csv", "example_two.CSV", "\x00.csv"]
 _NAMES += ["seed-0/example_two.csv", "seed-x/example_two.csv", "EXAMPLE_two.csv", "meta.toml/x.csv", ".csv"]
@@ -261,14 +262,15 @@ def _forbid_writes(allowed: Path) -> None:
     sys.addaudithook(watch)
 
 
-def main(total: int) -> None:
+def main(total: int, start_seed: int = 0) -> None:
     counts: dict[str, int] = {}
     start = time.monotonic()
-    for first in range(0, total, BATCH):
-        code = f"import submission_fuzz as f; print(f.run_batch({first}, {min(BATCH, total - first)}))"
+    for first in range(start_seed, start_seed + total, BATCH):
+        count = min(BATCH, start_seed + total - first)
+        code = f"import submission_fuzz as f; print(f.run_batch({first}, {count}))"
         here = Path(__file__).parent
         done = subprocess.run(
-            [sys.executable, "-c", code], cwd=here, capture_output=True, text=True, timeout=600, check=False
+            [sys.executable, "-c", code], cwd=here, capture_output=True, text=True, timeout=3600, check=False
         )
         if done.returncode or done.stderr:
             print(f"batch from {first}: exit code {done.returncode}\n{done.stderr}")
@@ -279,4 +281,4 @@ def main(total: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000)
+    main(*map(int, sys.argv[1:] or ["10000"]))

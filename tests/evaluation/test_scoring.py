@@ -9,7 +9,7 @@ from evaluation_helpers import CLIPS, META, NAMES, perfect, truth, zip_folder
 import kt3dmoseg
 import mseg
 import mseg.cli
-from kt3dmoseg.errors import UnknownNameError
+from kt3dmoseg.errors import InvalidValueError, UnknownNameError
 from kt3dmoseg.types import Labels
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation import SubmissionMeta, score_submission, write_failure, write_submission
@@ -35,6 +35,18 @@ def test_paths(tmp_path):
     folder = perfect(tmp_path / "s")
     assert mseg.score(truth=tmp_path / "data", pred=folder).error == 0
     assert mseg.score(truth=tmp_path / "data" / f"{NAMES[0]}.h5", pred=truth()[NAMES[0]]).error == 0
+
+
+def test_one_file_of_labels(tmp_path):
+    clip = CLIPS["example_two"]
+    folder = perfect(tmp_path / "s")
+    assert mseg.score(truth=clip, pred=folder / "example_two.csv").error == 0
+    (tmp_path / "labels.txt").write_text("\n".join(map(str, clip.labels.label)))
+    assert mseg.score(truth=clip, pred=str(tmp_path / "labels.txt")).error == 0
+    with pytest.raises(RejectedSubmissionError, match="60 evaluated"):
+        mseg.score(truth=CLIPS["example_three"], pred=folder / "example_two.csv")
+    with pytest.raises(InvalidValueError, match="join ids"):
+        mseg.score(truth=[1, 2], pred=folder / "example_two.csv")
 
 
 def test_perfect_scores_zero_and_every_metric_its_best(tmp_path):
@@ -173,6 +185,8 @@ def test_command(tmp_path, capsys):
     assert mseg.cli.main(["score", folder, data, "--json", "-o", str(tmp_path / "scores.json")]) == 0
     written = json.loads((tmp_path / "scores.json").read_text())
     assert written["groups"]["all"]["metrics"]["error"]["mean"] == 0
+    assert [m["n"] for m in written["clips"][0]["motions"]] == [20, 20, 20]
+    assert written["clips"][1]["motions"][0]["confusion"] == {"1": 20, "2": 0}
     for flag, sign in (("--latex", r"\toprule"), ("--markdown", "| --- |"), ("--csv", "clip,n,motions")):
         assert mseg.cli.main(["score", folder, data, flag]) == 0
         assert sign in capsys.readouterr().out
