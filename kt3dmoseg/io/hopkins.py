@@ -1,8 +1,9 @@
-"""Hopkins155: one ``<sequence>_truth.mat`` with complete trajectories.
+"""Hopkins155 and its additional sequences: one ``<sequence>_truth.mat`` each.
 
 `y` (3, P, F) homogeneous pixels, `x` = inv(K) y, `s` (P, 1) the motions from 1, `K` (3, 3) the matrix
 that normalised them, `width` and `height` of the images, `points` = P, `frames` = F
-(Tron and Vidal, CVPR 2007).
+(Tron and Vidal, CVPR 2007). The additional sequences, Hopkins12 among them, carry a mask `m` (P, F),
+1 where a point is visible, and label outliers 0; without it the trajectories are complete.
 """
 
 from __future__ import annotations
@@ -54,9 +55,12 @@ def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None
     y = arrays["y"]
     if y.ndim == 2:
         y = y[..., None]
-    if y.ndim != 3 or len(y) != 3 or not (np.isfinite(y).all() and (y[2] == 1).all()):
-        raise FileFormatError(f"{where}: y", expected="finite (x, y, 1), 3 x P x F", found=f"shape {y.shape}")
-    xy = np.moveaxis(y[:2], 0, -1)
+    if y.ndim != 3 or len(y) != 3:
+        raise FileFormatError(f"{where}: y", expected="3 x P x F numbers", found=f"shape {y.shape}")
+    visible = _mask(where, content, y.shape[1:])
+    if not (np.isfinite(y[:, visible]).all() and (y[2, visible] == 1).all()):
+        raise FileFormatError(f"{where}: y", expected="finite (x, y, 1) where visible", found="others")
+    xy = np.where(visible[..., None], np.moveaxis(y[:2], 0, -1), np.nan)
     for name, size in (("s", xy.shape[0]), ("K", 9), ("width", 1), ("height", 1)):
         if arrays[name].size != size:
             found = f"{arrays[name].size}"
@@ -65,7 +69,7 @@ def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None
         name=clip_name(path),
         dense=Trajectories(
             xy,
-            np.ones(xy.shape[:2], dtype=np.bool_),
+            visible,
             image_size=(int(arrays["width"].item()), int(arrays["height"].item())),
         ),
         evaluated=np.arange(len(xy)),
@@ -84,6 +88,15 @@ def _array(where: str, variables: dict[str, Value], name: str) -> npt.NDArray[An
             found=f"variables {', '.join(sorted(variables))}" if value is None else type(value).__name__,
         )
     return value.astype(np.float64)
+
+
+def _mask(where: str, variables: dict[str, Value], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    if "m" not in variables:
+        return np.ones(shape, dtype=np.bool_)
+    mask = _array(where, variables, "m")
+    if mask.shape != shape or not np.isin(mask, (0, 1)).all():
+        raise FileFormatError(f"{where}: m", expected=f"0 or 1, {shape}", found=f"shape {mask.shape}")
+    return mask.astype(np.bool_)
 
 
 def _labels(where: str, values: npt.NDArray[Any]) -> npt.NDArray[np.int64]:

@@ -66,6 +66,21 @@ def test_what_hopkins_holds(data_root):
 
 
 @pytest.mark.data
+def test_the_mask_of_an_additional_hopkins_sequence(tmp_path):
+    y = np.ones((3, 2, 3))
+    y[:, 1, 2] = 0.0
+    mask = np.array([[1, 1, 1], [1, 1, 0]])
+    content = {"y": y, "s": np.array([[1], [0]]), "m": mask, "K": np.eye(3), "width": 4, "height": 3}
+    scipy.io.savemat(tmp_path / "oc1R2RC_truth.mat", content)
+    clip = load(tmp_path / "oc1R2RC_truth.mat")
+    assert clip.dense.visible.tolist() == mask.astype(bool).tolist()
+    assert np.isnan(clip.dense.xy[1, 2]).all()
+    assert clip.labels.label.tolist() == [1, 0]
+    scipy.io.savemat(tmp_path / "bad_truth.mat", content | {"m": mask[:1]})
+    with pytest.raises(FileFormatError, match="m: expected 0 or 1"):
+        load(tmp_path / "bad_truth.mat")
+
+
 def test_hopkins12_and_mtpv(data_root):
     whole = load(data_root / "hopkins12/oc1R2RC_Tracks.mat")
     assert whole.dense.visible.all()
