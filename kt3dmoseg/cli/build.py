@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from kt3dmoseg.build import Outcome, Source
 
 _ANNOTATIONS = "annotations"
@@ -109,7 +107,6 @@ class _Bars:
 
         self.clips = tqdm(total=clips, unit="clip", desc="clips", disable=None, position=0)
         self.frames = tqdm(unit="frame", desc="frames", disable=None, position=1, leave=False)
-        self.write: Callable[[str], None] = tqdm.write
 
     def __enter__(self) -> _Bars:
         return self
