@@ -24,12 +24,18 @@ _threads = threading.Lock()
 class StaleRevisionError(KT3DMoSegError):
     """The file was saved by somebody else since it was read."""
 
-    def __init__(self, path: Path, found: Annotation | None, mine: int) -> None:
-        has = "no file" if found is None else f"revision {found.revision}"
+    def __init__(self, path: Path, current: Annotation, mine: int) -> None:
         super().__init__(
-            f"{path}", expected=f"revision {mine}", found=has, fix="read it again and merge the edits"
+            f"{path}",
+            expected=f"revision {mine}",
+            found=f"revision {current.revision}",
+            fix="read it again and merge the edits",
         )
-        self.current = found
+        self.current = current
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Cross process boundaries intact."""
+        return StaleRevisionError, (Path(self.where), self.current, int(self.expected.split()[-1]))
 
 
 def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annotation:
@@ -38,7 +44,7 @@ def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annot
     Parameters
     ----------
     path : path
-        The annotation file; when it does not exist its revision counts as 0.
+        The annotation file; one that does not exist, or no longer, is written whatever the revision.
     annotation : Annotation
         With the revision that it was made from.
 
@@ -57,7 +63,7 @@ def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annot
     target = Path(path)
     with _locked(target.parent):
         current = load_annotation(target) if target.exists() else None
-        if (current.revision if current else 0) != annotation.revision:
+        if current is not None and current.revision != annotation.revision:
             raise StaleRevisionError(target, current, annotation.revision)
         saved = replace(annotation, revision=annotation.revision + 1)
         save_annotation(target, saved)

@@ -202,9 +202,17 @@ def test_stale_revision_is_refused_with_the_present_document(page, tmp_path):
 
 
 def test_a_revision_from_the_future_is_refused(page):
+    save(page, drawn(page), 0)
     answer = save(page, drawn(page), 5)
     assert answer.status_code == 412
-    assert answer.json()["annotation"]["revision"] == 0
+    assert answer.json()["annotation"]["revision"] == 1
+
+
+def test_a_file_that_vanished_is_written_again(page, tmp_path):
+    save(page, drawn(page), 0)
+    (tmp_path / "notes" / "one.json").unlink()
+    assert save(page, drawn(page), 1).json() == {"revision": 2}
+    assert len(load_annotation(tmp_path / "notes" / "one.json").objects) == 1
 
 
 def test_if_match_is_required_and_checked(page):

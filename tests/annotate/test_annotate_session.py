@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import pickle
 
 import numpy as np
 import pytest
@@ -132,6 +133,10 @@ def test_a_stale_session_does_not_overwrite(tmp_path):
     with pytest.raises(StaleRevisionError, match="revision 1"):
         second.save(path)
     assert load_annotation(path) == first.annotation
+    with pytest.raises(StaleRevisionError) as caught:
+        save_revision(path, AnnotationSession.new("scene", image_size=SIZE, n_frames=FRAMES).annotation)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.current) == (str(caught.value), first.annotation)
 
 
 def _save(path, annotation, results):

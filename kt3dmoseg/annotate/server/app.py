@@ -8,14 +8,12 @@ from importlib import resources
 from urllib.parse import quote
 
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from kt3dmoseg.annotate.document import to_json
-from kt3dmoseg.annotate.server.desk import Desk
 from kt3dmoseg.annotate.server.guard import TOO_LARGE, BodyTooLargeError, Guard, refuse
 from kt3dmoseg.annotate.server.routes import Routes
 from kt3dmoseg.annotate.store import StaleRevisionError
@@ -92,13 +90,9 @@ def _static_files() -> Mapping[str, Response]:
     return out
 
 
-async def _stale(request: Request, error: Exception) -> Response:
+async def _stale(_: Request, error: Exception) -> Response:
     assert isinstance(error, StaleRevisionError)
-    desk: Desk = request.state.desk
-    current = error.current
-    if current is None:
-        current = await run_in_threadpool(desk.annotation)
-    return JSONResponse({"error": str(error), "annotation": to_json(current)}, status_code=412)
+    return JSONResponse({"error": str(error), "annotation": to_json(error.current)}, status_code=412)
 
 
 async def _bad_request(_: Request, error: Exception) -> Response:

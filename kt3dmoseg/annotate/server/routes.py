@@ -149,7 +149,6 @@ class Routes:
     async def save(self, request: Request) -> Response:
         """Save an annotation that was made from the present revision."""
         desk = self._desk(request)
-        request.state.desk = desk
         base = _if_match(request)
         given = await self._annotation_of(request, desk)
         mine = replace(given, revision=base, annotator=self.annotator or given.annotator)

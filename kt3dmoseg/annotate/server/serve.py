@@ -9,7 +9,9 @@ from ipaddress import ip_address
 
 from kt3dmoseg.annotate.server.app import create_app
 from kt3dmoseg.annotate.server.routes import Routes
-from kt3dmoseg.errors import InputFileError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+
+_LAST_PORT = 65_535
 
 
 def serve(
@@ -62,11 +64,13 @@ def is_loopback(host: str) -> bool:
 
 
 def _listen(host: str, port: int) -> socket.socket:
+    if not 0 <= port <= _LAST_PORT:
+        raise InvalidValueError("--port", expected=f"0 to {_LAST_PORT}", found=str(port))
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)
-    except (OSError, OverflowError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+    except OSError as error:
+        reason = error.strerror or str(error)
         raise InputFileError(
             f"{host}:{port}: cannot listen", found=reason, fix="choose another --port"
         ) from error

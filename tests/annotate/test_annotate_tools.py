@@ -1,0 +1,177 @@
+"""Agreement of labellings, the tools, pictures of regions, and the command."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from annotation_scenes import write_clip
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import cohen_kappa_score
+
+from kt3dmoseg import cli, io
+from kt3dmoseg.annotate import AnnotationSession, load_annotation
+from kt3dmoseg.annotate.agreement import agree
+from kt3dmoseg.annotate.overlay import View, colour_of, draw_view
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import Labels
+
+ROOT = Path(__file__).parents[2]
+BOX = [(60, 70), (140, 70), (140, 130), (60, 130)]
+
+
+def tool(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=40))
+def test_kappa_is_that_of_scikit_learn(pairs):
+    a, b = np.array(pairs).T
+    found = agree(a, b, match=False)
+    assert found.agreement == np.mean(a == b)
+    if found.agreement < 1:
+        assert found.kappa == pytest.approx(cohen_kappa_score(a, b))
+    else:
+        assert found.kappa == 1
+
+
+@given(st.lists(st.integers(0, 4), min_size=1, max_size=40), st.permutations([1, 2, 3, 4]))
+def test_renamed_motions_agree(labels, names):
+    renamed = np.array([0, *names])[labels]
+    found = agree(renamed, labels)
+    assert found.agreement == found.kappa == found.both == 1.0
+    assert found.groups() == []
+
+
+def test_agreement_by_hand():
+    found = agree([5, 5, 5, 2, 0, 7], [1, 1, 2, 2, 2, 0])
+    assert found.matching == {5: 1, 2: 2}
+    assert found.agreement == 3 / 6
+    assert found.both == 3 / 4
+    assert found.differences.tolist() == [2, 4, 5]
+    assert [(a, b, rows.tolist()) for a, b, rows in found.groups()][:2] == [(0, 2, [4]), (1, 2, [2])]
+    with pytest.raises(InvalidValueError, match="length"):
+        agree([1], [1, 2])
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """A clip whose file holds labels like a release, and an annotation of it."""
+    on = write_clip(tmp_path, "one")
+    there = io.load(tmp_path / "tracks" / "one.npz")
+    (tmp_path / "release").mkdir()
+    io.save(there.with_labels(Labels(np.where(on, 1, 2))), tmp_path / "release" / "one.mat")
+    session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
+    session.add_object("drifting box", 0, [BOX], motion=1)
+    session.save(tmp_path / "annotations" / "one.json")
+    return tmp_path
+
+
+def test_agreement_tool(clip, capsys):
+    arguments = ["--annotations", str(clip / "annotations"), "--release", str(clip / "release")]
+    assert tool("annotation_agreement").main(arguments) == 0
+    text = capsys.readouterr().out
+    assert "| one | 400 |" in text
+    assert "| label 1 | drifting box |" in text
+    assert tool("annotation_agreement").main([*arguments, "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["agreement"] > 0.95
+    assert row["evaluated"] == 400
+
+
+def test_agreement_tool_lists_where_the_two_differ(clip, capsys):
+    session = AnnotationSession.load(clip / "annotations" / "one.json")
+    session.set_key_frame(1, 0, [[(60, 70), (100, 70), (100, 130), (60, 130)]])
+    session.save(clip / "other" / "one.json")
+    arguments = ["--annotations", str(clip / "annotations"), "--release", str(clip / "release")]
+    assert tool("annotation_agreement").main([*arguments, "--other", str(clip / "other"), "--halo", "0"]) == 0
+    text = capsys.readouterr().out
+    assert "ours: drifting box, theirs: background" in text
+    assert "frame 3 at (" in text
+
+
+def test_agreement_tool_without_annotations(clip, capsys):
+    arguments = ["--annotations", str(clip / "nothing"), "--release", str(clip / "release")]
+    assert tool("annotation_agreement").main(arguments) == 2
+    assert "one is not annotated" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("motion", ["flow", "tracks"])
+def test_render_tool(clip, capsys, motion):
+    arguments = [str(clip / "annotations" / "one.json"), "--frames", str(clip / "frames" / "one")]
+    arguments += ["-o", str(clip / "out")]
+    arguments += ["--tracks", str(clip / "tracks" / "one.npz")] if motion == "tracks" else []
+    assert tool("render_annotation").main(arguments) == 0
+    names = sorted(p.name for p in (clip / "out").iterdir())
+    assert names == [f"one_f00{k}.png" for k in range(6)] + ["one_object01_0.png"]
+    last = cv2.imread(str(clip / "out" / "one_f005.png"))
+    orange = (np.abs(last.astype(int) - colour_of(1)) < 40).all(axis=2)
+    columns = np.flatnonzero(orange[100:150].any(axis=0))
+    # 36 pixels of ruler, 1.25 screen pixels per pixel: the box is at 80 to 160 in the last frame.
+    assert columns.min() == pytest.approx(36 + 80 * 1.25, abs=6)
+    assert columns.max() == pytest.approx(36 + 160 * 1.25, abs=6)
+
+
+def test_render_tool_crops(clip, capsys):
+    arguments = ["--frames", str(clip / "frames" / "one"), "-o", str(clip / "out"), "--zoom", "3"]
+    assert tool("render_annotation").main([*arguments, "--crop", "2:50,60,89,99"]) == 0
+    picture = cv2.imread(str(clip / "out" / "one_f002_50_60.png"))
+    assert picture.shape == (40 * 3 + 26, 40 * 3 + 36, 3)
+    for bad in ("9:0,0,5,5", "0:5,5,0,0", "x", "0:1,2,3"):
+        assert tool("render_annotation").main([*arguments, "--crop", bad]) == 2
+        assert "--crop" in capsys.readouterr().err
+
+
+def test_views_may_reach_beyond_the_frame():
+    picture = draw_view(np.full((20, 30), 99, np.uint8), View((-10.0, -10.0, 40.0, 30.0), 2.0))
+    assert picture.shape == (2 * 41 + 26, 2 * 51 + 36, 3)
+
+
+def test_command_says_what_is_wrong(tmp_path, capsys):
+    assert cli.main(["label", str(tmp_path)]) == 2
+    assert "a folder of frames" in capsys.readouterr().err
+    write_clip(tmp_path, "one")
+    assert cli.main(["label", str(tmp_path / "frames"), "--no-browser", "--port", "99999"]) == 2
+    assert "--port" in capsys.readouterr().err
+
+
+SAVER = """
+import sys
+from kt3dmoseg.annotate import AnnotationSession
+session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
+session.add_object("thing", 0, [[(k, k * k % 97) for k in range(2000)]], motion=1)
+while True:
+    print(session.save(sys.argv[1]), flush=True)
+    session.update_object(1, note=str(session.annotation.revision))
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill -9 on this system")
+@pytest.mark.parametrize("moment", [0.0, 0.013, 0.05])
+def test_kill_9_never_breaks_the_file(tmp_path, moment):
+    path = tmp_path / "one.json"
+    command = [sys.executable, "-c", SAVER, str(path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
+    told = [process.stdout.readline() for _ in range(3)]
+    time.sleep(moment)
+    process.kill()
+    told += process.communicate()[0].splitlines()
+    last = max(int(line) for line in told if line.strip())
+    found = load_annotation(path)
+    assert found.revision in (last, last + 1)
+    session = AnnotationSession(found)
+    assert session.save(path) == found.revision + 1
