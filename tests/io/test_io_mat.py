@@ -65,7 +65,6 @@ def test_what_hopkins_holds(data_root):
     assert clip.labels.label.tolist() == raw["s"].ravel().tolist()
 
 
-@pytest.mark.data
 def test_the_mask_of_an_additional_hopkins_sequence(tmp_path):
     y = np.ones((3, 2, 3))
     y[:, 1, 2] = 0.0
@@ -81,6 +80,7 @@ def test_the_mask_of_an_additional_hopkins_sequence(tmp_path):
         load(tmp_path / "bad_truth.mat")
 
 
+@pytest.mark.data
 def test_hopkins12_and_mtpv(data_root):
     whole = load(data_root / "hopkins12/oc1R2RC_Tracks.mat")
     assert whole.dense.visible.all()
@@ -110,6 +110,25 @@ def _release(**changes):
         "nSparsePoints": 2.0,
     }
     return {key: value for key, value in (data | changes).items() if value is not None}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"K": None}, "K: expected an array.*found variables"),
+        ({"K": np.eye(2)}, "K: expected 9 numbers, found 4"),
+        ({"s": np.array([[1], [2], [1]])}, "s: expected 2 numbers, found 3"),
+        ({"s": np.array([[1], [1.5]])}, "s: expected whole numbers"),
+        ({"y": np.zeros((3, 2, 4))}, r"y: expected finite \(x, y, 1\)"),
+        ({"width": "wide"}, "width: expected an array"),
+    ],
+)
+def test_bad_hopkins_files(changes, words, tmp_path):
+    whole = {"y": np.ones((3, 2, 4)), "s": np.array([[1], [2]]), "K": np.eye(3), "width": 9, "height": 9}
+    content = {key: value for key, value in (whole | changes).items() if value is not None}
+    scipy.io.savemat(tmp_path / "a_truth.mat", content)
+    with pytest.raises(FileFormatError, match=words):
+        load(tmp_path / "a_truth.mat")
 
 
 @pytest.mark.parametrize("compressed", [True, False])
