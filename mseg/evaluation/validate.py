@@ -6,10 +6,9 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.joining import join_labels
+from mseg.evaluation.label_checks import label_problems
 from mseg.evaluation.problems import Problem, brief, numbered
 from mseg.evaluation.protocol import (
     Protocol,
@@ -165,7 +164,7 @@ class _Checker:
             file = self.read.files[seed, name]
             found, problems = join_labels(prediction.track, prediction.label, clip, file)
             if found is not None:
-                problems += self._label_problems(found, clip, file)
+                problems += label_problems(found, clip, file, self.read.meta)
             self.problems += problems
             if found is not None and all(problem.code in _SCORABLE for problem in problems):
                 self.labels[seed, name] = found
@@ -247,46 +246,6 @@ class _Checker:
                     fix="segment these data, or validate against the version that was segmented",
                 )
             )
-
-    def _label_problems(self, label: IntArray, clip: Clip, file: str) -> list[Problem]:
-        out = []
-        meta, groups = self.read.meta, np.unique(label)
-        if groups[0] == 0 and not meta.outliers:
-            out.append(_zero_label(groups, file, clip.name))
-        if len(groups) == 1 and len(label) > 1:
-            one = Problem(
-                "one-label",
-                file,
-                clip.name,
-                "two motions or more",
-                f"all {len(label)} labels are {groups[0]}",
-                "look whether the labels were written at all; if it is meant: baseline = true in meta.toml",
-            )
-            (self.notes if meta.baseline else out).append(one)
-        if len(groups) > max(2, len(label) // 2):
-            out.append(
-                Problem(
-                    "too-many-groups",
-                    file,
-                    clip.name,
-                    "a few groups",
-                    f"{len(groups)} different labels for {len(label)} trajectories",
-                    "look whether the columns track and label are swapped",
-                )
-            )
-        return out
-
-
-def _zero_label(groups: IntArray, file: str, clip: str) -> Problem:
-    based = np.array_equal(groups, np.arange(len(groups))) and len(groups) > 1
-    return Problem(
-        "zero-based" if based else "zero-label",
-        file,
-        clip,
-        "motions 1, 2, ...",
-        f"labels {brief(groups.tolist())}" + (", which look 0-based" if based else ""),
-        "add 1 to every label; if 0 is meant as outlier: outliers = true in meta.toml",
-    )
 
 
 def _other_data(name: str, here: str, found: str) -> Problem:

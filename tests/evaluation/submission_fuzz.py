@@ -8,6 +8,7 @@ runs a small sample.
 from __future__ import annotations
 
 import io
+import shutil
 import stat
 import struct
 import subprocess
@@ -189,8 +190,17 @@ def pack(files: dict[str, bytes], rng: np.random.Generator) -> bytes:
     return flip(packed, rng) if rng.random() < 0.25 else packed
 
 
-def run_case(seed: int, folder: Path) -> str:
-    """Make one mutated submission in `folder` and hand it in; return what came of it."""
+def run_case(seed: int, parent: Path) -> str:
+    """Make one mutated submission in a folder of its own and hand it in; return what came of it."""
+    folder = parent / f"case-{seed}"
+    folder.mkdir()
+    try:
+        return _hand_in(seed, folder)
+    finally:
+        shutil.rmtree(folder)
+
+
+def _hand_in(seed: int, folder: Path) -> str:
     rng = np.random.default_rng(seed)
     files = dict(base_files(("csv", "npz", "h5")[rng.integers(3)], int(rng.integers(1, 3))))
     for _ in range(int(rng.integers(0, 4))):
@@ -201,7 +211,7 @@ def run_case(seed: int, folder: Path) -> str:
     else:
         place = folder / "submission"
         _unpack(files, place)
-    before = {p: p.stat().st_mtime_ns for p in folder.parent.rglob("*")}
+    before = {p: p.lstat().st_mtime_ns for p in folder.parent.rglob("*")}
     try:
         checked = validate_submission(place, CLIPS)
         str(checked), checked.as_dict()
@@ -212,7 +222,9 @@ def run_case(seed: int, folder: Path) -> str:
         outcome = "valid" if checked.ok else "invalid"
     except KT3DMoSegError:
         outcome = "refused"
-    assert {p: p.stat().st_mtime_ns for p in folder.parent.rglob("*")} == before, "a file appeared or changed"
+    assert {p: p.lstat().st_mtime_ns for p in folder.parent.rglob("*")} == before, (
+        "a file appeared or changed"
+    )
     return outcome
 
 
@@ -235,11 +247,9 @@ def run_batch(first: int, count: int) -> dict[str, int]:
     with tempfile.TemporaryDirectory() as folder:
         _forbid_writes(Path(tempfile.gettempdir()))
         for seed in range(first, first + count):
-            case = Path(folder) / str(seed)
-            case.mkdir()
             start = time.process_time()
             try:
-                outcome = run_case(seed, case)
+                outcome = run_case(seed, Path(folder))
             except BaseException:
                 print(f"case {seed} failed", file=sys.stderr)
                 raise
