@@ -1,6 +1,6 @@
 """Time of the methods on complete trajectories: 500 trajectories, 30 frames, three affine motions.
 
-pytest benchmarks/test_bench_baselines.py
+pytest benchmarks/bench_baselines.py
 """
 
 from __future__ import annotations
