@@ -39,8 +39,9 @@ _HEADER_ROOM = 4096
 class FlowCache:
     """Flow fields in a folder, one file each, written atomically.
 
-    Several processes may share a folder. Backends that are no dataclasses are computed every time:
-    their parameters cannot be told.
+    Several processes may share a folder. Two kinds of backend are computed every time: those that are
+    no dataclasses, since their parameters cannot be told, and those whose class says ``uncached = True``,
+    since they depend on more than their parameters (files).
 
     Parameters
     ----------
