@@ -9,9 +9,9 @@ from kt3dmoseg.annotate.formats.masks import polygons_of
 from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame, Polygon
 from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, Labels, Trajectories
 
-# Seeds lie 8 pixels apart: discs of this radius around neighbours touch.
-_REACH = 7
-_SHRINK = 4
+# Seeds lie 8 pixels apart where there is texture; smooth parts of a car leave gaps of some 30 pixels.
+_REACH = 16
+_SHRINK = 13
 _FEWEST = 8
 _EVERY = 4
 

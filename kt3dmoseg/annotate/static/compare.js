@@ -22,12 +22,13 @@ export async function compare(app) {
 
 function show(app, found) {
   const summary = `Same label for ${percent(found.agreement)} of ${found.trajectories} trajectories, `
-    + `${percent(found.both)} of those that both labelled; Cohen's kappa ${found.kappa.toFixed(3)}. ${found.different} differ:`;
+    + `${percent(found.both)} of those that both labelled; Cohen's kappa ${found.kappa.toFixed(3)}. ${found.different || "None"} differ${found.different ? ":" : "."}`;
   const rows = found.differences.map((d) => [
     button(`${d.row}`, () => {
       close();
       actions.show(app, d.row, d.frame);
     }), `${d.frame}`, d.xy.map((v) => v.toFixed(0)).join(", "), d.mine, d.theirs,
   ]);
-  open("Two annotators", element("p", {}, summary), table(["trajectory", "frame", "at", "here", "other"], rows), row(button("Close", close)));
+  const differences = rows.length ? [table(["trajectory", "frame", "at", "here", "other"], rows)] : [];
+  open("Two annotators", element("p", {}, summary), ...differences, row(button("Close", close)));
 }
