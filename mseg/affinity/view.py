@@ -16,6 +16,8 @@ from mseg.types import Hypotheses
 # The authors' guard against division by zero, part of the values that alpha is applied to.
 GUARD = 0.1
 _PAIRS_AT_A_TIME = 4
+# Rows spread into the sum at once: few enough that their copy stays in the cache.
+_ROWS_AT_A_TIME = 128
 _T = TypeVar("_T")
 
 
@@ -54,7 +56,9 @@ def view_kernel(
     for rows, marks, count in _marked_chunks(trajectories, hypotheses, fraction, distance):
         shared = marks @ marks.T
         shared /= np.float32(count)
-        total[np.ix_(rows, rows)] += shared
+        for start in range(0, len(rows), _ROWS_AT_A_TIME):
+            part = slice(start, start + _ROWS_AT_A_TIME)
+            total[np.ix_(rows[part], rows)] += shared[part]
     total /= covisible_frames(trajectories) + np.float32(GUARD)
     return total
 

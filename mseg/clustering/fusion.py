@@ -16,7 +16,7 @@ from mseg.clustering.eigen import Symmetric, fixed_sign, smallest_subspace
 from mseg.clustering.laplacian import unit_rows
 
 _BLOCK_ENTRIES = 1 << 22
-_KEPT_ENTRIES = 1 << 24
+_KEPT_ENTRIES = 1 << 27
 
 
 @dataclass(frozen=True, eq=False)

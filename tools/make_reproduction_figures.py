@@ -1,0 +1,194 @@
+"""Draw the figures of docs/reproduction.md from results that ``mseg benchmark --json`` wrote.
+
+python tools/make_reproduction_figures.py --results kt3dmoseg.json --sweeps sweep-*.json -o docs/figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from kt3dmoseg.types import Trajectories
+from mseg.affinity import sparsify, view_kernel
+from mseg.clustering import spectral_clustering
+from mseg.evaluation import load_protocol
+from mseg.sampling import sample_hypotheses
+
+mpl.use("svg")
+import matplotlib.pyplot as plt
+
+ORDER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
+PUBLISHED = {"keradd": "KerAdd", "coreg": "CoReg", "subset": "Subset"}
+COLOURS = dict(zip(ORDER, ("#999999", "#777777", "#555555", "#1b6ca8", "#d97a27", "#3a8f4d"), strict=True))
+SWEPT = {"alpha": 8.0, "lam": 0.01, "gamma": 0.01}
+NAMES = {"alpha": "alpha", "lam": "lambda (CoReg)", "gamma": "gamma (Subset)"}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--results", type=Path, required=True, help="one run of the six methods, all seeds")
+    parser.add_argument("--sweeps", type=Path, nargs="*", default=[], help="runs with other parameters")
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    arguments = parser.parse_args()
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    mpl.rcParams.update(
+        {"svg.hashsalt": "mseg", "font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+    )
+    results = json.loads(arguments.results.read_text())
+    sweeps = [json.loads(path.read_text()) for path in arguments.sweeps]
+    drawings = {
+        "seeds": seeds_figure(results),
+        "per_clip": per_clip_figure(results),
+        "sensitivity": sensitivity_figure(results, sweeps),
+        "planar_slices": planar_slices_figure(),
+    }
+    for name, figure in drawings.items():
+        figure.savefig(arguments.output / f"{name}.svg", bbox_inches="tight", metadata={"Date": None})
+        figure.savefig(arguments.output / f"{name}.png", bbox_inches="tight", dpi=110)
+
+
+def errors_of(results: dict[str, Any], method: str) -> np.ndarray:
+    """Errors (clips, seeds) of a method, in per cent."""
+    row = [m["method"] for m in results["methods"]].index(method)
+    return 100 * np.array(results["errors"][row])
+
+
+def seeds_figure(results: dict[str, Any]) -> Figure:
+    """Mean error of every seed, beside the printed value."""
+    figure, axes = plt.subplots(figsize=(6.5, 3))
+    published = load_protocol("kt3dmoseg").published
+    for place, method in enumerate(ORDER):
+        means = np.sort(errors_of(results, method).mean(axis=0))
+        offsets = np.linspace(-0.22, 0.22, len(means))
+        axes.plot(place + offsets, means, "o", color=COLOURS[method], markersize=4)
+        axes.hlines(means.mean(), place - 0.3, place + 0.3, color=COLOURS[method], linewidth=1.5)
+        printed = published[PUBLISHED.get(method, method)]["all"]["mean"]
+        axes.plot(
+            place,
+            printed,
+            "x",
+            color="black",
+            markersize=7,
+            label="printed, all 22 clips" if not place else None,
+        )
+    axes.set_xticks(range(len(ORDER)), ORDER)
+    axes.set_ylabel("mean error, %")
+    axes.set_ylim(bottom=0)
+    axes.legend(frameon=False)
+    axes.set_title(f"{len(results['seeds'])} seeds, {results['coverage']}; bar = mean over seeds", fontsize=9)
+    return figure
+
+
+def per_clip_figure(results: dict[str, Any]) -> Figure:
+    """Error per clip of the fusions and the best view, with the prevalence baseline."""
+    clips = list(results["clips"])
+    prevalence = load_protocol("kt3dmoseg").prevalence
+    figure, axes = plt.subplots(figsize=(9, 3.2))
+    width = 0.2
+    for place, method in enumerate(("fundamental", "keradd", "coreg", "subset")):
+        errors = errors_of(results, method)
+        x = np.arange(len(clips)) + (place - 1.5) * width
+        axes.bar(x, errors.mean(axis=1), width, color=COLOURS[method], label=method)
+        axes.vlines(x, errors.min(axis=1), errors.max(axis=1), color="black", linewidth=0.6)
+    for place, clip in enumerate(clips):
+        if clip in prevalence:
+            axes.hlines(
+                prevalence[clip],
+                place - 0.45,
+                place + 0.45,
+                color="crimson",
+                label=None if place else "one motion for all",
+            )
+    axes.set_xticks(
+        range(len(clips)), [c.replace("Seq", "").replace("_Clip", " ").replace("_clip", " ") for c in clips]
+    )
+    axes.tick_params(axis="x", rotation=40)
+    axes.set_ylabel("error, %; line: range over seeds")
+    axes.legend(frameon=False, ncols=5, loc="upper left", bbox_to_anchor=(0, 1.15))
+    return figure
+
+
+def sensitivity_figure(results: dict[str, Any], sweeps: list[dict[str, Any]]) -> Figure:
+    """Mean error over each swept parameter, on the seeds that the sweeps have."""
+    figure, panels = plt.subplots(1, 3, figsize=(9, 2.8), sharey=True, width_ratios=(2, 1, 1))
+    for axes, parameter in zip(panels, SWEPT, strict=True):
+        for method, points in sorted(_swept(results, sweeps, parameter).items()):
+            values = sorted(points)
+            mean = [points[v].mean() for v in values]
+            low, high = ([f(points[v].mean(axis=0)) for v in values] for f in (np.min, np.max))
+            axes.plot(values, mean, "o-", color=COLOURS[method], label=method, markersize=4)
+            axes.fill_between(values, low, high, color=COLOURS[method], alpha=0.15, linewidth=0)
+        axes.set_xlabel(NAMES[parameter])
+        axes.axvline(SWEPT[parameter], color="black", linewidth=0.5, linestyle=":")
+        if parameter != "alpha":
+            axes.set_xscale("log")
+    panels[0].set_ylabel("mean error, %; band: range over seeds")
+    panels[0].set_ylim(bottom=0)
+    panels[0].legend(frameon=False, ncols=2)
+    return figure
+
+
+def _swept(
+    results: dict[str, Any], sweeps: list[dict[str, Any]], parameter: str
+) -> dict[str, dict[float, np.ndarray]]:
+    out: dict[str, dict[float, np.ndarray]] = defaultdict(dict)
+    for sweep in sweeps:
+        for row, method in enumerate(sweep["methods"]):
+            if list(method["parameters"]) == [parameter]:
+                errors = 100 * np.array(sweep["errors"][row])
+                out[method["method"]][float(method["parameters"][parameter])] = errors
+    for method, points in out.items():
+        seeds = next(iter(points.values())).shape[1]
+        points.setdefault(SWEPT[parameter], errors_of(results, method)[:, :seeds])
+    return out
+
+
+def planar_slices_figure() -> Figure:
+    """Group the homography view of a static scene without planes: it falls into slices."""
+    trajectories, depth = _thicket()
+    rng = np.random.default_rng(0)
+    kernel = view_kernel(trajectories, sample_hypotheses(trajectories, "homography", rng))
+    labels = spectral_clustering(sparsify(kernel, 4.0), 6, rng)
+    first = trajectories.xy[:, 0]
+    figure, panels = plt.subplots(1, 2, figsize=(9, 2.6), width_ratios=(2, 1))
+    for k in np.unique(labels)[np.argsort([np.median(depth[labels == k]) for k in np.unique(labels)])]:
+        mine = labels == k
+        panels[0].plot(*first[mine].T, ".", markersize=4)
+        panels[1].plot(first[mine, 0], depth[mine], ".", markersize=4)
+    panels[0].invert_yaxis()
+    panels[0].set_aspect("equal")
+    panels[0].set(xlabel="x, pixels", ylabel="y, pixels", title="one static scene, groups of the H view")
+    panels[1].set(xlabel="x, pixels", ylabel="depth, m", title="the same from above", yscale="log")
+    panels[1].set_yticks([8, 15, 30, 60], ["8", "15", "30", "60"])
+    panels[1].minorticks_off()
+    return figure
+
+
+def _thicket() -> tuple[Trajectories, np.ndarray]:
+    """Points scattered in depth (no planes), passed by a camera that drives forward and turns."""
+    rng = np.random.default_rng(5)
+    depth = np.exp(rng.uniform(np.log(7), np.log(60), size=900))
+    pixels = rng.uniform((0, 0), (1240, 370), size=(900, 2))
+    scene = np.concatenate([(pixels - (620, 185)) / 720 * depth[:, None], depth[:, None]], axis=1)
+    xy = np.empty((900, 10, 2))
+    for f in range(10):
+        turn = 0.004 * f
+        rotation = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
+        moved = (scene - (0.05 * f, 0, 0.35 * f)) @ rotation
+        xy[:, f] = 720 * moved[:, :2] / moved[:, 2:] + (620, 185)
+    xy += rng.normal(scale=0.1, size=xy.shape)
+    inside = ((xy > 0) & (xy < (1240, 370))).all(axis=(1, 2))
+    return Trajectories(xy[inside], np.ones((int(inside.sum()), 10), dtype=bool)), depth[inside]
+
+
+if __name__ == "__main__":
+    main()
