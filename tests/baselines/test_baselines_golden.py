@@ -8,6 +8,7 @@ import kt3dmoseg
 import mseg.methods as methods
 from mseg.clustering.coefficient_affinity import sparse_affinity
 from mseg.clustering.self_expressive import low_rank_representation, sparse_representation
+from mseg.evaluation import load_protocol
 from mseg.methods.complete_data import complete_data
 
 pytestmark = pytest.mark.data
@@ -64,6 +65,16 @@ def test_coefficients_of_the_references(data_root, name):
     low_rank = low_rank_representation(data.homogeneous).coefficients
     norms = np.linalg.norm(low_rank), np.linalg.norm(low_rank, "nuc")
     assert norms == pytest.approx(LRR_NORMS[name], rel=1e-6)
+
+
+def test_prevalence_is_exact(data_root):
+    published = load_protocol("kt3dmoseg").prevalence
+    paths = sorted((data_root / "kt3dmoseg" / "release").glob("*_Tracks.mat"))
+    assert paths
+    for path in paths:
+        clip = kt3dmoseg.load(path)
+        labels = methods.segment(clip, "prevalence", n_motions=clip.n_motions).labels
+        assert 100 * error(clip.labels.label, labels) == pytest.approx(published[clip.name], abs=0.005)
 
 
 def test_real_gaps_are_completed(data_root):
