@@ -28,7 +28,7 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from kt3dmoseg.annotate import formats, proposals
@@ -38,13 +38,21 @@ from kt3dmoseg.annotate.server.compare import comparison
 from kt3dmoseg.annotate.server.desk import Desk, Progress, outcome
 from kt3dmoseg.annotate.store import save_revision
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
 
 Endpoint: TypeAlias = Callable[[Request], Awaitable[Response]]
 
 # What every browser shows as it is; other pictures are sent as PNG.
-_SHOWN = {".png", ".jpg", ".jpeg", ".webp", ".bmp"}
+_SHOWN = {
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".webp": "image/webp",
+    ".bmp": "image/bmp",
+}
+_MAX_PICTURE = 1 << 28
 _ETAG = re.compile(r'"(\d{1,16})"')
 
 
@@ -125,11 +133,9 @@ class Routes:
         frames, index = self._desk(request).source.frames, request.path_params["frame"]
         if index >= len(frames):
             raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
+        content, kind = await run_in_threadpool(_picture, frames[index])
         keep = {"cache-control": "private, max-age=3600"}
-        if frames[index].suffix.lower() in _SHOWN:
-            return FileResponse(frames[index], headers=keep)
-        picture = await run_in_threadpool(read_frame, frames[index], "luma")
-        return Response(cv2.imencode(".png", picture)[1].tobytes(), media_type="image/png", headers=keep)
+        return Response(content, media_type=kind, headers=keep)
 
     async def tracks(self, request: Request) -> Response:
         """Send the trajectories, or say how far they are."""
@@ -244,6 +250,13 @@ def _summary(desk: Desk) -> dict[str, Any]:
         "motions": len(annotation.motions),
     }
     return out | {"counts": desk.labelled(annotation).counts()} if desk.ready else out
+
+
+def _picture(path: Path) -> tuple[bytes, str]:
+    kind = _SHOWN.get(path.suffix.lower())
+    if kind is not None:
+        return read_bytes(path, _MAX_PICTURE), kind
+    return cv2.imencode(".png", read_frame(path, "luma"))[1].tobytes(), "image/png"
 
 
 def _if_match(request: Request) -> int:

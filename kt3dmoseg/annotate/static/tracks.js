@@ -8,6 +8,7 @@ const TRAIL = 6;
 export class Tracks {
   #groups = [];
   #lengths = null;
+  #built = null;
 
   constructor(state, layer) {
     this.state = state;
@@ -20,17 +21,29 @@ export class Tracks {
 
   draw() {
     const context = this.layer.begin();
-    const { tracks, view, colouring, flickered } = this.state;
+    const { tracks, view, colouring, flickered, lassoed } = this.state;
     if (!tracks || !view || colouring === "none") return;
     const frame = flickered ?? this.state.frame;
     const size = Math.min(5, Math.max(2, view.scale * 1.2));
-    for (const { colour, rows } of this.#groups) {
+    if (this.#built?.frame !== frame || this.#built.scale !== view.scale) this.#build(frame, view, size);
+    // Panning only moves the paths.
+    context.translate((this.#built.x - view.x) * view.scale, (this.#built.y - view.y) * view.scale);
+    context.lineWidth = 1;
+    for (const { colour, points, trails } of this.#built.paths) {
       if (this.state.problems && colour !== PROBLEM) continue;
-      if (this.state.trails) this.#drawTrails(context, rows, frame, colour);
-      this.#drawPoints(context, rows, frame, colour, size);
+      if (this.state.trails) {
+        context.globalAlpha = 0.55;
+        context.strokeStyle = colour;
+        context.stroke(trails);
+      }
+      context.globalAlpha = 1;
+      context.fillStyle = colour;
+      context.fill(points);
     }
-    const caught = this.state.lassoed;
-    if (caught?.frame === frame) this.#drawPoints(context, caught.rows, frame, "#ffffff", size + 2);
+    if (lassoed?.frame === frame) {
+      context.fillStyle = "#ffffff";
+      context.fill(this.#points(lassoed.rows, frame, this.#built, size + 2));
+    }
   }
 
   /** Rows of the trajectories that are visible in a frame and satisfy a test of their position. */
@@ -56,6 +69,7 @@ export class Tracks {
       if (!byColour.has(colour)) byColour.set(colour, []);
       byColour.get(colour).push(row);
     }
+    this.#built = null;
     this.#groups = [...byColour].map(([colour, rows]) => ({ colour, rows }));
   }
 
@@ -69,26 +83,29 @@ export class Tracks {
     }
   }
 
-  #drawPoints(context, rows, frame, colour, size) {
-    const { tracks: { xy, frames }, view } = this.state;
-    context.fillStyle = colour;
-    context.beginPath();
+  #build(frame, view, size) {
+    const paths = this.#groups.map(({ colour, rows }) => ({
+      colour, points: this.#points(rows, frame, view, size), trails: this.#trails(rows, frame, view),
+    }));
+    this.#built = { frame, x: view.x, y: view.y, scale: view.scale, paths };
+  }
+
+  #points(rows, frame, view, size) {
+    const { xy, frames } = this.state.tracks;
+    const path = new Path2D();
     for (const row of rows) {
       const at = 2 * (row * frames + frame);
       const x = xy[at];
       if (x === x) {
-        context.rect((x - view.x) * view.scale - size / 2, (xy[at + 1] - view.y) * view.scale - size / 2, size, size);
+        path.rect((x - view.x) * view.scale - size / 2, (xy[at + 1] - view.y) * view.scale - size / 2, size, size);
       }
     }
-    context.fill();
+    return path;
   }
 
-  #drawTrails(context, rows, frame, colour) {
-    const { tracks: { xy, frames }, view } = this.state;
-    context.strokeStyle = colour;
-    context.globalAlpha = 0.55;
-    context.lineWidth = 1;
-    context.beginPath();
+  #trails(rows, frame, view) {
+    const { xy, frames } = this.state.tracks;
+    const path = new Path2D();
     for (const row of rows) {
       const start = 2 * row * frames;
       if (xy[start + 2 * frame] !== xy[start + 2 * frame]) continue;
@@ -98,12 +115,11 @@ export class Tracks {
         if (x !== x) continue;
         const sx = (x - view.x) * view.scale;
         const sy = (xy[start + 2 * k + 1] - view.y) * view.scale;
-        if (drawing) context.lineTo(sx, sy);
-        else context.moveTo(sx, sy);
+        if (drawing) path.lineTo(sx, sy);
+        else path.moveTo(sx, sy);
         drawing = true;
       }
     }
-    context.stroke();
-    context.globalAlpha = 1;
+    return path;
   }
 }
