@@ -1,0 +1,113 @@
+"""Two perspective views, collaboratively clustered (TPV)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kt3dmoseg.options import option
+from kt3dmoseg.types import Clip, FloatArray, Trajectories
+from mseg.clustering import spectral_clustering
+from mseg.clustering.coefficient_affinity import count_by_eigengap, sparse_affinity
+from mseg.clustering.collaborative import collaborative_representation
+from mseg.errors import SegmentationError, TooFewPointsError
+from mseg.geometry import hartley
+from mseg.types import Segmentation
+
+
+@dataclass(frozen=True)
+class TPV:
+    """Express every correspondence by few others, the same ones in all pairs of frames.
+
+    1. In a pair of frames a correspondence is ``w = vec(x' x^T)`` in R^9, x and x' homogeneous in Hartley's
+       coordinates, at unit length. Those of one rigid motion satisfy ``f . w = 0``: a hyperplane.
+    2. ``min sum_k alpha/2 |W_k - W_k C_k|^2 + sum_ij |(C_1(i, j), ..., C_P(i, j))|_2`` with zero diagonals;
+       a trajectory not seen in pair k takes no part there.
+    3. Affinity of ``sum_k |C_k|``, of each column the largest 70 per cent, scaled to a maximum of one
+       (as in SSC); spectral clustering.
+
+    Trajectories that no pair sees join the largest motion.
+
+    Source: Li, Guo, Cheong, Zhou, "Perspective motion segmentation via collaborative clustering", ICCV 2013.
+    No code of it is public, and the paper was not at hand: which pairs, alpha, the stopping rule and the
+    scaling of the affinity are ours.
+    Input: gaps allowed. Number of motions: given, or the relative eigengap of the affinity (ours; the paper
+    over-segments and merges). Outliers: not handled. Cost: P pairs, O(P N^2) per iteration, up to 200, O(N^3)
+    for the spectral step; O(P N^2) memory.
+    """
+
+    pairs: int = option(8, "most pairs of frames, evenly over the clip", low=1)
+    gap: float = option(
+        0.25, "frames from the first to the second of a pair, as part of the clip", low=0, high=1
+    )
+    alpha: float = option(8000.0, "weight of the fit", low=1e-9)
+    penalty: float = option(50.0, "penalty of ADMM's splitting", low=1e-9)
+    rho: float = option(0.7, "share of a column's l1 norm that is kept", low=0, high=1)
+    tolerance: float = option(2e-3, "largest residual of the constraint and step at convergence", low=0)
+    max_iterations: int = option(200, "cap on ADMM iterations", low=1)
+    restarts: int = option(20, "restarts of k-means", low=1)
+
+    def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
+        """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`."""
+        views = epipolar_views(clip.evaluated_trajectories, self.pairs, self.gap)
+        used = np.any([view.any(axis=0) for view in views] or [[False]], axis=0)
+        fewest = max(n_motions or 2, 2)
+        if used.sum() < fewest:
+            expected = f"at least {fewest} trajectories seen in a pair of frames"
+            raise TooFewPointsError(clip.name, expected=expected, found=str(int(used.sum())))
+        views = [view[:, used] for view in views]
+        if all(np.ptp(view, axis=1).max() == 0 for view in views):
+            raise SegmentationError(clip.name, expected="trajectories that differ", found="one, repeated")
+        solved = collaborative_representation(
+            views,
+            alpha=self.alpha,
+            penalty=self.penalty,
+            tolerance=self.tolerance,
+            max_iterations=self.max_iterations,
+        )
+        affinity = sparse_affinity(solved.coefficients, self.rho)
+        count = n_motions or count_by_eigengap(affinity)
+        found = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
+        labels = np.full(len(used), np.bincount(found).argmax(), dtype=np.int64)
+        labels[used] = found
+        report = {"pairs": len(views), "n_motions": count, "trajectories_left_out": int((~used).sum())}
+        return Segmentation(labels, {**report, **solved.convergence.report()})
+
+
+def epipolar_views(trajectories: Trajectories, most: int, gap: float) -> list[FloatArray]:
+    """Products of homogeneous coordinates in pairs of frames.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        N trajectories over F frames.
+    most : int
+        Largest number of pairs.
+    gap : float
+        Distance of the two frames as part of F - 1; at least one frame.
+
+    Returns
+    -------
+    list of (9, N) float64
+        Unit columns ``vec(x' x^T)``, zero for trajectories that the pair does not see. Pairs that see
+        fewer than two are left out.
+    """
+    apart = max(1, round(gap * (trajectories.n_frames - 1)))
+    starts = np.arange(max(0, trajectories.n_frames - apart))
+    chosen = np.unique(np.linspace(0, len(starts) - 1, most).round().astype(int)) if len(starts) else starts
+    views = []
+    for first in chosen.tolist():
+        seen, x1, x2 = trajectories.pair(first, first + apart)
+        if len(seen) > 1:
+            view = np.zeros((9, len(trajectories)))
+            view[:, seen] = _products(x1, x2).T
+            views.append(view)
+    return views
+
+
+def _products(x1: FloatArray, x2: FloatArray) -> FloatArray:
+    ones = np.ones((len(x1), 1))
+    first, second = (np.hstack([hartley.normalise(x)[0], ones]) for x in (x1, x2))
+    products = (second[:, :, None] * first[:, None, :]).reshape(len(x1), 9)
+    return np.asarray(products / np.linalg.norm(products, axis=1, keepdims=True))
