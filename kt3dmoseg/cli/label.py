@@ -9,8 +9,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from kt3dmoseg.types import ByteArray, Trajectories
+if TYPE_CHECKING:
+    from kt3dmoseg.types import ByteArray, Trajectories
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -127,11 +127,29 @@ class Page:
         return int(re.search(r"rev (\d+)", self.tab.locator("#saved").inner_text()).group(1))
 
 
+@pytest.fixture(scope="module")
+def running(clips, tmp_path_factory):
+    """One server for all tests that leave it alone; it keeps nothing of an annotation but its file."""
+    notes = tmp_path_factory.mktemp("shared") / "notes"
+    server = Server(clips, notes)
+    server.notes = notes
+    yield server
+    server.stop(signal.SIGKILL)
+
+
+@pytest.fixture
+def shared(running):
+    shutil.rmtree(running.notes, ignore_errors=True)
+    return running
+
+
 @pytest.fixture
 def server(clips, tmp_path):
-    running = Server(clips, tmp_path / "notes")
-    yield running
-    running.stop(signal.SIGKILL)
+    """A server that the test may kill."""
+    own = Server(clips, tmp_path / "notes")
+    own.notes = tmp_path / "notes"
+    yield own
+    own.stop(signal.SIGKILL)
 
 
 @pytest.fixture
@@ -143,14 +161,14 @@ def context(browser):
 
 
 @pytest.fixture
-def page(context, server):
-    made = Page(context, server.address)
+def page(context, shared):
+    made = Page(context, shared.address)
     yield made
     assert made.errors == []
 
 
-def stored(tmp_path, clip="one"):
-    return load_annotation(tmp_path / "notes" / f"{clip}.json")
+def stored(server, clip="one"):
+    return load_annotation(server.notes / f"{clip}.json")
 
 
 def near(polygon, corners, reach=1.0):
@@ -159,11 +177,11 @@ def near(polygon, corners, reach=1.0):
     )
 
 
-def test_draw_label_by_key_save_reload(page, tmp_path):
+def test_draw_label_by_key_save_reload(page, shared):
     page.draw()
     page.press("3")
     page.saved()
-    (item,) = stored(tmp_path).objects
+    (item,) = stored(shared).objects
     assert item.motion == 3
     assert near(item.key_frames[0].polygons[0], CORNERS)
     page.until("labeller.state.labels.counts.motions[4] > 10")
@@ -228,7 +246,7 @@ def test_delete_here_is_not_delete_object(page):
     assert len(page.objects()) == 1
 
 
-def test_lasso_marks_trajectories(page, tmp_path):
+def test_lasso_marks_trajectories(page, shared):
     page.press("q")
     page.drag((170, 20), (300, 20), (300, 60), (170, 60), (170, 22), steps=12)
     caught = page.value("labeller.state.lassoed.rows.length")
@@ -237,10 +255,10 @@ def test_lasso_marks_trajectories(page, tmp_path):
     page.until("labeller.state.labels.counts.motions[6]")
     assert page.value("labeller.state.labels.counts.motions[6]") == caught
     page.saved()
-    assert stored(tmp_path).marks[0].motion == 5
+    assert stored(shared).marks[0].motion == 5
 
 
-def test_everything_by_keyboard_alone(page, tmp_path):
+def test_everything_by_keyboard_alone(page, shared):
     page.press("n", "i")
     page.until("labeller.state.cross")
     x, y = page.value("labeller.state.cross")
@@ -254,7 +272,7 @@ def test_everything_by_keyboard_alone(page, tmp_path):
         "2", "v", "l", "l", "v", "w", "v", "d", "ArrowRight", "o", "Escape", "]", "z", "Shift+Z", "End", "e"
     )
     page.saved()
-    (item,) = stored(tmp_path).objects
+    (item,) = stored(shared).objects
     assert item.motion == 2
     assert [(key.frame, key.visibility) for key in item.key_frames] == [
         (0, "visible"),
@@ -270,7 +288,7 @@ def test_everything_by_keyboard_alone(page, tmp_path):
     page.until("labeller.state.clip.name === 'two'")
 
 
-def test_properties_are_edited_beside_the_frame(page, tmp_path):
+def test_properties_are_edited_beside_the_frame(page, shared):
     page.draw()
     page.tab.get_by_label("name", exact=True).fill("white van")
     page.tab.get_by_label("name", exact=True).press("Enter")
@@ -279,12 +297,12 @@ def test_properties_are_edited_beside_the_frame(page, tmp_path):
     page.tab.locator("#stage").focus()
     page.press("7")
     page.saved()
-    (item,) = stored(tmp_path).objects
+    (item,) = stored(shared).objects
     assert (item.name, item.kind, item.note, item.motion) == ("white van", "van", "turns left", 7)
 
 
-def test_second_tab_conflict_keeps_both(context, server, tmp_path):
-    first, second = Page(context, server.address), Page(context, server.address)
+def test_second_tab_conflict_keeps_both(context, shared):
+    first, second = Page(context, shared.address), Page(context, shared.address)
     first.draw()
     first.saved()
     second.draw([(200, 20), (260, 20), (260, 50)])
@@ -292,26 +310,26 @@ def test_second_tab_conflict_keeps_both(context, server, tmp_path):
     assert second.tab.locator("dialog[open]").is_visible()
     second.press("Escape")
     assert second.tab.locator("dialog[open]").is_visible()
-    assert len(stored(tmp_path).objects) == 1
+    assert len(stored(shared).objects) == 1
     second.tab.get_by_role("button", name="Merge both").click()
     assert second.saved() == 2
-    assert sorted(len(o.key_frames[0].polygons[0]) for o in stored(tmp_path).objects) == [3, 4]
+    assert sorted(len(o.key_frames[0].polygons[0]) for o in stored(shared).objects) == [3, 4]
     assert first.errors + second.errors == []
 
 
 @pytest.mark.parametrize(("choice", "corners"), [("Keep mine", 3), ("Take theirs", 4)])
-def test_conflict_choices_are_edits_that_can_be_undone(context, server, tmp_path, choice, corners):
-    first, second = Page(context, server.address), Page(context, server.address)
+def test_conflict_choices_are_edits_that_can_be_undone(context, shared, choice, corners):
+    first, second = Page(context, shared.address), Page(context, shared.address)
     first.draw()
     first.saved()
     second.draw([(200, 20), (260, 20), (260, 50)])
     second.tab.get_by_role("button", name=choice).click()
     second.until("labeller.state.saving.kind === 'saved' && !labeller.saver.pending")
-    assert [len(o.key_frames[0].polygons[0]) for o in stored(tmp_path).objects] == [corners]
+    assert [len(o.key_frames[0].polygons[0]) for o in stored(shared).objects] == [corners]
     if choice == "Take theirs":
         second.press("Control+z")
         second.until("labeller.saver.revision === 2")
-        assert [len(o.key_frames[0].polygons[0]) for o in stored(tmp_path).objects] == [3]
+        assert [len(o.key_frames[0].polygons[0]) for o in stored(shared).objects] == [3]
 
 
 def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_path):
@@ -319,7 +337,7 @@ def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_p
     page.draw()
     assert page.saved() == 1
     server.stop(signal.SIGKILL)
-    assert len(stored(tmp_path).objects) == 1
+    assert len(stored(server).objects) == 1
     page.press("4")
     page.draw([(200, 20), (260, 20), (260, 50)])
     page.until("labeller.state.saving.kind === 'offline'")
@@ -327,7 +345,7 @@ def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_p
     again = Server(clips, tmp_path / "notes", server.port)
     try:
         page.saved()
-        assert [o.motion for o in stored(tmp_path).objects] == [4, 5]
+        assert [o.motion for o in stored(server).objects] == [4, 5]
     finally:
         again.stop(signal.SIGKILL)
     assert page.errors == []
@@ -338,12 +356,15 @@ def test_edits_survive_closing_the_tab_while_the_server_is_away(context, clips, 
     server.stop(signal.SIGKILL)
     page.draw()
     page.until("Object.keys(localStorage).some(key => key.startsWith('draft:one'))")
+    page.press("PageDown", "F2", "s", "Escape", "Control+e", "Escape")
+    page.until("labeller.state.hint.includes('does not answer')")
+    assert page.errors == []
     page.tab.close()
     again = Server(clips, tmp_path / "notes", server.port)
     try:
         back = Page(context, again.address)
         back.saved()
-        assert near(stored(tmp_path).objects[0].key_frames[0].polygons[0], CORNERS)
+        assert near(stored(server).objects[0].key_frames[0].polygons[0], CORNERS)
     finally:
         again.stop(signal.SIGKILL)
 
@@ -412,12 +433,12 @@ def test_clips_flicker_play_zoom_and_pan(page):
     assert "clip=two" in page.tab.url
 
 
-def test_nothing_comes_from_elsewhere(context, server):
+def test_nothing_comes_from_elsewhere(context, shared):
     asked = []
     context.on("request", lambda request: asked.append(request.url))
-    Page(context, server.address)
+    Page(context, shared.address)
     assert asked
-    assert all(url.startswith((server.address, "blob:", "data:")) for url in asked)
+    assert all(url.startswith((shared.address, "blob:", "data:")) for url in asked)
 
 
 def test_ctrl_c_ends_the_server_quietly(clips, tmp_path):

@@ -105,7 +105,7 @@ function nameOf(event) {
 export function press(app, event) {
   const entry = TABLE.get(nameOf(event));
   if (!entry || event.altKey || !app.state.doc) return false;
-  entry.run(app);
+  app.attempt(entry.run);
   return true;
 }
 

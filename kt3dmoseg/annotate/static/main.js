@@ -96,8 +96,27 @@ class App {
     if (!actions.selectedObject(this)) this.state.set({ selected: null });
   }
 
-  /** Open a clip; what is not saved of the present one is saved first, or stays in this browser. */
+  /** Open a clip, or say why not. */
   async open(name, remember = true) {
+    try {
+      await this.#show(name, remember);
+    } catch (error) {
+      open("The clip cannot be opened", element("p", {}, error.message),
+        row(button("Try again", () => (close(), this.open(name, remember))), button("Close", close)));
+    }
+  }
+
+  /** Run an action; one that fails, for instance because the server is away, says so. */
+  async attempt(action) {
+    try {
+      await action(this);
+    } catch (error) {
+      actions.say(this, error.message);
+    }
+  }
+
+  /** What is not saved of the present clip is saved first, or stays in this browser. */
+  async #show(name, remember) {
     if (this.saver.pending) await this.saver.flush();
     const clip = await api.getClip(name);
     if (remember) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
@@ -133,10 +152,10 @@ class App {
       flicker: () => actions.flicker(this), propose: () => propose(this), exchange: () => exchange(this),
       compare: () => compare(this), help: () => help(),
     };
-    document.querySelectorAll("[data-do]").forEach((b) => b.addEventListener("click", () => this.state.doc && run[b.dataset.do]()));
+    document.querySelectorAll("[data-do]").forEach((b) => b.addEventListener("click", () => this.state.doc && this.attempt(run[b.dataset.do])));
     document.querySelectorAll("[data-tool]").forEach((b) =>
       b.addEventListener("click", () => this.state.doc && actions.setTool(this, b.dataset.tool)));
-    document.getElementById("clips").addEventListener("click", () => clips(this));
+    document.getElementById("clips").addEventListener("click", () => this.attempt(clips));
   }
 
   #resize() {
@@ -147,14 +166,5 @@ class App {
   }
 }
 
-async function start() {
-  const app = new App();
-  window.labeller = app;
-  try {
-    await app.open(document.documentElement.dataset.clip);
-  } catch (error) {
-    open("The clip cannot be opened", element("p", {}, error.message), row(button("All clips", () => clips(app)), button("Close", close)));
-  }
-}
-
-start();
+window.labeller = new App();
+window.labeller.open(document.documentElement.dataset.clip);
