@@ -64,7 +64,7 @@ def errors_of(results: dict[str, Any], method: str) -> np.ndarray:
 
 def seeds_figure(results: dict[str, Any]) -> Figure:
     """Mean error of every seed, beside the printed value."""
-    figure, axes = plt.subplots(figsize=(6.5, 3))
+    figure, axes = plt.subplots(figsize=(7.5, 3))
     published = load_protocol("kt3dmoseg").published
     for place, method in enumerate(ORDER):
         means = np.sort(errors_of(results, method).mean(axis=0))
@@ -133,7 +133,8 @@ def sensitivity_figure(results: dict[str, Any], sweeps: list[dict[str, Any]]) ->
             axes.set_xscale("log")
     panels[0].set_ylabel("mean error, %; band: range over seeds")
     panels[0].set_ylim(bottom=0)
-    panels[0].legend(frameon=False, ncols=2)
+    if panels[0].lines[:-1]:
+        panels[0].legend(frameon=False, ncols=2)
     return figure
 
 
