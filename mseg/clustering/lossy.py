@@ -69,7 +69,7 @@ def compress(points: FloatArray, distortion: float) -> IntArray:
     -----
     Scatter matrices add up under merging. Unions with single points all have the same size, so their
     determinants follow from one inverse (matrix determinant lemma); those with larger groups take one
-    batch of Cholesky pivots. O(N^2 n^2) for unions with single points, O(N G n^3) for G larger groups.
+    batch of Cholesky factorisations. O(N^2 n^2) for the former, O(N G n^3) for G larger groups.
 
     References
     ----------
@@ -101,7 +101,7 @@ class _Groups:
     def __post_init__(self) -> None:
         n, total = self.points.shape
         self.owner, self.size = np.arange(total), np.ones(total)
-        self.scatter = self.points[:, None, :] * self.points[None, :, :]
+        self.scatter = self.points.T[:, :, None] * self.points.T[:, None, :]
         gram = self.points.T @ self.points
         squares = np.diagonal(gram)
         self.length = self._bits(1.0, np.log1p(n / self.distortion**2 * squares))
@@ -124,7 +124,7 @@ class _Groups:
         self.owner[self.owner == j] = i
         self.size[i] += self.size[j]
         self.size[j] = 0
-        self.scatter[:, :, i] += self.scatter[:, :, j]
+        self.scatter[i] += self.scatter[j]
         self.length[i] += self.length[j] + self.best[i]
         self._relate(i)
         self.change[j] = self.change[:, j] = np.inf
@@ -142,21 +142,22 @@ class _Groups:
         groups = np.flatnonzero(self.size > 1)
         groups = groups[groups != i]
         sizes = self.size[i] + self.size[groups]
-        union = self._identity_plus(self.scatter[:, :, i, None] + self.scatter[:, :, groups], sizes)
-        row[groups] = self._bits(sizes, _log_determinants(union))
+        unions = self._identity_plus(self.scatter[i] + self.scatter[groups], sizes)
+        row[groups] = self._bits(sizes, _log_determinants(unions))
         row -= self.length[i] + self.length
         self.change[i] = self.change[:, i] = row
 
     def _identity_plus(self, scatter: FloatArray, sizes: FloatArray) -> FloatArray:
-        n = len(scatter)
-        scaled = scatter * (n / (self.distortion**2 * sizes))
-        scaled[range(n), range(n)] += 1
+        """Return I + a S for (B, n, n) scatters of groups of (B,) sizes."""
+        n = scatter.shape[1]
+        scaled = scatter * (n / (self.distortion**2 * sizes))[:, None, None]
+        scaled[:, range(n), range(n)] += 1
         return np.asarray(scaled)
 
     def _factor(self, i: int, size: float, points: FloatArray) -> tuple[float, FloatArray]:
         """Return log det B and ``a w^T B^-1 w`` of points w: B = I + a S_i, a = n / (epsilon^2 size)."""
         n = len(self.points)
-        matrix = self._identity_plus(self.scatter[:, :, i], np.float64(size))
+        matrix = self._identity_plus(self.scatter[i : i + 1], np.array([size]))[0]
         right = points * (np.sqrt(n / size) / self.distortion)
         factor, failed = dpotrf(matrix, lower=1)
         if not failed and np.diagonal(factor).min() >= 1:
@@ -180,13 +181,23 @@ class _Groups:
 
 
 def _log_determinants(matrices: FloatArray) -> FloatArray:
-    """Logarithms of the determinants of (n, n, B) matrices I + S, S positive semi-definite; destroys them.
+    """Logarithms of the determinants of (B, n, n) matrices I + S, S positive semi-definite."""
+    try:
+        pivots = np.diagonal(np.linalg.cholesky(matrices), axis1=1, axis2=2)
+        if (pivots >= 1).all():
+            return np.asarray(2 * np.log(pivots).sum(axis=1))
+    except np.linalg.LinAlgError:
+        pass
+    return _log_determinants_by_elimination(matrices.transpose(1, 2, 0).copy())
 
-    Elimination over the whole batch at once: LAPACK would be called B times for a few numbers each.
+
+def _log_determinants_by_elimination(matrices: FloatArray) -> FloatArray:
+    """Do the same for (n, n, B), where rounding makes S indefinite; destroys the matrices.
+
+    Elimination leaves pivots of 1 plus something >= 0; less is rounding, in a direction without scatter.
     """
-    n = len(matrices)
     total = np.zeros(matrices.shape[2])
-    for k in range(n):
+    for k in range(len(matrices)):
         pivot = matrices[k, k]
         sound = pivot > 1
         total += np.log(pivot, out=np.zeros_like(pivot), where=sound)
@@ -200,7 +211,6 @@ def _eliminate(matrix: FloatArray, right: FloatArray) -> tuple[float, FloatArray
     """Do what Cholesky's factorisation does for a matrix I + S where rounding makes S indefinite."""
     logarithm, squares = 0.0, np.zeros(right.shape[1])
     for k in range(len(matrix)):
-        # Elimination leaves 1 plus something >= 0; less is rounding in a direction without scatter.
         pivot = max(float(matrix[k, k]), 1.0)
         logarithm += float(np.log(pivot))
         squares += right[k] ** 2 / pivot

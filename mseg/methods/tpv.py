@@ -51,7 +51,7 @@ class TPV:
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`."""
         views = epipolar_views(clip.evaluated_trajectories, self.pairs, self.gap)
-        used = np.any([view.any(axis=0) for view in views] or [[False]], axis=0)
+        used = np.any([view.any(axis=0) for view in views], axis=0) if views else np.zeros(1, dtype=np.bool_)
         fewest = max(n_motions or 2, 2)
         if used.sum() < fewest:
             expected = f"at least {fewest} trajectories seen in a pair of frames"
