@@ -28,10 +28,12 @@ def robust_pca(
 ) -> RobustPCA:
     """Minimise ``|A|_* + weight |E|_1`` subject to ``A + E = X`` by the inexact augmented Lagrangian.
 
+    Missing entries are errors that cost nothing, so that the low-rank part alone decides them.
+
     Parameters
     ----------
     matrix : (D, N) float64
-        Data X, finite.
+        Data X, NaN where missing.
     weight : float or None
         Weight of the errors; by default ``1 / sqrt(max(D, N))`` (Candes et al. 2011).
     tolerance : float
@@ -46,20 +48,25 @@ def robust_pca(
     References
     ----------
     Lin, Chen, Ma, "The augmented Lagrange multiplier method for exact recovery of corrupted low-rank
-    matrices", 2010, algorithm 5 (penalty 1.25 / sigma_1, growth 1.5).
+    matrices", 2010, algorithm 5 (penalty 1.25 / sigma_1, growth 1.5). Missing entries: Candes, Li, Ma,
+    Wright, "Robust principal component analysis?", JACM 2011, section 1.6.
     """
+    seen = np.isfinite(matrix)
+    matrix = np.where(seen, matrix, 0.0)
     weight = float(1 / np.sqrt(max(matrix.shape))) if weight is None else weight
     largest, size = float(np.linalg.norm(matrix, 2)), float(np.linalg.norm(matrix))
     if size == 0:
         return RobustPCA(matrix.copy(), np.zeros_like(matrix), Convergence(True, 0, 0.0))
     low_rank, sparse = np.zeros_like(matrix), np.zeros_like(matrix)
     multiplier = matrix / max(largest, np.abs(matrix).max() / weight)
+    multiplier *= seen
+    price = np.where(seen, weight, 0.0)
     penalty = 1.25 / largest
     cap = penalty * 1e7
 
     def step() -> float:
         nonlocal low_rank, sparse, multiplier, penalty
-        sparse = shrink(matrix - low_rank + multiplier / penalty, weight / penalty)
+        sparse = shrink(matrix - low_rank + multiplier / penalty, price / penalty)
         low_rank = shrink_singular_values(matrix - sparse + multiplier / penalty, 1 / penalty)
         gap = matrix - low_rank - sparse
         multiplier = multiplier + penalty * gap

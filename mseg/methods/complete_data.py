@@ -5,7 +5,8 @@ Rules, the same for all of them:
 * Trajectories seen in fewer than two frames say nothing about motion. They take no part; at the end
   they join the largest motion, the best guess without evidence.
 * Frames in which no other trajectory is seen are left out.
-* Gaps are filled by low-rank completion in pixels, or refused, by the option ``completion``.
+* Gaps are filled by low-rank completion in pixels, or refused, by the option ``completion``; with "rpca"
+  gross errors of seen positions are repaired as well.
 * Fewer trajectories than motions, fewer than two frames, or trajectories that all coincide are an error.
 """
 
@@ -21,7 +22,7 @@ import numpy as np
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
-from mseg.completion import Completion, complete
+from mseg.completion import Completion, complete, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.trajectory_matrix import normalised, normalising_matrix, trajectory_matrix
 from mseg.types import Segmentation
@@ -68,17 +69,20 @@ class CompleteData:
         return everywhere.astype(np.int64)
 
 
-def complete_data(clip: Clip, completion: Literal["chen", "none"] = "chen", rank: int = 5) -> CompleteData:
+def complete_data(
+    clip: Clip, completion: Literal["chen", "rpca", "none"] = "chen", rank: int = 5
+) -> CompleteData:
     """Trajectory matrices of the evaluated trajectories, without gaps.
 
     Parameters
     ----------
     clip : Clip
         The sequence.
-    completion : {"chen", "none"}
-        Fill gaps by `mseg.completion.complete`, or refuse them.
+    completion : {"chen", "rpca", "none"}
+        Fill gaps by `mseg.completion.complete`; take the low-rank part of `mseg.completion.robust_pca`,
+        gaps or not; or refuse gaps.
     rank : int
-        Rank of the completion.
+        Rank of the completion "chen".
 
     Raises
     ------
@@ -102,15 +106,17 @@ def complete_data(clip: Clip, completion: Literal["chen", "none"] = "chen", rank
             clip.name, expected="complete trajectories", found=f"{gaps} missing positions",
             fix="use completion='chen'",
         )  # fmt: skip
-    filled = complete(trajectory_matrix(kept.xy[:, frames]), rank)
+    matrix = trajectory_matrix(kept.xy[:, frames])
+    filled = _repaired(matrix) if completion == "rpca" else complete(matrix, rank)
     _check_distinct(filled.matrix, clip.name)
     whole = _as_trajectories(filled.matrix, trajectories)
-    matrix = normalising_matrix(trajectories, clip.camera)
+    normalising = normalising_matrix(trajectories, clip.camera)
+    touched = completion == "rpca" or not trajectories.visible.all()
     return CompleteData(
         filled.matrix,
-        trajectory_matrix(normalised(whole, matrix)),
+        trajectory_matrix(normalised(whole, normalising)),
         used,
-        _completion_report(filled, used) if not trajectories.visible.all() else {},
+        _completion_report(filled, used) if touched else {},
     )
 
 
@@ -121,8 +127,9 @@ class CompleteDataMethod(ABC):
     finds_n_motions: ClassVar[bool] = False
     """Whether `n_motions` may be None."""
 
-    completion: Literal["chen", "none"] = option(
-        "chen", "how gaps are filled: 'chen' (low-rank), or 'none' to refuse them"
+    completion: Literal["chen", "rpca", "none"] = option(
+        "chen",
+        "how gaps are filled: 'chen' (fixed rank), 'rpca' (repairs gross errors too), 'none' to refuse",
     )
     completion_rank: int = option(5, "rank of the completion of gaps", low=1)
 
@@ -153,6 +160,17 @@ class CompleteDataMethod(ABC):
 def _check_distinct(matrix: FloatArray, name: str) -> None:
     if np.ptp(matrix, axis=1).max() <= np.finfo(np.float64).eps * np.abs(matrix).max():
         raise SegmentationError(name, expected="trajectories that differ", found="one, repeated")
+
+
+def _repaired(matrix: FloatArray) -> Completion:
+    seen = np.isfinite(matrix)
+    # Far from the origin the common position would be the one direction that counts.
+    centre = np.nanmean(matrix, axis=1, keepdims=True)
+    split = robust_pca(matrix - centre)
+    rank = int(np.linalg.matrix_rank(split.low_rank, tol=1e-6 * float(np.linalg.norm(split.low_rank, 2))))
+    rms = float(np.sqrt((split.sparse[seen] ** 2).mean()))
+    undetermined = int((seen.sum(axis=0) < rank).sum())
+    return Completion(split.low_rank + centre, rank, rms, undetermined, split.convergence)
 
 
 def _as_trajectories(matrix: FloatArray, like: Trajectories) -> Trajectories:

@@ -1,0 +1,192 @@
+"""Methods by preferences, coding length and several views: what they promise on clean data."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import mseg.methods as methods
+from kt3dmoseg.types import Clip, Labels, Trajectories
+from mseg.clustering.collaborative import collaborative_representation
+from mseg.clustering.consistent import component_projector, consistent_affinity
+from mseg.clustering.linkage import by_size, tanimoto_linkage
+from mseg.clustering.lossy import _Groups, coding_lengths, compress
+from mseg.clustering.symmetric_factors import symmetric_factors
+from mseg.completion import robust_pca
+from mseg.errors import SegmentationError
+from mseg.geometry.flats import best_flat_distances, flat_distances
+from mseg.geometry.trajectory_matrix import trajectory_matrix
+from mseg.methods.alc import elect, sparsity_preserving_dimension
+from mseg.methods.complete_data import complete_data
+from mseg.methods.tlinkage import count_large
+from mseg.methods.tpv import epipolar_views
+from mseg.sampling.localised import draw_near_subsets
+
+
+def agree(labels, truth):
+    return np.array_equal(labels[:, None] == labels, truth[:, None] == truth)
+
+
+@pytest.mark.parametrize("name", ["alc", "tlinkage", "rpa"])
+def test_affine_motions_are_separated(make_scene, name):
+    clip = make_scene(np.random.default_rng(1), (26, 20), n_frames=10, noise=0.05)
+    options = {"dimension": 5, "distortions": 25} if name == "alc" else {}
+    result = methods.segment(clip, name, n_motions=2, **options)
+    inlier = result.labels > 0
+    assert inlier.mean() > 0.9
+    assert agree(result.labels[inlier], clip.labels.label[inlier])
+    assert result.report.get("converged", True)
+
+
+def test_tlinkage_finds_the_number_of_motions_and_lowers_the_threshold(make_scene):
+    clip = make_scene(np.random.default_rng(2), (25, 25, 25), noise=0.02)
+    assert agree(methods.segment(clip, "tlinkage").labels, clip.labels.label)
+    coarse = methods.segment(clip, "tlinkage", n_motions=3, epsilon=300.0)
+    assert set(coarse.labels) == {1, 2, 3}
+    assert coarse.report["epsilon"] < 300
+
+
+@pytest.mark.parametrize("name", ["alc", "rpa", "mssc", "consistent"])
+def test_a_number_of_motions_is_asked_for(make_scene, name):
+    clip = make_scene(np.random.default_rng(3), (10, 10))
+    with pytest.raises(methods.InvalidValueError, match="n_motions"):
+        methods.segment(clip, name)
+
+
+def test_linkage_separates_orthogonal_tastes():
+    tastes = np.array([[1, 0.5, 0], [0, 0, 1], [0.9, 0.6, 0], [0, 0, 0], [1, 0.4, 0]])
+    np.testing.assert_array_equal(tanimoto_linkage(tastes), [1, 2, 1, 3, 1])
+    np.testing.assert_array_equal(by_size(np.array([7, 3, 3, 9])), [2, 1, 1, 3])
+
+
+@pytest.mark.parametrize(("sizes", "large"), [([40, 30, 2, 1], 2), ([100, 20, 18, 1], 3), ([9], 1)])
+def test_outlier_clusters_come_after_the_largest_drop(sizes, large):
+    assert count_large(np.array(sizes)) == large
+
+
+def test_distances_to_flats(rng):
+    points = rng.normal(size=(9, 5))
+    samples = np.array([[0, 1, 2, 3], [4, 5, 6, 7]])
+    distance = flat_distances(points, samples)
+    np.testing.assert_allclose(distance[samples, [[0], [1]]], 0, atol=1e-12)
+    basis, _ = np.linalg.qr((points[1:4] - points[0]).T)
+    off = (points - points[0]) - (points - points[0]) @ basis @ basis.T
+    np.testing.assert_allclose(distance[:, 0], np.linalg.norm(off, axis=1), atol=1e-12)
+    np.testing.assert_allclose(best_flat_distances(points, np.arange(4), 3), distance[:, 0], atol=1e-12)
+
+
+def test_near_subsets_are_subsets_that_start_with_each_point_in_turn(rng):
+    points = np.vstack([rng.normal(size=(12, 3)), 100 + rng.normal(size=(12, 3))])
+    subsets = draw_near_subsets(points, 60, 4, rng)
+    np.testing.assert_array_equal(subsets[:, 0], np.arange(60) % 24)
+    assert all(len(set(row)) == 4 for row in subsets.tolist())
+    assert ((subsets < 12) == (subsets[:, :1] < 12)).mean() > 0.99
+
+
+def test_coding_length_of_the_definition(rng):
+    points, labels = rng.normal(size=(3, 10)), np.repeat([1, 2], [6, 4])
+    expected = 0.0
+    for group, m in ((1, 6), (2, 4)):
+        part = points[:, labels == group]
+        _, logarithm = np.linalg.slogdet(np.eye(3) + 3 / (0.5**2 * m) * part @ part.T)
+        expected += (m + 3) / 2 * logarithm / np.log(2) - m * np.log2(m / 10)
+    np.testing.assert_allclose(coding_lengths(points, labels, np.array([0.5])), expected)
+
+
+@pytest.mark.parametrize("distortion", [1e-8, 0.05, 1.0])
+def test_changes_under_merging_are_those_of_the_coding_length(rng, distortion):
+    points = rng.normal(size=(3, 14)) * 30
+    groups = _Groups(points, distortion)
+    at = np.array([distortion])
+    for _ in range(9):
+        before, expected = coding_lengths(points, groups.owner, at)[0], groups.best.min()
+        if not groups.merge():
+            break
+        change = coding_lengths(points, groups.owner, at)[0] - before
+        assert change == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_compression_finds_planes(rng):
+    planes = [rng.normal(size=(4, 2)) @ rng.normal(size=(2, 20)) * 50 for _ in range(2)]
+    points = np.hstack(planes) + 0.01 * rng.normal(size=(4, 40))
+    assert agree(compress(points, 0.1), np.repeat([1, 2], 20))
+
+
+def test_election_without_a_candidate_says_so(rng):
+    points = rng.normal(size=(2, 12))
+    found = [np.repeat([1, 2], 6), np.ones(12, dtype=int)]
+    labels, report = elect(points, np.array([0.1, 1.0]), found, 3)
+    np.testing.assert_array_equal(labels, found[0])
+    assert report["exact_count"] is False
+    assert sparsity_preserving_dimension(60) == 16
+
+
+def test_components_share_a_tie_evenly():
+    np.testing.assert_allclose(component_projector(np.zeros((4, 4)), 2), np.eye(4) / 2, atol=1e-12)
+    blocks = np.kron(np.eye(2), np.ones((3, 3)) - np.eye(3))
+    np.testing.assert_allclose(
+        component_projector(blocks, 2), np.kron(np.eye(2), np.ones((3, 3)) / 3), atol=1e-9
+    )
+
+
+def test_consistent_graph_falls_into_components(rng):
+    block = np.kron(np.eye(2), np.ones((8, 8)))
+    noise = [rng.random((16, 16)) * 0.05 for _ in range(3)]
+    solved = consistent_affinity([block + n + n.T for n in noise], 2, rank_weight=0.2)
+    assert solved.convergence.iterations > 1
+    np.testing.assert_array_equal(solved.shared, solved.shared.T)
+    assert solved.shared[:8, 8:].max() < 0.1 * solved.shared[:8, :8].mean()
+
+
+def test_factors_recover_memberships():
+    truth = np.kron(np.eye(2), np.ones((5, 1)))
+    solved = symmetric_factors(truth @ truth.T, truth + 0.2)
+    assert solved.convergence.converged
+    np.testing.assert_allclose(solved.memberships, truth, atol=1e-3)
+
+
+def test_correspondences_of_a_motion_lie_in_a_hyperplane(make_scene):
+    clip = make_scene(np.random.default_rng(4), (30,))
+    for view in epipolar_views(clip.evaluated_trajectories, 3, 0.25):
+        assert np.linalg.svd(view)[1][-1] < 1e-9
+        np.testing.assert_allclose(np.linalg.norm(view, axis=0), 1)
+
+
+def test_collaboration_leaves_unseen_points_out(rng):
+    views = [rng.normal(size=(3, 8)) for _ in range(2)]
+    for view in views:
+        view[:, 7] = 0
+    solved = collaborative_representation([v / np.maximum(np.linalg.norm(v, axis=0), 1e-9) for v in views])
+    assert not solved.coefficients[7].any()
+    assert not solved.coefficients[:, 7].any()
+    assert not np.diagonal(solved.coefficients).any()
+
+
+def test_tpv_wants_trajectories_in_pairs_of_frames():
+    xy = np.full((6, 4, 2), np.nan)
+    xy[np.arange(6), np.arange(6) % 4] = 1.0
+    clip = Clip("rare", Trajectories(xy, np.isfinite(xy).all(axis=2)), np.arange(6), Labels(np.ones(6, int)))
+    with pytest.raises(SegmentationError, match="pair of frames"):
+        methods.segment(clip, "tpv", n_motions=2)
+
+
+def test_robust_pca_decides_missing_and_corrupted_entries(rng):
+    truth = rng.normal(size=(30, 2)) @ rng.normal(size=(2, 60))
+    data = truth.copy()
+    data[rng.random(data.shape) < 0.05] += 20
+    data[rng.random(data.shape) < 0.1] = np.nan
+    split = robust_pca(data)
+    assert split.convergence.converged
+    # A column with few sound entries may stay undecided.
+    assert np.quantile(np.abs(split.low_rank - truth).max(axis=0), 0.95) < 1e-3
+
+
+def test_completion_by_robust_pca_repairs_gross_errors(make_scene, rng):
+    clip = make_scene(np.random.default_rng(6), (60,), n_frames=30)
+    truth = clip.dense.xy
+    jumps = 40 * (rng.random(truth.shape) < 0.02)
+    visible = rng.random(truth.shape[:2]) > 0.05
+    xy = np.where(visible[..., None], truth + jumps, np.nan)
+    data = complete_data(replace(clip, dense=Trajectories(xy, visible, image_size=(640, 480))), "rpca")
+    assert data.report["completion_converged"]
+    assert np.quantile(np.abs(data.pixels - trajectory_matrix(truth)), 0.98) < 0.5
