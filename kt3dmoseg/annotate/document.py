@@ -11,15 +11,8 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from kt3dmoseg.annotate.model import (
-    FORMAT,
-    VERSION,
-    AnnotatedObject,
-    Annotation,
-    KeyFrame,
-    Mark,
-    within,
-)
+from kt3dmoseg.annotate.checks import within
+from kt3dmoseg.annotate.model import FORMAT, VERSION, AnnotatedObject, Annotation, KeyFrame, Mark
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes, write_text
 from kt3dmoseg.registry import unknown_name

@@ -6,13 +6,24 @@ annotation before it, and undo is nothing but remembering the former value.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, TypeAlias, get_args
 
+from kt3dmoseg.annotate.checks import (
+    MAX_FRAMES,
+    MAX_OBJECTS,
+    MAX_SIDE,
+    REJECT,
+    Motion,
+    Polygon,
+    check_motion,
+    polygon_from,
+    polygons_from,
+    text,
+    whole,
+    within,
+)
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 
@@ -20,35 +31,11 @@ FORMAT = "kt3dmoseg-annotation"
 VERSION = 1
 PROTOCOL = 1
 
-Point: TypeAlias = tuple[float, float]
-Polygon: TypeAlias = tuple[Point, ...]
 Visibility: TypeAlias = Literal["visible", "occluded", "outside"]
-Motion: TypeAlias = int | Literal["reject"]
 
-REJECT: Literal["reject"] = "reject"
 BACKGROUND = 0
 VISIBILITIES: tuple[str, ...] = get_args(Visibility)
 KINDS = ("car", "van", "truck", "bus", "tram", "motorcycle", "cyclist", "pedestrian", "animal", "other")
-
-# Bounds of what a person draws; they keep a hostile file from costing memory or time.
-MAX_FRAMES = 100_000
-MAX_OBJECTS = 1_000
-MAX_POLYGONS = 200
-MAX_POINTS = 5_000
-MAX_TEXT = 500
-_MAX_SIDE = 100_000
-
-
-@contextmanager
-def within(path: str) -> Iterator[None]:
-    """Put `path` before the field that a validation error names."""
-    try:
-        yield
-    except InvalidValueError as error:
-        joint = "" if error.where.startswith("[") else "."
-        raise InvalidValueError(
-            f"{path}{joint}{error.where}", expected=error.expected, found=error.found, fix=error.fix
-        ) from None
 
 
 @dataclass(frozen=True)
@@ -205,8 +192,8 @@ class Annotation:
         whole("protocol", self.protocol, 1, MAX_FRAMES)
         whole("revision", self.revision, 0, 2**53)
         width, height = self.image_size
-        whole("image_size[0]", width, 1, _MAX_SIDE)
-        whole("image_size[1]", height, 1, _MAX_SIDE)
+        whole("image_size[0]", width, 1, MAX_SIDE)
+        whole("image_size[1]", height, 1, MAX_SIDE)
         object.__setattr__(self, "image_size", (width, height))
         object.__setattr__(self, "objects", tuple(self.objects))
         object.__setattr__(self, "marks", tuple(self.marks))
@@ -243,57 +230,6 @@ class Annotation:
         """Return the annotation with `changed` in place of the object of the same id."""
         self.object(changed.id)
         return replace(self, objects=tuple(changed if o.id == changed.id else o for o in self.objects))
-
-
-def polygons_from(polygons: Sequence[Sequence[Sequence[float]]]) -> tuple[Polygon, ...]:
-    """Check a list of polygons and return it as tuples of floats."""
-    if len(polygons) > MAX_POLYGONS:
-        raise InvalidValueError("polygons", expected=f"at most {MAX_POLYGONS}", found=str(len(polygons)))
-    return tuple(polygon_from(polygon, f"polygons[{i}]") for i, polygon in enumerate(polygons))
-
-
-def polygon_from(polygon: Sequence[Sequence[float]], where: str) -> Polygon:
-    """Check one polygon and return it as a tuple of pairs of floats."""
-    if not 3 <= len(polygon) <= MAX_POINTS:
-        raise InvalidValueError(where, expected=f"3 to {MAX_POINTS} points", found=str(len(polygon)))
-    return tuple(_point(point, f"{where}[{i}]") for i, point in enumerate(polygon))
-
-
-def check_motion(motion: Motion) -> None:
-    """Check a motion number.
-
-    Raises
-    ------
-    InvalidValueError
-        Unless it is ``"reject"`` or a whole number of at least 0.
-    """
-    if motion == REJECT:
-        return
-    if isinstance(motion, bool) or not isinstance(motion, int) or not 0 <= motion <= MAX_OBJECTS:
-        expected = f"a whole number in 0..{MAX_OBJECTS} or 'reject'"
-        raise InvalidValueError("motion", expected=expected, found=repr(motion))
-
-
-def whole(name: str, value: object, low: int, high: int) -> int:
-    """Return `value` when it is a whole number in low..high; else name the field."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise InvalidValueError(name, expected=f"a whole number in {low}..{high}", found=repr(value)[:80])
-    return value
-
-
-def text(name: str, value: object, *, empty: bool = False) -> str:
-    """Return `value` when it is a text of sensible length; else name the field."""
-    if not isinstance(value, str) or len(value) > MAX_TEXT or not (value.strip() or empty):
-        expected = f"a text of {0 if empty else 1} to {MAX_TEXT} characters"
-        raise InvalidValueError(name, expected=expected, found=repr(value)[:80])
-    return value
-
-
-def _point(point: Sequence[float], where: str) -> Point:
-    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in point)
-    if len(point) != 2 or not numbers or not all(math.isfinite(v) and abs(v) <= _MAX_SIDE for v in point):
-        raise InvalidValueError(where, expected="[x, y] in pixels", found=repr(point)[:80])
-    return float(point[0]), float(point[1])
 
 
 def _check_objects(annotation: Annotation) -> None:

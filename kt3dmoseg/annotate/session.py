@@ -18,8 +18,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from kt3dmoseg.annotate.checks import Motion
 from kt3dmoseg.annotate.document import load_annotation
-from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Mark, Motion, Visibility
+from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Mark, Visibility
 from kt3dmoseg.annotate.motion import ImageMotion
 from kt3dmoseg.annotate.regions import propagate_object
 from kt3dmoseg.annotate.store import save_revision

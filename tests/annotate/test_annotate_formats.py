@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, formats
+from kt3dmoseg.annotate.checks import REJECT
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.indexed_png import decode_indexed, encode_indexed
 from kt3dmoseg.annotate.formats.masks import label_image, mask_of, polygons_of, simplify
-from kt3dmoseg.annotate.model import REJECT
 from kt3dmoseg.errors import KT3DMoSegError
 
 ALL = formats.FORMATS.names()

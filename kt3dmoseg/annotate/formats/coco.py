@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from kt3dmoseg.annotate.checks import Motion, polygon_from
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, from_masks, mask_of
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, Motion, polygon_from
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray

@@ -15,20 +15,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from xml.etree import ElementTree as ET
 
+from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, polygon_from, within
 from kt3dmoseg.annotate.formats import safe_xml
 from kt3dmoseg.annotate.formats.masks import check_frame
-from kt3dmoseg.annotate.model import (
-    KINDS,
-    REJECT,
-    AnnotatedObject,
-    Annotation,
-    KeyFrame,
-    Motion,
-    Polygon,
-    Visibility,
-    polygon_from,
-    within,
-)
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame, Visibility
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import FloatArray

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from kt3dmoseg.annotate.checks import REJECT, Motion
 from kt3dmoseg.annotate.formats.archive import pack, unpack
 from kt3dmoseg.annotate.formats.indexed_png import decode_indexed, encode_indexed
 from kt3dmoseg.annotate.formats.masks import check_shape, from_masks, label_image
-from kt3dmoseg.annotate.model import REJECT, Annotation, Motion
+from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import BoolArray

@@ -15,18 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, polygon_from, within
 from kt3dmoseg.annotate.formats.archive import pack, unpack
-from kt3dmoseg.annotate.model import (
-    KINDS,
-    REJECT,
-    AnnotatedObject,
-    Annotation,
-    KeyFrame,
-    Motion,
-    Polygon,
-    polygon_from,
-    within,
-)
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 

@@ -13,18 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from kt3dmoseg.annotate.model import (
-    BACKGROUND,
-    KINDS,
-    MAX_POINTS,
-    MAX_POLYGONS,
-    REJECT,
-    AnnotatedObject,
-    Annotation,
-    KeyFrame,
-    Motion,
-    Polygon,
-)
+from kt3dmoseg.annotate.checks import MAX_POINTS, MAX_POLYGONS, REJECT, Motion, Polygon
+from kt3dmoseg.annotate.model import BACKGROUND, KINDS, AnnotatedObject, Annotation, KeyFrame
 from kt3dmoseg.annotate.polygons import area, bounds, inside
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError

@@ -15,10 +15,11 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.annotate.checks import REJECT, Motion
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.archive import decode_png, encode_png, pack, unpack
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, from_masks, label_image
-from kt3dmoseg.annotate.model import REJECT, AnnotatedObject, Annotation, Motion
+from kt3dmoseg.annotate.model import AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray

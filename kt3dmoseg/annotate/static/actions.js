@@ -1,72 +1,19 @@
-// Everything a person can do, by key, button or pointer. Each is a function of the app.
+// Everything a person can do, by key, button or pointer: edits here, the rest in navigation.js. Each is a
+// function of the app.
 
 import * as edits from "./edits.js";
-import { boundsOf, distance, inside, rounded, simplify } from "./geometry.js";
+import { distance, inside, rounded, simplify } from "./geometry.js";
+import { goTo } from "./navigation.js";
 import { editableRegion, regionOf } from "./region.js";
-import * as views from "./view.js";
+import { chosen, say, selectedObject } from "./selection.js";
 
-const FRAME_TIME = 110;
-const FLICKER_TIME = 220;
+export * from "./navigation.js";
+export { say, selectedObject } from "./selection.js";
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
-export const selectedObject = ({ state }) => state.doc && edits.objectOf(state.doc, state.selected);
 
 /** The selected object's region here, ready to be edited. */
 export const regionHere = (app) => editableRegion(app.state, selectedObject(app), app.state.frame);
-
-export function say(app, text) {
-  app.state.set({ hint: text });
-  clearTimeout(app.hintTimer);
-  app.hintTimer = setTimeout(() => app.state.set({ hint: "" }), 4000);
-}
-
-function chosen(app) {
-  const item = selectedObject(app);
-  if (!item) say(app, "Select an object first: click it, or press ]");
-  return item;
-}
-
-// Frames
-
-export function goTo(app, frame) {
-  app.state.set({ frame: clamp(frame, 0, app.state.clip.n_frames - 1), vertex: null, lassoed: null });
-}
-
-export const step = (app, by) => goTo(app, app.state.frame + by);
-
-export function play(app) {
-  stopTimer(app, "flickerTimer", { flickered: null });
-  if (stopTimer(app, "playTimer", { playing: false })) return;
-  app.state.set({ playing: true });
-  app.playTimer = setInterval(() => goTo(app, (app.state.frame + 1) % app.state.clip.n_frames), FRAME_TIME);
-}
-
-export function flicker(app) {
-  stopTimer(app, "playTimer", { playing: false });
-  if (stopTimer(app, "flickerTimer", { flickered: null })) return;
-  const other = () => {
-    const { frame, clip, flickered } = app.state;
-    const next = frame + 1 < clip.n_frames ? frame + 1 : frame - 1;
-    app.state.set({ flickered: flickered === null || flickered === frame ? next : frame });
-  };
-  other();
-  app.flickerTimer = setInterval(other, FLICKER_TIME);
-}
-
-function stopTimer(app, name, changes) {
-  if (!app[name]) return false;
-  clearInterval(app[name]);
-  app[name] = null;
-  app.state.set(changes);
-  return true;
-}
-
-export function toKeyFrame(app, direction) {
-  const item = chosen(app);
-  if (!item) return;
-  const frames = item.key_frames.map((key) => key.frame).filter((f) => (f - app.state.frame) * direction > 0);
-  if (frames.length) goTo(app, direction > 0 ? Math.min(...frames) : Math.max(...frames));
-}
 
 // Objects
 
@@ -303,63 +250,3 @@ export function deleteVertex(app, which = app.state.vertex) {
 }
 
 const rounded2 = (polygons) => polygons.map(rounded);
-
-// View
-
-export function zoom(app, factor, at = null) {
-  const { view, pointer, cross } = app.state;
-  const focus = at ?? (cross || pointer ? views.toScreen(view, cross ?? pointer) : app.screenMiddle());
-  app.state.set({ view: views.zoomed(view, factor, focus, app.farthest()) });
-}
-
-export function pan(app, dx, dy) {
-  app.state.set({ view: views.panned(app.state.view, dx, dy) });
-}
-
-export function fitAll(app) {
-  app.state.set({ view: views.fit(app.state.clip.image_size, app.stage()) });
-}
-
-export function fitObject(app) {
-  const item = chosen(app);
-  const box = item && boundsOf(regionOf(app.state, item, app.state.frame).polygons);
-  if (box) app.state.set({ view: views.around(box, app.stage()) });
-}
-
-export const toggle = (app, name) => app.state.set({ [name]: !app.state[name] });
-
-export function cycleColouring(app) {
-  const order = ["label", "length", "none"];
-  const colouring = order[(order.indexOf(app.state.colouring) + 1) % order.length];
-  app.state.set({ colouring });
-  say(app, { label: "Trajectories by label", length: "Trajectories by length", none: "No trajectories" }[colouring]);
-}
-
-export function brighten(app) {
-  app.brightness = ((app.brightness ?? 0) + 1) % 3;
-  app.pictureCanvas.className = `bright${app.brightness}`;
-}
-
-/** Go to the next trajectory that is unlabelled or in conflict. */
-export function nextProblem(app) {
-  const { labels, tracks } = app.state;
-  const rows = labels ? [...labels.reason.keys()].filter((row) => labels.reason[row] === 2 || labels.reason[row] === 3) : [];
-  if (!rows.length) return say(app, "No trajectory is unlabelled or in conflict");
-  app.problem = ((app.problem ?? -1) + 1) % rows.length;
-  const row = rows[app.problem];
-  const seen = [...Array(tracks.frames).keys()].filter((f) => !Number.isNaN(tracks.xy[2 * (row * tracks.frames + f)]));
-  show(app, row, seen[Math.floor(seen.length / 2)]);
-  const reason = labels.reason[row] === 3 ? "in conflict" : "too short to tell";
-  say(app, `trajectory ${row} is ${reason} (${app.problem + 1} of ${rows.length}); lasso it with Q`);
-}
-
-/** Show one trajectory in one frame. */
-export function show(app, row, frame) {
-  const { tracks } = app.state;
-  const at = 2 * (row * tracks.frames + frame);
-  const point = [tracks.xy[at], tracks.xy[at + 1]];
-  goTo(app, frame);
-  const scale = Math.max(app.state.view.scale, 4);
-  app.state.set({ cross: point, view: views.centred(...point, scale, app.stage()) });
-}
-
