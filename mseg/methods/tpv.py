@@ -33,7 +33,7 @@ class TPV:
     No code of it is public, and the paper was not at hand: which pairs, alpha, the stopping rule and the
     scaling of the affinity are ours.
     Input: gaps allowed. Number of motions: given, or the relative eigengap of the affinity (ours; the paper
-    over-segments and merges). Outliers: not handled. Cost: P pairs, O(P N^2) per iteration, up to 200, O(N^3)
+    over-segments and merges). Outliers: not handled. Cost: P pairs, O(P N^2) per iteration, up to 400, O(N^3)
     for the spectral step; O(P N^2) memory.
     """
 
@@ -45,7 +45,7 @@ class TPV:
     penalty: float = option(50.0, "penalty of ADMM's splitting", low=1e-9)
     rho: float = option(0.7, "share of a column's l1 norm that is kept", low=0, high=1)
     tolerance: float = option(2e-3, "largest residual of the constraint and step at convergence", low=0)
-    max_iterations: int = option(200, "cap on ADMM iterations", low=1)
+    max_iterations: int = option(400, "cap on ADMM iterations", low=1)
     restarts: int = option(20, "restarts of k-means", low=1)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
