@@ -71,8 +71,10 @@ class ViewMethod:
         "sampson", "residual: Sampson, or symmetric transfer for affine and homography"
     )
     fraction: float = option(0.1, "part of a pair's hypotheses that a point prefers", low=0, high=1)
+    # The authors add 2e-16 to every entry, too little to keep a few points that hang on no others from
+    # taking eigenvectors for themselves; see docs/reproduction.md.
     uniform: float = option(
-        0.0, "weight spread over all pairs of points, as a fraction of the mean degree", low=0
+        0.003, "weight spread over all pairs of points, as a fraction of the mean degree", low=0
     )
     restarts: int = option(100, "restarts of k-means", low=1)
 
