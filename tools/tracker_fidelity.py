@@ -1,6 +1,7 @@
 """How close our trajectories are to the 2018 release, and to the truth of synthetic drives.
 
-Usage: python tools/tracker_fidelity.py [--flow dis] [--clips CLIP ...] [--scenes 4] [-o OUT.md]
+Usage: python tools/tracker_fidelity.py [--flow dis] [--clips CLIP ...] [--scenes 4]
+       [--track NAME=VALUE ...] [-o OUT.md]
 
 Prints two Markdown tables. The first compares with the released trajectories: every one of them is
 started at its first point and followed by our flow alone (no stops), and compared after 1, 5 and 10
@@ -15,7 +16,7 @@ import argparse
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -65,8 +66,8 @@ def starts(tracks: Trajectories) -> np.ndarray:
     return np.c_[tracks.xy[np.arange(len(tracks)), first], first]
 
 
-def compare(clip: Clip, frames: Path, flow: Flow, cache: str | None) -> Release:
-    """Compare one clip with its release."""
+def compare(clip: Clip, frames: Path, flow: Flow, cache: str | None, options: Mapping[str, str]) -> Release:
+    """Compare one clip with its release; `options` are the tracker's."""
     dense = clip.dense.select(clip.dense.lengths > 0)
     label = np.zeros(len(clip.dense), int)
     label[clip.evaluated] = clip.labels.label
@@ -74,7 +75,7 @@ def compare(clip: Clip, frames: Path, flow: Flow, cache: str | None) -> Release:
     seeds = starts(dense)
     with tempfile.TemporaryDirectory() as temporary:
         followed = track(frames, flow, seeds, cache=cache or temporary, **NO_STOPS)
-        ours = track(frames, flow, cache=cache or temporary)
+        ours = track(frames, flow, cache=cache or temporary, **options)
     out = Release()
     gap = np.linalg.norm(followed.xy - dense.xy, axis=2)
     for k in AFTER:
@@ -149,9 +150,9 @@ class Truth:
         self.tracks += other.tracks
 
 
-def against_truth(scene: Scene, flow: Flow) -> Truth:
-    """Track a synthetic drive and compare with its geometry."""
-    ours = track(scene.frames(), flow)
+def against_truth(scene: Scene, flow: Flow, options: Mapping[str, str]) -> Truth:
+    """Track a synthetic drive and compare with its geometry; `options` are the tracker's."""
+    ours = track(scene.frames(), flow, **options)
     begin = starts(ours)
     exact = scene.trajectories(begin)
     rows, at = alive_after(ours, AFTER[-1])
@@ -227,6 +228,9 @@ def main() -> None:
     parser.add_argument("--flow", default="dis")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument(
+        "--track", action="append", default=[], metavar="NAME=VALUE", help="an option of the tracker"
+    )
+    parser.add_argument(
         "--clips", nargs="*", help="default: every released clip; none: --clips without names"
     )
     parser.add_argument("--scenes", type=int, default=4, help="number of synthetic drives")
@@ -234,27 +238,36 @@ def main() -> None:
     parser.add_argument("-o", "--output")
     arguments = parser.parse_args()
     flow = create(arguments.flow, **parse_assignments(arguments.set))
-    text = report(arguments.data / "kt3dmoseg", flow, arguments.clips, arguments.scenes, arguments.cache)
+    options = parse_assignments(arguments.track)
+    data = arguments.data / "kt3dmoseg"
+    text = report(data, flow, arguments.clips, arguments.scenes, arguments.cache, options)
     if arguments.output:
         write_text(arguments.output, text)
     sys.stdout.write(text)
 
 
-def report(data: Path, flow: Flow, clips: list[str] | None, scenes: int, cache: str | None) -> str:
+def report(
+    data: Path,
+    flow: Flow,
+    clips: list[str] | None,
+    scenes: int,
+    cache: str | None,
+    options: Mapping[str, str],
+) -> str:
     """Both tables, in Markdown."""
     known = sorted(p.name.removesuffix("_Tracks.mat") for p in (data / "release").glob("*_Tracks.mat"))
     chosen = known if clips is None else clips
     release = {
         name: lambda name=name: compare(
-            load(data / "release" / f"{name}_Tracks.mat"), data / "frames" / name, flow, cache
+            load(data / "release" / f"{name}_Tracks.mat"), data / "frames" / name, flow, cache, options
         )
         for name in chosen
     }
     truth = {
-        f"seed {seed}": lambda seed=seed: against_truth(make_scene(SceneOptions(seed=seed)), flow)
+        f"seed {seed}": lambda seed=seed: against_truth(make_scene(SceneOptions(seed=seed)), flow, options)
         for seed in range(scenes)
     }
-    parts = [f"`{flow}`\n"]
+    parts = [f"`{flow}` {dict(options) or ''}\n"]
     if release:
         parts.append(table(RELEASE_HEAD, pooled_last(release, Release(), release_row)))
     if truth:

@@ -35,11 +35,19 @@ class TrackOptions:
     )
     border_decay: float = option(0.1, "its decay per pixel (measured)", low=0)
     consistency: float = option(
-        0.01, "stop when |w + w'|^2 >= consistency * (|w|^2 + |w'|^2) + floor (SBK eq. 5)", low=0
+        0.005,
+        "stop when |w + w'|^2 >= consistency * (|w|^2 + |w'|^2) + floor (SBK eq. 5: 0.01; measured)",
+        low=0,
     )
     consistency_floor: float = option(0.5, "the floor, in pixels squared (SBK eq. 5)", low=0)
     boundary: float = option(
         0.01, "stop when |grad u|^2 + |grad v|^2 > boundary * |w|^2 + floor (SBK eq. 6)", low=0
     )
     boundary_floor: float = option(0.002, "the floor (SBK eq. 6)", low=0)
+    appearance: float = option(
+        0.0,
+        "stop when the patch's mean squared change since the start > appearance * variance + floor; 0: never",
+        low=0,
+    )
+    appearance_floor: float = option(4.0, "the floor, in gray values squared: image noise", low=0)
     min_length: int = option(5, "shorter trajectories are dropped, in frames (measured)", low=1)

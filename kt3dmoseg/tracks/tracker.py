@@ -14,12 +14,13 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow import Flow, FlowCache, flow_pair
 from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.options import from_mapping
+from kt3dmoseg.tracks.appearance import Appearance
 from kt3dmoseg.tracks.frames import FrameSource, open_frames
 from kt3dmoseg.tracks.linking import inside, step
 from kt3dmoseg.tracks.options import TrackOptions
 from kt3dmoseg.tracks.seeding import new_seeds
 from kt3dmoseg.tracks.store import TrackStore
-from kt3dmoseg.types import ByteArray, FloatArray, IntArray, Trajectories
+from kt3dmoseg.types import ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
 Progress: TypeAlias = Callable[[int, int | None], None]
 
@@ -36,8 +37,9 @@ def track(
     """Dense point trajectories of a clip (Sundaram, Brox, Keutzer, ECCV 2010).
 
     Points start on a grid where the frame has structure, follow the flow, and stop at the frame's
-    border, where forward and backward flow disagree and at motion boundaries; cells that are left
-    uncovered start anew in every frame; trajectories shorter than `min_length` are dropped.
+    border, where forward and backward flow disagree, at motion boundaries and, if asked for, where they
+    no longer look like their start; cells that are left uncovered start anew in every frame;
+    trajectories shorter than `min_length` are dropped.
 
     Parameters
     ----------
@@ -79,7 +81,7 @@ def track(
     done = 0
     for frame in stream:
         if before is not None:
-            run.advance(*flow_pair(backend, before, frame, store))
+            run.advance(frame, *flow_pair(backend, before, frame, store))
         run.start(frame)
         before, done = frame, done + 1
         if progress is not None:
@@ -98,13 +100,19 @@ class _Run:
         self.starts, self.options, self.positions = starts, options, TrackStore()
         self.ids: IntArray = np.zeros(0, dtype=np.int64)
         self.xy: FloatArray = np.zeros((0, 2))
+        self.looks = Appearance(options) if options.appearance else None
 
-    def advance(self, forward: npt.NDArray[np.float32], backward: npt.NDArray[np.float32]) -> None:
+    def advance(self, frame: ByteArray, forward: Float32Array, backward: Float32Array) -> None:
         target, alive = step(self.xy, forward, backward, self.options)
+        if self.looks is not None:
+            alive &= self.looks.alike(frame, target)
+            self.looks.keep(alive)
         self.ids, self.xy = self.ids[alive], target[alive]
 
     def start(self, frame: ByteArray) -> None:
         ids, xy = self.starts.next(frame, self.xy)
+        if self.looks is not None:
+            self.looks.add(frame, xy)
         self.ids, self.xy = np.concatenate([self.ids, ids]), np.concatenate([self.xy, xy])
         self.positions.append(self.ids, self.xy)
 

@@ -1,0 +1,70 @@
+"""The stop by appearance."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from kt3dmoseg.tracks import TrackOptions, track
+from kt3dmoseg.tracks.appearance import Appearance
+
+OPTIONS = TrackOptions(appearance=0.8)
+POINTS = np.array([[20.0, 20.0], [40.5, 30.25]])
+SHIFT = np.array([5, 2])
+
+
+@pytest.fixture
+def picture(rng):
+    noise = rng.integers(0, 255, (64, 96), dtype=np.uint8)
+    return cv2.GaussianBlur(noise, (0, 0), 1.5)
+
+
+def remembered(frame, xy):
+    looks = Appearance(OPTIONS)
+    looks.add(frame, xy)
+    return looks
+
+
+def test_what_moved_rigidly_looks_alike(picture):
+    moved = np.roll(picture, (2, 5), axis=(0, 1))
+    looks = remembered(picture, POINTS)
+    assert looks.alike(moved, POINTS + SHIFT).all()
+    assert not looks.alike(moved, POINTS - SHIFT).any()
+
+
+def test_brightness_and_faint_noise_do_not_count(picture, rng):
+    looks = remembered(picture, POINTS)
+    assert looks.alike((picture // 2 + 90).astype(np.uint8), POINTS).all()
+    flat = np.full_like(picture, 120)
+    noisy = np.rint(120 + 1.5 * rng.standard_normal(picture.shape)).astype(np.uint8)
+    assert remembered(flat, POINTS).alike(noisy, POINTS).all()
+
+
+def test_the_living_keep_their_own_start(picture):
+    looks = remembered(picture, POINTS)
+    looks.keep(np.array([False, True]))
+    looks.add(picture, POINTS[:1])
+    assert looks.alike(picture, POINTS[::-1]).all()
+    assert not looks.alike(picture, POINTS).any()
+
+
+def constant(a, b):
+    """Three pixels to the right, and back; frames are numbered in their first pixel."""
+    sign = 1 if b[0, 0] > a[0, 0] else -1
+    return np.broadcast_to(np.float32((3 * sign, 0)), (*a.shape, 2)).copy()
+
+
+def clip(picture, shift):
+    frames = [np.roll(picture, shift * k, axis=1) for k in range(6)]
+    for number, frame in enumerate(frames):
+        frame[0, 0] = number
+    return frames
+
+
+def test_the_tracker_stops_where_the_flow_is_wrong_and_only_when_asked(picture):
+    seeds = np.c_[POINTS, [0, 0]]
+    right, wrong = clip(picture, 3), clip(picture, 0)
+    assert track(right, constant, seeds, appearance=0.8).visible.all()
+    assert track(wrong, constant, seeds).visible.all()
+    assert track(wrong, constant, seeds, appearance=0.8).lengths.max() < 4
