@@ -28,6 +28,7 @@ ORDER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 PUBLISHED = {"keradd": "KerAdd", "coreg": "CoReg", "subset": "Subset"}
 COLOURS = dict(zip(ORDER, ("#999999", "#777777", "#555555", "#1b6ca8", "#d97a27", "#3a8f4d"), strict=True))
 SWEPT = {"alpha": 8.0, "lam": 0.01, "gamma": 0.01}
+DEFAULT_ALPHA = {"subset": 10.0}
 NAMES = {"alpha": "alpha", "lam": "lambda (CoReg)", "gamma": "gamma (Subset)"}
 
 
@@ -149,7 +150,8 @@ def _swept(
                 out[method["method"]][float(method["parameters"][parameter])] = errors
     for method, points in out.items():
         seeds = next(iter(points.values())).shape[1]
-        points.setdefault(SWEPT[parameter], errors_of(results, method)[:, :seeds])
+        default = DEFAULT_ALPHA.get(method, SWEPT["alpha"]) if parameter == "alpha" else SWEPT[parameter]
+        points.setdefault(default, errors_of(results, method)[:, :seeds])
     return out
 
 
