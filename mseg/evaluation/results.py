@@ -122,6 +122,12 @@ class ScoreTable:
     provenance: Provenance = _UNKNOWN
     problems: tuple[Problem, ...] = ()
 
+    def __str__(self) -> str:
+        """One line per metric, the mean over clips and seeds."""
+        width = max(map(len, self.metrics))
+        counts = f"means over clips: {len(self.names)}, seeds: {len(self.seeds)}"
+        return "\n".join([counts, *(f"{name:<{width}}  {self[name]:.4f}" for name in self.metrics)])
+
     def __getitem__(self, metric: str) -> float:
         """Mean of a metric over clips and seeds.
 
