@@ -14,24 +14,11 @@ import pytest
 import mseg
 from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.options import describe
-from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.errors import SegmentationError
 from mseg.methods import METHODS
 
-
-def _present(registry: Registry) -> list[str]:
-    names = []
-    for name in registry.names():
-        try:
-            registry.load(name)
-        except ModuleNotFoundError:
-            continue
-        names.append(name)
-    return names
-
-
-pytestmark = pytest.mark.parametrize("method", _present(METHODS))
+pytestmark = pytest.mark.parametrize("method", METHODS.names())
 
 
 @pytest.fixture(scope="module")
