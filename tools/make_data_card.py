@@ -1,6 +1,6 @@
 """Describe a built dataset: a Markdown table per clip, and croissant.json for dataset search engines.
 
-    tools/make_data_card.py out/ --croissant docs/croissant.json --table docs/datacard-table.md
+    tools/make_data_card.py out/ --croissant docs/croissant.json --table table.md
 
 Reads the clip files that `kt3dmoseg build` wrote; the croissant file names each with its sha256 and size
 (Croissant 1.0, http://mlcommons.org/croissant/1.0).
