@@ -74,9 +74,7 @@ def _motions(score: ClipScore, checked: Validation, note: str) -> str:
     rows = ""
     for i, motion in enumerate(table.motions):
         cells = "".join(f"<td>{100 * column[i]:.1f}</td>" for column in columns)
-        title = _motion_name(table, i, motion) + (
-            f" {escape(names[int(motion)])}" if int(motion) in names else ""
-        )
+        title = _motion_name(table, i, motion, names.get(int(motion), ""))
         rows += f"<tr><th scope='row'>{title}</th><td>{table.sizes[i]}</td>{cells}</tr>"
     head = "".join(f"<th scope='col'>{c}</th>" for c in ("", "n", "precision", "recall", "F", "IoU"))
     return (
@@ -85,6 +83,6 @@ def _motions(score: ClipScore, checked: Validation, note: str) -> str:
     )
 
 
-def _motion_name(table: Contingency, row: int, motion: int) -> str:
-    what = " background" if table.background == row else ""
-    return f"<span class='dot' data-colour='{row + 1}'></span>{motion}{what}"
+def _motion_name(table: Contingency, row: int, motion: int, name: str = "") -> str:
+    name = name or ("background" if table.background == row else "")
+    return f"<span class='dot' data-colour='{row + 1}'></span>{motion} {escape(name)}".rstrip()
