@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.arrays import brief, check_presence, frozen, per_frame
 from kt3dmoseg.errors import InvalidValueError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
@@ -52,19 +53,19 @@ class Trajectories:
     image_size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        xy = _frozen(self.xy, np.float64)
-        visible = _frozen(self.visible, np.bool_)
+        xy = frozen(self.xy, np.float64)
+        visible = frozen(self.visible, np.bool_)
         if xy.ndim != 3 or xy.shape[2] != 2:
             raise InvalidValueError("xy", expected="shape (N, F, 2)", found=f"{xy.shape}")
         if visible.shape != xy.shape[:2]:
             raise InvalidValueError("visible", expected=f"shape {xy.shape[:2]}", found=f"{visible.shape}")
         ids = np.arange(len(xy)) if self.track_id is None else self.track_id
-        track_id = _frozen(ids, np.int64)
+        track_id = frozen(ids, np.int64)
         if track_id.shape != (len(xy),) or len(np.unique(track_id)) != len(xy):
             raise InvalidValueError(
                 "track_id", expected=f"{len(xy)} unique ids", found=f"shape {track_id.shape}"
             )
-        _check_presence(xy, visible)
+        check_presence(xy, visible)
         object.__setattr__(self, "xy", xy)
         object.__setattr__(self, "visible", visible)
         object.__setattr__(self, "track_id", track_id)
@@ -137,8 +138,8 @@ class Labels:
         if raw.ndim != 1:
             raise InvalidValueError("label", expected="a vector (N,)", found=f"shape {raw.shape}")
         if raw.size and not (np.issubdtype(raw.dtype, np.integer) and raw.min() >= _UNLABELLED):
-            raise InvalidValueError("label", expected="integers >= 0", found=_brief(raw))
-        object.__setattr__(self, "label", _frozen(raw, np.int64))
+            raise InvalidValueError("label", expected="integers >= 0", found=brief(raw))
+        object.__setattr__(self, "label", frozen(raw, np.int64))
         object.__setattr__(self, "names", MappingProxyType(dict(self.names)))
 
     def __len__(self) -> int:
@@ -180,7 +181,7 @@ class Camera:
     def __post_init__(self) -> None:
         if self.K is None:
             return
-        matrix = _frozen(self.K, np.float64)
+        matrix = frozen(self.K, np.float64)
         if matrix.shape != (3, 3):
             raise InvalidValueError("camera.K", expected="shape (3, 3)", found=f"{matrix.shape}")
         object.__setattr__(self, "K", matrix)
@@ -224,10 +225,10 @@ class Clip:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        rows = _frozen(self.evaluated, np.int64)
+        rows = frozen(self.evaluated, np.int64)
         n, frames = len(self.dense), self.dense.n_frames
         if rows.ndim != 1 or (rows.size and (rows.min() < 0 or rows.max() >= n)):
-            raise InvalidValueError("evaluated", expected=f"rows in 0..{n - 1}", found=_brief(rows))
+            raise InvalidValueError("evaluated", expected=f"rows in 0..{n - 1}", found=brief(rows))
         if len(np.unique(rows)) != len(rows):
             raise InvalidValueError("evaluated", expected="unique rows", found="a row given twice")
         if len(self.labels) != len(rows):
@@ -236,9 +237,9 @@ class Clip:
             )
         numbers = np.arange(frames) if self.frame_numbers is None else self.frame_numbers
         object.__setattr__(self, "evaluated", rows)
-        object.__setattr__(self, "frame_numbers", _per_frame(numbers, np.int64, frames, "frame_numbers"))
+        object.__setattr__(self, "frame_numbers", per_frame(numbers, np.int64, frames, "frame_numbers"))
         if self.timestamps is not None:
-            seconds = _per_frame(self.timestamps, np.float64, frames, "timestamps")
+            seconds = per_frame(self.timestamps, np.float64, frames, "timestamps")
             object.__setattr__(self, "timestamps", seconds)
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
 
@@ -269,37 +270,3 @@ class Clip:
     def without_labels(self) -> Clip:
         """Return the same clip as a method may see it: every label 0."""
         return replace(self, labels=Labels(np.zeros(len(self.evaluated), dtype=np.int64)))
-
-
-def _frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """Return a read-only array of `dtype`, copied unless it is one already."""
-    given = np.asarray(values)
-    same = given.dtype == dtype and not given.flags.writeable and given.base is None
-    array = given if same else np.array(given, dtype=dtype, order="C")
-    array.flags.writeable = False
-    return array
-
-
-def _per_frame(values: npt.ArrayLike, dtype: npt.DTypeLike, frames: int, name: str) -> npt.NDArray[Any]:
-    array = _frozen(values, dtype)
-    if array.shape != (frames,):
-        raise InvalidValueError(name, expected=f"shape ({frames},)", found=f"{array.shape}")
-    return array
-
-
-def _check_presence(xy: FloatArray, visible: BoolArray) -> None:
-    finite = np.isfinite(xy).all(axis=2)
-    wrong = (visible & ~finite) | (~visible & ~np.isnan(xy).all(axis=2))
-    if wrong.any():
-        row, frame = np.argwhere(wrong)[0]
-        raise InvalidValueError(
-            f"xy of trajectory {row} in frame {frame}",
-            expected="finite" if visible[row, frame] else "NaN (not visible)",
-            found=str(xy[row, frame].tolist()),
-        )
-
-
-def _brief(array: npt.NDArray[Any]) -> str:
-    if not array.size:
-        return f"{array.dtype} of shape {array.shape}"
-    return f"{array.dtype} of shape {array.shape}, values {array.min()}..{array.max()}"
