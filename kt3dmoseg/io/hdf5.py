@@ -95,11 +95,20 @@ def _new_file() -> h5py.File:
 def _write_array(file: h5py.File, name: str, values: npt.NDArray[Any]) -> None:
     group = _untimed_group(file, name.rpartition("/")[0])
     row = max(1, values[:1].nbytes)
-    rows = min(len(values), max(1, _CHUNK_BYTES // row))
+    rows = max(1, min(len(values), _CHUNK_BYTES // row))
     packed = {"chunks": (rows, *values.shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
     options = {**packed, "shuffle": True, "fletcher32": True} if values.size else {}
-    dataset = group.create_dataset(name.rpartition("/")[2], data=values, track_times=False, **options)
+    dataset = group.create_dataset(
+        name.rpartition("/")[2], values.shape, values.dtype, track_times=False, **options
+    )
+    for first in range(0, len(values), rows):  # chunk by chunk: no copy of the whole
+        dataset[first : first + rows] = _one_nan(values[first : first + rows])
     dataset.attrs.create("description", _fixed(DESCRIPTIONS[name]))
+
+
+def _one_nan(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Write every NaN with the same bits: the same clip gives the same bytes."""
+    return np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values
 
 
 def _untimed_group(file: h5py.File, name: str) -> h5py.Group:
@@ -121,8 +130,8 @@ def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fix
 def _arrays(clip: Clip) -> dict[str, npt.NDArray[Any]]:
     dense = clip.dense
     out: dict[str, npt.NDArray[Any]] = {
-        "dense/xy": np.where(dense.visible[..., None], dense.xy, np.nan),
-        "dense/visible": dense.visible.astype(np.uint8),
+        "dense/xy": dense.xy,
+        "dense/visible": dense.visible.view(np.uint8),
         "dense/track_id": dense.track_id,
         "evaluated": clip.evaluated,
         "labels/label": clip.labels.label,

@@ -65,7 +65,9 @@ def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) ->
         found = f"{dataset.dtype} with {dataset.ndim}"
         raise FileFormatError(place, expected=f"{wanted} with {ndim} dimensions", found=found)
     _check_storage(dataset, place)
-    return np.asarray(dataset[()], dtype=wanted)
+    values = np.asarray(dataset[()], dtype=wanted)
+    values.flags.writeable = False  # a clip takes it as it is, without a copy
+    return values
 
 
 def read_text(group: h5py.Group, name: str, where: str, default: str | None = None) -> str:

@@ -31,8 +31,10 @@ class TrackStore:
         kept = length >= min_length
         row = np.cumsum(kept) - 1
         xy = np.full((int(kept.sum()), len(self._frames), 2), np.nan)
+        visible = np.zeros(xy.shape[:2], dtype=np.bool_)
         for frame, (ids, positions) in enumerate(self._frames):
             chosen = kept[ids]
-            xy[row[ids[chosen]], frame] = positions[chosen]
-        visible = np.isfinite(xy[:, :, 0])
+            rows = row[ids[chosen]]
+            xy[rows, frame], visible[rows, frame] = positions[chosen], True
+        xy.flags.writeable = visible.flags.writeable = False  # handed over, not copied
         return Trajectories(xy, visible, image_size=image_size)
