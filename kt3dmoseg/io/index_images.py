@@ -9,7 +9,7 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.io.images import decode
-from kt3dmoseg.types import IntArray
+from kt3dmoseg.types import ByteArray, IntArray
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER_END = 33
@@ -54,6 +54,32 @@ def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
     return picture.astype(np.int64) // stretch, bits
 
 
+def encode_indices(indices: ByteArray, palette: ByteArray) -> bytes:
+    """Encode indices as a PNG with a palette (PNG specification, 2003), which OpenCV cannot.
+
+    Parameters
+    ----------
+    indices : (H, W) uint8
+        The numbers.
+    palette : (256, 3) uint8
+        Red, green and blue of each number.
+    """
+    height, width = indices.shape
+    header = struct.pack(">IIBBBBB", width, height, 8, _PALETTE, 0, 0, 0)
+    rows = np.pad(indices, ((0, 0), (1, 0)))  # each row starts with its filter: none
+    chunks = [
+        (b"IHDR", header),
+        (b"PLTE", palette.tobytes()),
+        (b"IDAT", zlib.compress(rows.tobytes(), 6)),
+        (b"IEND", b""),
+    ]
+    return _SIGNATURE + b"".join(_chunk(kind, data) for kind, data in chunks)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
 def _as_gray(content: bytes, where: str) -> bytes:
     """Return the same PNG with its indices as gray levels: the pixel data of both are alike."""
     out, at = [_SIGNATURE], len(_SIGNATURE)
@@ -63,8 +89,7 @@ def _as_gray(content: bytes, where: str) -> bytes:
         if kind == b"IHDR":
             data = data[:9] + bytes([_GRAY]) + data[10:]
         if kind not in (b"PLTE", b"tRNS"):
-            check = zlib.crc32(kind + data)
-            out.append(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check))
+            out.append(_chunk(kind, data))
         at += 12 + size
     if at != len(content):
         raise FileFormatError(where, expected="a sound PNG", found="damage", fix="fetch it again")

@@ -18,9 +18,10 @@ from hypothesis.extra import numpy as hnp
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, formats
 from kt3dmoseg.annotate.checks import REJECT
 from kt3dmoseg.annotate.formats import rle
-from kt3dmoseg.annotate.formats.indexed_png import decode_indexed, encode_indexed
+from kt3dmoseg.annotate.formats.davis import davis_palette
 from kt3dmoseg.annotate.formats.masks import label_image, mask_of, polygons_of, simplify
 from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.io.index_images import decode_indices, encode_indices
 
 ALL = formats.FORMATS.names()
 EMPTY = replace(scene(), objects=(), marks=())
@@ -123,8 +124,8 @@ def test_damaged_rle(text):
 
 def test_indexed_png_is_what_opencv_and_palette_say():
     image = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    content = encode_indexed(image)
-    assert (decode_indexed(content, "x") == image).all()
+    content = encode_indices(image, davis_palette())
+    assert (decode_indices(content, "x")[0] == image).all()
     colours = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     assert colours[0, 1].tolist() == [0, 0, 128]  # BGR: DAVIS's first object is dark red
 
@@ -181,6 +182,10 @@ def zipped(**entries):
     return out.getvalue()
 
 
+def indexed(height, width):
+    return encode_indices(np.zeros((height, width), np.uint8), davis_palette())
+
+
 BOMB = b"""<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "x"><!ENTITY c "&b;&b;&b;">]>
 <annotations>&c;</annotations>"""
 XXE = b"""<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><annotations>&b;</annotations>"""
@@ -202,9 +207,9 @@ HOSTILE = [
         b"<annotations><track label='car'><polygon frame='0' points='1,1;nan,2;3,1'/></track></annotations>",
     ),
     ("davis", zipped(**{"00000.png": b"x"})),
-    ("davis", zipped(**{"readme.png": encode_indexed(np.zeros((64, 96), np.uint8))})),
-    ("davis", zipped(**{"00009.png": encode_indexed(np.zeros((64, 96), np.uint8))})),
-    ("davis", zipped(**{"00000.png": encode_indexed(np.zeros((9, 9), np.uint8))})),
+    ("davis", zipped(**{"readme.png": indexed(64, 96)})),
+    ("davis", zipped(**{"00009.png": indexed(64, 96)})),
+    ("davis", zipped(**{"00000.png": indexed(9, 9)})),
     ("davis", zipped(**{"a__00000.png": b"x", "b__00000.png": b"x"})),
     ("davis", zipped()),
     ("mots_png", zipped(**{"00000.png": cv2.imencode(".png", np.zeros((64, 96, 3), np.uint8))[1].tobytes()})),

@@ -7,14 +7,9 @@ import re
 import zipfile
 from collections.abc import Mapping
 
-import cv2
-import numpy as np
-import numpy.typing as npt
-
 from kt3dmoseg.annotate.formats.masks import check_frame
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.io.images import decode
 
 _LARGEST_ENTRY = 64 << 20
 _LARGEST_TOTAL = 512 << 20
@@ -67,19 +62,6 @@ def unpack(content: bytes, suffix: str, like: Annotation, what: str) -> dict[int
     if not out:
         raise FileFormatError(what, expected=f"*{suffix} files, one per frame", found="none")
     return out
-
-
-def encode_png(image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> bytes:
-    """Return an image as PNG."""
-    return cv2.imencode(".png", image)[1].tobytes()
-
-
-def decode_png(content: bytes, where: str) -> npt.NDArray[np.int64]:
-    """Return a one-channel image of whole numbers; raises FileFormatError for anything else."""
-    image = decode(content, where)
-    if image.ndim != 2:
-        raise FileFormatError(where, expected="one channel", found=f"shape {image.shape}")
-    return image.astype(np.int64)
 
 
 def _check_sizes(infos: list[zipfile.ZipInfo], what: str) -> None:

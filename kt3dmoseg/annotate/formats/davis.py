@@ -12,12 +12,12 @@ import numpy as np
 
 from kt3dmoseg.annotate.checks import REJECT, Motion
 from kt3dmoseg.annotate.formats.archive import pack, unpack
-from kt3dmoseg.annotate.formats.indexed_png import decode_indexed, encode_indexed
 from kt3dmoseg.annotate.formats.masks import check_shape, from_masks, label_image
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.regions import Region
-from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import BoolArray
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.io.index_images import decode_indices, encode_indices
+from kt3dmoseg.types import BoolArray, ByteArray
 
 _VOID = 254
 
@@ -35,12 +35,12 @@ class Davis:
             expected = f"at most {_VOID - 1}, as DAVIS can hold"
             raise InvalidValueError("motion", expected=expected, found=str(largest))
         values = {o.id: _VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
+        images = (label_image(annotation, regions, k, values) for k in range(annotation.n_frames))
+        palette = davis_palette()
         return pack(
             {
-                f"{frame:05d}.png": encode_indexed(
-                    label_image(annotation, regions, frame, values).astype(np.uint8)
-                )
-                for frame in range(annotation.n_frames)
+                f"{frame:05d}.png": encode_indices(image.astype(np.uint8), palette)
+                for frame, image in enumerate(images)
             }
         )
 
@@ -48,7 +48,10 @@ class Davis:
         """Read a zip of indexed or gray PNGs; see `AnnotationFormat`. 254 and 255 are rejected."""
         masks: dict[int, dict[int, BoolArray]] = {}
         for frame, png in unpack(content, ".png", like, "DAVIS masks").items():
-            image = decode_indexed(png, f"frame {frame}")
+            image, bits = decode_indices(png, f"frame {frame}")
+            if bits > 8:
+                expected = "an indexed or 8-bit gray PNG"
+                raise FileFormatError(f"frame {frame}", expected=expected, found=f"{bits} bits")
             check_shape(image.shape, like, f"frame {frame}")
             image = np.minimum(image, _VOID)
             for value in np.unique(image[image > 0]).tolist():
@@ -59,3 +62,15 @@ class Davis:
 
 
 DAVIS = Davis()
+
+
+def davis_palette() -> ByteArray:
+    """Return the palette of PASCAL VOC and DAVIS, (256, 3) RGB.
+
+    The bits of the index are spread over the high bits of the channels.
+    """
+    palette = np.zeros((256, 3), dtype=np.uint8)
+    for index in range(256):
+        for bit in range(8):
+            palette[index, bit % 3] |= ((index >> bit) & 1) << (7 - bit // 3)
+    return palette

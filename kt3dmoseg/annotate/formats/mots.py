@@ -12,16 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.annotate.checks import REJECT, Motion
 from kt3dmoseg.annotate.formats import rle
-from kt3dmoseg.annotate.formats.archive import decode_png, encode_png, pack, unpack
+from kt3dmoseg.annotate.formats.archive import pack, unpack
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, from_masks, label_image
 from kt3dmoseg.annotate.model import AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.io.index_images import decode_indices
 from kt3dmoseg.types import BoolArray
 
 _IGNORE = 10_000
@@ -41,16 +43,16 @@ class MotsPng:
 
     def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
         """Write one PNG per frame; see `AnnotationFormat`."""
-        images = _images(annotation, regions)
+        images = (image.astype(np.uint16) for image in _images(annotation, regions))
         return pack(
-            {f"{frame:06d}.png": encode_png(image.astype(np.uint16)) for frame, image in enumerate(images)}
+            {f"{k:06d}.png": cv2.imencode(".png", image)[1].tobytes() for k, image in enumerate(images)}
         )
 
     def parse(self, content: bytes, like: Annotation) -> Annotation:
         """Read a zip of PNGs; see `AnnotationFormat`."""
         masks: Masks = {}
         for frame, png in unpack(content, ".png", like, "MOTS masks").items():
-            image = decode_png(png, f"frame {frame}")
+            image, _ = decode_indices(png, f"frame {frame}")
             check_shape(image.shape, like, f"frame {frame}")
             for value in np.unique(image[image > 0]).tolist():
                 masks.setdefault(value, {})[frame] = image == value
