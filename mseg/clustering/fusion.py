@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise, starmap
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from kt3dmoseg.types import FloatArray
 from mseg.clustering.eigen import Symmetric, fixed_sign, smallest_subspace
 from mseg.clustering.laplacian import unit_rows
 
-_BLOCK_ENTRIES = 1 << 22
+_BLOCK_ENTRIES = 1 << 17
 _KEPT_ENTRIES = 1 << 27
+# Residual of the eigenvectors between sweeps: an objective is off by its square.
+_ACCURACY = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +90,10 @@ def coregularise(
     def agreement(embeddings: list[FloatArray], view: int) -> _LowRank:
         return _LowRank(np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1))
 
-    return _alternate(laplacians, n_clusters, agreement, weight, tolerance, max_sweeps, monitor_last=False)
+    def earned(embeddings: list[FloatArray], view: int) -> float:
+        return float(((agreement(embeddings, view).factor.T @ embeddings[view]) ** 2).sum())
+
+    return _alternate(laplacians, n_clusters, agreement, earned, weight, tolerance, max_sweeps)
 
 
 def constrain_subsets(
@@ -138,7 +144,11 @@ def constrain_subsets(
         larger = embeddings[view + 1] if view + 1 < len(embeddings) else None
         return _Nesting(smaller, larger, len(embeddings[view]))
 
-    return _alternate(laplacians, n_clusters, nesting, weight, tolerance, max_sweeps, monitor_last=True)
+    def earned(embeddings: list[FloatArray], view: int) -> float:
+        complete = view == len(embeddings) - 1
+        return sum(starmap(_nested, pairwise(embeddings))) if complete else 0.0
+
+    return _alternate(laplacians, n_clusters, nesting, earned, weight, tolerance, max_sweeps)
 
 
 class _LowRank:
@@ -155,49 +165,41 @@ class _LowRank:
         out: FloatArray = self.factor @ (self.factor.T @ vectors)
         return out
 
-    def energy(self, vectors: FloatArray) -> float:
-        return float(((self.factor.T @ vectors) ** 2).sum())
-
 
 class _Nesting:
     """max(U U^T, 0) of the smaller model plus min(U U^T, 0) of the larger, by blocks of rows.
 
-    Up to `_KEPT_ENTRIES` are computed once and kept, in single precision, whose error the weight of
-    the constraint takes below that of the eigenvectors; beyond, memory matters more than time.
+    Up to `_KEPT_ENTRIES` are computed once and kept; beyond, memory matters more than time. Single
+    precision: the weight of the constraint takes its error below that of the eigenvectors.
     """
 
     def __init__(self, smaller: FloatArray | None, larger: FloatArray | None, size: int) -> None:
         self.smaller, self.larger, self.shape = smaller, larger, (size, size)
-        rows = max(1, _BLOCK_ENTRIES // size)
-        self.slices = [slice(start, start + rows) for start in range(0, size, rows)]
 
     @cached_property
-    def kept(self) -> list[npt.NDArray[Any]] | None:
+    def kept(self) -> npt.NDArray[Any] | None:
         if self.shape[0] ** 2 > _KEPT_ENTRIES:
             return None
-        return [self._rows(part, np.float32) for part in self.slices]
+        whole: npt.NDArray[Any] = np.empty(self.shape, np.float32)
+        for part in _parts(self.shape[0]):
+            whole[part] = self._rows(part, np.float32)
+        return whole
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        return np.concatenate([self._rows(part, np.float64) for part in self.slices])
+        return np.concatenate([self._rows(part, np.float64) for part in _parts(self.shape[0])])
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
         single = vectors.astype(np.float32)
-        blocks = self.kept or (self._rows(part, np.float32) for part in self.slices)
-        return np.concatenate([block @ single for block in blocks]).astype(np.float64)
-
-    def energy(self, vectors: FloatArray) -> float:
-        # tr(V^T Q V) = sum over ij of Q_ij (V V^T)_ij, in double precision for the stopping rule.
-        return sum(
-            float(np.einsum("ij,ij->", self._rows(part, np.float64), vectors[part] @ vectors.T))
-            for part in self.slices
-        )
+        if self.kept is not None:
+            return (self.kept @ single).astype(np.float64)
+        blocks = [self._rows(part, np.float32) @ single for part in _parts(self.shape[0])]
+        return np.concatenate(blocks).astype(np.float64)
 
     def _rows(self, part: slice, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         block: npt.NDArray[Any] = np.zeros((len(range(self.shape[0])[part]), self.shape[0]), dtype)
         for clip, embedding in ((np.maximum, self.smaller), (np.minimum, self.larger)):
             if embedding is not None:
-                vectors = embedding.astype(dtype)
-                agreement = vectors[part] @ vectors.T
+                agreement = _agreement(embedding.astype(dtype), part)
                 block += clip(agreement, 0, out=agreement)
         return block
 
@@ -217,21 +219,38 @@ class _Rewarded:
         out: FloatArray = self.laplacian @ vectors - self.weight * (self.reward @ vectors)
         return out
 
-    def energy(self, vectors: FloatArray) -> float:
-        own = float(np.einsum("nk,nk->", vectors, self.laplacian @ vectors))
-        return own - self.weight * self.reward.energy(vectors)
+
+def _parts(size: int) -> Iterator[slice]:
+    """Blocks of rows of a matrix of that size, few enough to stay in the cache."""
+    rows = max(1, _BLOCK_ENTRIES // max(1, size))
+    return (slice(start, start + rows) for start in range(0, size, rows))
+
+
+def _agreement(embedding: npt.NDArray[Any], part: slice) -> npt.NDArray[Any]:
+    out: npt.NDArray[Any] = embedding[part] @ embedding.T
+    return out
+
+
+def _nested(smaller: FloatArray, larger: FloatArray) -> float:
+    """Sum over all entries of max(S, 0) L + min(L, 0) S, S and L the kernels of the two models."""
+    total = 0.0
+    for part in _parts(len(smaller)):
+        small, large = _agreement(smaller, part), _agreement(larger, part)
+        total += float(np.einsum("ij,ij->", np.maximum(small, 0), large))
+        total += float(np.einsum("ij,ij->", np.minimum(large, 0, out=large), small))
+    return total
 
 
 def _alternate(
     laplacians: Sequence[Symmetric],
     n_clusters: int,
     reward: Callable[[list[FloatArray], int], _LowRank | _Nesting],
+    earned: Callable[[list[FloatArray], int], float],
     weight: float,
     tolerance: float,
     max_sweeps: int,
-    *,
-    monitor_last: bool,
 ) -> Fusion:
+    """Update one view after the other; `earned` tells what the objective gets after each update."""
     if len({laplacian.shape for laplacian in laplacians}) != 1:
         shapes = ", ".join(str(laplacian.shape) for laplacian in laplacians)
         raise InvalidValueError(
@@ -245,14 +264,12 @@ def _alternate(
         value = 0.0
         for view, laplacian in enumerate(laplacians):
             target = _Rewarded(laplacian, weight, reward(embeddings, view))
-            subspaces[view] = smallest_subspace(target, n_clusters, start=subspaces[view])
-            embeddings[view] = subspaces[view][:, :n_clusters]
-            value += target.energy(embeddings[view])
-        if monitor_last:
-            value = sum(
-                _Rewarded(laplacian, weight, reward(embeddings, view)).energy(embeddings[view])
-                for view, laplacian in enumerate(laplacians)
+            subspaces[view] = smallest_subspace(
+                target, n_clusters, start=subspaces[view], tolerance=_ACCURACY
             )
+            embeddings[view] = subspaces[view][:, :n_clusters]
+            smoothness = np.einsum("nk,nk->", embeddings[view], laplacian @ embeddings[view])
+            value += float(smoothness) - weight * earned(embeddings, view)
         converged = bool(objectives) and abs(value - objectives[-1]) < tolerance
         objectives.append(value)
     return Fusion(tuple(map(fixed_sign, embeddings)), tuple(objectives), converged)
