@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+
 import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, Mark
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, Mark, formats
+from kt3dmoseg.annotate.checks import REJECT
+from kt3dmoseg.annotate.formats.masks import label_image
 from kt3dmoseg.annotate.model import KINDS
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
@@ -102,3 +107,18 @@ def write_clip(folder, name="clip", size=(320, 200), frames=6, tracks=400, seed=
 
     io.save(clip, folder / "tracks" / f"{name}.npz")
     return on
+
+
+def motions(annotation):
+    """The motion of every pixel in every frame, 99 = rejected."""
+    values = {o.id: 99 if o.motion == REJECT else int(o.motion) for o in annotation.objects}
+    regions = formats.regions(annotation)
+    return [label_image(annotation, regions, f, values).tolist() for f in range(annotation.n_frames)]
+
+
+def zipped(**entries):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name.replace("__", "/"), content)
+    return out.getvalue()

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import io
-import json
-import zipfile
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from annotation_scenes import FRAMES, SIZE, annotations, box, scene
+from annotation_scenes import FRAMES, SIZE, annotations, box, motions, scene, zipped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, formats
-from kt3dmoseg.annotate.checks import REJECT
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.davis import davis_palette
-from kt3dmoseg.annotate.formats.masks import label_image, mask_of, polygons_of, simplify
+from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of, simplify
 from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.io.index_images import decode_indices, encode_indices
 
@@ -30,13 +26,6 @@ EMPTY = replace(scene(), objects=(), marks=())
 def cycle(name, annotation):
     chosen = formats.load(name)
     return chosen.parse(chosen.dump(annotation, formats.regions(annotation)), annotation.emptied())
-
-
-def motions(annotation):
-    """The motion of every pixel in every frame, 99 = rejected."""
-    values = {o.id: 99 if o.motion == REJECT else int(o.motion) for o in annotation.objects}
-    regions = formats.regions(annotation)
-    return [label_image(annotation, regions, f, values).tolist() for f in range(annotation.n_frames)]
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -137,49 +126,6 @@ def test_simplify_keeps_corners():
         [0, 0],
         [10, 0],
     ]
-
-
-def test_foreign_cvat_tracks_become_objects():
-    text = b"""<annotations><track id="0" label="Car">
-      <polygon frame="1" outside="0" occluded="0" keyframe="1" points="1,1;9,1;9,9"/>
-      <polygon frame="2" outside="0" occluded="0" keyframe="0" points="2,1;9,1;9,9"/>
-      <polygon frame="3" outside="1" occluded="0" keyframe="1" points="2,1;9,1;9,9"/></track>
-      <track id="1" label="unicorn"><polygon frame="0" points="1,1;9,1;9,9"/></track></annotations>"""
-    car, other = formats.load("cvat").parse(text, EMPTY).objects
-    assert [(k.frame, k.visibility) for k in car.key_frames] == [
-        (0, "outside"),
-        (1, "visible"),
-        (3, "outside"),
-    ]
-    assert (car.kind, car.motion, other.kind, other.motion) == ("car", 1, "other", 2)
-
-
-def test_foreign_mots_ids_of_two_classes_are_two_motions():
-    mask = np.zeros((SIZE[1], SIZE[0]), bool)
-    mask[:5, :5] = True
-    lines = f"0 1001 1 64 96 {rle.encode(mask)}\n0 2001 2 64 96 {rle.encode(~mask)}\n"
-    found = formats.load("mots_txt").parse(lines.encode(), EMPTY).objects
-    assert [(o.kind, o.motion) for o in found] == [("car", 1), ("pedestrian", 2)]
-
-
-def test_foreign_coco_polygons():
-    data = {
-        "images": [{"id": 10}, {"id": 11}],
-        "categories": [{"id": 1, "name": "Car"}],
-        "annotations": [
-            {"image_id": 11, "category_id": 1, "track_id": 5, "segmentation": [[1, 1, 9, 1, 9, 9]]}
-        ],
-    }
-    (item,) = formats.load("coco").parse(json.dumps(data).encode(), EMPTY).objects
-    assert (item.kind, item.motion, [k.frame for k in item.key_frames]) == ("car", 1, [0, 1, 2])
-
-
-def zipped(**entries):
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w") as archive:
-        for name, content in entries.items():
-            archive.writestr(name.replace("__", "/"), content)
-    return out.getvalue()
 
 
 def indexed(height, width):

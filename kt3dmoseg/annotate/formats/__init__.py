@@ -1,12 +1,13 @@
 """Annotations in the formats of other tools: one file each, and this table of their names.
 
-A format is a module-level object with ``suffix``, ``media_type``, ``dump(annotation, regions) -> bytes``
-and ``parse(content, like) -> Annotation``. Third parties add one through an entry point.
+A format is a module-level object with ``suffix``, ``media_type``,
+``dump(annotation, regions, names) -> bytes`` and ``parse(content, like, names) -> Annotation``. Third
+parties add one through an entry point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from kt3dmoseg.annotate.model import Annotation
@@ -35,7 +36,9 @@ class AnnotationFormat(Protocol):
     suffix: str
     media_type: str
 
-    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+    def dump(
+        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
+    ) -> bytes:
         """Return the file's content.
 
         Parameters
@@ -44,10 +47,12 @@ class AnnotationFormat(Protocol):
             What to write.
         regions : mapping of int to list of Region
             The objects' regions in every frame, as `propagate` gives them.
+        names : sequence of str
+            File names of the clip's frames, for formats that name them; by default 000000.png on.
         """
         ...
 
-    def parse(self, content: bytes, like: Annotation) -> Annotation:
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a file's content.
 
         Parameters
@@ -56,6 +61,9 @@ class AnnotationFormat(Protocol):
             The file.
         like : Annotation
             An empty annotation of the clip: its name, frames and image size.
+        names : sequence of str
+            File names of the clip's frames. Files and images that all bear such names belong to
+            those frames; otherwise the numbers in their names count from 0.
 
         Raises
         ------

@@ -7,14 +7,17 @@ frame becomes one), what is hidden, marks. ``pycocotools`` reads it; files of po
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from kt3dmoseg.annotate.checks import Motion, polygon_from
+from kt3dmoseg.annotate.checks import Motion
 from kt3dmoseg.annotate.formats import rle
+from kt3dmoseg.annotate.formats.archive import frame_indices
+from kt3dmoseg.annotate.formats.corner import from_corner
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, from_masks, mask_of
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
@@ -30,12 +33,14 @@ class Coco:
     suffix = ".json"
     media_type = "application/json"
 
-    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+    def dump(
+        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
+    ) -> bytes:
         """Write one JSON file; see `AnnotationFormat`."""
         width, height = annotation.image_size
         images = [
-            {"id": k, "file_name": f"{k:06d}.png", "width": width, "height": height, "video": annotation.clip}
-            for k in range(annotation.n_frames)
+            {"id": k, "file_name": picture, "width": width, "height": height, "video": annotation.clip}
+            for k, picture in enumerate(names or [f"{k:06d}.png" for k in range(annotation.n_frames)])
         ]
         entries = [
             entry
@@ -46,21 +51,28 @@ class Coco:
         for number, entry in enumerate(entries, start=1):
             entry["id"] = number
         categories = [{"id": k, "name": kind} for k, kind in enumerate(KINDS, start=1)]
-        data = {"images": images, "categories": categories, "annotations": entries}
+        info = {"description": annotation.clip, "version": str(annotation.revision)}
+        data = {
+            "info": info,
+            "licenses": [],
+            "images": images,
+            "categories": categories,
+            "annotations": entries,
+        }
         return (json.dumps(data, separators=(",", ":")) + "\n").encode()
 
-    def parse(self, content: bytes, like: Annotation) -> Annotation:
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read one JSON file; see `AnnotationFormat`.
 
-        Images are the clip's frames in the order of their ids. Annotations with the same
-        ``track_id`` (else each alone) are one object.
+        Images that are named as the clip's frames are those; others are its frames in the order of
+        their ids. Annotations with the same ``track_id`` (else each alone) are one object.
         """
         try:
             data = json.loads(content)
-            order = sorted(int(image["id"]) for image in data["images"])
+            frames = _frames(data["images"], names)
             kinds = {int(c["id"]): str(c["name"]).lower() for c in data.get("categories", [])}
             entries = list(data["annotations"])[:_MAX_MASKS]
-            return _annotation(entries, {image: k for k, image in enumerate(order)}, kinds, like)
+            return _annotation(entries, frames, kinds, like)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             if isinstance(error, (FileFormatError, InvalidValueError)):
                 raise
@@ -69,6 +81,16 @@ class Coco:
 
 
 COCO = Coco()
+
+
+def _frames(images: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[int, int]:
+    """Image id to frame."""
+    ordered = sorted(images, key=lambda image: int(image["id"]))
+    files = [str(image.get("file_name", "")) for image in ordered]
+    stems = {PurePosixPath(name).stem for name in names}
+    by_name = all(PurePosixPath(file).stem in stems for file in files)
+    indices = frame_indices(files, names, "COCO") if by_name else range(len(files))
+    return {int(image["id"]): k for image, k in zip(ordered, indices, strict=True)}
 
 
 def _entry(
@@ -138,7 +160,7 @@ def _motions(kept: Mapping[int, dict[str, Any]]) -> tuple[dict[int, Motion], dic
 
 def _mask(segmentation: Any, like: Annotation, where: str) -> BoolArray:  # noqa: ANN401
     if isinstance(segmentation, list):
-        polygons = [polygon_from(list(zip(p[::2], p[1::2], strict=True)), where) for p in segmentation]
+        polygons = [from_corner(zip(p[::2], p[1::2], strict=True), where) for p in segmentation]
         return mask_of([np.array(polygon) for polygon in polygons], like.image_size)
     height, width = (int(v) for v in segmentation["size"])
     check_shape((height, width), like, where)

@@ -11,12 +11,14 @@ polygons of an object that is occluded at an unknown place.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from xml.etree import ElementTree as ET
 
-from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, polygon_from, within
+from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, within
 from kt3dmoseg.annotate.formats import safe_xml
+from kt3dmoseg.annotate.formats.archive import only_entry
+from kt3dmoseg.annotate.formats.corner import from_corner, to_corner
 from kt3dmoseg.annotate.formats.masks import check_frame
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame, Visibility
 from kt3dmoseg.annotate.regions import Region
@@ -44,8 +46,11 @@ class Cvat:
     suffix = ".xml"
     media_type = "application/xml"
 
-    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+    def dump(
+        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
+    ) -> bytes:
         """Write one XML file; see `AnnotationFormat`."""
+        del names
         root = ET.Element("annotations")
         ET.SubElement(root, "version").text = "1.1"
         _meta(root, annotation)
@@ -60,9 +65,11 @@ class Cvat:
         content: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
         return content + b"\n"
 
-    def parse(self, content: bytes, like: Annotation) -> Annotation:
-        """Read one XML file; see `AnnotationFormat`."""
-        root = safe_xml.parse(content, _WHAT)
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
+        """Read one XML file, or the zip file with one that CVAT offers; see `AnnotationFormat`."""
+        del names
+        text = only_entry(content, ".xml", _WHAT) if content.startswith(b"PK") else content
+        root = safe_xml.parse(text, _WHAT)
         if root.tag != "annotations":
             raise FileFormatError(_WHAT, expected="<annotations>", found=f"<{root.tag[:40]}>")
         found: dict[str, _Found] = {}
@@ -119,7 +126,7 @@ def _track(track: ET.Element, item: AnnotatedObject, regions: list[Region], part
 
 
 def _points(polygon: FloatArray) -> str:
-    return ";".join(f"{x:.2f},{y:.2f}" for x, y in polygon)
+    return ";".join(f"{x:.2f},{y:.2f}" for x, y in to_corner(polygon))
 
 
 def _read_track(track: ET.Element, number: int, like: Annotation, found: dict[str, _Found]) -> None:
@@ -154,7 +161,7 @@ def _read_shape(shape: ET.Element, frame: int, item: _Found) -> None:
         except ValueError:
             found = repr(shape.get("points"))[:60]
             raise InvalidValueError("points", expected="x,y;x,y;...", found=found) from None
-        item.polygons[frame].append(polygon_from(pairs, "points"))
+        item.polygons[frame].append(from_corner(pairs, "points"))
 
 
 def _objects(found: Mapping[str, _Found]) -> tuple[AnnotatedObject, ...]:

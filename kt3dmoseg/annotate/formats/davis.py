@@ -6,7 +6,7 @@ key frames, what is hidden, motions above 253, marks.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -28,8 +28,11 @@ class Davis:
     suffix = ".zip"
     media_type = "application/zip"
 
-    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+    def dump(
+        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
+    ) -> bytes:
         """Write one indexed PNG per frame; see `AnnotationFormat`."""
+        del names
         largest = max(annotation.motions, default=0)
         if largest >= _VOID:
             expected = f"at most {_VOID - 1}, as DAVIS can hold"
@@ -44,10 +47,10 @@ class Davis:
             }
         )
 
-    def parse(self, content: bytes, like: Annotation) -> Annotation:
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a zip of indexed or gray PNGs; see `AnnotationFormat`. 254 and 255 are rejected."""
         masks: dict[int, dict[int, BoolArray]] = {}
-        for frame, png in unpack(content, ".png", like, "DAVIS masks").items():
+        for frame, png in unpack(content, ".png", like, names, "DAVIS masks").items():
             image, bits = decode_indices(png, f"frame {frame}")
             if bits > 8:
                 expected = "an indexed or 8-bit gray PNG"
@@ -57,8 +60,8 @@ class Davis:
             for value in np.unique(image[image > 0]).tolist():
                 masks.setdefault(value, {})[frame] = image == value
         motions: dict[int, Motion] = {value: REJECT if value == _VOID else value for value in masks}
-        names = {value: "rejected" if value == _VOID else f"motion {value}" for value in masks}
-        return from_masks(masks, like, motions, names=names)
+        titles = {value: "rejected" if value == _VOID else f"motion {value}" for value in masks}
+        return from_masks(masks, like, motions, names=titles)
 
 
 DAVIS = Davis()

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath
 from typing import Any
 
-import numpy as np
-
-from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, polygon_from, within
+from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, within
 from kt3dmoseg.annotate.formats.archive import pack, unpack
+from kt3dmoseg.annotate.formats.corner import from_corner, to_corner
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -42,22 +42,25 @@ class LabelMe:
     suffix = ".zip"
     media_type = "application/zip"
 
-    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
-        """Write one JSON file per frame; see `AnnotationFormat`."""
+    def dump(
+        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
+    ) -> bytes:
+        """Write one JSON file per frame, named as the frame; see `AnnotationFormat`."""
+        pictures = names or [f"{frame:06d}.png" for frame in range(annotation.n_frames)]
         return pack(
             {
-                f"{frame:06d}.json": _frame_file(annotation, regions, frame)
-                for frame in range(annotation.n_frames)
+                f"{PurePosixPath(picture).stem}.json": _frame_file(annotation, regions, frame, picture)
+                for frame, picture in enumerate(pictures)
             }
         )
 
-    def parse(self, content: bytes, like: Annotation) -> Annotation:
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a zip of JSON files; see `AnnotationFormat`.
 
         Shapes with the same ``group_id``, or without one the same label, are one object.
         """
         found: dict[object, _Found] = {}
-        for frame, text in sorted(unpack(content, ".json", like, "LabelMe").items()):
+        for frame, text in sorted(unpack(content, ".json", like, names, "LabelMe").items()):
             try:
                 shapes = json.loads(text)["shapes"]
                 for k, shape in enumerate(shapes[:_MAX_SHAPES]):
@@ -75,12 +78,14 @@ class LabelMe:
 LABELME = LabelMe()
 
 
-def _frame_file(annotation: Annotation, regions: Mapping[int, list[Region]], frame: int) -> bytes:
+def _frame_file(
+    annotation: Annotation, regions: Mapping[int, list[Region]], frame: int, picture: str
+) -> bytes:
     width, height = annotation.image_size
     shapes = [
         {
             "label": item.name,
-            "points": np.round(polygon, 2).tolist(),
+            "points": to_corner(polygon),
             "group_id": item.id,
             "description": f"kind={item.kind} motion={item.motion}",
             "shape_type": "polygon",
@@ -93,7 +98,7 @@ def _frame_file(annotation: Annotation, regions: Mapping[int, list[Region]], fra
         "version": "5.5.0",
         "flags": {},
         "shapes": shapes,
-        "imagePath": f"{frame:06d}.png",
+        "imagePath": picture,
         "imageData": None,
         "imageHeight": height,
         "imageWidth": width,
@@ -102,8 +107,7 @@ def _frame_file(annotation: Annotation, regions: Mapping[int, list[Region]], fra
 
 
 def _read_shape(shape: dict[str, Any], frame: int, found: dict[object, _Found]) -> None:
-    if shape.get("shape_type", "polygon") != "polygon":
-        raise InvalidValueError("shape_type", expected="'polygon'", found=repr(shape["shape_type"])[:40])
+    points = _outline(shape)
     label, group = str(shape["label"]), shape.get("group_id")
     told = _DESCRIPTION.search(str(shape.get("description") or ""))
     kind = told.group(1) if told else label.lower()
@@ -113,9 +117,19 @@ def _read_shape(shape: dict[str, Any], frame: int, found: dict[object, _Found]) 
     item = found.setdefault(
         label if group is None else int(group), _Found(label, kind if kind in KINDS else "other", motion)
     )
-    item.shapes.setdefault(frame, []).append(polygon_from(shape["points"], "points"))
+    item.shapes.setdefault(frame, []).append(points)
     if (shape.get("flags") or {}).get("occluded"):
         item.occluded.add(frame)
+
+
+def _outline(shape: dict[str, Any]) -> Polygon:
+    form, points = shape.get("shape_type", "polygon"), shape["points"]
+    if form == "rectangle" and len(points) == 2:
+        (left, top), (right, bottom) = points
+        return from_corner([(left, top), (right, top), (right, bottom), (left, bottom)], "points")
+    if form not in ("polygon", "rectangle"):
+        raise InvalidValueError("shape_type", expected="'polygon' or 'rectangle'", found=repr(form)[:40])
+    return from_corner(points, "points")
 
 
 def _annotation(found: Mapping[object, _Found], like: Annotation) -> Annotation:

@@ -10,7 +10,7 @@ numbers repeat in another class are different objects in MOTS: they come back as
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -41,17 +41,20 @@ class MotsPng:
     suffix = ".zip"
     media_type = "application/zip"
 
-    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+    def dump(
+        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
+    ) -> bytes:
         """Write one PNG per frame; see `AnnotationFormat`."""
+        del names
         images = (image.astype(np.uint16) for image in _images(annotation, regions))
         return pack(
             {f"{k:06d}.png": cv2.imencode(".png", image)[1].tobytes() for k, image in enumerate(images)}
         )
 
-    def parse(self, content: bytes, like: Annotation) -> Annotation:
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a zip of PNGs; see `AnnotationFormat`."""
         masks: Masks = {}
-        for frame, png in unpack(content, ".png", like, "MOTS masks").items():
+        for frame, png in unpack(content, ".png", like, names, "MOTS masks").items():
             image, _ = decode_indices(png, f"frame {frame}")
             check_shape(image.shape, like, f"frame {frame}")
             for value in np.unique(image[image > 0]).tolist():
@@ -65,8 +68,11 @@ class MotsText:
     suffix = ".txt"
     media_type = "text/plain"
 
-    def dump(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> bytes:
+    def dump(
+        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
+    ) -> bytes:
         """Write one line per object and frame; see `AnnotationFormat`."""
+        del names
         width, height = annotation.image_size
         lines = [
             f"{frame} {value} {value // _STEP} {height} {width} {rle.encode(image == value)}\n"
@@ -75,8 +81,9 @@ class MotsText:
         ]
         return "".join(lines).encode()
 
-    def parse(self, content: bytes, like: Annotation) -> Annotation:
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a text file; see `AnnotationFormat`."""
+        del names
         masks: Masks = {}
         lines = content.decode("ascii", "replace").splitlines()
         if len(lines) > _MAX_LINES:

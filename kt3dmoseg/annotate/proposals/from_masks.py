@@ -37,10 +37,11 @@ def propose(request: Request) -> list[AnnotatedObject]:
     if not files:
         raise InputFileError(f"{request.masks / request.clip}", expected="masks, *.png", found="none")
     content = pack({file.name: read_bytes(file, _MAX_FILE) for file in files})
+    names = [frame.name for frame in request.frames]
     problem: FileFormatError | None = None
     for name in _FORMATS:
         try:
-            return list(load(name).parse(content, empty).objects)
+            return list(load(name).parse(content, empty, names).objects)
         except FileFormatError as error:
             problem = problem or error
     assert problem is not None

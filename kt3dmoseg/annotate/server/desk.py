@@ -54,6 +54,11 @@ class Desk:
             self._size = (width, height)
         return self._size
 
+    @property
+    def frame_names(self) -> list[str]:
+        """File names of the frames."""
+        return [frame.name for frame in self.source.frames]
+
     def annotation(self) -> Annotation:
         """Read the annotation file; an empty annotation when there is none yet.
 

@@ -206,7 +206,7 @@ class Routes:
         found = desk.trajectories()
         tracks = found if isinstance(found, Trajectories) else None
         regions = await run_in_threadpool(formats.regions, annotation, tracks)
-        content = await run_in_threadpool(chosen.dump, annotation, regions)
+        content = await run_in_threadpool(chosen.dump, annotation, regions, desk.frame_names)
         return Response(content, media_type=chosen.media_type)
 
     async def read(self, request: Request) -> Response:
@@ -215,7 +215,7 @@ class Routes:
         chosen = formats.load(request.path_params["format"])
         content = await request.body()
         like = await run_in_threadpool(desk.annotation)
-        found = await run_in_threadpool(chosen.parse, content, like.emptied())
+        found = await run_in_threadpool(chosen.parse, content, like.emptied(), desk.frame_names)
         return JSONResponse(to_json(found))
 
     def _desk(self, request: Request) -> Desk:
