@@ -41,7 +41,8 @@ class FlowCache:
 
     Several processes may share a folder. Two kinds of backend are computed every time: those that are
     no dataclasses, since their parameters cannot be told, and those whose class says ``uncached = True``,
-    since they depend on more than their parameters (files).
+    since they depend on more than their parameters (files). A parameter that names one file, listed in the
+    class's ``files``, counts by the file's content.
 
     Parameters
     ----------
@@ -99,10 +100,11 @@ def backend_identity(flow: Flow) -> str | None:
     if not dataclasses.is_dataclass(cls) or getattr(flow, "uncached", False):
         return None
     parameters = {f.name: getattr(flow, f.name) for f in dataclasses.fields(cls) if f.init}
+    files = {name: sha256_file(parameters[name]) for name in getattr(cls, "files", ()) if parameters[name]}
     return json.dumps(
         {
             "backend": f"{cls.__module__}:{cls.__qualname__}",
-            "parameters": {name: repr(value) for name, value in parameters.items()},
+            "parameters": {name: repr(value) for name, value in parameters.items()} | files,
             "source": _source(cls.__module__),
             "versions": _versions(),
         },

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,6 +20,8 @@ _LEAST = 128
 @dataclass(frozen=True)
 class Raft:
     """RAFT (Teed and Deng, ECCV 2020) with torchvision's weights."""
+
+    files: ClassVar[tuple[str, ...]] = ("weights",)
 
     model: Literal["large", "small"] = option("large", "which of torchvision's two networks")
     weights: str = option("", "file with the network's state; by default torchvision's, downloaded once")
@@ -55,11 +57,12 @@ def _torch() -> Any:  # noqa: ANN401
     try:
         import torch
         import torchvision  # noqa: F401
-    except ImportError as error:
+    except Exception as error:  # of two releases that do not fit: RuntimeError, OSError, ...
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
         raise MissingDependencyError(
             "flow raft",
-            expected="torch and torchvision",
-            found=f"no {error.name or 'working torch'}",
+            expected="torch and torchvision of matching releases",
+            found=f"no {missing}" if missing else _first_line(error),
             fix="pip install 'kt3dmoseg[gpu]', or use another flow: dis",
         ) from error
     return torch
@@ -80,7 +83,16 @@ def _network(model: str, weights: str, device: str) -> Any:  # noqa: ANN401
     except Exception as error:  # torch raises a different class for each way a file or download fails
         raise MissingDependencyError(
             f"flow raft: weights {weights or 'of torchvision'}",
-            found=f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no detail'}",
+            found=_first_line(error),
             fix="connect once so that torchvision can fetch them, or give weights=FILE",
         ) from error
-    return network.eval().to(device)
+    try:
+        return network.eval().to(device)
+    except Exception as error:  # the same holds for devices
+        raise MissingDependencyError(
+            f"flow raft: device {device}", found=_first_line(error), fix="use device=cpu"
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no detail'}"

@@ -12,6 +12,7 @@ import pytest
 from kt3dmoseg import flow
 from kt3dmoseg.errors import MissingDependencyError
 from kt3dmoseg.flow import raft
+from kt3dmoseg.flow.cache import backend_identity
 
 
 class Array:
@@ -52,6 +53,8 @@ class Network:
         return self
 
     def to(self, device):
+        if device == "cuda":
+            raise AssertionError("Torch not compiled with CUDA enabled")
         return self
 
     def __call__(self, a, b, num_flow_updates):
@@ -113,3 +116,33 @@ def test_frames_are_padded_for_the_network_and_its_flow_is_cut_back(torch, frame
     assert field.shape == (130, 45, 2)
     assert field.dtype == np.float32
     assert field[100, 30].tolist() == [30, 100]
+
+
+def test_torch_and_torchvision_that_do_not_fit_are_told(torch, frames, monkeypatch):
+    class Unfit:
+        def find_spec(self, name, *_):
+            if name == "torchvision":
+                raise RuntimeError("operator torchvision::nms does not exist")
+
+    monkeypatch.delitem(sys.modules, "torchvision")
+    monkeypatch.setattr(sys, "meta_path", [Unfit(), *sys.meta_path])
+    with pytest.raises(
+        MissingDependencyError, match="releases, found RuntimeError: operator .*nms"
+    ):
+        flow.create("raft")(*frames)
+
+
+def test_a_device_that_is_not_there_is_named(torch, frames):
+    with pytest.raises(MissingDependencyError, match=r"device cuda: .*CUDA enabled; use device=cpu"):
+        flow.create("raft", weights="my.pth", device="cuda")(*frames)
+
+
+def test_the_cache_knows_weights_by_content(tmp_path):
+    one, other = tmp_path / "one.pth", tmp_path / "other.pth"
+    one.write_bytes(b"1")
+    other.write_bytes(b"1")
+    first = backend_identity(flow.create("raft", weights=str(one)))
+    assert first == backend_identity(flow.create("raft", weights=str(other)))
+    assert str(tmp_path) not in first
+    one.write_bytes(b"2")
+    assert first != backend_identity(flow.create("raft", weights=str(one)))
