@@ -19,6 +19,7 @@ from kt3dmoseg.types import FloatArray, IntArray
 
 _LARGEST = 64 << 20
 _NEAREST = 0.1
+_LAST_FRAME = 10**10 - 1
 # Corners in units of (length, width, height), and the pairs of them that differ in one coordinate.
 _UNIT = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 _EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
@@ -118,9 +119,11 @@ def read_tracklets(path: Path) -> list[Tracklet]:
         text = content.decode()
         if "<!ENTITY" in text:
             raise ValueError("XML that defines entities")
-        items = ElementTree.fromstring(text).findall("./tracklets/item")
-        return [_tracklet(item) for item in items]
-    except (ElementTree.ParseError, ValueError) as error:
+        found = ElementTree.fromstring(text).find("tracklets")
+        if found is None:
+            raise ValueError("no <tracklets>")
+        return [_tracklet(item) for item in found.findall("item")]
+    except (ElementTree.ParseError, ValueError, OverflowError) as error:
         raise FileFormatError(str(path), expected="KITTI tracklets", found=str(error)) from None
 
 
@@ -169,6 +172,8 @@ def _in_front(points: FloatArray) -> FloatArray:
 def _tracklet(item: ElementTree.Element) -> Tracklet:
     poses = item.findall("./poses/item")
     first = int(_text(item, "first_frame"))
+    if not 0 <= first <= _LAST_FRAME:
+        raise ValueError(f"a tracklet from frame {first} on")
     numbers = np.arange(first, first + len(poses))
     place = [[float(_text(pose, key)) for key in ("tx", "ty", "tz")] for pose in poses]
     tracklet = Tracklet(
@@ -183,6 +188,8 @@ def _tracklet(item: ElementTree.Element) -> Tracklet:
     )
     if not (np.isfinite(tracklet.translation).all() and np.isfinite(tracklet.yaw).all()):
         raise ValueError("a pose that is not finite")
+    if not (np.isfinite(tracklet.size).all() and (tracklet.size > 0).all()):
+        raise ValueError(f"a box of size {tracklet.size.tolist()}")
     return tracklet
 
 
