@@ -121,9 +121,7 @@ def test_a_car_ahead_projects_as_computed_by_hand(tmp_path):
     top, bottom = CY + 0.1 * FOCAL / far, CY + 1.6 * FOCAL / far
     assert (round(left, 1), round(right, 1)) == (481.4, 567.7)
     hull = [(left, low), (inner, low), (right, bottom), (right, top), (middle, top), (left, high)]
-    assert corners(car, 0) == {
-        (round(float(np.float32(x)), 3), round(float(np.float32(y)), 3)) for x, y in hull
-    }
+    assert corners(car, 0) == {(round(x, 2), round(y, 2)) for x, y in hull}
     shown = [(key.frame, key.visibility) for key in car.key_frames]
     assert shown == [(0, "visible"), (1, "visible"), (2, "outside")]
 
