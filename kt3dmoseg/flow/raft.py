@@ -62,7 +62,7 @@ def _torch() -> Any:  # noqa: ANN401
         raise MissingDependencyError(
             "flow raft",
             expected="torch and torchvision of matching releases",
-            found=f"no {missing}" if missing else _first_line(error),
+            found=f"no {missing}" if missing else _first_sentence(error),
             fix="pip install 'kt3dmoseg[gpu]', or use another flow: dis",
         ) from error
     return torch
@@ -83,16 +83,18 @@ def _network(model: str, weights: str, device: str) -> Any:  # noqa: ANN401
     except Exception as error:  # torch raises a different class for each way a file or download fails
         raise MissingDependencyError(
             f"flow raft: weights {weights or 'of torchvision'}",
-            found=_first_line(error),
+            found=_first_sentence(error),
             fix="connect once so that torchvision can fetch them, or give weights=FILE",
         ) from error
     try:
         return network.eval().to(device)
     except Exception as error:  # the same holds for devices
         raise MissingDependencyError(
-            f"flow raft: device {device}", found=_first_line(error), fix="use device=cpu"
+            f"flow raft: device {device}", found=_first_sentence(error), fix="use device=cpu"
         ) from error
 
 
-def _first_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no detail'}"
+def _first_sentence(error: Exception) -> str:
+    # Of weights that are not plain, torch's next sentence tells how to run the code in them.
+    text = str(error).partition("\n")[0].partition(". ")[0]
+    return f"{type(error).__name__}: {text or 'no detail'}"

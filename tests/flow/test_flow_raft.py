@@ -126,9 +126,7 @@ def test_torch_and_torchvision_that_do_not_fit_are_told(torch, frames, monkeypat
 
     monkeypatch.delitem(sys.modules, "torchvision")
     monkeypatch.setattr(sys, "meta_path", [Unfit(), *sys.meta_path])
-    with pytest.raises(
-        MissingDependencyError, match="releases, found RuntimeError: operator .*nms"
-    ):
+    with pytest.raises(MissingDependencyError, match=r"releases, found RuntimeError: operator .*nms"):
         flow.create("raft")(*frames)
 
 
