@@ -121,9 +121,15 @@ def label_tracks_detailed(
     annotation: Annotation,
     *,
     motion: ImageMotion | None = None,
+    regions: Mapping[int, list[Region]] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> LabelledTracks:
-    """Label trajectories and tell why; parameters and errors as for `label_tracks`.
+    """Label trajectories and tell why; other parameters and errors as for `label_tracks`.
+
+    Parameters
+    ----------
+    regions : mapping of int to list of Region, optional
+        What `propagate` returned for the annotation, when that is known already.
 
     Returns
     -------
@@ -132,7 +138,8 @@ def label_tracks_detailed(
     """
     rule = from_mapping(LabelRule, options, where="label_tracks")
     _check_clip(trajectories, annotation)
-    regions = propagate(annotation, motion or TrackMotion(trajectories))
+    if regions is None:
+        regions = propagate(annotation, motion or TrackMotion(trajectories))
     candidates: tuple[Motion, ...] = (BACKGROUND, *annotation.motions, REJECT)
     votes = np.zeros((len(trajectories), len(candidates)))
     for frame in range(trajectories.n_frames):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Visibility
+from kt3dmoseg.annotate.model import Annotation, KeyFrame, Visibility
 from kt3dmoseg.annotate.motion import ImageMotion, NoMotion, apply, fit_similarity
 from kt3dmoseg.annotate.polygons import area, arrays, blend
 from kt3dmoseg.types import FloatArray
@@ -60,12 +60,13 @@ def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict
         Object id to its regions, one per frame of the clip.
     """
     image = motion or NoMotion()
-    return {item.id: propagate_object(item, annotation.n_frames, image) for item in annotation.objects}
+    return {
+        item.id: propagate_keys(item.key_frames, annotation.n_frames, image) for item in annotation.objects
+    }
 
 
-def propagate_object(item: AnnotatedObject, n_frames: int, motion: ImageMotion) -> list[Region]:
-    """Return the region of one object in every frame; see `propagate`."""
-    keys = item.key_frames
+def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion) -> list[Region]:
+    """Return the region in every frame of an object with these key frames; see `propagate`."""
     regions: list[Region] = []
     first = keys[0]
     if first.frame:

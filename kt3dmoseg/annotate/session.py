@@ -22,7 +22,7 @@ from kt3dmoseg.annotate.checks import Motion
 from kt3dmoseg.annotate.document import load_annotation
 from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Mark, Visibility
 from kt3dmoseg.annotate.motion import ImageMotion
-from kt3dmoseg.annotate.regions import propagate_object
+from kt3dmoseg.annotate.regions import propagate_keys
 from kt3dmoseg.annotate.store import save_revision
 from kt3dmoseg.errors import InvalidValueError
 
@@ -114,7 +114,7 @@ class AnnotationSession:
     def pin(self, object_id: int, frame: int, motion: ImageMotion) -> None:
         """Make the propagated region of a frame a key frame: copy by motion."""
         item = self._now.object(object_id)
-        region = propagate_object(item, self._now.n_frames, motion)[frame]
+        region = propagate_keys(item.key_frames, self._now.n_frames, motion)[frame]
         self.set_key_frame(object_id, frame, [p.tolist() for p in region.polygons], region.visibility)
 
     def add_mark(self, frame: int, polygon: Sequence[Sequence[float]], *, motion: Motion) -> None:

@@ -12,8 +12,8 @@ import pytest
 from annotation_scenes import write_clip
 from asgi_client import Client
 
-from kt3dmoseg.annotate import AnnotatedObject, AnnotationSession, KeyFrame, load_annotation
-from kt3dmoseg.annotate.document import to_json
+from kt3dmoseg.annotate import AnnotatedObject, AnnotationSession, KeyFrame, label_tracks, load_annotation
+from kt3dmoseg.annotate.document import from_json, to_json
 from kt3dmoseg.annotate.server import guard
 from kt3dmoseg.annotate.server.app import create_app
 from kt3dmoseg.annotate.server.desk import Desk
@@ -87,13 +87,43 @@ def test_page_and_its_files(page):
     assert "script-src 'self'" in page.get("/").headers["content-security-policy"]
 
 
-def test_clips_and_progress(page):
-    assert [c["name"] for c in page.get("/api/clips").json()["clips"]] == ["one", "two"]
-    save(page, drawn(page), 0)
+def counted(page):
+    """Ask until all clips are counted."""
+    while True:
+        found = page.get("/api/clips").json()["clips"]
+        if not any(clip["counting"] for clip in found):
+            return found
+
+
+def test_progress_of_all_clips_is_counted_from_the_files_alone(clips, tmp_path):
+    save(client(routes(clips, tmp_path)), drawn(client(routes(clips, tmp_path))), 0)
+    one, two = counted(client(routes(clips, tmp_path)))
+    assert (one["name"], one["revision"], one["objects"], one["motions"]) == ("one", 1, 1, 1)
+    labelled = one["counts"]["labelled"]
+    assert 390 <= labelled == 400 - one["counts"]["conflict"] - one["counts"]["short"]
+    assert (two["name"], two["trajectories"], "counts" in two) == ("two", 10, False)
+
+
+def test_progress_follows_what_is_saved_and_opened(page, clips, tmp_path):
+    assert [c["trajectories"] for c in counted(page)] == [400, 10]
+    doc = drawn(page)
+    save(page, doc, 0)
+    labelled = counted(page)[0]["counts"]
+    doc["marks"] = [{"frame": 0, "motion": "reject", "polygon": [[0, 0], [320, 0], [320, 200], [0, 200]]}]
+    save(page, doc, 1)
+    after = counted(page)[0]
+    assert (after["revision"], after["counts"]["rejected"]) == (2, 400)
+    assert labelled["rejected"] == 0
     wait(page)
-    first = page.get("/api/clips").json()["clips"][0]
-    assert (first["revision"], first["objects"]) == (1, 1)
-    assert sum(first["counts"].values()) == 400
+    assert counted(page)[0] == after
+
+
+def test_progress_computes_no_trajectories(clips, tmp_path):
+    page = client(routes(clips, tmp_path, tracks=False))
+    save(page, drawn(page), 0)
+    one, two = counted(page)
+    assert (one["objects"], "trajectories" in one, "counts" in one) == (1, False, False)
+    assert "objects" not in two
 
 
 def test_clip(page):
@@ -225,7 +255,7 @@ def test_if_match_is_required_and_checked(page):
     ("body", "word"),
     [(b"", "JSON"), (b"{", "JSON"), (b"[]", "annotation"), (b"[" * 90_000, "JSON"), (b"\xff", "JSON")],
 )
-@pytest.mark.parametrize("route", ["labels", "proposals/residual", "export/cvat"])
+@pytest.mark.parametrize("route", ["labels", "regions", "proposals/residual", "export/cvat"])
 def test_bodies_that_are_no_annotation(page, route, body, word):
     wait(page)
     answer = page.post(f"/api/clips/one/{route}", content=body)
@@ -247,7 +277,7 @@ def test_a_damaged_annotation_file_is_told_and_kept(page, tmp_path):
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "one.json").write_text("{ not json")
     assert "one.json" in page.get("/api/clips/one").json()["error"]
-    assert "one.json" in page.get("/api/clips").json()["clips"][0]["error"]
+    assert "one.json" in counted(page)[0]["error"]
     doc = drawn(page, "two") | {"clip": "one", "n_frames": 6}
     assert save(page, doc, 0).status_code == 400
     assert (tmp_path / "notes" / "one.json").read_text() == "{ not json"
@@ -266,9 +296,19 @@ def test_labels_and_regions(page, clips):
     assert len(told["label"]) == 400
     assert told["counts"]["motions"].keys() <= {"0", "1", "2"}
     assert told["counts"]["motions"]["2"] > 20
-    last = told["regions"]["1"][5]
+    last = page.post("/api/clips/one/regions", json=drawn(page)).json()["regions"]["1"][5]
     assert last["key"] is False
     assert np.allclose(last["polygons"][0], np.array(BOX) + np.array([20.0, 0.0]), atol=0.5)
+
+
+def test_labels_are_those_of_label_tracks(page, clips):
+    """What the server remembers of former edits changes no answer."""
+    wait(page)
+    doc = drawn(page)
+    for shift in (0.0, 30.0, 0.0):
+        doc["objects"][0]["key_frames"][0]["polygons"] = [[[x + shift, y] for x, y in BOX]]
+        told = page.post("/api/clips/one/labels", json=doc).json()["label"]
+        assert told == label_tracks(load(clips / "tracks" / "one.npz").dense, from_json(doc)).label.tolist()
 
 
 def test_residual_proposals_accept_nothing_by_themselves(page, tmp_path):

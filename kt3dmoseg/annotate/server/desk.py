@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,7 +13,9 @@ import numpy as np
 from kt3dmoseg import io
 from kt3dmoseg.annotate.document import load_annotation
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
-from kt3dmoseg.annotate.model import Annotation
+from kt3dmoseg.annotate.model import Annotation, KeyFrame
+from kt3dmoseg.annotate.motion import TrackMotion
+from kt3dmoseg.annotate.regions import Region, propagate_keys
 from kt3dmoseg.annotate.workspace import ClipSource
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io.images import read_frame
@@ -22,7 +24,8 @@ from kt3dmoseg.types import ByteArray, Trajectories
 Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]
 """Computes trajectories from frames, reporting (frames done, frames in all)."""
 
-_KEPT = 4
+_KEPT_LABELLINGS = 4
+_KEPT_OBJECTS = 256
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,9 @@ class Desk:
         self._thread: threading.Thread | None = None
         self._progress = Progress(0, len(source.frames))
         self._trajectories: Trajectories | None = None
-        self._labelled: OrderedDict[Annotation, LabelledTracks] = OrderedDict()
         self._size: tuple[int, int] | None = None
+        self._labelled = lru_cache(_KEPT_LABELLINGS)(self._label)
+        self._carried = lru_cache(_KEPT_OBJECTS)(self._carry)
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -123,19 +127,51 @@ class Desk:
 
     def labelled(self, annotation: Annotation) -> LabelledTracks:
         """Label the clip's trajectories; the last few answers are remembered."""
-        with self._lock:
-            known = self._labelled.get(annotation)
-        if known is None:
-            known = label_tracks_detailed(self.wait(), annotation)
-            with self._lock:
-                self._labelled[annotation] = known
-                while len(self._labelled) > _KEPT:
-                    self._labelled.popitem(last=False)
-        return known
+        # Who saved it, and as which revision, changes no label.
+        return self._labelled(replace(annotation, revision=0, annotator=""))
+
+    def regions(self, annotation: Annotation) -> dict[int, list[Region]]:
+        """Return every object's region in every frame; computed only for objects that were edited."""
+        return {item.id: self._carried(item.key_frames) for item in annotation.objects}
+
+    def progress(self) -> dict[str, Any]:
+        """Tell how far the clip is, JSON-able; trajectories that no file holds are not computed for it.
+
+        Raises
+        ------
+        KT3DMoSegError
+            When a file is damaged, or of another clip.
+        """
+        out: dict[str, Any] = {}
+        found = self._trajectories
+        if found is None and self.source.tracks is not None:
+            found = self._load()
+        if found is not None:
+            out["trajectories"] = len(found)
+        if not self.source.annotation.exists():
+            return out
+        annotation = self.annotation()
+        out |= {
+            "revision": annotation.revision,
+            "annotator": annotation.annotator,
+            "objects": len(annotation.objects),
+            "motions": len(annotation.motions),
+        }
+        if found is None:
+            return out
+        # A clip that nobody opened is labelled without keeping anything of it.
+        labelled = self.labelled(annotation) if self.ready else label_tracks_detailed(found, annotation)
+        return out | {"counts": labelled.counts()}
 
     def frames(self) -> list[ByteArray]:
         """Read all frames as gray."""
         return [read_frame(path, "luma") for path in self.source.frames]
+
+    def _label(self, annotation: Annotation) -> LabelledTracks:
+        return label_tracks_detailed(self.wait(), annotation, regions=self.regions(annotation))
+
+    def _carry(self, keys: tuple[KeyFrame, ...]) -> list[Region]:
+        return propagate_keys(keys, len(self.source.frames), TrackMotion(self.wait()))
 
     def _work(self) -> None:
         try:
@@ -171,17 +207,21 @@ def outcome(labelled: LabelledTracks) -> dict[str, Any]:
         "label": labelled.labels.label.tolist(),
         "reason": labelled.reason.tolist(),
         "counts": labelled.counts() | {"motions": _per_label(labelled)},
-        "regions": {
-            str(number): [
-                {
-                    "visibility": region.visibility,
-                    "key": region.key,
-                    "polygons": [np.round(polygon, 2).tolist() for polygon in region.polygons],
-                }
-                for region in regions
-            ]
-            for number, regions in labelled.regions.items()
-        },
+    }
+
+
+def shown(regions: Mapping[int, list[Region]]) -> dict[str, Any]:
+    """Return the regions as the page draws them, JSON-able."""
+    return {
+        str(number): [
+            {
+                "visibility": region.visibility,
+                "key": region.key,
+                "polygons": [np.round(polygon, 2).tolist() for polygon in region.polygons],
+            }
+            for region in of_object
+        ]
+        for number, of_object in regions.items()
     }
 
 

@@ -6,6 +6,7 @@
 ``GET  /api/clips/C/tracks``                 trajectories as float32 (N, F, 2); 202 while they are computed
 ``GET  /api/clips/C/annotation``             the saved annotation, its revision as ETag
 ``PUT  /api/clips/C/annotation``             save; If-Match names the revision it was made from
+``POST /api/clips/C/regions``                the regions of every frame, of the annotation in the body
 ``POST /api/clips/C/labels``                 label the trajectories by the annotation in the body
 ``POST /api/clips/C/proposals/P``            regions proposed by P
 ``POST /api/clips/C/compare``                the annotation in the body against the other annotator's
@@ -35,9 +36,10 @@ from kt3dmoseg.annotate import formats, proposals
 from kt3dmoseg.annotate.document import from_json, load_annotation, to_json
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.server.compare import comparison
-from kt3dmoseg.annotate.server.desk import Desk, Progress, outcome
+from kt3dmoseg.annotate.server.desk import Desk, Progress, outcome, shown
+from kt3dmoseg.annotate.server.survey import Survey
 from kt3dmoseg.annotate.store import save_revision
-from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
@@ -84,6 +86,11 @@ class Routes:
         return {name: formats.load(name).suffix for name in formats.FORMATS.names()}
 
     @cached_property
+    def survey(self) -> Survey:
+        """The progress of all clips."""
+        return Survey(self.desks)
+
+    @cached_property
     def proposers(self) -> list[str]:
         """Names of the proposers."""
         return proposals.PROPOSERS.names()
@@ -98,6 +105,7 @@ class Routes:
             ("GET", clip + "/tracks", self.tracks),
             ("GET", clip + "/annotation", self.annotation),
             ("PUT", clip + "/annotation", self.save),
+            ("POST", clip + "/regions", self.regions),
             ("POST", clip + "/labels", self.labels),
             ("POST", clip + "/proposals/{proposer}", self.propose),
             ("POST", clip + "/compare", self.compare),
@@ -108,7 +116,7 @@ class Routes:
 
     async def clips(self, _: Request) -> Response:
         """List the clips with their progress."""
-        return JSONResponse({"clips": await run_in_threadpool(lambda: [*map(_summary, self.desks.values())])})
+        return JSONResponse({"clips": await run_in_threadpool(self.survey.clips)})
 
     async def clip(self, request: Request) -> Response:
         """Tell all that the page needs about one clip but the big arrays."""
@@ -161,13 +169,13 @@ class Routes:
         saved = await run_in_threadpool(save_revision, desk.source.annotation, mine)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
+    async def regions(self, request: Request) -> Response:
+        """Send the regions of the annotation in the body, in every frame."""
+        return await self._told(request, lambda desk, given: {"regions": shown(desk.regions(given))})
+
     async def labels(self, request: Request) -> Response:
-        """Label the trajectories by the annotation in the body and send its regions."""
-        desk = self._desk(request)
-        if isinstance(desk.trajectories(), Progress):
-            return JSONResponse(vars(desk.trajectories()), status_code=202)
-        annotation = await self._annotation_of(request, desk)
-        return JSONResponse(await run_in_threadpool(lambda: outcome(desk.labelled(annotation))))
+        """Label the trajectories by the annotation in the body."""
+        return await self._told(request, lambda desk, given: outcome(desk.labelled(given)))
 
     async def propose(self, request: Request) -> Response:
         """Send proposed objects; the body is the annotation so far."""
@@ -218,6 +226,14 @@ class Routes:
         found = await run_in_threadpool(chosen.parse, content, like.emptied(), desk.frame_names)
         return JSONResponse(to_json(found))
 
+    async def _told(self, request: Request, tell: Callable[[Desk, Annotation], dict[str, Any]]) -> Response:
+        desk = self._desk(request)
+        found = desk.trajectories()
+        if isinstance(found, Progress):
+            return JSONResponse(vars(found), status_code=202)
+        annotation = await self._annotation_of(request, desk)
+        return JSONResponse(await run_in_threadpool(tell, desk, annotation))
+
     def _desk(self, request: Request) -> Desk:
         desk = self.desks.get(request.path_params["clip"])
         if desk is None:
@@ -232,24 +248,6 @@ class Routes:
         annotation = from_json(data)
         await run_in_threadpool(desk.check, annotation)
         return annotation
-
-
-def _summary(desk: Desk) -> dict[str, Any]:
-    """Tell how far a clip is, without opening its frames."""
-    out: dict[str, Any] = {"name": desk.source.name, "n_frames": len(desk.source.frames), "revision": 0}
-    if not desk.source.annotation.exists():
-        return out
-    try:
-        annotation = desk.annotation()
-    except KT3DMoSegError as error:
-        return out | {"error": str(error)}
-    out |= {
-        "revision": annotation.revision,
-        "annotator": annotation.annotator,
-        "objects": len(annotation.objects),
-        "motions": len(annotation.motions),
-    }
-    return out | {"counts": desk.labelled(annotation).counts()} if desk.ready else out
 
 
 def _picture(path: Path) -> tuple[bytes, str]:

@@ -39,6 +39,7 @@ export const listClips = () => json("/api/clips").then((answer) => answer.clips)
 export const getClip = (name) => json(clip(name));
 export const getAnnotation = (name) => json(`${clip(name)}/annotation`, { cache: "no-store" });
 export const frameAddress = (name, frame) => `${clip(name)}/frames/${frame}`;
+export const regions = (name, doc, signal) => json(`${clip(name)}/regions`, post(doc, { signal }));
 export const labels = (name, doc, signal) => json(`${clip(name)}/labels`, post(doc, { signal }));
 export const propose = (name, proposer, doc) => json(`${clip(name)}/proposals/${proposer}`, post(doc));
 export const compare = (name, doc) => json(`${clip(name)}/compare`, post(doc));

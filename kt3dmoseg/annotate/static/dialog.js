@@ -4,6 +4,16 @@ import { element, fill } from "./dom.js";
 
 const dialog = document.getElementById("dialog");
 
+// Long lists are walked with the arrow keys.
+dialog.addEventListener("keydown", (event) => {
+  const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+  const buttons = [...dialog.querySelectorAll(".scroll button")];
+  if (!by || !buttons.length) return;
+  const at = buttons.indexOf(document.activeElement);
+  buttons[Math.min(buttons.length - 1, Math.max(0, at + by))].focus();
+  event.preventDefault();
+});
+
 export function open(title, ...content) {
   fill(dialog, element("h2", {}, title), ...content);
   if (!dialog.open) dialog.showModal();

@@ -46,12 +46,17 @@ export class Labeller {
     const controller = (this.#controller = new AbortController());
     const { clip, doc } = this.state;
     try {
-      const answer = await api.labels(clip.name, doc, controller.signal);
-      if (clip === this.state.clip && controller === this.#controller && answer.label) {
-        this.state.set({ labels: answer, regions: answer.regions });
-      }
+      // Regions first: they take a fraction of the time, and the next frame waits for them.
+      const { regions } = await api.regions(clip.name, doc, controller.signal);
+      if (this.#isCurrent(clip, controller) && regions) this.state.set({ regions });
+      const labels = await api.labels(clip.name, doc, controller.signal);
+      if (this.#isCurrent(clip, controller) && labels.label) this.state.set({ labels });
     } catch {
       // Offline or refused: the saver tells; the last labels stay.
     }
+  }
+
+  #isCurrent(clip, controller) {
+    return clip === this.state.clip && controller === this.#controller;
   }
 }

@@ -2,7 +2,7 @@
 
 import * as actions from "./actions.js";
 import * as api from "./api.js";
-import { clips } from "./clips.js";
+import { clips, watchClips } from "./clips.js";
 import { compare } from "./compare.js";
 import { watchConflicts } from "./conflict.js";
 import { button, close, open, row } from "./dialog.js";
@@ -19,6 +19,7 @@ import { merge } from "./merge.js";
 import { Objects } from "./objects.js";
 import { Picture } from "./picture.js";
 import { Pointer } from "./pointer.js";
+import { watchProgress } from "./progress.js";
 import { propose } from "./propose.js";
 import { Regions } from "./regions.js";
 import { watchReview } from "./review.js";
@@ -40,7 +41,7 @@ class App {
     const by = (id) => document.getElementById(id);
     this.state = new State({
       ...FRESH, clip: null, saving: { kind: "saved", revision: 0 }, trails: true, hidden: false, problems: false,
-      colouring: "label", resized: 0,
+      colouring: "label", resized: 0, summaries: null,
     });
     this.stageElement = by("stage");
     this.pictureCanvas = by("picture");
@@ -57,6 +58,8 @@ class App {
     new Pointer(this, this.stageElement);
     watchStatus(this);
     watchConflicts(this);
+    watchClips(this);
+    watchProgress(this, by("progress"));
     watchReview(this, by("review"));
     listen(this);
     this.#buttons();

@@ -1,7 +1,7 @@
 // What the page says about itself: saved revision, frame, hints, progress of the trajectories.
 
 const TEXT = {
-  saved: (s) => (s.revision ? `✓ saved · rev ${s.revision}` : "nothing to save yet"),
+  saved: (s) => (s.revision ? `✓ saved · rev ${s.revision}` : "no edits yet · rev 0"),
   unsaved: () => "• edited",
   busy: () => "saving…",
   offline: () => "⚠ server away: edits kept in this browser",
