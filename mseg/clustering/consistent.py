@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import eigh
 
-from kt3dmoseg.types import FloatArray
+from kt3dmoseg.types import FloatArray, IntArray
+from mseg.clustering.eigen import smallest_subspace
 from mseg.iteration import Convergence, iterate
 
 _TIE = 1e-6
@@ -26,7 +27,7 @@ class ConsistentAffinity:
     specific : (V, N, N) float64
         D_v, what each view makes of it.
     convergence : Convergence
-        Largest squared change of C or any D_v in the last sweep against the tolerance.
+        The squared change of C, or that of all D_v together if it is larger, against the tolerance.
     """
 
     shared: FloatArray
@@ -71,9 +72,15 @@ def consistent_affinity(
     largest, smallest : float
         Bounds of C from above and of D_v from below.
     tolerance : float
-        Stop when no squared Frobenius norm of a change exceeds it.
+        Stop when neither the squared Frobenius norm of the change of C nor that of all D_v exceeds it.
     max_iterations : int
-        Cap on sweeps, each O(N^3) for the eigenvectors.
+        Cap on sweeps.
+
+    Notes
+    -----
+    Where no view has weight, C is zero and D_v is `smallest` from the first sweep on, so that the sweeps
+    run over the E pairs with weight in some view: O(E (V + K)) each, and a few products with the
+    Laplacian, whose eigenvectors start from those of the sweep before.
 
     References
     ----------
@@ -81,16 +88,14 @@ def consistent_affinity(
     geometric models", AAAI 2021, problem and updates as in the authors' code; the last term: Lu, Feng, Lin,
     Mei, Yan, "Subspace clustering by block diagonal representation", TPAMI 2019.
     """
-    data = np.array(views, dtype=np.float64)
-    data[:, range(data.shape[1]), range(data.shape[1])] = 0
-    search = _Search(data, n_clusters, specific_weight, rank_weight, largest, smallest)
+    search = _Search(np.asarray(views), n_clusters, specific_weight, rank_weight, largest, smallest)
     convergence = iterate(search.sweep, tolerance=tolerance, max_iterations=max_iterations)
-    return ConsistentAffinity(search.shared, search.specific, convergence)
+    return ConsistentAffinity(*search.dense(), convergence)
 
 
 @dataclass(eq=False)
 class _Search:
-    """State of the alternating minimisation."""
+    """State of the alternating minimisation, entries above the diagonal where some view has weight."""
 
     views: FloatArray
     n_clusters: int
@@ -98,65 +103,93 @@ class _Search:
     rank_weight: float
     largest: float
     smallest: float
+    edges: tuple[IntArray, IntArray] = field(init=False)
+    weights: FloatArray = field(init=False)
     shared: FloatArray = field(init=False)
     specific: FloatArray = field(init=False)
-    projector: FloatArray = field(init=False)
+    apart: FloatArray = field(init=False)
+    subspace: FloatArray | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        n = self.views.shape[1]
-        self.shared = np.ones((n, n)) - np.eye(n)
-        self.specific = np.zeros_like(self.views)
-        self.projector = np.eye(n)
+        first, second = self.edges = np.nonzero(np.triu(self.views.any(axis=0), 1))
+        self.weights = self.views[:, first, second].astype(np.float64)
+        self.shared = np.ones(self.weights.shape[1])
+        self.specific = np.zeros_like(self.weights)
+        # W starts as the identity.
+        self.apart = np.full_like(self.shared, 2.0)
 
     def sweep(self) -> float:
-        """Update D_v, C and W once; return the largest squared change of C or a D_v."""
+        """Update D_v, C and W once; return the larger squared change of C and of all D_v."""
         fit = self.shared / (self.shared**2 + self.specific_weight)
-        specific = np.maximum(fit * self.views, self.smallest)
+        specific = np.maximum(fit * self.weights, self.smallest)
         shared = self._shared(specific)
-        moved = max(
-            float(((shared - self.shared) ** 2).sum()),
-            float(((specific - self.specific) ** 2).sum(axis=(1, 2)).max()),
-        )
+        moved = 2 * max(((shared - self.shared) ** 2).sum(), ((specific - self.specific) ** 2).sum())
         self.shared, self.specific = shared, specific
-        self.projector = component_projector(shared, self.n_clusters)
-        return moved
+        self._separate()
+        return float(moved)
+
+    def dense(self) -> tuple[FloatArray, FloatArray]:
+        """Return C (N, N) and D_v (V, N, N)."""
+        first, second = self.edges
+        specific = np.full(self.views.shape, self.smallest)
+        specific[:, first, second] = specific[:, second, first] = self.specific
+        return self._graph(), specific
 
     def _shared(self, specific: FloatArray) -> FloatArray:
         """Minimise over symmetric C: entry by entry, C_ij and C_ji together."""
-        explained = np.einsum("vij,vij->ij", specific, self.views)
-        weight = np.einsum("vij,vij->ij", specific, specific)
-        spread = np.diagonal(self.projector)[:, None] - self.projector
-        numerator = explained + explained.T - self.rank_weight * (spread + spread.T)
-        shared = np.clip(numerator / (weight + weight.T + _RIDGE), 0, self.largest)
-        np.fill_diagonal(shared, 0)
-        return np.asarray(shared)
+        explained = np.einsum("ve,ve->e", specific, self.weights)
+        weight = np.einsum("ve,ve->e", specific, specific)
+        numerator = 2 * explained - self.rank_weight * self.apart
+        return np.asarray(np.clip(numerator / (2 * weight + _RIDGE), 0, self.largest))
+
+    def _separate(self) -> None:
+        """Update W, of which the sweeps need W_ii + W_jj - 2 W_ij alone: squared distances of its factors."""
+        laplacian = -self._graph()
+        np.fill_diagonal(laplacian, -laplacian.sum(axis=1))
+        factors, self.subspace = component_factors(laplacian, self.n_clusters, self.subspace)
+        first, second = self.edges
+        self.apart = ((factors[first] - factors[second]) ** 2).sum(axis=1)
+
+    def _graph(self) -> FloatArray:
+        first, second = self.edges
+        graph = np.zeros(self.views.shape[1:])
+        graph[first, second] = graph[second, first] = self.shared
+        return graph
 
 
-def component_projector(weights: FloatArray, n_clusters: int) -> FloatArray:
-    """Minimise ``<Laplacian of weights, W>`` over 0 <= W <= I of trace K.
+def component_factors(
+    laplacian: FloatArray, n_clusters: int, start: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Minimise ``<laplacian, W>`` over 0 <= W <= I of trace K.
 
     Parameters
     ----------
-    weights : (N, N) float64
-        Symmetric weights >= 0.
+    laplacian : (N, N) float64
+        Symmetric.
     n_clusters : int
         Trace K, at most N.
+    start : (N, m) float64, optional
+        `subspace` of a matrix nearby.
 
     Returns
     -------
-    (N, N) float64
-        Projector on the eigenvectors of the K smallest eigenvalues. Where the K-th eigenvalue equals the
-        next (within 1e-6), all eigenvectors of that value share what is left of the trace, so that the
-        result does not depend on the basis that the solver happened to choose.
+    factors : (N, b) float64
+        W is ``factors @ factors.T``: the projector on the eigenvectors of the K smallest eigenvalues. Where
+        the K-th eigenvalue equals the next (within 1e-6), all eigenvectors of that value share what is left
+        of the trace, so that the result does not depend on the basis that the solver happened to choose.
+    subspace : (N, m) float64
+        Start for the next call.
     """
-    n = len(weights)
-    laplacian = np.diag(weights.sum(axis=1)) - weights
-    values, vectors = eigh(laplacian, subset_by_index=(0, min(n_clusters, n - 1)), check_finite=False)
-    if n_clusters < n and values[n_clusters] - values[n_clusters - 1] < _TIE:
-        limit = (-np.inf, float(values[n_clusters - 1]) + _TIE)
-        values, vectors = eigh(laplacian, subset_by_value=limit, check_finite=False)
-        below = values < values[n_clusters - 1] - _TIE
-        share = np.where(below, 1.0, (n_clusters - below.sum()) / (~below).sum())
-        return np.asarray((vectors * share) @ vectors.T)
-    vectors = vectors[:, :n_clusters]
-    return np.asarray(vectors @ vectors.T)
+    subspace = smallest_subspace(laplacian, n_clusters, start=start)
+    last = subspace[:, n_clusters - 1 : n_clusters + 1]
+    values = np.einsum("ik,ik->k", last, laplacian @ last)
+    if n_clusters == len(laplacian) or values[1] - values[0] >= _TIE:
+        return subspace[:, :n_clusters], subspace
+    return _shared_factors(laplacian, float(values[0]), n_clusters), subspace
+
+
+def _shared_factors(laplacian: FloatArray, tied: float, n_clusters: int) -> FloatArray:
+    values, vectors = eigh(laplacian, subset_by_value=(-np.inf, tied + _TIE), check_finite=False)
+    below = values < tied - _TIE
+    share = np.where(below, 1.0, (n_clusters - below.sum()) / (~below).sum())
+    return np.asarray(vectors * np.sqrt(share))

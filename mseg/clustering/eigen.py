@@ -79,7 +79,7 @@ def smallest_subspace(
     Returns
     -------
     (N, m) float64
-        Orthonormal, m >= K; the first K columns are the eigenvectors.
+        Orthonormal, m > K (m = N at most); the first K columns are the eigenvectors.
     """
     size = matrix.shape[0]
     if not 1 <= count <= size:
@@ -87,7 +87,7 @@ def smallest_subspace(
     block = count + _GUARD
     if size <= max(_DENSE, (_EXPANSIONS + 3) * block):
         dense = np.asarray(matrix)
-        vectors = eigh(dense, subset_by_index=(0, count - 1), driver="evr", check_finite=False)[1]
+        vectors = eigh(dense, subset_by_index=(0, min(block, size) - 1), driver="evr", check_finite=False)[1]
         return np.ascontiguousarray(vectors)
     first = _random_block(size, block) if start is None else start
     return _krylov(matrix, first, count, tolerance)

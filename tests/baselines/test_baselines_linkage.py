@@ -8,7 +8,6 @@ import pytest
 import mseg.methods as methods
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.clustering.collaborative import collaborative_representation
-from mseg.clustering.consistent import component_projector, consistent_affinity
 from mseg.clustering.linkage import by_size, tanimoto_linkage
 from mseg.clustering.lossy import _Groups, coding_lengths, compress
 from mseg.clustering.symmetric_factors import symmetric_factors
@@ -119,23 +118,6 @@ def test_election_without_a_candidate_says_so(rng):
     np.testing.assert_array_equal(labels, found[0])
     assert report["exact_count"] is False
     assert sparsity_preserving_dimension(60) == 16
-
-
-def test_components_share_a_tie_evenly():
-    np.testing.assert_allclose(component_projector(np.zeros((4, 4)), 2), np.eye(4) / 2, atol=1e-12)
-    blocks = np.kron(np.eye(2), np.ones((3, 3)) - np.eye(3))
-    np.testing.assert_allclose(
-        component_projector(blocks, 2), np.kron(np.eye(2), np.ones((3, 3)) / 3), atol=1e-9
-    )
-
-
-def test_consistent_graph_falls_into_components(rng):
-    block = np.kron(np.eye(2), np.ones((8, 8)))
-    noise = [rng.random((16, 16)) * 0.05 for _ in range(3)]
-    solved = consistent_affinity([block + n + n.T for n in noise], 2, rank_weight=0.2)
-    assert solved.convergence.iterations > 1
-    np.testing.assert_array_equal(solved.shared, solved.shared.T)
-    assert solved.shared[:8, 8:].max() < 0.1 * solved.shared[:8, :8].mean()
 
 
 def test_factors_recover_memberships():
