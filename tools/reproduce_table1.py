@@ -24,7 +24,7 @@ from kt3dmoseg.files import write_text
 from kt3dmoseg.options import parse_assignments
 from mseg import methods
 from mseg.benchmark import BenchmarkResult, Configuration, run
-from mseg.evaluation import Protocol
+from mseg.benchmark.results import published_name
 from mseg.evaluation.layout import TextTable
 
 BENCHMARKS = ("hopkins155", "hopkins12", "mtpv62", "kt3dmoseg")
@@ -59,7 +59,7 @@ def comparison(result: BenchmarkResult) -> TextTable:
     columns += ["median", "published", "s per sequence", "failed"]
     lines = []
     for m, configuration in enumerate(result.configurations):
-        published = published_row(protocol, configuration.method)
+        published = protocol.published.get(published_name(protocol, configuration.method), {})
         cells = []
         for group, rows in present:
             cells += [_mean(result.errors[m, rows]), _figure(published.get(group.name, {}), "mean")]
@@ -69,12 +69,6 @@ def comparison(result: BenchmarkResult) -> TextTable:
         lines.append([configuration.title, *cells, str(len(failed))])
     title = f"{protocol.title}: {protocol.coverage(result.clips)}, {_seeds(result.seeds)}; error in %"
     return TextTable(title, columns, lines, _notes(result))
-
-
-def published_row(protocol: Protocol, method: str) -> Mapping[str, Mapping[str, float]]:
-    """Return the published figures of a method, by group; empty where there are none."""
-    wanted = "prevalence" if method == "one_motion" else method
-    return next((row for name, row in protocol.published.items() if _plain(name) == wanted), {})
 
 
 def _reproduce(
@@ -140,10 +134,6 @@ def _mean(errors: np.ndarray[Any, np.dtype[np.float64]]) -> str:
 
 def _figure(values: Mapping[str, float], statistic: str) -> str:
     return f"{values[statistic]:.2f}" if statistic in values else "-"
-
-
-def _plain(name: str) -> str:
-    return name.lower().replace("-", "")
 
 
 def _seeds(seeds: Sequence[int]) -> str:

@@ -14,7 +14,15 @@ from mseg.evaluation import Group, Protocol
 from mseg.evaluation.layout import TextTable
 from mseg.evaluation.statistics import standard_deviation
 
-_PUBLISHED_NAMES = {"keradd": "KerAdd", "coreg": "CoReg", "subset": "Subset", "one_motion": "prevalence"}
+
+def published_name(protocol: Protocol, method: str) -> str:
+    """Return the name of a method's row in the published table; empty where it has none.
+
+    Upper and lower case and hyphens do not count (``"tlinkage"`` is T-Linkage), and `one_motion` is the
+    prevalence row.
+    """
+    wanted = "prevalence" if method == "one_motion" else method
+    return next((name for name in protocol.published if name.lower().replace("-", "") == wanted), "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +133,7 @@ class BenchmarkResult:
         """Rows of the published table for the methods that were run."""
         lines: list[list[str]] = []
         for configuration in self.configurations:
-            name = next(
-                (n for n in self.protocol.published if n.lower() == configuration.method),
-                _PUBLISHED_NAMES.get(configuration.method, ""),
-            )
+            name = published_name(self.protocol, configuration.method)
             published = self.protocol.published.get(name)
             if published and not any(line[0] == f"published {name}" for line in lines):
                 cells = [c for g in groups for c in _published_cells(published.get(g.name, {}))]

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mseg import methods
 from mseg.benchmark import BenchmarkResult, Configuration
+from mseg.benchmark.results import published_name
 from mseg.evaluation import load_protocol
 
 
@@ -49,11 +51,22 @@ def test_our_figures_stand_beside_the_published_ones(tool):
     assert "lrssc failed on arm: no reason." in table.notes
 
 
-def test_published_names_are_found(tool):
+def test_published_names_are_found():
     protocol = load_protocol("hopkins155")
-    assert tool.published_row(protocol, "tlinkage")["all"]["mean"] == 1.97
-    assert tool.published_row(load_protocol("kt3dmoseg"), "one_motion")["all"]["mean"] == 27.95
-    assert tool.published_row(protocol, "lrssc") == {}
+    found = {method: published_name(protocol, method) for method in methods.list()}
+    assert {name for name in found.values() if name} == set(protocol.published)
+    assert found["tlinkage"] == "T-Linkage"
+    assert found["lrssc"] == ""
+    assert published_name(load_protocol("kt3dmoseg"), "one_motion") == "prevalence"
+
+
+def test_published_rows_follow_ours():
+    protocol = load_protocol("hopkins155")
+    shape = (1, 1, 1)
+    result = BenchmarkResult(
+        protocol, (Configuration("tlinkage"),), {"arm": 2}, (0,), np.zeros(shape), np.ones(shape)
+    )
+    assert [row[0] for row in result.summary().rows] == ["tlinkage", "published T-Linkage"]
 
 
 @pytest.mark.data
