@@ -102,13 +102,18 @@ def _rewrite(folder, picture):
     cv2.imwrite(str(folder / "000002.png"), picture)
 
 
+def _cut_short(folder):
+    file = folder / "000002.png"
+    file.write_bytes(file.read_bytes()[:-200])
+
+
 BAD = {
     "empty folder": (lambda f: [p.unlink() for p in f.iterdir()], "empty folder"),
     "one frame": (lambda f: [p.unlink() for p in sorted(f.iterdir())[1:]], "only 000001.png"),
     "two sizes": (lambda f: _rewrite(f, np.zeros((80, 90), np.uint8)), "expected 96x64 px.*found 90x80"),
     "colour": (_colour, "expected a gray picture, found colour; convert"),
     "16 bit": (lambda f: _rewrite(f, np.zeros((HEIGHT, WIDTH), np.uint16)), "8-bit picture, found 16 bits"),
-    "corrupt": (lambda f: (f / "000002.png").write_bytes(b"\x89PNG\r\n\x1a\n"), "expected a picture"),
+    "corrupt": (_cut_short, "expected a sound PNG, found a file cut short"),
     "gap": (lambda f: (f / "000003.png").unlink(), "frame 3: .*without a gap"),
     "too thin": (lambda f: [_thin(p) for p in f.iterdir()], "at least 32"),
 }

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.io import png
 from kt3dmoseg.io.images import frame_number, frame_paths, read_frame
 from kt3dmoseg.io.index_images import decode_indices
 from kt3dmoseg.io.video import write_png
@@ -89,11 +90,50 @@ def test_16_bits_are_refused(tmp_path):
 def test_a_corrupt_picture_is_one_line_and_opencv_stays_silent(tmp_path, capfd):
     write_png(tmp_path / "1.png", np.random.default_rng(0).integers(0, 255, (40, 60), dtype=np.uint8))
     content = (tmp_path / "1.png").read_bytes()
-    for broken in (content[:100], b"\x89PNG\r\n\x1a\nnothing", b"", b"text"):
+    flipped = bytearray(content)
+    flipped[200] ^= 16
+    for broken, words in (
+        (content[:100], "a sound PNG, found a file cut short at 100 bytes"),
+        (content[:-1], "cut short"),
+        (bytes(flipped), "a wrong checksum at byte 33"),
+        (b"\x89PNG\r\n\x1a\nnothing", "15 bytes without a header"),
+        (b"", "expected a picture, found an empty file"),
+        (b"text", "expected a picture, found 4 bytes that are not"),
+    ):
         (tmp_path / "1.png").write_bytes(broken)
-        with pytest.raises(FileFormatError, match="expected a picture"):
+        with pytest.raises(FileFormatError, match=words):
             read_frame(tmp_path / "1.png")
     assert capfd.readouterr() == ("", "")
+
+
+def _png(width=6, height=4, bits=8, colour=0, interlace=0, pixels=bytes(28)):
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlace)
+    return png.join([(b"IHDR", header), (b"IDAT", zlib.compress(pixels)), (b"IEND", b"")])
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"pixels": bytes(27)}, "27 of 28 bytes of pixels"),
+        ({"pixels": bytes(1 << 22)}, "of 28 bytes of pixels"),
+        ({"pixels": bytes(7) + b"\5" + bytes(20)}, "unknown filter"),
+        ({"bits": 3}, "a header of 6x4, 3 bits"),
+        ({"height": 0}, "a header of 6x0"),
+        ({"colour": 3}, "no palette"),
+        ({"interlace": 1}, "28 of 32 bytes of pixels"),
+    ],
+)
+def test_a_png_that_contradicts_itself(fields, words, tmp_path, capfd):
+    (tmp_path / "1.png").write_bytes(_png(**fields))
+    with pytest.raises(FileFormatError, match=words):
+        read_frame(tmp_path / "1.png")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_interlaced_png_is_read(tmp_path):
+    # Rows of the passes of Adam7, each with its filter byte: 2 + 2 + 0 + 2 + 4 + 2 * 4 + 2 * 7.
+    (tmp_path / "1.png").write_bytes(_png(interlace=1, pixels=bytes(32)))
+    assert read_frame(tmp_path / "1.png").shape == (4, 6)
 
 
 @pytest.mark.parametrize("size", [(30_000, 30_000), (4_000, 500), (0xFFFFFFFF, 0xFFFFFFFF)])
