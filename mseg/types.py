@@ -71,7 +71,11 @@ class Segmentation:
 
 
 class Method(Protocol):
-    """A segmentation method: a frozen dataclass of parameters with one verb."""
+    """A segmentation method: a frozen dataclass of parameters with one verb.
+
+    One that never draws from `rng` may have a class attribute ``deterministic = True``; a benchmark then
+    runs it once for all seeds.
+    """
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Segment the evaluated trajectories of `clip` into `n_motions` motions.

@@ -141,11 +141,13 @@ def _tasks(
 ) -> list[Task]:
     """One task per clip and seed that has anything left to run; large clips first."""
     tasks = []
+    claimed = set(done)
     for name in sorted(clips, key=lambda n: -len(clips[n].evaluated) * clips[n].n_frames):
         clip = clips[name]
         for seed in seeds:
             work = [(keys[c.title, name, seed], c) for c in configurations]
-            todo = tuple((k, c) for k, c in work if k not in done)
+            todo = tuple((k, c) for k, c in work if k not in claimed)
+            claimed.update(k for k, _ in todo)
             if todo:
                 tasks.append(Task(clip.without_labels(), clip.n_motions, seed, todo, kernels))
     return tasks

@@ -35,7 +35,8 @@ def key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: i
     """Hash of method, all its parameters, the clip's content, number of motions, seed and versions.
 
     The versions are those of this package, numpy and scipy, and a hash of the code of the methods,
-    so results of a method that was changed are never taken for those of the new one.
+    so results of a method that was changed are never taken for those of the new one. All seeds of a
+    method that draws nothing have one key.
     """
     method: Any = create(configuration.method, **configuration.parameters)
     parameters = asdict(method)
@@ -45,7 +46,7 @@ def key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: i
         "clip": clip.name,
         "content": clip_hash(clip),
         "n_motions": n_motions,
-        "seed": seed,
+        "seed": 0 if getattr(method, "deterministic", False) else seed,
         "versions": [__version__, np.__version__, scipy.__version__, code_hash()],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()[:40]

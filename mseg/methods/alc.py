@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -40,6 +40,8 @@ class ALC(CompleteDataMethod):
     Number of motions: given; the authors' penalised length for an unknown number keeps tiny groups and is
     left out. Outliers: labelled 0. Cost: a grid of O(N^2 d^2 + N G d^3), G groups; O(N^2) memory.
     """
+
+    deterministic: ClassVar[bool] = True
 
     dimension: int = option(0, "dimension d of the projection; 0 = sparsity-preserving", low=0)
     distortions: int = option(101, "number of distortions, evenly in their logarithm", low=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,8 @@ class OneMotion:
     Source: Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR
     2018, section 4.2. Input: any. Number of motions: ignored. Cost: none.
     """
+
+    deterministic: ClassVar[bool] = True
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Label every evaluated trajectory 1; see `mseg.types.Method.segment`."""

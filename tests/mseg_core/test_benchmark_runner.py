@@ -20,6 +20,7 @@ from mseg.benchmark.store import Store, key
 from mseg.benchmark.tasks import Outcome, Task, run_task
 from mseg.cli import main
 from mseg.evaluation import load_protocol
+from mseg.methods import create
 
 CLIPS = ("Seq005_Clip01", "Seq009_Clip02", "Seq011_Clip01")
 
@@ -126,6 +127,23 @@ def test_cached_outcomes_are_not_run_again(serial, data, tmp_path, monkeypatch):
         runner_module, "execute", lambda tasks, **_: pytest.fail("ran") if tasks else iter(())
     )
     assert_array_equal(run("kt3dmoseg", ["affine", "subset"], **kwargs).errors, serial.errors)
+
+
+def test_a_method_that_draws_nothing_runs_once_for_all_seeds(data, make_clip):
+    done = []
+    result = run("kt3dmoseg", ["alc"], data=[data], seeds=2, progress=lambda *a: done.append(a))
+    assert len(done) == len(CLIPS)
+    assert_array_equal(result.errors[..., 0], result.errors[..., 1])
+    assert key(Configuration("alc"), make_clip(), 2, 0) == key(Configuration("alc"), make_clip(), 2, 1)
+
+
+@pytest.mark.parametrize("name", ["one_motion", "alc"])
+def test_methods_that_draw_nothing(make_clip, name):
+    class Undrawn:
+        def __getattr__(self, attribute):
+            pytest.fail(f"drew {attribute}")
+
+    create(name).segment(make_clip(), n_motions=2, rng=Undrawn())
 
 
 def test_keys_tell_everything_apart(make_clip):
