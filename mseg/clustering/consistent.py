@@ -111,7 +111,8 @@ class _Search:
     subspace: FloatArray | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        first, second = self.edges = np.nonzero(np.triu(self.views.any(axis=0), 1))
+        first, second = np.nonzero(np.triu(self.views.any(axis=0), 1))
+        self.edges = first.astype(np.int64), second.astype(np.int64)
         self.weights = self.views[:, first, second].astype(np.float64)
         self.shared = np.ones(self.weights.shape[1])
         self.specific = np.zeros_like(self.weights)
