@@ -120,4 +120,4 @@ def _umask() -> int:
 
 
 def _unwritable(path: Path, error: OSError) -> InputFileError:
-    return InputFileError(f"{path}: cannot write", found=error.strerror or str(error))
+    return InputFileError(f"{path}: cannot write: {error.strerror or error}")

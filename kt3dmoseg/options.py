@@ -67,7 +67,7 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
     names = option_names(cls)
     for key in values:
         if key not in names:
-            raise unknown_name(f"option of {cls.__name__}", key, names, where=where)
+            raise unknown_name("option" if where else f"option of {cls.__name__}", key, names, where=where)
     converted = {
         key: _convert(value, hints[key], f"{where}: {key}" if where else key) for key, value in values.items()
     }
@@ -141,7 +141,7 @@ def describe(cls: type[Any]) -> list[tuple[str, str, str]]:
 
 def _add_argument(group: Any, spec: dataclasses.Field[Any], hint: Any) -> None:  # noqa: ANN401
     flag = "--" + spec.name.replace("_", "-")
-    text = f"{spec.metadata.get('help', '')} (default: {spec.default})".replace("%", "%%")
+    text = f"{spec.metadata.get('help', '')}{_shown_default(spec.default)}".replace("%", "%%")
     common: dict[str, Any] = {"dest": spec.name, "default": argparse.SUPPRESS, "help": text}
     if hint is bool:
         group.add_argument(flag, action=argparse.BooleanOptionalAction, **common)
@@ -149,6 +149,13 @@ def _add_argument(group: Any, spec: dataclasses.Field[Any], hint: Any) -> None: 
         choices = typing.get_args(hint) if typing.get_origin(hint) is Literal else None
         shown = "{" + ",".join(map(str, choices)) + "}" if choices else spec.name.upper()
         group.add_argument(flag, metavar=shown, **common)
+
+
+def _shown_default(default: Any) -> str:  # noqa: ANN401
+    """Say a default in the form in which the flag takes it; nothing where there is none."""
+    if default is None or default == "":
+        return ""
+    return f" (default: {','.join(map(str, default)) if isinstance(default, tuple) else default})"
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401

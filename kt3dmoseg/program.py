@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from typing import Any, NoReturn
 
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import KT3DMoSegError
@@ -17,6 +18,30 @@ from kt3dmoseg.registry import unknown_name
 
 _INTERRUPTED = 130
 _USAGE = 2
+
+
+class Parser(argparse.ArgumentParser):
+    """The arguments of one command: none may be abbreviated, and a mistake is answered in one line.
+
+    Abbreviations are refused because a flag that is added later would change what they mean.
+    """
+
+    def __init__(self, *args: Any, **settings: Any) -> None:  # noqa: ANN401  # argparse's own
+        super().__init__(*args, **{"allow_abbrev": False} | settings)
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong, and where help is, without the long list of options."""
+        self.exit(_USAGE, f"{self.prog}: {message} (see '{self.prog} --help')\n")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:  # noqa: ANN401
+        """Parse, and refuse what is unknown with the nearest option; sub-commands come here too."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown and unknown[0].startswith("-"):
+            flag = unknown[0].partition("=")[0]
+            self.error(str(unknown_name("option", flag, self._option_string_actions)))
+        if unknown:
+            self.error(f"unexpected argument {unknown[0]!r}")
+        return found, unknown
 
 
 def main(
@@ -54,6 +79,9 @@ def main(
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:  # what the system refuses (full disk, no permission) is no bug
+        print(f"{program}: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return _USAGE
 
 
 def _dispatch(
@@ -69,7 +97,7 @@ def _dispatch(
     if first not in commands:
         raise unknown_name("command", first, commands)
     module = import_module(commands[first][0])
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"{program} {first}",
         description=module.__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

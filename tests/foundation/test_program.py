@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 
@@ -51,8 +52,6 @@ def test_overview_imports_no_command(call, capsys):
     [("kt3dmoseg", c) for c in DATASET_COMMANDS] + [("mseg", c) for c in MSEG_COMMANDS],
 )
 def test_every_listed_command_has_help(package, command, capsys):
-    from importlib import import_module
-
     main = import_module(f"{package}.cli").main
     with pytest.raises(SystemExit) as stopped:
         main([command, "--help"])
@@ -80,3 +79,38 @@ def test_both_packages_list_and_resolve_their_public_names():
             assert getattr(package, name) is not None
         with pytest.raises(AttributeError, match="no attribute 'nothing'"):
             _ = package.nothing
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--seed", "3"], "unknown option '--seed'; did you mean '--seeds'?"),
+        (["--see=3"], "unknown option '--see'; did you mean '--seeds'?"),
+        (["--seeds", "two"], "argument --seeds: invalid int value: 'two'"),
+        (["more"], "unexpected argument 'more'"),
+        (["add", "--bd", "x"], "unknown option '--bd'; did you mean '--db'?"),
+    ],
+)
+def test_a_mistake_in_the_arguments_is_answered_in_one_line(words, said, capsys):
+    parser = program.Parser(prog="prog act")
+    if words[0] == "add":
+        parser.add_subparsers().add_parser("add").add_argument("--db")
+    parser.add_argument("--seeds", type=int)
+    with pytest.raises(SystemExit) as stopped:
+        parser.parse_args(words)
+    assert stopped.value.code == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.startswith("prog act")
+    assert told.count("\n") == 1
+
+
+def test_what_the_system_refuses_is_one_line(call, capsys, monkeypatch):
+    hello_command = import_module("hello_command")
+
+    def full(arguments):
+        raise OSError(28, "No space left on device", "/full/disk")
+
+    monkeypatch.setattr(hello_command, "run", full)
+    assert call("hello", "you") == 2
+    assert capsys.readouterr().err == "prog: /full/disk: No space left on device\n"
