@@ -77,6 +77,10 @@ class Trajectories:
         """Rebuild through the constructor: pickling alone would make the arrays writable."""
         return Trajectories, (self.xy, self.visible, self.track_id, self.image_size)
 
+    def __repr__(self) -> str:
+        """Say how many there are; the arrays would fill the screen."""
+        return f"Trajectories({len(self)} over {self.n_frames} frames)"
+
     def __len__(self) -> int:
         """Return the number of trajectories."""
         return len(self.xy)
@@ -141,6 +145,10 @@ class Labels:
             raise InvalidValueError("label", expected="integers >= 0", found=brief(raw))
         object.__setattr__(self, "label", frozen(raw, np.int64))
         object.__setattr__(self, "names", MappingProxyType(dict(self.names)))
+
+    def __repr__(self) -> str:
+        """Say how many there are; the array would fill the screen."""
+        return f"Labels({len(self)} of {self.n_motions} motions)"
 
     def __len__(self) -> int:
         """Return the number of labels."""
@@ -242,6 +250,13 @@ class Clip:
             seconds = per_frame(self.timestamps, np.float64, frames, "timestamps")
             object.__setattr__(self, "timestamps", seconds)
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+    def __repr__(self) -> str:
+        """Say in one line what the clip holds."""
+        return (
+            f"Clip({self.name!r}: {self.n_frames} frames, {len(self.dense)} trajectories, "
+            f"{len(self.evaluated)} evaluated, {self.n_motions} motions)"
+        )
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild through the constructor: a read-only mapping view does not pickle."""

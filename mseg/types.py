@@ -65,6 +65,12 @@ class Segmentation:
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
 
+    def __repr__(self) -> str:
+        """Say in one line what was found."""
+        groups, sizes = np.unique(self.labels, return_counts=True)
+        shown = ", ".join(f"{g}: {n}" for g, n in zip(groups.tolist(), sizes.tolist(), strict=True))
+        return f"Segmentation({len(self.labels)} trajectories; motion: size {{{shown}}})"
+
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild through the constructor: a read-only mapping view does not pickle."""
         return Segmentation, (self.labels, dict(self.report))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
+from mseg.types import Segmentation
 
 NAN = np.nan
 
@@ -104,3 +105,13 @@ def test_without_labels_hides_the_truth_only():
     assert hidden.labels.label.tolist() == [0, 0]
     assert hidden.labels.background is None
     assert hidden.evaluated.tolist() == [1, 0]
+
+
+def test_objects_print_as_one_line():
+    clip = Clip("Seq", two_tracks(), np.array([1, 0]), Labels(np.array([2, 1])))
+    assert repr(clip) == "Clip('Seq': 3 frames, 2 trajectories, 2 evaluated, 2 motions)"
+    assert repr(clip.dense) == "Trajectories(2 over 3 frames)"
+    assert repr(clip.labels) == "Labels(2 of 2 motions)"
+    assert (
+        repr(Segmentation(np.array([1, 3, 3]))) == "Segmentation(3 trajectories; motion: size {1: 1, 3: 2})"
+    )
