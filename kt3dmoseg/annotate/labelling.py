@@ -142,10 +142,14 @@ def label_tracks_detailed(
         regions = propagate(annotation, motion or TrackMotion(trajectories))
     candidates: tuple[Motion, ...] = (BACKGROUND, *annotation.motions, REJECT)
     votes = np.zeros((len(trajectories), len(candidates)))
+    contested = np.zeros(len(trajectories), dtype=np.bool_)
     for frame in range(trajectories.n_frames):
         rows = np.flatnonzero(trajectories.visible[:, frame])
-        votes[rows] += _votes(trajectories.xy[rows, frame], annotation, regions, frame, candidates, rule)
-    choice, reason = _decide(votes, trajectories.lengths > 0, rule)
+        points = trajectories.xy[rows, frame]
+        weight, torn = _votes(points, annotation, regions, frame, candidates, rule)
+        votes[rows] += weight
+        contested[rows] |= torn
+    choice, reason = _decide(votes, contested, trajectories.lengths > 0, rule)
     halo = HaloRule(rule.halo, rule.margin, rule.ratio, rule.least_gap)
     for row, winner in decide_by_motion(trajectories, annotation.objects, regions, halo).items():
         choice[row], reason[row] = candidates.index(winner), _LABELLED
@@ -162,8 +166,8 @@ def _votes(
     frame: int,
     candidates: Sequence[Motion],
     rule: LabelRule,
-) -> FloatArray:
-    """Weights (n, K) of the votes of the points in one frame."""
+) -> tuple[FloatArray, BoolArray]:
+    """Weights (n, K) of the points' votes in one frame, and which points two motions claim (n,)."""
     depth = np.full((len(points), len(candidates)), -np.inf)
     hidden = np.zeros(len(points), dtype=np.bool_)
     for item in annotation.objects:
@@ -179,8 +183,9 @@ def _votes(
     background = np.maximum(np.minimum(static, -rejected), outside)
     uncovered = np.minimum(moving, -np.maximum(static, rejected)[:, None])
     weight = np.clip(np.column_stack([background, uncovered, rejected]) / rule.margin, 0.0, 1.0)
-    weight[hidden | ((uncovered > 0).sum(axis=1) > 1)] = 0.0
-    return np.asarray(weight)
+    torn = (uncovered > 0).sum(axis=1) > 1
+    weight[hidden | torn] = 0.0
+    return np.asarray(weight), np.asarray(torn)
 
 
 def _depth(points: FloatArray, region: Region, margin: float) -> FloatArray:
@@ -194,14 +199,17 @@ def _depth(points: FloatArray, region: Region, margin: float) -> FloatArray:
     return depth
 
 
-def _decide(votes: FloatArray, seen: BoolArray, rule: LabelRule) -> tuple[IntArray, IntArray]:
+def _decide(
+    votes: FloatArray, contested: BoolArray, seen: BoolArray, rule: LabelRule
+) -> tuple[IntArray, IntArray]:
     """Winner (N,) as a column, and reason (N,)."""
     choice = np.argmax(votes, axis=1)
     total = votes.sum(axis=1)
     won = votes.max(axis=1) >= rule.min_share * total
     reason = np.where(won, _LABELLED, _CONFLICT)
     reason[won & (choice == votes.shape[1] - 1)] = _REJECTED
-    reason[(total < rule.min_votes) | (total == 0)] = _SHORT
+    few = (total < rule.min_votes) | (total == 0)
+    reason[few] = np.where(contested[few], _CONFLICT, _SHORT)
     reason[~seen] = _UNSEEN
     return choice.astype(np.int64), reason.astype(np.int64)
 

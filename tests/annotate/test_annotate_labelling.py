@@ -92,9 +92,11 @@ def test_a_trajectory_that_is_never_visible_is_unseen():
     assert label_tracks_detailed(never, annotation(thing())).rows("unseen").tolist() == [0]
 
 
-def test_two_motions_over_one_place_cast_no_vote():
+def test_two_motions_over_one_place_cast_no_vote_and_are_a_conflict():
     told = annotation(thing(), thing(motion=2, id=2))
-    assert label_tracks_detailed(straight([(50, 50)]), told).rows("short").tolist() == [0]
+    result = label_tracks_detailed(straight([(50, 50)]), told)
+    assert result.votes[0].tolist() == [0, 0, 0, 0]
+    assert result.rows("conflict").tolist() == [0]
 
 
 def test_two_objects_of_one_motion_may_overlap():

@@ -14,16 +14,17 @@ _SHOWN = 2_000
 
 
 def comparison(trajectories: Trajectories, mine: LabelledTracks, theirs: LabelledTracks) -> dict[str, Any]:
-    """Return agreement, kappa and the differing trajectories with where to look, JSON-able."""
+    """Return agreement, kappa and the differing trajectories, alike ones together, with where to look."""
     result = agree(mine.labels.label, theirs.labels.label)
     differences = []
-    for row in result.differences[:_SHOWN]:
+    rows = [int(row) for _, _, group in result.groups() for row in group]
+    for row in rows[:_SHOWN]:
         seen = np.flatnonzero(trajectories.visible[row])
         if len(seen):
             frame = int(seen[len(seen) // 2])
             differences.append(
                 {
-                    "row": int(row),
+                    "row": row,
                     "frame": frame,
                     "xy": np.round(trajectories.xy[row, frame], 1).tolist(),
                     "mine": _name(mine, row),

@@ -91,9 +91,13 @@ class Routes:
         return Survey(self.desks)
 
     @cached_property
-    def proposers(self) -> list[str]:
-        """Names of the proposers."""
-        return proposals.PROPOSERS.names()
+    def proposers(self) -> dict[str, str]:
+        """The proposers by name, each with what it lacks here, if anything."""
+        lacking = {
+            "tracklets": "" if self.kitti else "start with --kitti FOLDER",
+            "masks": "" if self.masks else "start with --masks FOLDER",
+        }
+        return {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
 
     def table(self) -> list[Route]:
         """Return the routes for starlette."""
@@ -202,7 +206,8 @@ class Routes:
         def work() -> dict[str, Any]:
             theirs = load_annotation(path)
             desk.check(theirs)
-            return comparison(desk.wait(), desk.labelled(mine), desk.labelled(theirs))
+            found = comparison(desk.wait(), desk.labelled(mine), desk.labelled(theirs))
+            return found | {"theirs": to_json(theirs)["objects"], "regions": shown(desk.regions(theirs))}
 
         return JSONResponse(await run_in_threadpool(work))
 

@@ -102,6 +102,8 @@ export function escape(app) {
   else if (lassoed) app.state.set({ lassoed: null });
   else if (vertex) app.state.set({ vertex: null });
   else if (cross) app.state.set({ cross: null });
+  else if (app.state.review) app.state.set({ proposals: null, review: null });
+  else if (app.state.compared) app.state.set({ compared: null });
   else app.state.set({ selected: null });
 }
 

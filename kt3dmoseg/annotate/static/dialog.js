@@ -17,6 +17,7 @@ dialog.addEventListener("keydown", (event) => {
 export function open(title, ...content) {
   fill(dialog, element("h2", {}, title), ...content);
   if (!dialog.open) dialog.showModal();
+  else dialog.querySelector("button:enabled")?.focus();
   dialog.onclose = () => document.getElementById("stage").focus();
   dialog.oncancel = null;
 }

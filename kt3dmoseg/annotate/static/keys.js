@@ -2,7 +2,7 @@
 
 import * as actions from "./actions.js";
 import { clips } from "./clips.js";
-import { compare } from "./compare.js";
+import { compare, nextDifference } from "./compare.js";
 import { exchange } from "./exchange.js";
 import { help } from "./help.js";
 import { propose } from "./propose.js";
@@ -83,6 +83,7 @@ export const KEYS = {
     key("Ctrl+s", "Ctrl+S", "save now (it saves by itself)", (app) => app.saver.flush()),
     key("s", "S", "propose regions", propose),
     key("m", "M", "compare with the other annotator", compare),
+    key("Shift+G", "Shift+G", "next difference from the other", nextDifference),
     key("Ctrl+e", "Ctrl+E", "import and export", exchange),
     key("PageDown", "PageDown", "next clip", (app) => app.openNext(1)),
     key("PageUp", "PageUp", "previous clip", (app) => app.openNext(-1)),

@@ -3,7 +3,7 @@
 import * as actions from "./actions.js";
 import * as api from "./api.js";
 import { clips, watchClips } from "./clips.js";
-import { compare } from "./compare.js";
+import { compare, watchCompare } from "./compare.js";
 import { watchConflicts } from "./conflict.js";
 import { button, close, open, row } from "./dialog.js";
 import { element } from "./dom.js";
@@ -33,7 +33,7 @@ import { fit, toImage } from "./view.js";
 const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
   pointer: null, hovered: null, tracks: null, labels: null, regions: null, view: null, conflict: null, computing: "loading",
-  proposals: null, review: null, dragging: false, flickered: null, playing: false, hint: "", scrolled: 0,
+  proposals: null, review: null, compared: null, dragging: false, flickered: null, playing: false, hint: "", scrolled: 0,
 };
 
 class App {
@@ -61,6 +61,7 @@ class App {
     watchClips(this);
     watchProgress(this, by("progress"));
     watchReview(this, by("review"));
+    watchCompare(this, by("differences"));
     listen(this);
     this.#buttons();
     new ResizeObserver(() => this.#resize()).observe(this.stageElement);

@@ -31,7 +31,7 @@ export class Pointer {
 
   #down(event) {
     const { app } = this;
-    if (!app.state.view || event.target.closest("#review")) return;
+    if (!app.state.view || event.target.closest(".strip")) return;
     app.keyboard = false;
     app.state.set({ cross: null });
     this.stage.focus({ preventScroll: true });

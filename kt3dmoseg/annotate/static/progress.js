@@ -57,12 +57,13 @@ export function watchProgress(app, root) {
 function draw({ labels, summaries, clip }, root) {
   const parts = [];
   const here = labels && shareOf(labels);
-  if (here) parts.push(element("span", { title: `${clip.name}: ${here.decided} of ${here.total} trajectories labelled` }, percent(here)));
+  if (here) parts.push(element("span", {}, percent(here)));
   const all = overall(summaries ?? []);
   if (all.clips > 1) {
-    const title = `${all.annotated} of ${all.clips} clips annotated; ${all.decided} of ${all.total} trajectories labelled`;
-    parts.push(element("span", { className: "faint", title }, `all ${all.clips}:`), meter(all),
-      element("span", { className: "faint", title }, all.counting ? "counting…" : percent(all)));
+    parts.push(element("span", { className: "faint" }, `all ${all.clips}:`),
+      all.counting ? element("span", { className: "faint" }, "counting…") : percent(all));
   }
   fill(root, parts);
+  root.parentElement.title = `${here ? `${clip.name}: ${here.decided} of ${here.total} trajectories labelled. ` : ""}`
+    + `${all.annotated} of ${all.clips} clips annotated, ${all.decided} of ${all.total} trajectories labelled (F2)`;
 }

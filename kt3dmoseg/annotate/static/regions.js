@@ -11,7 +11,7 @@ export class Regions {
     this.layer = layer;
     state.on(
       ["frame", "view", "doc", "regions", "selected", "vertex", "pending", "pointer", "cross", "lassoed",
-        "hidden", "flickered", "hovered", "tool", "proposals"],
+        "hidden", "flickered", "hovered", "tool", "proposals", "review", "compared"],
       () => this.draw());
   }
 
@@ -26,6 +26,7 @@ export class Regions {
         if (mark.frame === frame) this.#outline(context, mark.polygon, colourOfMotion(mark.motion), [2, 3]);
       });
       for (const item of state.proposals ?? []) this.#drawProposal(context, item, frame);
+      if (state.compared?.at !== null) this.#drawOther(context, state.compared, frame);
     }
     if (state.pending) this.#drawPending(context, state.pending);
     if (state.lassoed?.frame === frame) this.#outline(context, state.lassoed.polygon, "#ffffff", [4, 3]);
@@ -51,8 +52,20 @@ export class Regions {
 
   #drawProposal(context, item, frame) {
     const region = regionOf({ regions: null }, item, frame);
-    for (const polygon of region.polygons) this.#outline(context, polygon, "#ffffff", [3, 4], 1.5);
-    if (region.polygons.length) this.#drawName(context, { ...item, motion: "?" }, region, "#ffffff", false);
+    const asked = this.state.review?.item === item;
+    context.globalAlpha = asked ? 1 : 0.4;
+    for (const polygon of region.polygons) this.#outline(context, polygon, "#ffffff", asked ? [8, 3] : [2, 4], asked ? 2.5 : 1);
+    if (asked) this.#drawName(context, { ...item, motion: "?" }, region, "#ffffff", true);
+    context.globalAlpha = 1;
+  }
+
+  /** The other annotator's regions, while differences are looked at. */
+  #drawOther(context, compared, frame) {
+    for (const item of compared?.theirs ?? []) {
+      const region = compared.regions[item.id][frame];
+      for (const polygon of region.polygons) this.#outline(context, polygon, "#ffffff", [3, 4], 1.5);
+      this.#drawName(context, { ...item, name: `${item.name} (other)` }, region, "#ffffff", false, 1);
+    }
   }
 
   #drawHandles(context, region, colour) {
@@ -69,7 +82,7 @@ export class Regions {
     }));
   }
 
-  #drawName(context, item, region, colour, chosen) {
+  #drawName(context, item, region, colour, chosen, line = 0) {
     const box = boundsOf(region.polygons);
     if (!box) return;
     const [x, y] = toScreen(this.state.view, box);
@@ -77,12 +90,13 @@ export class Regions {
     const { clientWidth, clientHeight } = this.layer.canvas;
     if (right < 0 || bottom < 0 || x > clientWidth || y > clientHeight) return;
     const motion = item.motion === "reject" ? "x" : item.motion;
-    this.#label(context, `${motion} ${item.name}`, Math.max(2, x), Math.max(15, y - 5), colour, chosen);
+    this.#label(context, `${motion} ${item.name}`, Math.max(2, x), Math.max(15, y - 5 - 16 * line), colour, chosen);
   }
 
   #label(context, text, x, y, colour, chosen) {
     context.font = `${chosen ? "600" : "400"} 12px system-ui, sans-serif`;
     const width = context.measureText(text).width;
+    x = Math.min(x, this.layer.canvas.clientWidth - width - 4);
     context.fillStyle = "#101216c8";
     context.fillRect(x - 2, y - 11, width + 5, 15);
     context.fillStyle = colour;

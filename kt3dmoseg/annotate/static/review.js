@@ -8,10 +8,20 @@ export function watchReview(app, root) {
   app.state.on(["review", "proposals"], ({ review, proposals }) => {
     root.hidden = !review;
     if (!review) return;
-    const text = `${review.item.name}: ${review.index + 1} of ${proposals.length} proposals`;
-    const first = button("Accept", () => propose.accept(app), "primary");
-    fill(root, element("span", {}, text), first, button("Reject", () => propose.reject(app)),
-      button("Next", () => propose.next(app)), button("Done", () => propose.endReview(app)));
-    first.focus();
+    if (review.item) ask(app, root, review, proposals.length);
+    else wait(app, root, review, proposals.length);
   });
+}
+
+function ask(app, root, { item, index }, count) {
+  const first = button("Accept", () => propose.accept(app), "primary");
+  fill(root, element("span", {}, `${item.name}: ${index + 1} of ${count} proposed`), first,
+    button("Correct", () => propose.correct(app)), button("Reject", () => propose.reject(app)),
+    button("Skip", () => propose.next(app)), button("Done", () => propose.endReview(app)));
+  first.focus();
+}
+
+function wait(app, root, { name }, left) {
+  fill(root, element("span", {}, `${name} is an object now: put it right, then`),
+    button(left ? `Go on (${left} left)` : "Done", () => propose.next(app, 0), "primary"));
 }

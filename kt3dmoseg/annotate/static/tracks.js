@@ -4,6 +4,8 @@
 import { PROBLEM, colourOfLength, colourOfTrack } from "./colours.js";
 
 const TRAIL = 6;
+// What needs a person's eye is drawn larger.
+const LARGER = 3;
 
 export class Tracks {
   #groups = [];
@@ -29,7 +31,7 @@ export class Tracks {
     // Panning only moves the paths.
     context.translate((this.#built.x - view.x) * view.scale, (this.#built.y - view.y) * view.scale);
     context.lineWidth = 1;
-    for (const { colour, points, trails } of this.#built.paths) {
+    for (const { colour, points, trails, ground } of this.#built.paths) {
       if (this.state.problems && colour !== PROBLEM) continue;
       if (this.state.trails) {
         context.globalAlpha = 0.55;
@@ -37,6 +39,8 @@ export class Tracks {
         context.stroke(trails);
       }
       context.globalAlpha = 1;
+      context.fillStyle = "#0b0d1090";
+      context.fill(ground);
       context.fillStyle = colour;
       context.fill(points);
     }
@@ -84,9 +88,13 @@ export class Tracks {
   }
 
   #build(frame, view, size) {
-    const paths = this.#groups.map(({ colour, rows }) => ({
-      colour, points: this.#points(rows, frame, view, size), trails: this.#trails(rows, frame, view),
-    }));
+    const paths = this.#groups.map(({ colour, rows }) => {
+      const side = colour === PROBLEM ? size + LARGER : size;
+      return {
+        colour, points: this.#points(rows, frame, view, side), trails: this.#trails(rows, frame, view),
+        ground: this.#points(rows, frame, view, side + 1.4),
+      };
+    });
     this.#built = { frame, x: view.x, y: view.y, scale: view.scale, paths };
   }
 
