@@ -10,6 +10,8 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering.linkage import by_size
 
+_LN2 = float(np.log(2))
+
 
 def coding_lengths(points: FloatArray, labels: IntArray, distortions: FloatArray) -> FloatArray:
     """Bits to code points group by group, each as samples of a Gaussian up to a distortion.
@@ -141,23 +143,25 @@ class _Groups:
             row[single] = self._bits(self.size[i] + 1, logarithm + np.log1p(squares))
         groups = np.flatnonzero(self.size > 1)
         groups = groups[groups != i]
-        sizes = self.size[i] + self.size[groups]
-        unions = self._identity_plus(self.scatter[i] + self.scatter[groups], sizes)
-        row[groups] = self._bits(sizes, _log_determinants(unions))
+        if len(groups):
+            sizes = self.size[i] + self.size[groups]
+            unions = self.scatter[groups]
+            unions += self.scatter[i]
+            row[groups] = self._bits(sizes, _log_determinants(self._identity_plus(unions, sizes)))
         row -= self.length[i] + self.length
         self.change[i] = self.change[:, i] = row
 
     def _identity_plus(self, scatter: FloatArray, sizes: FloatArray) -> FloatArray:
-        """Return I + a S for (B, n, n) scatters of groups of (B,) sizes."""
+        """Turn (B, n, n) scatters of groups of (B,) sizes into I + a S, in place."""
         n = scatter.shape[1]
-        scaled = scatter * (n / (self.distortion**2 * sizes))[:, None, None]
-        scaled[:, range(n), range(n)] += 1
-        return np.asarray(scaled)
+        scatter *= (n / (self.distortion**2 * sizes))[:, None, None]
+        scatter.reshape(len(scatter), n * n)[:, :: n + 1] += 1
+        return scatter
 
     def _factor(self, i: int, size: float, points: FloatArray) -> tuple[float, FloatArray]:
         """Return log det B and ``a w^T B^-1 w`` of points w: B = I + a S_i, a = n / (epsilon^2 size)."""
         n = len(self.points)
-        matrix = self._identity_plus(self.scatter[i : i + 1], np.array([size]))[0]
+        matrix = self._identity_plus(self.scatter[[i]], np.array([size]))[0]
         right = points * (np.sqrt(n / size) / self.distortion)
         factor, failed = dpotrf(matrix, lower=1)
         if not failed and np.diagonal(factor).min() >= 1:
@@ -177,7 +181,7 @@ class _Groups:
 
     def _bits(self, size: FloatArray | float, logarithm: FloatArray) -> FloatArray:
         n, total = self.points.shape
-        return np.asarray((size + n) / 2 * logarithm / np.log(2) - size * np.log2(np.divide(size, total)))
+        return np.asarray((size + n) / (2 * _LN2) * logarithm - size * np.log2(size / total))
 
 
 def _log_determinants(matrices: FloatArray) -> FloatArray:
