@@ -103,7 +103,7 @@ def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
     """Read one catalog; return its valid entries and every problem, one line each."""
     try:
         document = tomllib.loads(read_bytes(path, _LARGEST).decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, a number or nesting without end
         return {}, [f"not TOML: {error}"]
     problems = [str(unknown_name("key", key, ["clips"])) for key in document if key != "clips"]
     clips = document.get("clips", {})

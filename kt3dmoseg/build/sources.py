@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from kt3dmoseg.build.kitti_clips import DRIVE_FOLDERS, kitti_sources
@@ -20,13 +19,11 @@ from kt3dmoseg.io.images import (
     frame_number,
     frame_paths,
     gray,
-    quiet_opencv,
 )
+from kt3dmoseg.io.video import open_video
 from kt3dmoseg.types import ByteArray
 
 VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
-# FFmpeg's AV_LOG_QUIET, which OpenCV reads once: a damaged video is our one line to tell.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 @dataclass(frozen=True)
@@ -88,20 +85,13 @@ class VideoFile:
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Give the luma of every frame."""
         del colour  # a video is in colour by nature
-        with quiet_opencv():
-            video = cv2.VideoCapture(os.fspath(self.file))
-        try:
+        with open_video(self.file) as video:
             if not video.isOpened():
                 raise FileFormatError(
                     f"{self.file}", expected="a video that OpenCV decodes", found="none", fix="check the file"
                 )
-            while True:
-                more, picture = video.read()
-                if not more:
-                    return
-                yield gray(np.asarray(picture), f"{self.file}", "luma")
-        finally:
-            video.release()
+            while (read := video.read())[0]:
+                yield gray(np.asarray(read[1]), f"{self.file}", "luma")
 
 
 def find_sources(path: str | os.PathLike[str]) -> list[Source]:

@@ -1,4 +1,4 @@
-"""Writing a sequence of pictures: a folder of PNGs, a video, an animation."""
+"""Pictures in sequence: written as PNGs, a video or an animation; a video read."""
 
 from __future__ import annotations
 
@@ -12,11 +12,26 @@ import numpy as np
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.files import atomic_path, write_bytes
+from kt3dmoseg.io.images import quiet_opencv
 from kt3dmoseg.types import ByteArray
 
 _VIDEO = {".mp4": "mp4v", ".avi": "MJPG"}
 _ANIMATION = (".gif", ".apng", ".webp")
 MOVING_SUFFIXES = (*_VIDEO, *_ANIMATION)
+# FFmpeg's AV_LOG_QUIET, which OpenCV reads once: a damaged video is our one line to tell.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+
+@contextmanager
+def open_video(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
+    """Open a video for reading; whether that worked, its ``isOpened`` tells."""
+    with quiet_opencv():
+        # OpenCV's other readers write to standard error what they do not understand.
+        video = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG)
+    try:
+        yield video
+    finally:
+        video.release()
 
 
 def write_png(path: str | os.PathLike[str], picture: ByteArray) -> None:
@@ -44,7 +59,7 @@ def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], ra
     InputFileError
         When the file cannot be written.
     MissingDependencyError
-        When this OpenCV cannot write animations (before 4.11).
+        When this OpenCV cannot write animations (before 4.12).
     """
     suffix = Path(path).suffix.lower()
     if suffix in _VIDEO:
@@ -59,8 +74,8 @@ def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], ra
 def _write_video(
     path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float, suffix: str
 ) -> None:
-    with _named(path, suffix) as temporary:
-        writer = None
+    with _named(path, suffix) as temporary, quiet_opencv():
+        writer, count = None, 0
         for picture in pictures:
             if writer is None:
                 size = picture.shape[1], picture.shape[0]
@@ -68,25 +83,40 @@ def _write_video(
                 if not writer.isOpened():
                     raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write this video", fix="try .avi")
             writer.write(np.ascontiguousarray(picture[..., ::-1]))
+            count += 1
         if writer is not None:
             writer.release()
+        _check_video(temporary, count, path)
+
+
+def _check_video(written: Path, count: int, path: str | os.PathLike[str]) -> None:
+    """Read a video back: OpenCV does not tell when the disk is full."""
+    found = 0
+    with open_video(written) as video:
+        while video.grab():
+            found += 1
+    if found < count:
+        raise InputFileError(
+            f"{os.fspath(path)}: cannot write", found=f"{found} of {count} pictures", fix="is the disk full?"
+        )
 
 
 def _write_animation(
     path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float, suffix: str
 ) -> None:
-    if not hasattr(cv2, "imwriteanimation"):
+    if not hasattr(cv2, "imencodeanimation"):
         raise MissingDependencyError(
             f"{os.fspath(path)}: this OpenCV writes no animations",
             found=f"opencv {cv2.__version__}",
-            fix="install opencv-python-headless>=4.11, or write .mp4",
+            fix="install opencv-python-headless>=4.12, or write .mp4",
         )
     animation = cv2.Animation()
     animation.frames = [np.ascontiguousarray(picture[..., ::-1]) for picture in pictures]
     animation.durations = [round(1000 / rate)] * len(animation.frames)
-    with _named(path, ".png" if suffix == ".apng" else suffix) as temporary:
-        if not cv2.imwriteanimation(os.fspath(temporary), animation):
-            raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write it", fix="write .mp4")
+    encoded, content = cv2.imencodeanimation(".png" if suffix == ".apng" else suffix, animation)
+    if not encoded:
+        raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write it", fix="write .mp4")
+    write_bytes(path, content.tobytes())
 
 
 @contextmanager

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -88,12 +91,34 @@ def test_a_video(suffix, file, tmp_path):
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".gif", b"GIF8"), (".apng", b"\x89PNG"), (".webp", b"RIFF")])
-@pytest.mark.skipif(not hasattr(cv2, "imwriteanimation"), reason="OpenCV before 4.11")
+@pytest.mark.skipif(not hasattr(cv2, "imencodeanimation"), reason="OpenCV before 4.12")
 def test_an_animation(suffix, start, file, tmp_path):
     path = tmp_path / f"clip{suffix}"
     assert main(["show", str(file), "-o", str(path)]) == 0
     assert path.read_bytes()[:4] == start
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(["clip.h5", path.name])
+
+
+_FULL_DISK = """
+import resource, signal, sys
+from kt3dmoseg.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("name", ["c.mp4", "c.avi", "c.gif", "c.png"])
+def test_a_full_disk_leaves_no_half_video(name, file, tmp_path):
+    if name == "c.gif" and not hasattr(cv2, "imencodeanimation"):
+        pytest.skip("OpenCV before 4.12")
+    command = ["show", str(file), "-o", str(tmp_path / name)]
+    code = [sys.executable, "-c", _FULL_DISK, *command]
+    done = subprocess.run(code, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert name in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["clip.h5"]
 
 
 def test_a_prediction_in_one_picture(file, tmp_path):
