@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg import eigh
 
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering.laplacian import unit_rows
+from mseg.iteration import Convergence, iterate
 
 _MAX_ROUNDS = 50
+_NO_GAIN = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """Clusters nearest to an embedding.
+
+    Parameters
+    ----------
+    labels : (N,) int64
+        Clusters 0..K-1.
+    alignment : float
+        Sum of the singular values of the indicator's product with the embedding: how near it is.
+    convergence : Convergence
+        Relative gain of `alignment` in the last round.
+    """
+
+    labels: IntArray
+    alignment: float
+    convergence: Convergence
 
 
 def offset_ncut_embedding(affinity: FloatArray, n_clusters: int, offset: float = 0.5) -> FloatArray:
@@ -45,7 +68,7 @@ def offset_ncut_embedding(affinity: FloatArray, n_clusters: int, offset: float =
     return np.asarray(walk / np.linalg.norm(walk, axis=0) * np.sqrt(n))
 
 
-def discretise(embedding: FloatArray, rng: np.random.Generator, *, n_starts: int = 10) -> IntArray:
+def discretise(embedding: FloatArray, rng: np.random.Generator, *, n_starts: int = 10) -> Partition:
     """Rotate an embedding to the nearest indicator of a partition.
 
     Assignment (the largest coordinate) and rotation (orthogonal Procrustes) alternate. The first axis of
@@ -64,19 +87,20 @@ def discretise(embedding: FloatArray, rng: np.random.Generator, *, n_starts: int
 
     Returns
     -------
-    (N,) int64
-        Clusters 0..K-1.
+    Partition
+        The nearest one.
 
     References
     ----------
     Yu and Shi, "Multiclass spectral clustering", ICCV 2003.
     """
     rows = unit_rows(embedding)
-    best, closest = np.zeros(len(rows), dtype=np.int64), -np.inf
-    for first in rng.integers(len(rows), size=n_starts):
-        labels, alignment = _rotate(rows, _start(rows, int(first)))
-        if alignment > closest * (1 + 1e-12) or closest == -np.inf:
-            best, closest = labels, alignment
+    starts = rng.integers(len(rows), size=n_starts).tolist()
+    best = _rotate(rows, _start(rows, starts[0]))
+    for first in starts[1:]:
+        found = _rotate(rows, _start(rows, first))
+        if found.alignment > best.alignment * (1 + 1e-12):
+            best = found
     return best
 
 
@@ -89,15 +113,20 @@ def _start(rows: FloatArray, first: int) -> FloatArray:
     return np.stack(axes, axis=1)
 
 
-def _rotate(rows: FloatArray, rotation: FloatArray) -> tuple[IntArray, float]:
+def _rotate(rows: FloatArray, rotation: FloatArray) -> Partition:
     k, alignment = rows.shape[1], -np.inf
     labels = np.zeros(len(rows), dtype=np.int64)
-    for _ in range(_MAX_ROUNDS):
+
+    def turn() -> float:
+        nonlocal labels, alignment, rotation
         labels = (rows @ rotation).argmax(axis=1)
         totals = np.stack([np.bincount(labels, weights=column, minlength=k) for column in rows.T], axis=1)
         left, values, right = np.linalg.svd(totals)
-        if values.sum() <= alignment * (1 + 1e-15):
-            break
-        alignment = float(values.sum())
-        rotation = right.T @ left.T
-    return labels, alignment
+        reached = float(values.sum())
+        gain = (reached - alignment) / reached if reached > 0 else 0.0
+        if gain > _NO_GAIN:
+            alignment, rotation = reached, right.T @ left.T
+        return max(gain, 0.0)
+
+    convergence = iterate(turn, tolerance=_NO_GAIN, max_iterations=_MAX_ROUNDS)
+    return Partition(labels, alignment, convergence)

@@ -50,19 +50,20 @@ class LRSSC(CompleteDataMethod):
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
     ) -> tuple[IntArray, dict[str, Any]]:
         """Label the columns of the trajectory matrix."""
-        solved = self._joint(data) if self.variant == "joint" else self._cascade(data)
+        solved, before = (self._joint(data), {}) if self.variant == "joint" else self._cascade(data)
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
         labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
-        return labels, {**solved.convergence.report(), "n_motions": count}
+        return labels, {**before, **solved.convergence.report(), "n_motions": count}
 
     def _joint(self, data: CompleteData) -> Representation:
         return low_rank_sparse_representation(
             data.homogeneous, sparsity=self.sparsity, alpha=self.alpha, max_iterations=self.max_iterations
         )
 
-    def _cascade(self, data: CompleteData) -> Representation:
+    def _cascade(self, data: CompleteData) -> tuple[Representation, dict[str, Any]]:
         low_rank = low_rank_representation(data.normalised, weight=self.weight)
-        return sparse_representation(
+        sparse = sparse_representation(
             low_rank.coefficients, alpha=self.alpha, max_iterations=self.max_iterations
         )
+        return sparse, low_rank.convergence.report("low_rank_")

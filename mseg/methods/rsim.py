@@ -52,14 +52,15 @@ class RSIM(CompleteDataMethod):
         matrix = homogeneous_in_every_frame(data)
         k = n_motions or count_motions(matrix, self.power)
         space = leading_row_space(matrix, 4 * k)
-        best, labels, chosen = np.inf, np.zeros(data.n_points, dtype=np.int64), 0
-        for rank in range(min(k, space.shape[1]), space.shape[1] + 1):
+        ranks = range(min(k, space.shape[1]), space.shape[1] + 1)
+        found, scores = [], []
+        for rank in ranks:
             affinity = shape_interaction_affinity(space[:, :rank], self.power)
-            found = discretise(offset_ncut_embedding(affinity, k), rng, n_starts=self.starts)
-            score = cut_over_gap(affinity, found, k)
-            if score < best or not chosen:
-                best, labels, chosen = score, found, rank
-        return labels + 1, {"rank": chosen, "score": best, "n_motions": k}
+            found.append(discretise(offset_ncut_embedding(affinity, k), rng, n_starts=self.starts))
+            scores.append(cut_over_gap(affinity, found[-1].labels, k))
+        best = int(np.argmin(scores))
+        report = {"rank": ranks[best], "score": scores[best], "n_motions": k}
+        return found[best].labels + 1, report | found[best].convergence.report()
 
 
 def homogeneous_in_every_frame(data: CompleteData) -> FloatArray:

@@ -20,6 +20,7 @@ from mseg.methods.complete_data import complete_data
 from mseg.methods.gpca import exponents, gradients, vanishing_polynomial
 
 SUBSPACE = ["lsa", "gpca", "ssc", "lrr", "s3c", "rsim", "lrssc", "ransac"]
+LINKED = ["alc", "tlinkage", "rpa"]
 COUNTING = ["ssc", "lrr", "s3c", "rsim", "lrssc"]
 
 
@@ -43,7 +44,7 @@ def test_affine_motions_are_separated(make_scene, name, sizes):
     assert result.report.get("converged", True)
 
 
-@pytest.mark.parametrize("name", SUBSPACE)
+@pytest.mark.parametrize("name", SUBSPACE + LINKED)
 def test_gaps_are_completed_and_reported(make_scene, name):
     clip = make_scene(np.random.default_rng(2), (30, 25), n_frames=12, missing=0.3)
     result = methods.segment(clip, name, n_motions=2, completion_rank=8)
@@ -63,7 +64,7 @@ def test_same_seed_same_labels_and_labels_unseen(make_scene, name):
     assert set(first.labels) <= {1, 2}
 
 
-@pytest.mark.parametrize("name", SUBSPACE)
+@pytest.mark.parametrize("name", SUBSPACE + LINKED)
 def test_trajectories_seen_once_join_the_largest_motion(make_scene, name):
     clip = make_scene(np.random.default_rng(5), (30, 20))
     xy = clip.dense.xy.copy()
@@ -75,7 +76,7 @@ def test_trajectories_seen_once_join_the_largest_motion(make_scene, name):
     assert result.report["trajectories_left_out"] == 5
 
 
-@pytest.mark.parametrize("name", SUBSPACE)
+@pytest.mark.parametrize("name", SUBSPACE + LINKED)
 def test_bad_input_is_one_clear_error(make_scene, name):
     clip = make_scene(np.random.default_rng(6), (10, 10))
     same = with_xy(clip, np.broadcast_to(clip.dense.xy[:1], clip.dense.xy.shape).copy())
@@ -91,7 +92,7 @@ def test_bad_input_is_one_clear_error(make_scene, name):
         methods.segment(one_frame, name, n_motions=2)
 
 
-@pytest.mark.parametrize("name", SUBSPACE)
+@pytest.mark.parametrize("name", SUBSPACE + LINKED)
 def test_degenerate_data_give_labels_or_a_reason(make_scene, name):
     clip = make_scene(np.random.default_rng(7), (12, 12))
     xy = clip.dense.xy.copy()
@@ -114,7 +115,7 @@ def test_degenerate_data_give_labels_or_a_reason(make_scene, name):
         assert set(labels) <= {1, 2}
 
 
-@pytest.mark.parametrize("name", SUBSPACE)
+@pytest.mark.parametrize("name", SUBSPACE + LINKED)
 def test_one_motion_is_one_group(make_scene, name):
     clip = make_scene(np.random.default_rng(8), (20,))
     assert set(methods.segment(clip, name, n_motions=1).labels) == {1}
@@ -132,7 +133,7 @@ def test_unknown_number_of_motions(make_scene, name):
             methods.segment(clip, name)
 
 
-@pytest.mark.parametrize("name", ["ssc", "lrr", "s3c", "lrssc"])
+@pytest.mark.parametrize("name", ["ssc", "lrr", "s3c", "lrssc", "tpv", "consistent"])
 def test_failure_to_converge_is_reported(make_scene, name):
     clip = make_scene(np.random.default_rng(10), (15, 15))
     report = methods.segment(clip, name, n_motions=2, max_iterations=3).report
@@ -147,6 +148,7 @@ def test_ssc_options(make_scene):
         assert len(methods.segment(clip, "ssc", n_motions=2, **parameters).labels) == 40
     cascade = methods.segment(clip, "lrssc", n_motions=2, variant="cascade")
     assert agree(cascade.labels, clip.labels.label)
+    assert cascade.report["low_rank_converged"]
 
 
 def test_gpca_asks_for_enough_trajectories(make_scene):
