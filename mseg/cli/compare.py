@@ -37,6 +37,10 @@ def run(arguments: argparse.Namespace) -> int:
     names, data = list(arguments.submissions), arguments.data
     if data is None and not all(map(_is_scores, names)):
         data = names.pop()
+        if _is_scores(data):
+            raise InvalidValueError(
+                data, expected="the data (a folder of clips)", found="scores", fix="give the data last"
+            )
     found = compare(_tables(names, data, arguments.benchmark), metric=arguments.metric)
     print(json.dumps(_as_dict(found), indent=2) if arguments.json else _text(found))
     return 0

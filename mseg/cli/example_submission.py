@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 
+from mseg.cli.running import positive
 from mseg.evaluation.submission import FORMATS
 
 
@@ -22,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="folder to write (default: %(default)s)",
     )
     parser.add_argument(
-        "--seeds", type=int, default=1, metavar="N", help="write N runs, in seed-0, seed-1, ..."
+        "--seeds", type=positive, default=1, metavar="N", help="write N runs, in seed-0, seed-1, ..."
     )
     parser.add_argument("--format", choices=FORMATS, default="csv", help="file format (default: %(default)s)")
     parser.add_argument(
@@ -38,6 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write it."""
     from mseg.evaluation import example
+    from mseg.evaluation.layout import count
 
     if arguments.source:
         wrote = example.from_label_files(
@@ -57,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
             method=arguments.method or "example: left and right",
             benchmark=arguments.benchmark,
         )
-    print(f"wrote {wrote.folder} ({wrote.clips} clips)")
+    print(f"wrote {wrote.folder} ({count(wrote.clips, 'clip')})")
     print(f"check it: mseg validate {wrote.folder} {wrote.data}")
     print(f"score it: mseg score {wrote.folder} {wrote.data}")
     return 0

@@ -37,10 +37,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Do what was asked."""
     from mseg.evaluation.leaderboard import Leaderboard
 
-    board = Leaderboard(arguments.db, create=arguments.action == "add")
     if arguments.action == "add":
-        print(_add(board, arguments))
-    elif arguments.action == "list":
+        print(_add(arguments))
+        return 0
+    board = Leaderboard(arguments.db, create=False)
+    if arguments.action == "list":
         print(board.listing().text())
     elif arguments.action == "rank":
         print("\n\n".join(table.text() for table in board.ranked(arguments.benchmark)))
@@ -52,22 +53,20 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _add(board: object, arguments: argparse.Namespace) -> str:
+def _add(arguments: argparse.Namespace) -> str:
+    from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.jsonform import load_scores
     from mseg.evaluation.leaderboard import Leaderboard
     from mseg.evaluation.scoring import score_submission
 
-    assert isinstance(board, Leaderboard)
     if arguments.submission.endswith(".json") and arguments.data is None:
         scores = load_scores(arguments.submission)
+    elif arguments.data is None:
+        raise InvalidValueError(
+            "data", expected="a folder of clips", found="nothing", fix="give it after the submission"
+        )
     else:
-        from kt3dmoseg.errors import InvalidValueError
-
-        if arguments.data is None:
-            raise InvalidValueError(
-                "data", expected="a folder of clips", found="nothing", fix="give it after A"
-            )
         scores = score_submission(arguments.submission, arguments.data, benchmark=arguments.benchmark)
-    number, new = board.add(scores)
+    number, new = Leaderboard(arguments.db, create=True).add(scores)
     state = "complete" if scores.complete else f"{scores.benchmark.coverage(scores.names)}"
     return f"{'added' if new else 'already there'}: entry {number}, {scores.meta.method}, {state}"

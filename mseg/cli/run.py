@@ -7,8 +7,9 @@ so an interrupted run goes on; a folder that holds predictions of another config
 from __future__ import annotations
 
 import argparse
+import sys
 
-from mseg.cli.running import add_running_flags, progress_bar
+from mseg.cli.running import add_running_flags, positive, progress_bar
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -17,7 +18,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="FOLDER", help="where predictions go")
     parser.add_argument("--method", default="subset", metavar="NAME", help="method (default: subset)")
     parser.add_argument(
-        "--n-motions", type=int, metavar="N", help="number of motions; default: that of each clip's labels"
+        "--n-motions",
+        type=positive,
+        metavar="N",
+        help="number of motions of every clip (default: that of its labels)",
     )
     add_running_flags(parser, seeds_help="number of seeds; several go to seed-0/, seed-1/, ... (default: 1)")
 
@@ -26,6 +30,8 @@ def run(arguments: argparse.Namespace) -> None:
     """Segment."""
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
+    from mseg.evaluation.layout import count
+    from mseg.evaluation.submission import FAILED
 
     with progress_bar(quiet=arguments.quiet) as progress:
         folder = predict(
@@ -39,4 +45,11 @@ def run(arguments: argparse.Namespace) -> None:
             dask=arguments.dask,
             progress=progress,
         )
-    print(f"predictions in {folder}")
+    failed = sorted(folder.rglob(f"*{FAILED}"))
+    for path in failed:
+        print(
+            f"failed: {path.relative_to(folder).with_suffix('')}: {path.read_text().strip()}", file=sys.stderr
+        )
+    print(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))
+    print(f"check it: mseg validate {folder} {arguments.data}")
+    print(f"score it: mseg score {folder} {arguments.data}")

@@ -1,4 +1,4 @@
-"""What `mseg run` and `mseg benchmark` share: flags for parameters, seeds and workers, progress."""
+"""What commands share: a count as an argument; flags for parameters, seeds and workers; progress."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from contextlib import contextmanager
 
 def add_running_flags(parser: argparse.ArgumentParser, *, seeds_help: str) -> None:
     """Add the flags."""
-    parser.add_argument("--seeds", type=_positive, default=1, metavar="N", help=seeds_help)
+    parser.add_argument("--seeds", type=positive, default=1, metavar="N", help=seeds_help)
     parser.add_argument(
         "-p", "--parameter", action="append", default=[], metavar="NAME=VALUE",
         help="parameter of a method, see 'mseg methods NAME'; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--workers", type=_positive, default=1, metavar="N", help="processes (default: 1)")
+    parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes (default: 1)")
     parser.add_argument("--dask", default="", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
@@ -34,8 +34,8 @@ def progress_bar(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
         yield show
 
 
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"expected a number >= 1, found {number}")
-    return number
+def positive(text: str) -> int:
+    """Take a whole number from 1 up."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 1, found {text!r}")
+    return int(text)

@@ -10,7 +10,7 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from mseg.evaluation.layout import TextTable
-from mseg.evaluation.metrics import Metric, all_metrics
+from mseg.evaluation.metrics import METRICS, Metric
 from mseg.evaluation.results import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
 
@@ -91,7 +91,7 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
     if len(tables) < 2:
         raise InvalidValueError("compare", expected="two submissions or more", found=str(len(tables)))
     _same_data(tables)
-    spec = all_metrics().get(metric)
+    spec: Metric = METRICS.load(metric)
     values = [table.matrix(metric) for table in tables]
     names = _unique_names([table.meta.method for table in tables])
     index = list(combinations(range(len(tables)), 2))
@@ -111,7 +111,7 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
 
 def comparison_table(comparison: Comparison) -> TextTable:
     """Lay out the submissions side by side: per clip, then mean, median, sd over seeds."""
-    spec = all_metrics()[comparison.metric]
+    spec: Metric = METRICS.load(comparison.metric)
     scale = 100 if spec.percent else 1
     first = comparison.tables[0]
     values = [table.per_clip(comparison.metric) for table in comparison.tables]
@@ -132,7 +132,7 @@ def comparison_table(comparison: Comparison) -> TextTable:
 
 def pairs_table(comparison: Comparison) -> TextTable:
     """Lay out the paired statistics."""
-    scale = 100 if all_metrics()[comparison.metric].percent else 1
+    scale = 100 if METRICS.load(comparison.metric).percent else 1
     rows = [
         [
             f"{pair.first} - {pair.second}",
@@ -174,18 +174,17 @@ def _unique_names(names: Sequence[str]) -> list[str]:
     ]
 
 
-def _with_sentence(pair: Pair, spec: Metric | None, n_clips: int) -> Pair:
-    lower = spec is None or spec.better == "lower"
-    scale, unit = (100, " points") if spec is None or spec.percent else (1, "")
+def _with_sentence(pair: Pair, spec: Metric, n_clips: int) -> Pair:
+    scale, unit = (100, " points") if spec.percent else (1, "")
     size = f"{scale * abs(pair.difference):.2f}{unit}"
     if pair.difference == 0:
         text = f"{pair.first} and {pair.second} have the same mean."
     else:
         ahead, behind = (pair.first, pair.second)
-        if (pair.difference > 0) == lower:
+        if (pair.difference > 0) == (spec.better == "lower"):
             ahead, behind = behind, ahead
         text = f"{ahead} is better than {behind} by {size} on average over {n_clips} clips."
-    text = f"{text} {_noise_sentence(pair, scale, unit)} {_test_sentence(pair)}"
+    text = f"{text} {_noise_sentence(pair, scale, unit)} {_test_sentence(pair, n_clips)}"
     return Pair(**{**vars(pair), "sentence": text})
 
 
@@ -195,12 +194,13 @@ def _noise_sentence(pair: Pair, scale: int, unit: str) -> str:
     larger = abs(pair.difference) > _NOISE * pair.seed_sd
     verdict = "The difference is larger than" if larger else "The difference is not larger than"
     return (
-        f"{verdict} the seed noise: with other seeds it moves by {scale * pair.seed_sd:.2f}{unit} "
-        f"(one standard deviation; larger means more than {_NOISE:g} of them)."
+        f"{verdict} the seed noise ({_NOISE:g} standard deviations over seeds, "
+        f"each {scale * pair.seed_sd:.2f}{unit})."
     )
 
 
-def _test_sentence(pair: Pair) -> str:
-    if pair.p_holm < _SIGNIFICANT:
-        return f"Over the clips it is consistent (Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})."
-    return f"Over the clips it could be chance (Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})."
+def _test_sentence(pair: Pair, n_clips: int) -> str:
+    if 2 / 2**n_clips >= _SIGNIFICANT:  # the smallest p-value that so many clips can give
+        return f"Whether it is consistent over clips, {n_clips} of them cannot tell."
+    verdict = "is consistent" if pair.p_holm < _SIGNIFICANT else "could be chance"
+    return f"Over the clips it {verdict} (Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})."

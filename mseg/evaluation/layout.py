@@ -73,6 +73,11 @@ class TextTable:
         return buffer.getvalue()
 
 
+def count(number: int, noun: str) -> str:
+    """Count something: "1 clip", "2 clips"."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:
     cells = [row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]
     return "  ".join(cells).rstrip()

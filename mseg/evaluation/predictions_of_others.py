@@ -133,7 +133,8 @@ def _cells_by_name(
     path: Path, clips: Mapping[str, Clip], names: Sequence[str]
 ) -> dict[str, npt.NDArray[Any]]:
     if path.suffix.lower() != ".mat":
-        raise FileFormatError(f"{path}", expected=_FORMATS, found=path.suffix or "no ending")
+        found = path.suffix or ("no ending" if path.exists() else "nothing there")
+        raise FileFormatError(f"{path}", expected=_FORMATS, found=found)
     cells = read_cluster_idx(path)
     order = list(names) if len(names) == len(cells) else sorted(clips)
     if len(order) != len(cells):
@@ -169,7 +170,8 @@ def _guarded(path: Path, read: Callable[[Path], dict[str, Any]]) -> dict[str, An
     except KT3DMoSegError:
         raise
     except Exception as error:  # scipy and h5py raise anything on damaged files
-        raise FileFormatError(f"{path}", expected="a MAT-file", found=type(error).__name__) from None
+        found = f"a file that cannot be read as one ({type(error).__name__})"
+        raise FileFormatError(f"{path}", expected="a MAT-file", found=found) from None
 
 
 def _is_hdf5(path: str | os.PathLike[str]) -> bool:

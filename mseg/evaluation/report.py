@@ -155,7 +155,6 @@ def _failures(scores: ScoreTable) -> str:
 
 def _cards(scores: ScoreTable) -> str:
     summary = scores.summary()
-    assert summary is not None  # a score table has clips
     low, high = summary.interval
     sd = "one seed" if summary.seed_sd is None else f"sd over {len(scores.seeds)} seeds"
     prevalence = sum(scores.of(n).prevalence for n in scores.names) / len(scores.names)

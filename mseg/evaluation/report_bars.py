@@ -52,7 +52,6 @@ def bars_published(scores: ScoreTable) -> str:
 
 def _published_group(scores: ScoreTable, title: str, names: list[str], known: dict[str, float]) -> str:
     summary = scores.summary("error", names)
-    assert summary is not None  # names is not empty
     own = f"{scores.meta.method} (this submission)"
     values = sorted([(v, m, "") for m, v in known.items()] + [(summary.mean, own, "own")])
     top = max(0.01, *(v for v, _, _ in values))

@@ -11,6 +11,7 @@ import numpy as np
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.contingency import Contingency
+from mseg.evaluation.layout import count
 from mseg.evaluation.problems import Problem
 from mseg.evaluation.protocol import Group, Protocol, protocol_of_clips
 from mseg.evaluation.statistics import Interval, bootstrap_mean
@@ -125,7 +126,7 @@ class ScoreTable:
     def __str__(self) -> str:
         """One line per metric, the mean over clips and seeds."""
         width = max(map(len, self.metrics))
-        counts = f"means over clips: {len(self.names)}, seeds: {len(self.seeds)}"
+        counts = f"mean over {count(len(self.names), 'clip')} and {count(len(self.seeds), 'seed')}"
         return "\n".join([counts, *(f"{name:<{width}}  {self[name]:.4f}" for name in self.metrics)])
 
     def __getitem__(self, metric: str) -> float:
@@ -195,12 +196,10 @@ class ScoreTable:
         for group in self.benchmark.groups:
             yield group, self.benchmark.members(group, motions)
 
-    def summary(self, metric: str = "error", clips: list[str] | None = None) -> Summary | None:
-        """Summarise a metric over clips, by default all; None when there is none of them."""
+    def summary(self, metric: str = "error", clips: list[str] | None = None) -> Summary:
+        """Summarise a metric over clips: one or more of `names`, by default all."""
         wanted = self.names if clips is None else clips
         rows = [self.names.index(name) for name in wanted]
-        if not rows:
-            return None
         values = self.matrix(metric)[rows]
         weights = np.array([self.of(name).n for name in wanted], dtype=np.float64)
         means = values.mean(axis=1)

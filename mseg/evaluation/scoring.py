@@ -17,6 +17,7 @@ from kt3dmoseg.types import Clip, Labels
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.contingency import Contingency, contingency
 from mseg.evaluation.label_file import LABEL_FILES, read_label_file
+from mseg.evaluation.layout import count
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.problems import numbered
 from mseg.evaluation.results import ClipScore, Provenance, ScoreTable
@@ -135,7 +136,7 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     """Score what `validate_submission` found; see `score_submission`."""
     if not checked.scorable and not (force and checked.clips):
         raise RejectedSubmissionError(
-            f"submission rejected, {len(checked.problems)} problem(s): {numbered(checked.problems)}"
+            f"submission rejected, {count(len(checked.problems), 'problem')}: {numbered(checked.problems)}"
         )
     clips = []
     for seed in checked.submission.seeds or [0]:

@@ -47,9 +47,7 @@ def headline_notes(scores: ScoreTable) -> list[str]:
         notes.append(
             f"Data version {version!r}; published figures are for version {wanted!r}: not comparable."
         )
-    summary = scores.summary()
-    if summary is not None:
-        notes.append(_spread(scores, summary))
+    notes.append(_spread(scores, scores.summary()))
     notes += [f"Counted as fully wrong: {c.clip} (seed {c.seed}): {c.reason}." for c in scores.failures]
     return notes
 
@@ -81,8 +79,6 @@ def all_means(scores: ScoreTable) -> TextTable:
     rows = []
     for name, metric in all_metrics().items():
         summary = scores.summary(name)
-        if summary is None:
-            continue
         values = [summary.mean, summary.median, summary.pooled]
         spread = _ABSENT if summary.seed_sd is None else _show(metric, summary.seed_sd)
         low, high = summary.interval
@@ -114,10 +110,10 @@ def published_for(scores: ScoreTable, group: Group) -> dict[str, dict[str, float
 def _own_row(scores: ScoreTable, groups: list[tuple[Group, list[str]]]) -> list[str]:
     row = [scores.meta.method]
     for _, names in groups:
-        summary = scores.summary("error", names) if names else None
-        if summary is None:
+        if not names:
             row += [_ABSENT, _ABSENT]
             continue
+        summary = scores.summary("error", names)
         sd = "" if summary.seed_sd is None else f" ±{100 * summary.seed_sd:.2f}"
         row += [f"{100 * summary.mean:.2f}{sd}", f"{100 * summary.median:.2f}"]
     return row

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.joining import join_labels
 from mseg.evaluation.label_checks import label_problems
+from mseg.evaluation.layout import count
 from mseg.evaluation.problems import Problem, brief, numbered
 from mseg.evaluation.protocol import (
     Protocol,
@@ -62,9 +63,9 @@ class Validation:
 
     def __str__(self) -> str:
         """Give the verdict, the numbered problems and the notes."""
-        runs = len(self.submission.seeds)
-        what = f"{len(self.clips)} clips, {runs} seed{'s' * (runs != 1)}, {self.protocol.title}"
-        lines = [f"valid: {what}" if self.ok else f"invalid: {len(self.problems)} problem(s)"]
+        runs = count(len(self.submission.seeds), "seed")
+        what = f"{count(len(self.clips), 'clip')}, {runs}, {self.protocol.title}"
+        lines = [f"valid: {what}" if self.ok else f"invalid: {count(len(self.problems), 'problem')}"]
         lines += [numbered(self.problems)] if self.problems else []
         lines += [f"note: {note}" for note in self.notes]
         return "\n".join(lines)

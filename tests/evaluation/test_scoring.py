@@ -31,7 +31,7 @@ def test_bare_arrays_and_what_holds_labels():
 
 def test_printed_scores_are_one_line_per_metric():
     lines = str(mseg.score(truth=[1, 1, 2, 2], pred=[1, 1, 1, 2])).splitlines()
-    assert lines[0] == "means over clips: 1, seeds: 1"
+    assert lines[0] == "mean over 1 clip and 1 seed"
     assert lines[1].split() == ["error", "0.2500"]
 
 

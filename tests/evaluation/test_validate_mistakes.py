@@ -189,7 +189,7 @@ def test_several_problems_are_told_at_once_and_numbered(folder):
     checked = validate_submission(folder, CLIPS)
     assert set(codes(checked)) == {"float", "missing-clip", "extra-clip", "unknown-file"}
     lines = str(checked).splitlines()
-    assert lines[0] == f"invalid: {len(checked.problems)} problem(s)"
+    assert lines[0] == f"invalid: {len(checked.problems)} problems"
     assert [line.split(".")[0] for line in lines[1:5]] == ["1", "2", "3", "4"]
 
 
