@@ -45,6 +45,8 @@ __all__ = ["BUILT_IN", "Drive", "Entry", "Fingerprint", "add", "load", "parse", 
 
 BUILT_IN = Path(__file__).with_suffix(".toml")
 _LARGEST = 16 << 20
+# Python's parser takes time quadratic in the length of a dotted name.
+_DEEP = re.compile(r"""(?:\.[\s\w"'-]*){33}""")
 _REQUIRED = ("date", "drive", "camera", "length")
 _OPTIONAL = ("size", "numbers", "frames", "proof", "source")
 
@@ -102,7 +104,10 @@ def select(entries: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entr
 def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
     """Read one catalog; return its valid entries and every problem, one line each."""
     try:
-        document = tomllib.loads(read_bytes(path, _LARGEST).decode())
+        text = read_bytes(path, _LARGEST).decode()
+        if _DEEP.search(text):
+            return {}, ["not TOML: names nested deeper than 32"]
+        document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, a number or nesting without end
         return {}, [f"not TOML: {error}"]
     problems = [str(unknown_name("key", key, ["clips"])) for key in document if key != "clips"]

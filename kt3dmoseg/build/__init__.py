@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from kt3dmoseg.build.dataset import build_dataset as build_dataset
     from kt3dmoseg.build.kitti_clips import KittiClip as KittiClip
     from kt3dmoseg.build.kitti_clips import kitti_sources as kitti_sources
+    from kt3dmoseg.build.kitti_clips import located_sources as located_sources
     from kt3dmoseg.build.masks import label_by_masks as label_by_masks
     from kt3dmoseg.build.shot import Source as Source
     from kt3dmoseg.build.sources import FrameFolder as FrameFolder
@@ -26,6 +27,7 @@ _PUBLIC = {
     "Outcome": "kt3dmoseg.build.dataset",
     "find_sources": "kt3dmoseg.build.sources",
     "kitti_sources": "kt3dmoseg.build.kitti_clips",
+    "located_sources": "kt3dmoseg.build.kitti_clips",
     "label_by_masks": "kt3dmoseg.build.masks",
     "FrameFolder": "kt3dmoseg.build.sources",
     "VideoFile": "kt3dmoseg.build.sources",

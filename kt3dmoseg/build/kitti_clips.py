@@ -1,17 +1,22 @@
-"""Clips of KITTI raw drives: all frames on disk, or a range of frame numbers."""
+"""Clips of KITTI raw drives: those that were located, all frames on disk, or a range of numbers."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from kt3dmoseg import catalog
 from kt3dmoseg.build.shot import Shot, Source, pictures, sha256_of
-from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.entries import Entry, format_numbers
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.io.images import Colour
 from kt3dmoseg.kitti import Drive, RawDrive
+from kt3dmoseg.kitti.store import LOCATED
 from kt3dmoseg.types import ByteArray, Camera
 
 DRIVE_FOLDERS = "????_??_??/*_drive_????_sync"
@@ -60,7 +65,7 @@ class KittiClip:
         wanted: Colour = "luma" if self.drive.camera > 1 else colour
         return pictures([self.drive.frame_path(n) for n in self._numbers()], wanted)
 
-    def _numbers(self) -> list[int]:
+    def _numbers(self) -> Sequence[int]:
         present = [int(n) for n in self.drive.numbers]
         first = self.first if self.first is not None else min(present, default=0)
         last = self.last if self.last is not None else max(present, default=0)
@@ -68,7 +73,41 @@ class KittiClip:
             raise InvalidValueError(
                 f"{self.where}: range", expected="at least two frames, FIRST-LAST", found=f"{first}-{last}"
             )
-        return list(range(first, last + 1))
+        return range(first, last + 1)
+
+
+def located_sources(root: str | os.PathLike[str]) -> list[Source]:
+    """List the clips of ``ROOT/located.toml``, as `pull` and `locate` write it, that are on disk.
+
+    Parameters
+    ----------
+    root : path
+        A KITTI raw root; without that file the list is empty.
+
+    Raises
+    ------
+    FileFormatError
+        When the file is no catalog, or a clip in it skips frames.
+    """
+    path = Path(root) / LOCATED
+    entries = catalog.load(path, built_in=False) if path.is_file() else {}
+    return [clip for entry in entries.values() if (clip := _on_disk(path, entry))]
+
+
+def _on_disk(path: Path, entry: Entry) -> KittiClip | None:
+    """Give the clip when at least one of its frames is there."""
+    numbers = entry.numbers or ()
+    try:
+        drive = RawDrive(path.parent, entry.drive.date, entry.drive.number, entry.camera)
+        if not np.isin(numbers, drive.numbers).any():
+            return None
+    except InputFileError:  # nothing of that drive or camera
+        return None
+    if numbers[-1] - numbers[0] + 1 != len(numbers):
+        raise FileFormatError(
+            f"{path}: {entry.name}", expected="consecutive frames", found=format_numbers(numbers)
+        )
+    return KittiClip(drive, numbers[0], numbers[-1], entry.name)
 
 
 def kitti_sources(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kt3dmoseg.build.kitti_clips import DRIVE_FOLDERS, kitti_sources
+from kt3dmoseg.build.kitti_clips import DRIVE_FOLDERS, kitti_sources, located_sources
 from kt3dmoseg.build.shot import Shot, Source, pictures, sha256_of
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import sha256_file
@@ -100,13 +100,15 @@ def find_sources(path: str | os.PathLike[str]) -> list[Source]:
     Parameters
     ----------
     path : path
-        A folder of frames, a video, a KITTI raw root (one clip per drive), or a folder of any of
-        the first two.
+        A folder of frames, a video, a KITTI raw root (the clips of its ``located.toml``, else one per
+        drive), or a folder of any of the first two.
 
     Raises
     ------
     InputFileError
         When there is nothing of the kind.
+    FileFormatError
+        When ``located.toml`` is no catalog.
     """
     root = Path(path)
     if root.is_file():
@@ -118,7 +120,7 @@ def find_sources(path: str | os.PathLike[str]) -> list[Source]:
         return [FrameFolder(root)]
     found: list[Source] = []
     if any(root.glob(DRIVE_FOLDERS)):
-        found += kitti_sources(root)
+        found += located_sources(root) or kitti_sources(root)
     else:
         found += [FrameFolder(entry) for entry in entries if entry.is_dir()]
         found += [VideoFile(entry) for entry in entries if entry.suffix.lower() in VIDEO_SUFFIXES]

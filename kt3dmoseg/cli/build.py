@@ -1,8 +1,8 @@
 """Frames to dataset files: track, label, subsample; one HDF5 file per clip.
 
 FRAMES is a folder with one folder of frames per clip, the frames of one clip, a video file, or a
-KITTI raw root (with --date, --drive, --camera and --range for one clip of it). Clips whose file is up
-to date are skipped; an interrupted build is finished by the same command. Exit code 2 when a clip
+KITTI raw root: the clips that pull or locate noted in its located.toml, else one clip per drive, or one
+of your choice with --date, --drive, --camera and --range. Clips whose file is up to date are skipped; an interrupted build is finished by the same command. Exit code 2 when a clip
 failed, after the others are built.
 """
 

@@ -164,4 +164,6 @@ def _one_line(where: str) -> Iterator[None]:
     except OSError as error:
         raise InputFileError(f"{where}: {error.strerror or error}") from None
     except _DAMAGE as error:
-        raise FileFormatError(where, expected="a sound .npy or .npz", found=f"damage: {error}") from None
+        raise FileFormatError(
+            where, expected="a sound .npy or .npz", found=f"damage: {str(error)[:200]}"
+        ) from None

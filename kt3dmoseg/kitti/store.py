@@ -20,7 +20,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes, write_bytes, write_text
 
 _FOLDER = ".kt3dmoseg"
-_LOCATED = "located.toml"
+LOCATED = "located.toml"
 _LARGEST = 64 << 20
 _COMMENT = """Frame numbers of clips in KITTI raw drives, and how they were proved.
 Written by kt3dmoseg locate and pull; pull starts from them."""
@@ -149,7 +149,7 @@ class Store:
 
     def located(self) -> dict[str, Entry]:
         """Clips whose frame numbers were proved, by name."""
-        path = self.root / _LOCATED
+        path = self.root / LOCATED
         return catalog.load(path, built_in=False) if path.is_file() else {}
 
     def keep_located(self, entries: Iterable[Entry]) -> None:
@@ -158,7 +158,7 @@ class Store:
         merged = present | {entry.name: entry for entry in entries}
         if not self.frozen and merged != present:
             ordered = [merged[name] for name in sorted(merged)]
-            catalog.save(self.root / _LOCATED, ordered, comment=_COMMENT)
+            catalog.save(self.root / LOCATED, ordered, comment=_COMMENT)
 
     def zip_path(self, url: str) -> Path:
         """Where a zip that had to be downloaded whole is kept until its files are brought."""

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from build_scenes import FRAMES, HEIGHT, WIDTH, on_patch, scene, write_clip, write_masks
 
+from kt3dmoseg import catalog
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, save_annotation
 from kt3dmoseg.build import build_clip, find_sources, kitti_sources, label_by_masks
 from kt3dmoseg.build.masks import by_frame, read_mask
+from kt3dmoseg.entries import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
 from kt3dmoseg.types import Trajectories
 
@@ -169,6 +171,35 @@ def test_a_kitti_root_is_found_by_itself(tmp_path):
     missing = kitti_sources(root, frames="40-49")[0]
     with pytest.raises(InputFileError, match=r"40-45.*found 46"):
         build_clip(missing)
+
+
+def test_the_located_clips_of_a_kitti_root_are_built_by_name(tmp_path):
+    root, drive = _drive(tmp_path, range(40, 52)), Drive("2011_09_26", 5)
+    away = Drive("2011_09_26", 9)
+    clips = [
+        Entry("First", drive, 0, 6, numbers=tuple(range(40, 46))),
+        Entry("Second", drive, 0, 5, numbers=tuple(range(47, 52))),
+        Entry("NotFetched", drive, 0, 6, numbers=tuple(range(60, 66))),
+        Entry("NotEvenItsDrive", away, 0, 6, numbers=tuple(range(6))),
+        Entry("InPart", drive, 0, 6, numbers=tuple(range(48, 54))),
+    ]
+    catalog.save(root / "located.toml", clips)
+    sources = {source.name: source for source in find_sources(root)}
+    assert sorted(sources) == ["First", "InPart", "Second"]
+    assert build_clip(sources["Second"]).frame_numbers.tolist() == [47, 48, 49, 50, 51]
+    with pytest.raises(InputFileError, match=r"40-51.*found 52; fetch it"):
+        build_clip(sources["InPart"])
+    catalog.save(root / "located.toml", [Entry("Gap", drive, 0, 3, numbers=(40, 41, 43))])
+    with pytest.raises(
+        FileFormatError, match=r"located\.toml: Gap: expected consecutive frames, found 40-41"
+    ):
+        find_sources(root)
+
+
+def test_an_absurd_range_takes_no_memory(tmp_path):
+    source = kitti_sources(_drive(tmp_path, range(4)), frames="0-999999999")[0]
+    with pytest.raises(InputFileError, match=r"0-3.*found 4"):
+        build_clip(source)
 
 
 def test_masks_are_matched_by_number_else_by_order(tmp_path):
