@@ -25,6 +25,7 @@ from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.completion import Completion, complete, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.trajectory_matrix import normalised, normalising_matrix, trajectory_matrix
+from mseg.methods.leftover import join_largest
 from mseg.types import Segmentation
 
 _FEWEST_FRAMES = 2
@@ -60,13 +61,6 @@ class CompleteData:
     def homogeneous(self) -> FloatArray:
         """`normalised` with one more row of ones: affine subspaces become linear ones."""
         return np.vstack([self.normalised, np.ones(self.n_points)])
-
-    def spread(self, labels: IntArray) -> IntArray:
-        """Labels of all n trajectories from those of the columns; the others join the largest motion."""
-        motions, counts = np.unique(labels[labels > 0], return_counts=True)
-        everywhere = np.full(len(self.used), motions[counts.argmax()] if len(motions) else 0)
-        everywhere[self.used] = labels
-        return everywhere.astype(np.int64)
 
 
 def complete_data(
@@ -148,7 +142,7 @@ class CompleteDataMethod(ABC):
                 clip.name, expected=f"at least {n_motions} trajectories", found=str(data.n_points)
             )
         labels, report = self.group(data, n_motions, rng)
-        return Segmentation(data.spread(labels), {**data.report, **report})
+        return Segmentation(join_largest(labels, data.used), {**data.report, **report})
 
     @abstractmethod
     def group(

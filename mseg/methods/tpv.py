@@ -13,6 +13,7 @@ from mseg.clustering.coefficient_affinity import count_by_eigengap, sparse_affin
 from mseg.clustering.collaborative import collaborative_representation
 from mseg.errors import SegmentationError, TooFewPointsError
 from mseg.geometry import hartley
+from mseg.methods.leftover import join_largest
 from mseg.types import Segmentation
 
 
@@ -69,10 +70,8 @@ class TPV:
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
         found = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
-        labels = np.full(len(used), np.bincount(found).argmax(), dtype=np.int64)
-        labels[used] = found
         report = {"pairs": len(views), "n_motions": count, "trajectories_left_out": int((~used).sum())}
-        return Segmentation(labels, {**report, **solved.convergence.report()})
+        return Segmentation(join_largest(found, used), {**report, **solved.convergence.report()})
 
 
 def epipolar_views(trajectories: Trajectories, most: int, gap: float) -> list[FloatArray]:

@@ -18,6 +18,7 @@ from mseg.geometry.trajectory_matrix import (
 )
 from mseg.methods.complete_data import complete_data
 from mseg.methods.gpca import exponents, gradients, vanishing_polynomial
+from mseg.methods.leftover import join_largest
 
 SUBSPACE = ["lsa", "gpca", "ssc", "lrr", "s3c", "rsim", "lrssc", "ransac"]
 LINKED = ["alc", "tlinkage", "rpa"]
@@ -196,6 +197,12 @@ def test_trajectory_matrix_rows_and_projection(rng):
     np.testing.assert_allclose(project(matrix, 9).T @ project(matrix, 9), matrix.T @ matrix, atol=1e-12)
     space = leading_row_space(matrix, 2)
     np.testing.assert_allclose(space.T @ space, np.eye(2), atol=1e-12)
+
+
+def test_leftover_trajectories_join_the_largest_motion():
+    used = np.array([True, False, True, True, False, True])
+    np.testing.assert_array_equal(join_largest(np.array([1, 2, 2, 0]), used), [1, 2, 2, 2, 2, 0])
+    np.testing.assert_array_equal(join_largest(np.zeros(4, dtype=np.int64), used), 0)
 
 
 def test_complete_data_leaves_out_frames_that_nobody_sees(make_scene):
