@@ -7,8 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 _HERE = Path(__file__).parent
+
+# No test depends on how fast the machine is.
+settings.register_profile("kt3dmoseg", deadline=None)
+settings.load_profile("kt3dmoseg")
 
 
 @pytest.fixture(scope="session")
