@@ -2,8 +2,9 @@
 
 FRAMES is a folder with one folder of frames per clip, the frames of one clip, a video file, or a
 KITTI raw root: the clips that pull or locate noted in its located.toml, else one clip per drive, or one
-of your choice with --date, --drive, --camera and --range. Clips whose file is up to date are skipped; an interrupted build is finished by the same command. Exit code 2 when a clip
-failed, after the others are built.
+of your choice with --date, --drive, --camera and --range. Clips whose file is up to date are skipped; an
+interrupted build is finished by the same command. Exit code 2 when a clip failed, after the others are
+built.
 """
 
 from __future__ import annotations
