@@ -11,8 +11,8 @@ import tempfile
 from pathlib import Path
 
 from annotation_scenes import write_clip
+from labeller_page import CHROMIUM, CORNERS, Page, Server
 from playwright.sync_api import sync_playwright
-from test_annotate_page import CHROMIUM, CORNERS, Page, Server
 
 PICTURE = """() => {
   const loaded = performance.getEntriesByType('resource').find((e) => e.name.endsWith('/frames/0'));

@@ -52,7 +52,8 @@ export class Inspector {
     };
     return element("input", {
       value: item[field] ?? "", maxLength: 200, "aria-label": field, onchange: commit,
-      onblur: () => queueMicrotask(() => this.draw()), placeholder: field === "note" ? "why, when it is not obvious" : "",
+      // Not before the focus has gone to where Tab sends it: what is drawn anew cannot take it.
+      onblur: () => setTimeout(() => this.draw()), "data-focus": field, placeholder: field === "note" ? "why, when it is not obvious" : "",
     });
   }
 
@@ -62,17 +63,18 @@ export class Inspector {
       event.target.blur();
     };
     const options = this.app.state.clip.kinds.map((kind) => element("option", { value: kind, selected: kind === item.kind }, kind));
-    return element("select", { "aria-label": "Kind", onchange: choose }, options);
+    return element("select", { "aria-label": "Kind", "data-focus": "kind", onchange: choose }, options);
   }
 
   #motions(item) {
     const buttons = [1, 2, 3, 4, 5, 6, 7, 8, 9, 0, "reject"].map((motion) => {
       const made = element("button", {
         className: item.motion === motion ? "on" : "", "data-focus": `m${motion}`,
+        "aria-pressed": String(item.motion === motion),
         title: motion === "reject" ? "reject: ambiguous (X)" : motion ? `motion ${motion}` : "static, in front (0)",
         onclick: () => actions.setMotion(this.app, motion),
       }, motion === "reject" ? "x" : String(motion));
-      made.style.color = colourOfMotion(motion);
+      made.style.background = colourOfMotion(motion);
       return made;
     });
     return element("div", { className: "keys" }, buttons);
@@ -88,7 +90,7 @@ export class Inspector {
   }
 
   #button(text, title, run, disabled = false, className = "") {
-    return element("button", { title, disabled, className, onclick: () => run(this.app) }, text);
+    return element("button", { title, disabled, className, "data-focus": text, onclick: () => run(this.app) }, text);
   }
 
   #counts() {

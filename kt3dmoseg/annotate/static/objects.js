@@ -4,6 +4,13 @@ import * as actions from "./actions.js";
 import { colourOfMotion } from "./colours.js";
 import { element, fill } from "./dom.js";
 
+const FIRST_STEPS = [
+  "N, then click around something that moves; Enter closes the outline. Or S for proposals.",
+  "1 to 9 gives it its motion.",
+  "→ on through the frames: it follows the image. Where it left the edge, drag it back.",
+  "E where it leaves, O where it is hidden. ? shows all keys.",
+];
+
 export class Objects {
   constructor(app, root) {
     this.app = app;
@@ -16,7 +23,7 @@ export class Objects {
     const { state } = this.app;
     if (!state.doc) return;
     const rows = state.doc.objects.map((item) => this.#row(item));
-    if (!rows.length) rows.push(element("p", { className: "faint empty" }, "No objects yet. Press N and click around a moving object, or S for proposals."));
+    if (!rows.length) rows.push(element("ol", { className: "empty" }, FIRST_STEPS.map((step) => element("li", {}, step))));
     fill(this.root, rows);
     this.root.querySelector(".on")?.scrollIntoView({ block: "nearest" });
   }

@@ -54,10 +54,11 @@ export function watchProgress(app, root) {
   state.on(["labels", "summaries", "clip"], () => state.clip && draw(state, root));
 }
 
-function draw({ labels, summaries, clip }, root) {
+function draw({ labels, summaries, clip, doc }, root) {
   const parts = [];
-  const here = labels && shareOf(labels);
-  if (here) parts.push(element("span", {}, percent(here)));
+  const started = doc?.objects.length || doc?.revision;
+  const here = labels && started ? shareOf(labels) : null;
+  parts.push(element("span", {}, here ? percent(here) : "to do"));
   const all = overall(summaries ?? []);
   if (all.clips > 1) {
     parts.push(element("span", { className: "faint" }, `all ${all.clips}:`),

@@ -1,0 +1,68 @@
+"""Servers and tabs for the tests of the labelling page."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+
+import pytest
+from annotation_scenes import write_clip
+from labeller_page import CHROMIUM, LIMIT, Page, Server
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if not CHROMIUM:
+        pytest.fail("Chromium is not installed; .ci/run installs it")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        yield playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clips")
+    write_clip(folder, "one")
+    write_clip(folder, "two", frames=3, tracks=50)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def running(clips, tmp_path_factory):
+    """One server for all tests that leave it alone; it keeps nothing of an annotation but its file."""
+    notes = tmp_path_factory.mktemp("shared") / "notes"
+    server = Server(clips, notes)
+    server.notes = notes
+    yield server
+    server.stop(signal.SIGKILL)
+
+
+@pytest.fixture
+def shared(running):
+    shutil.rmtree(running.notes, ignore_errors=True)
+    return running
+
+
+@pytest.fixture
+def server(clips, tmp_path):
+    """A server that the test may kill."""
+    own = Server(clips, tmp_path / "notes")
+    own.notes = tmp_path / "notes"
+    yield own
+    own.stop(signal.SIGKILL)
+
+
+@pytest.fixture
+def context(browser):
+    made = browser.new_context(viewport={"width": 1280, "height": 720}, accept_downloads=True)
+    made.set_default_timeout(1000 * LIMIT)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def page(context, shared):
+    made = Page(context, shared.address)
+    yield made
+    assert made.errors == []

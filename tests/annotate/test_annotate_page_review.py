@@ -1,0 +1,212 @@
+"""Looking over a clip in the labelling page: progress, proposals, problems, a second annotator."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+
+import cv2
+import numpy as np
+import pytest
+from labeller_page import CORNERS, Page, Server
+
+from kt3dmoseg.annotate import AnnotationSession
+
+pytestmark = pytest.mark.browser
+
+HALF = [(60, 70), (100, 70), (100, 130), (60, 130)]
+SAME_PLACE = [(60, 70), (140, 70), (140, 130), (60, 131)]
+
+
+# Watches the picture for two seconds, or until two different ones were seen.
+DIFFERENT_PICTURES = """() => new Promise((done) => {
+  const context = document.getElementById("picture").getContext("2d");
+  const seen = new Set();
+  const end = performance.now() + 2000;
+  const look = () => {
+    seen.add(context.getImageData(0, 0, 800, 400).data.join());
+    if (seen.size < 2 && performance.now() < end) requestAnimationFrame(look);
+    else done(seen.size);
+  };
+  look();
+})"""
+
+
+def draw_by_hand(path, clip, n_frames, corners, motion=1):
+    session = AnnotationSession.new(clip, image_size=(320, 200), n_frames=n_frames, annotator="B")
+    session.add_object("box", 0, [corners], motion=motion)
+    session.save(path / f"{clip}.json")
+
+
+@pytest.fixture(scope="module")
+def equipped(clips, tmp_path_factory):
+    """A server with masks and another annotator's files."""
+    folder = tmp_path_factory.mktemp("equipped")
+    masks = folder / "masks" / "one"
+    masks.mkdir(parents=True)
+    for k in range(6):
+        mask = np.zeros((200, 320), np.uint8)
+        mask[70:130, 60 + 4 * k : 140 + 4 * k] = 1
+        mask[10:40, 200:240] = 2
+        mask[150:180, 200:240] = 3
+        cv2.imwrite(str(masks / f"{k + 1:06d}.png"), mask)  # named as the frames are
+    draw_by_hand(folder / "other", "one", 6, HALF)
+    server = Server(
+        clips, folder / "notes", 0, "--masks", str(folder / "masks"), "--compare", str(folder / "other")
+    )
+    server.notes = folder / "notes"
+    yield server
+    server.stop(signal.SIGKILL)
+
+
+@pytest.fixture
+def reviewer(context, equipped):
+    shutil.rmtree(equipped.notes, ignore_errors=True)
+    made = Page(context, equipped.address)
+    yield made
+    assert made.errors == []
+
+
+def button(page, name):
+    return page.tab.get_by_role("button", name=name, exact=True)
+
+
+def colour(page, layer, point):
+    """Red, green, blue, alpha of a canvas at an image position."""
+    x, y = page.at(point)
+    box = page.tab.locator("#stage").bounding_box()
+    where = f"{round(x - box['x'])}, {round(y - box['y'])}, 1, 1"
+    return page.value(f"[...document.getElementById('{layer}').getContext('2d').getImageData({where}).data]")
+
+
+def test_proposals_are_accepted_corrected_or_rejected_by_a_person(reviewer):
+    reviewer.press("s")
+    assert button(reviewer, "tracklets").is_disabled()
+    button(reviewer, "masks").click()
+    reviewer.until("labeller.state.review")
+    assert reviewer.objects() == []
+    button(reviewer, "Reject").click()
+    reviewer.until("labeller.state.proposals.length === 2")
+    button(reviewer, "Correct").click()
+    reviewer.until("labeller.state.doc.objects.length === 1")
+    points = reviewer.objects()[0]["key_frames"][0]["polygons"][0]
+    lowest = max(range(len(points)), key=lambda k: points[k][1] - points[k][0])
+    x, y = points[lowest]
+    reviewer.press("Shift+Z", "Home")
+    reviewer.drag((x, y), (x - 6, y + 6))
+    button(reviewer, "Go on (1 left)").click()
+    reviewer.until("document.activeElement.textContent === 'Accept'")
+    reviewer.press("Enter")
+    reviewer.until("!labeller.state.review")
+    corrected, accepted = reviewer.objects()
+    assert (corrected["name"], accepted["name"]) == ("motion 2", "motion 3")
+    assert (corrected["motion"], accepted["motion"]) == (1, 2)
+    assert corrected["key_frames"][0]["polygons"][0][lowest] == pytest.approx([x - 6, y + 6], abs=1)
+    # Masks were named 000001.png on, as the frames: the first belongs to the first frame.
+    assert [key["frame"] for key in accepted["key_frames"]] == [0, 1, 2, 3, 4, 5]
+
+
+def test_escape_ends_the_review_and_keeps_nothing(reviewer):
+    reviewer.press("s")
+    button(reviewer, "masks").click()
+    reviewer.until("labeller.state.review")
+    reviewer.press("Escape")
+    reviewer.until("!labeller.state.review && !labeller.state.proposals")
+    assert reviewer.objects() == []
+
+
+def test_progress_of_all_clips_is_right_from_the_start(context, equipped):
+    shutil.rmtree(equipped.notes, ignore_errors=True)
+    draw_by_hand(equipped.notes, "two", 3, CORNERS)
+    page = Page(context, equipped.address)
+    page.until("labeller.state.summaries?.every(clip => !clip.counting)")
+    page.until("document.getElementById('progress').textContent.includes('11.1 %')")  # 50 of 450
+    page.press("F2")
+    rows = page.tab.locator("dialog tr").all_inner_texts()
+    assert rows[1].split("\t")[0] == "one"
+    assert "to do" in rows[1]
+    assert "100.0 %, 0 open" in rows[2]
+    assert "1 of 2 clips annotated. 11.1 % of 450" in page.tab.locator("dialog p").inner_text()
+    page.press("ArrowDown", "Enter")
+    page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
+    page.press("Shift+Delete", "]", "Shift+Delete")
+    page.until("labeller.state.summaries[1].objects === 0")
+    assert page.errors == []
+
+
+def test_differences_of_two_annotators_are_visited_one_by_one(reviewer, equipped):
+    reviewer.draw()
+    reviewer.saved()
+    reviewer.press("m")
+    reviewer.until("labeller.state.compared")
+    text = reviewer.tab.locator("dialog").inner_text()
+    found = reviewer.value("labeller.state.compared")
+    assert f"kappa {found['kappa']:.3f}" in text
+    assert f"{found['different']} differ" in text
+    assert 5 < found["different"] < 60
+    reviewer.press("Enter")  # the first of the list
+    reviewer.until("labeller.state.compared.at === 0")
+    first = found["differences"][0]
+    assert (first["mine"], first["theirs"]) == ("object 1", "background")
+    assert reviewer.value("labeller.state.frame") == first["frame"]
+    assert reviewer.value("labeller.state.cross") == pytest.approx(first["xy"], abs=0.1)
+    assert "here object 1, other background" in reviewer.tab.locator("#differences").inner_text()
+    polygon = reviewer.value(f"labeller.state.compared.regions[1][{first['frame']}].polygons[0]")
+    reviewer.press("Shift+Z")
+    (right, top), (_, bottom) = polygon[1:3]
+    edge = [colour(reviewer, "regions", (right, y)) for y in np.linspace(top + 5, bottom - 5, 40)]
+    assert max(min(pixel[:3]) for pixel in edge) > 120  # their outline, dashed white
+    beside = [colour(reviewer, "regions", (right - 8, y)) for y in np.linspace(top + 5, bottom - 5, 40)]
+    assert max(min(pixel[:3]) for pixel in beside) < 60
+    reviewer.press("Shift+G")
+    reviewer.until("labeller.state.compared.at === 1")
+    button(reviewer, "Done").click()
+    reviewer.until("labeller.state.compared === null")
+    assert not reviewer.tab.locator("#differences").is_visible()
+
+
+def test_what_is_in_conflict_is_shown_and_found(page):
+    page.draw()
+    page.draw(SAME_PLACE)
+    page.until("labeller.state.labels?.counts.conflict > 10")
+    row = page.value("labeller.state.labels.reason.indexOf(3)")
+    x, y = page.value(f"[...labeller.state.tracks.xy.slice({2 * 6 * row}, {2 * 6 * row + 2})]")
+    other = page.value("labeller.state.labels.reason.indexOf(0)")
+    elsewhere = page.value(f"[...labeller.state.tracks.xy.slice({2 * 6 * other}, {2 * 6 * other + 2})]")
+    assert colour(page, "tracks", (x, y))[:3] == [255, 43, 214]
+    assert colour(page, "tracks", elsewhere)[3] > 0
+    page.press("u")
+    page.until("labeller.state.problems")
+    page.value("new Promise(requestAnimationFrame)")
+    assert colour(page, "tracks", (x, y))[:3] == [255, 43, 214]
+    assert colour(page, "tracks", elsewhere)[3] == 0
+    page.press("g")
+    page.until("labeller.state.hint.includes('in conflict (1 of')")
+    assert page.value("labeller.state.view.scale") >= 4
+    page.press("Shift+Z", "q")
+    page.drag((55, 60), (190, 60), (190, 140), (55, 140), (55, 62), steps=12)
+    page.press("2")
+    page.until("labeller.state.labels.counts.conflict === 0")
+
+
+def test_clips_flicker_play_zoom_and_pan(page):
+    page.press("f")
+    page.until("labeller.state.flickered === 1")
+    page.until("labeller.state.flickered === 0")
+    assert page.tab.evaluate(DIFFERENT_PICTURES) == 2
+    page.press("f", "Space")
+    page.until("labeller.state.frame >= 2")
+    page.press("Space")
+    assert page.value("labeller.state.flickered") is None
+    before = page.value("labeller.state.view")
+    page.tab.mouse.move(*page.at((100, 100)))
+    where = page.at((100, 100))
+    page.tab.mouse.wheel(0, -400)
+    page.until(f"labeller.state.view.scale > {before['scale']}")
+    assert page.at((100, 100)) == pytest.approx(where, abs=1.5)
+    page.drag((250, 20), (260, 40))
+    assert page.value("labeller.state.view.y") != before["y"]
+    page.press("F2")
+    page.tab.get_by_role("button", name="two", exact=True).click()
+    page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
+    assert "clip=two" in page.tab.url

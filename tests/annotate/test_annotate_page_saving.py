@@ -1,0 +1,108 @@
+"""What the labelling page saves, and that nothing is lost: tabs, servers that die, strangers."""
+
+from __future__ import annotations
+
+import json
+import signal
+
+import pytest
+from labeller_page import CORNERS, Page, Server, near, stored
+
+pytestmark = pytest.mark.browser
+
+
+def test_second_tab_conflict_keeps_both(context, shared):
+    first, second = Page(context, shared.address), Page(context, shared.address)
+    first.draw()
+    first.saved()
+    second.draw([(200, 20), (260, 20), (260, 50)])
+    second.until("labeller.state.saving.kind === 'conflict'")
+    assert second.tab.locator("dialog[open]").is_visible()
+    second.press("Escape")
+    assert second.tab.locator("dialog[open]").is_visible()
+    assert len(stored(shared).objects) == 1
+    second.tab.get_by_role("button", name="Merge both").click()
+    assert second.saved() == 2
+    assert sorted(len(o.key_frames[0].polygons[0]) for o in stored(shared).objects) == [3, 4]
+    assert first.errors + second.errors == []
+
+
+@pytest.mark.parametrize(("choice", "corners"), [("Keep mine", 3), ("Take theirs", 4)])
+def test_conflict_choices_are_edits_that_can_be_undone(context, shared, choice, corners):
+    first, second = Page(context, shared.address), Page(context, shared.address)
+    first.draw()
+    first.saved()
+    second.draw([(200, 20), (260, 20), (260, 50)])
+    second.tab.get_by_role("button", name=choice).click()
+    second.until("labeller.state.saving.kind === 'saved' && !labeller.saver.pending")
+    assert [len(o.key_frames[0].polygons[0]) for o in stored(shared).objects] == [corners]
+    if choice == "Take theirs":
+        second.press("Control+z")
+        second.until("labeller.saver.revision === 2")
+        assert [len(o.key_frames[0].polygons[0]) for o in stored(shared).objects] == [3]
+
+
+def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_path):
+    page = Page(context, server.address)
+    page.draw()
+    assert page.saved() == 1
+    server.stop(signal.SIGKILL)
+    assert len(stored(server).objects) == 1
+    page.press("4")
+    page.draw([(200, 20), (260, 20), (260, 50)])
+    page.until("labeller.state.saving.kind === 'offline'")
+    page.until("document.getElementById('saved').textContent.includes('kept')")
+    again = Server(clips, tmp_path / "notes", server.port)
+    try:
+        page.saved()
+        assert [o.motion for o in stored(server).objects] == [4, 5]
+    finally:
+        again.stop(signal.SIGKILL)
+    assert page.errors == []
+
+
+def test_edits_survive_closing_the_tab_while_the_server_is_away(context, clips, server, tmp_path):
+    page = Page(context, server.address)
+    server.stop(signal.SIGKILL)
+    page.draw()
+    page.until("Object.keys(localStorage).some(key => key.startsWith('draft:one'))")
+    page.press("PageDown", "F2", "s", "Escape", "Control+e", "Escape")
+    page.until("labeller.state.hint.includes('does not answer')")
+    assert page.errors == []
+    page.tab.close()
+    again = Server(clips, tmp_path / "notes", server.port)
+    try:
+        back = Page(context, again.address)
+        back.saved()
+        assert near(stored(server).objects[0].key_frames[0].polygons[0], CORNERS)
+    finally:
+        again.stop(signal.SIGKILL)
+
+
+def test_ctrl_c_ends_the_server_quietly(clips, tmp_path):
+    server = Server(clips, tmp_path / "notes")
+    server.stop(signal.SIGINT)
+    assert server.process.returncode in (0, 130)
+
+
+def test_another_address_wants_the_token(clips, tmp_path, context):
+    server = Server(clips, tmp_path / "notes", 0, "--host", "0.0.0.0")
+    try:
+        address = server.address.replace("0.0.0.0", "127.0.0.1")
+        assert "token=" in address
+        page = Page(context, address)
+        assert "token" not in page.tab.url
+        stranger = context.browser.new_context()
+        assert stranger.request.get(address.partition("?")[0] + "api/clips").status == 401
+        stranger.close()
+    finally:
+        server.stop(signal.SIGKILL)
+    assert json.loads(json.dumps(page.errors)) == []
+
+
+def test_nothing_comes_from_elsewhere(context, shared):
+    asked = []
+    context.on("request", lambda request: asked.append(request.url))
+    Page(context, shared.address)
+    assert asked
+    assert all(url.startswith((shared.address, "blob:", "data:")) for url in asked)
