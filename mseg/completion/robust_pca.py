@@ -39,7 +39,8 @@ def robust_pca(
     tolerance : float
         Stop when ``|X - A - E|_F <= tolerance |X|_F``.
     max_iterations : int
-        Cap on iterations, each one singular value decomposition.
+        Cap on iterations, each one singular value decomposition, or for symmetric data the four times
+        cheaper eigenvalue decomposition.
 
     Returns
     -------
@@ -63,11 +64,12 @@ def robust_pca(
     price = np.where(seen, weight, 0.0)
     penalty = 1.25 / largest
     cap = penalty * 1e7
+    shrunk = shrink_eigenvalues if _symmetric(matrix) else shrink_singular_values
 
     def step() -> float:
         nonlocal low_rank, sparse, multiplier, penalty
         sparse = shrink(matrix - low_rank + multiplier / penalty, price / penalty)
-        low_rank = shrink_singular_values(matrix - sparse + multiplier / penalty, 1 / penalty)
+        low_rank = shrunk(matrix - sparse + multiplier / penalty, 1 / penalty)
         gap = matrix - low_rank - sparse
         multiplier = multiplier + penalty * gap
         penalty = min(penalty * 1.5, cap)
@@ -88,3 +90,15 @@ def shrink_singular_values(matrix: FloatArray, threshold: float) -> FloatArray:
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     kept = int((values > threshold).sum())
     return np.asarray((left[:, :kept] * (values[:kept] - threshold)) @ right[:kept])
+
+
+def shrink_eigenvalues(matrix: FloatArray, threshold: float) -> FloatArray:
+    """Do what `shrink_singular_values` does for a symmetric matrix: its singular values are ``|lambda|``."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = np.abs(values) > threshold
+    vectors, values = vectors[:, kept], values[kept]
+    return np.asarray((vectors * (values - np.sign(values) * threshold)) @ vectors.T)
+
+
+def _symmetric(matrix: FloatArray) -> bool:
+    return matrix.shape[0] == matrix.shape[1] and bool((matrix == matrix.T).all())

@@ -35,9 +35,10 @@ class ConsistentMoSeg(ViewMethod):
     multiple geometric models", AAAI 2021, and its authors' code; l1 = 0.001, l2 = 0.015 are theirs for
     Hopkins155 and MTPV62 (0.005 and 0.05 for Hopkins12, 0.001 and 0.01 for KT3DMoSeg). Deviation: their
     affinity is left unsymmetric by the last step and goes into spectral clustering as such; here it is
-    averaged with its transpose.
+    averaged with its transpose, and a small uniform weight is added as in the paper's views. The affinity
+    itself equals that of their code (docs/baselines.md).
     Input: gaps allowed. Number of motions: given. Outliers: not handled. Cost: that of the three views and
-    up to 500 sweeps of O(N^3); O(N^2) memory.
+    up to 500 sweeps of O(N^2 K); O(N^2) memory.
     """
 
     alpha: float = option(3.0, "power of the kernel before neighbours are chosen", low=0)

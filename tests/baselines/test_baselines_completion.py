@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from kt3dmoseg.errors import InvalidValueError
 from mseg.completion import complete, robust_pca, shrink, shrink_singular_values
+from mseg.completion.robust_pca import shrink_eigenvalues
 from mseg.errors import TooFewPointsError
 
 
@@ -98,6 +99,18 @@ def test_robust_pca_separates_gross_errors(rng):
 def test_robust_pca_of_zeros_and_cap(rng):
     assert not robust_pca(np.zeros((3, 4))).low_rank.any()
     assert not robust_pca(rng.normal(size=(5, 6)), max_iterations=2).convergence.converged
+
+
+def test_symmetric_data_are_shrunk_by_eigenvalues(rng):
+    half = rng.normal(size=(30, 30))
+    matrix = half + half.T
+    np.testing.assert_allclose(
+        shrink_eigenvalues(matrix, 3.0), shrink_singular_values(matrix, 3.0), atol=1e-10
+    )
+    low_rank = np.outer(half[0], half[0])
+    result = robust_pca(low_rank + 20 * np.eye(30)[::-1])
+    assert result.convergence.converged
+    np.testing.assert_allclose(result.low_rank, low_rank, atol=1e-3)
 
 
 def test_shrinking_by_hand():
