@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.files import write_text
 from kt3dmoseg.types import Clip
 from mseg.evaluation import tables
@@ -19,6 +20,9 @@ from mseg.evaluation.report_clip import clip_section
 from mseg.evaluation.results import ScoreTable
 from mseg.evaluation.scoring import score_validated
 from mseg.evaluation.validate import Validation, validate_submission
+
+# What identifies a run rather than describes it: behind a click.
+_ORIGIN = ("parameters", "dataset sha256", "submission sha256", "toolkit")
 
 
 def write_report(
@@ -61,7 +65,7 @@ def write_report(
     RejectedSubmissionError
         When the submission is invalid and not `force`.
     InputFileError
-        When the frames of a clip are incomplete.
+        When the frames of a clip are incomplete, or there are none of any clip.
     """
     checked = validate_submission(submission, data, benchmark=benchmark)
     scores = score_validated(checked, force=force)
@@ -83,20 +87,24 @@ def report_html(
     """
     order = sorted(scores.names, key=lambda name: -scores.per_clip()[scores.names.index(name)])
     folder = Path(frames) if frames is not None else None
+    if folder is not None and not any((folder / name).is_dir() for name in order):
+        raise InputFileError(
+            f"{folder}", expected=f"a folder of pictures per clip, {order[0]}", found="none of any clip"
+        )
     body = "".join(
         [
             _head(scores, overlays=overlays),
-            _failures(scores),
             _cards(scores),
-            "<h2 id='table'>Benchmark table</h2>",
-            html_table(tables.headline(scores), own_row=0),
+            _failures(scores),
             "<h2 id='clips'>Per clip, worst first</h2>",
             bars_per_clip(scores, order, linked=overlays),
             bars_published(scores),
+            _overlays(checked, scores, order, folder) if overlays else "",
+            "<h2 id='table'>Benchmark table</h2>",
+            html_table(tables.headline(scores), own_row=0),
             "<h2 id='metrics'>All metrics</h2>",
             html_table(tables.all_means(scores)),
             html_table(tables.per_clip(scores)),
-            _overlays(checked, scores, order, folder) if overlays else "",
         ]
     )
     return page(f"{scores.meta.method} on {scores.benchmark.title}", body, script="report")
@@ -105,7 +113,7 @@ def report_html(
 def _overlays(checked: Validation, scores: ScoreTable, order: Sequence[str], folder: Path | None) -> str:
     clips = "".join(clip_section(checked, scores, name, folder) for name in order)
     return (
-        "<h2 id='overlays'>Every clip, worst first</h2>"
+        "<h2 id='overlays'>Truth and prediction, worst first</h2>"
         "<p class='quiet'>Predicted groups have the colour of the motion they are assigned to; "
         f"errors are ringed in red. The slider takes arrow keys.</p>{clips}"
     )
@@ -128,19 +136,22 @@ def html_table(table: TextTable, *, own_row: int | None = None) -> str:
 
 
 def _head(scores: ScoreTable, *, overlays: bool) -> str:
-    facts = "".join(
-        f"<li>{escape(name)} <b>{escape(str(value))}</b></li>"
-        for name, value in tables.meta_lines(scores)
-        if name != "method"
-    )
-    links = {"table": "Table", "clips": "Bars", "metrics": "Metrics"}
-    links |= {"overlays": "Overlays"} if overlays else {}
+    facts = {name: value for name, value in tables.meta_lines(scores) if name != "method"}
+    origin = {name: facts.pop(name) for name in _ORIGIN if name in facts}
+    links = {"clips": "Clips", **({"overlays": "Pictures"} if overlays else {})}
+    links |= {"table": "Table", "metrics": "Metrics"}
     jump = "".join(f"<a href='#{key}'>{title}</a>" for key, title in links.items())
     return (
-        f"<h1>{escape(scores.meta.method)}</h1><p>{escape(scores.benchmark.title)}, "
-        f"{escape(scores.benchmark.coverage(scores.names))}</p><ul class='facts'>{facts}</ul>"
-        f"<nav class='jump' aria-label='Sections'>{jump}</nav>"
+        f"<header class='head'><div><h1>{escape(scores.meta.method)}</h1>"
+        f"<p>{escape(scores.benchmark.title)}, {escape(scores.benchmark.coverage(scores.names))}</p></div>"
+        f"<nav class='jump' aria-label='Sections'>{jump}</nav></header>{_facts(facts)}"
+        f"<details><summary class='quiet'>parameters and provenance</summary>{_facts(origin)}</details>"
     )
+
+
+def _facts(facts: Mapping[str, str]) -> str:
+    items = "".join(f"<li>{escape(name)} <b>{escape(value)}</b></li>" for name, value in facts.items())
+    return f"<ul class='facts'>{items}</ul>"
 
 
 def _failures(scores: ScoreTable) -> str:
@@ -156,16 +167,17 @@ def _failures(scores: ScoreTable) -> str:
 def _cards(scores: ScoreTable) -> str:
     summary = scores.summary()
     low, high = summary.interval
-    sd = "one seed" if summary.seed_sd is None else f"sd over {len(scores.seeds)} seeds"
     prevalence = sum(scores.of(n).prevalence for n in scores.names) / len(scores.names)
     cards = [
         (f"{100 * summary.mean:.2f} %", f"mean error, {scores.benchmark.coverage(scores.names)}"),
         (f"{100 * summary.median:.2f} %", "median error"),
-        ("-" if summary.seed_sd is None else f"{100 * summary.seed_sd:.2f}", sd),
-        (f"{100 * low:.1f}–{100 * high:.1f}", "95 % interval over clips"),
+        (f"{100 * low:.1f}–{100 * high:.1f} %", "95 % interval of the mean, over clips"),
         (f"{100 * prevalence:.2f} %", "prevalence baseline, same clips"),
-        (f"{len({c.clip for c in scores.failures})}", "failed or missing clips"),
     ]
+    if summary.seed_sd is not None:
+        cards.insert(2, (f"± {100 * summary.seed_sd:.2f}", f"sd over {len(scores.seeds)} seeds"))
+    if scores.failures:
+        cards.append((f"{len({c.clip for c in scores.failures})}", "failed or missing clips"))
     inner = "".join(
         f"<div class='card'><b>{escape(value)}</b><span>{escape(text)}</span></div>" for value, text in cards
     )

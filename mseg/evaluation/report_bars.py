@@ -9,19 +9,21 @@ from mseg.evaluation.results import ScoreTable
 from mseg.evaluation.tables import published_for
 
 _MAX_DOTS = 30
+_STEPS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20, 0.25)
+_TABLE = "Table 1 of Xu, Cheong and Li, CVPR 2018"
 
 
 def bars_per_clip(scores: ScoreTable, order: Sequence[str], *, linked: bool) -> str:
     """Draw the error of each clip: bar = mean over seeds, dots = seeds, line = prevalence baseline."""
     matrix = scores.matrix()
     place = {name: i for i, name in enumerate(scores.names)}
-    top = max(0.05, float(matrix.max()), *(scores.of(name).prevalence for name in order))
+    step = _step(float(matrix.max()), *(scores.of(name).prevalence for name in order))
     rows = []
     for name in order:
         runs = matrix[place[name]]
         base = scores.of(name).prevalence
-        seeds = "".join(_mark("seed", v / top) for v in runs[:_MAX_DOTS]) if len(runs) > 1 else ""
-        drawn = _bar(runs.mean() / top) + _mark("base", base / top) + seeds
+        seeds = "".join(_mark("seed", v / step) for v in runs[:_MAX_DOTS]) if len(runs) > 1 else ""
+        drawn = _bar(runs.mean() / step) + _mark("base", base / step) + seeds
         failed = any(scores.of(name, seed).reason for seed in scores.seeds)
         title = f"<a href='#clip-{escape(name)}'>{escape(name)}</a>" if linked else escape(name)
         rows.append(
@@ -32,11 +34,10 @@ def bars_per_clip(scores: ScoreTable, order: Sequence[str], *, linked: bool) -> 
         )
     dots = "<span><i class='seed'></i>single seeds</span>" if len(scores.seeds) > 1 else ""
     return (
-        "<div class='key'><span><i></i>error, %</span>"
-        f"<span><i class='base'></i>prevalence baseline: all in the largest motion</span>{dots}"
-        f"<span>full width = {100 * top:.0f} %</span></div>"
+        "<div class='key'><span><i></i>classification error, %</span>"
+        f"<span><i class='base'></i>prevalence baseline: all in the largest motion</span>{dots}</div>"
         "<div class='scroll'><table class='bars clips'><thead><tr><th scope='col'>clip</th>"
-        "<th scope='col'>error</th><th scope='col' class='wide'>prevalence</th><th></th></tr></thead>"
+        f"<th scope='col'>error</th><th scope='col' class='wide'>prevalence</th>{_axis(step)}</tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
 
@@ -54,10 +55,10 @@ def _published_group(scores: ScoreTable, title: str, names: list[str], known: di
     summary = scores.summary("error", names)
     own = f"{scores.meta.method} (this submission)"
     values = sorted([(v, m, "") for m, v in known.items()] + [(summary.mean, own, "own")])
-    top = max(0.01, *(v for v, _, _ in values))
+    step = _step(*(v for v, _, _ in values))
     rows = "".join(
         f"<tr class='{kind}'><th scope='row'>{escape(method)}</th><td>{100 * v:.2f}</td>"
-        f"<td class='track'><div>{_bar(v / top)}</div></td></tr>"
+        f"<td class='track'><div>{_bar(v / step)}</div></td></tr>"
         for v, method, kind in values
     )
     protocol = scores.benchmark
@@ -68,16 +69,25 @@ def _published_group(scores: ScoreTable, title: str, names: list[str], known: di
     return (
         f"<h2>Beside published results: {escape(title)}</h2>"
         f"<p class='quiet'>Mean classification error, %. Published: {escape(_TABLE)}.{escape(part)}</p>"
-        f"<div class='scroll'><table class='bars'><tbody>{rows}</tbody></table></div>"
+        "<div class='scroll'><table class='bars'><thead><tr><th scope='col'>method</th>"
+        f"<th scope='col'>mean</th>{_axis(step)}</tr></thead><tbody>{rows}</tbody></table></div>"
     )
 
 
-_TABLE = "Table 1 of Xu, Cheong and Li, CVPR 2018"
+def _step(*values: float) -> float:
+    """Round distance of the axis' lines, four of which hold all values."""
+    return next((step for step in _STEPS if 4 * step >= max(values)), _STEPS[-1])
 
 
-def _bar(share: float) -> str:
-    return f"<i class='bar' style='width:{100 * min(1.0, share):.2f}%'></i>"
+def _axis(step: float) -> str:
+    """Head of the bars' column: the numbers of the axis' lines."""
+    numbers = "".join(f"<span style='left:{25 * k}%'>{100 * k * step:.0f}</span>" for k in range(5))
+    return f"<th scope='col' class='track'><div class='axis' aria-hidden='true'>{numbers}</div></th>"
 
 
-def _mark(kind: str, share: float) -> str:
-    return f"<i class='{kind}' style='left:{100 * min(1.0, share):.2f}%'></i>"
+def _bar(steps: float) -> str:
+    return f"<i class='bar' style='width:{25 * min(4.0, steps):.2f}%'></i>"
+
+
+def _mark(kind: str, steps: float) -> str:
+    return f"<i class='{kind}' style='left:{25 * min(4.0, steps):.2f}%'></i>"

@@ -46,7 +46,7 @@ def viewer(checked: Validation, scores: ScoreTable, name: str, frames: Path | No
     shape = " tall" if width < _TALL * height else ""
     return (
         f"<div class='viewer{shape}'><script type='application/json'>{content}</script><div class='views'>"
-        f"{_canvas(name, 'truth')}{_canvas(name, 'prediction') if drawn else ''}</div>"
+        f"{_canvas(clip, 'truth')}{_canvas(clip, 'prediction') if drawn else ''}</div>"
         f"{_controls(clip, [seed for seed, _ in drawn])}</div>"
     )
 
@@ -104,22 +104,24 @@ def _size(clip: Clip) -> tuple[int, int]:
     return int(max(1, far[0] + 1)), int(max(1, far[1] + 1))
 
 
-def _canvas(name: str, what: str) -> str:
-    label = escape(f"{name}: {what}")
+def _canvas(clip: Clip, what: str) -> str:
+    width, height = _size(clip)  # so that the page is as long before the canvas is drawn as after
     return (
-        f"<figure><canvas role='img' aria-label='{label}'></canvas><figcaption>{what}</figcaption></figure>"
+        f"<figure><figcaption>{what}</figcaption><canvas role='img' width='{width}' height='{height}' "
+        f"aria-label='{escape(clip.name)}: {what}'></canvas></figure>"
     )
 
 
 def _controls(clip: Clip, seeds: list[int]) -> str:
     options = "".join(f"<option>seed {seed}</option>" for seed in seeds)
+    middle = clip.n_frames // 2  # where most trajectories are seen
     choice = f"<label>run <select>{options}</select></label>" if len(seeds) > 1 else ""
     return (
         "<div class='controls'><button type='button' aria-pressed='false'>Play</button>"
-        f"<input type='range' min='0' max='{clip.n_frames - 1}' value='0' "
+        f"<input type='range' min='0' max='{clip.n_frames - 1}' value='{middle}' "
         f"aria-label='frame of {escape(clip.name)}'>"
-        f"<output>frame {clip.frame_numbers[0]}</output><label><input type='checkbox'> only errors</label>"
-        f"{choice}</div>"
+        f"<output>frame {clip.frame_numbers[middle]}</output>"
+        f"<label><input type='checkbox'> only errors</label>{choice}</div>"
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from mseg.evaluation.layout import TextTable
 from mseg.evaluation.metrics import Metric, all_metrics
@@ -82,9 +81,8 @@ def all_means(scores: ScoreTable) -> TextTable:
         values = [summary.mean, summary.median, summary.pooled]
         spread = _ABSENT if summary.seed_sd is None else _show(metric, summary.seed_sd)
         low, high = summary.interval
-        interval = f"{_show(metric, low)}..{_show(metric, high)}"
-        arrow = "down" if metric.better == "lower" else "up"
-        rows.append([metric.title, arrow, *(_show(metric, v) for v in values), spread, interval])
+        interval = f"{_show(metric, low)} to {_show(metric, high)}"
+        rows.append([metric.title, metric.better, *(_show(metric, v) for v in values), spread, interval])
     columns = ["metric", "better", "mean", "median", "pooled", "sd over seeds", "95 % over clips"]
     return TextTable("Over all clips scored, fractions in %", columns, rows)
 
@@ -155,7 +153,7 @@ def _show(metric: Metric, value: float) -> str:
     return f"{100 * value:.2f}" if metric.percent else f"{value:.2f}"
 
 
-def meta_lines(scores: ScoreTable) -> list[tuple[str, Any]]:
+def meta_lines(scores: ScoreTable) -> list[tuple[str, str]]:
     """List what the submission says about itself and what it was scored on, as (name, value)."""
     meta, source = scores.meta, scores.provenance
     lines = [
@@ -164,7 +162,7 @@ def meta_lines(scores: ScoreTable) -> list[tuple[str, Any]]:
         ("link", meta.link),
         ("number of motions", "given" if meta.n_motions_given else "found by the method"),
         ("hardware", meta.hardware),
-        ("seconds", f"{meta.seconds:g}" if meta.seconds else ""),
+        ("time per seed", f"{meta.seconds:g} s" if meta.seconds else ""),
         ("parameters", ", ".join(f"{k} = {v}" for k, v in meta.parameters.items())),
         ("dataset version", source.dataset_version),
         ("dataset sha256", source.dataset_sha256[:16]),

@@ -97,6 +97,8 @@ def test_frames_are_inside(submission, tmp_path):
     for payload in payloads(path.read_text()):
         assert len(payload["frames"]) == 10
         assert all(f.startswith("data:image/jpeg;base64,") for f in payload["frames"])
+    with pytest.raises(InputFileError, match="a folder of pictures per clip"):
+        write_report(submission, CLIPS, tmp_path / "r.html", frames=tmp_path / "nowhere")
     with pytest.raises(InputFileError, match="10 frames"):
         write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "g", lacking=1))
 
@@ -194,14 +196,20 @@ def test_in_chromium(submission, tmp_path, width):
         viewer = page.locator(".viewer").first
         viewer.scroll_into_view_if_needed()
         slider = viewer.locator("input[type=range]")
-        playwright.expect(viewer.locator("output")).to_have_text("frame 0")
+        playwright.expect(viewer.locator("output")).to_have_text("frame 5")
         slider.focus()
         page.keyboard.press("ArrowRight")
-        playwright.expect(viewer.locator("output")).to_have_text("frame 1")
+        playwright.expect(viewer.locator("output")).to_have_text("frame 6")
         canvas = viewer.locator("canvas").nth(1)
         before = canvas.evaluate("c => c.toDataURL()")
         viewer.locator("select").select_option("seed 1")
         assert canvas.evaluate("c => c.toDataURL()") != before  # other labels, errors ringed
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        page.set_viewport_size({"width": width, "height": 200})
+        page.goto(path.as_uri())
+        unseen = page.locator("canvas").last
+        before = unseen.evaluate("c => c.toDataURL()")
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        assert unseen.evaluate("c => c.toDataURL()") != before  # printed, though never in view
         assert said == []
         browser.close()

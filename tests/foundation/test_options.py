@@ -49,9 +49,7 @@ def test_flags_toml_values_and_strings_agree():
 
 
 def test_a_misspelt_key_names_the_nearest():
-    with pytest.raises(
-        UnknownNameError, match=r"run.toml: unknown option 'alhpa'; did you mean 'alpha'\?"
-    ):
+    with pytest.raises(UnknownNameError, match=r"run.toml: unknown option 'alhpa'; did you mean 'alpha'\?"):
         from_mapping(Example, {"alhpa": 1}, where="run.toml")
 
 

@@ -1,8 +1,10 @@
 "use strict";
 // Draws the trajectories of a clip, true and predicted, on its frames. Data sit in the page.
-const COLOURS = ["#9aa0a6", "#56b4e9", "#e69f00", "#e377b8", "#2ecc8f", "#f0e442", "#ff6f3c", "#a58bff", "#c2b280", "#7fe3e3"];
+// After Okabe and Ito, as `kt3dmoseg show` draws them, lighter where frames are dark, without the red of errors.
+const COLOURS = ["#9aa0a6", "#56b4e9", "#e69f00", "#2ecc8f", "#f0e442", "#e377b8", "#a58bff", "#c2b280", "#7fe3e3"];
 const colourOf = (i) => COLOURS[i === 0 ? 0 : 1 + ((i - 1) % (COLOURS.length - 1))];
 const MISSING = -32768;
+const TRAIL = 6; // frames
 const stillPlease = matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 function bytes(text) {
@@ -64,6 +66,24 @@ class Viewer {
     return this.images[frame].complete ? this.images[frame] : null;
   }
 
+  at(n, frame) {
+    return 2 * (n * this.data.n_frames + frame);
+  }
+
+  trail(pen, n, frame, onCanvas, radius, colour) {
+    pen.beginPath();
+    for (let f = frame; f >= Math.max(0, frame - TRAIL); f--) {
+      const at = this.at(n, f);
+      if (this.xy[at] === MISSING) break;
+      pen.lineTo(onCanvas(this.xy[at]), onCanvas(this.xy[at + 1]));
+    }
+    pen.globalAlpha = 0.7;
+    pen.lineWidth = radius * 0.7;
+    pen.strokeStyle = colour;
+    pen.stroke();
+    pen.globalAlpha = 1;
+  }
+
   draw() {
     const frame = Number(this.slider.value);
     this.output.textContent = `frame ${this.data.numbers[frame]}`;
@@ -73,23 +93,29 @@ class Viewer {
   }
 
   paint(canvas, frame, run, predicted) {
-    const { width, height, n_frames: frames, scale } = this.data;
-    const zoom = Math.max(1, Math.min(3, 1100 / width));
+    const { width, height, scale } = this.data;
+    const across = canvas.clientWidth || 1000, density = devicePixelRatio || 1;
+    const zoom = Math.min(3, (across * density) / width);
     canvas.width = Math.round(width * zoom);
     canvas.height = Math.round(height * zoom);
     const pen = canvas.getContext("2d");
     const image = this.image(frame);
-    if (image) pen.drawImage(image, 0, 0, canvas.width, canvas.height);
+    if (image) {
+      pen.globalAlpha = 0.75; // dimmed by the dark ground, so that points stand out
+      pen.drawImage(image, 0, 0, canvas.width, canvas.height);
+      pen.globalAlpha = 1;
+    }
     const shown = predicted ? run && run.shown : this.truth;
     if (!shown) return;
-    // At least 1.4 px on the screen, however small the canvas is shown.
-    const radius = Math.max(2.6, canvas.width / 420, (1.4 * canvas.width) / (canvas.clientWidth || canvas.width));
+    const radius = density * Math.max(1.4, Math.min(3, across / 420));
+    const onCanvas = (step) => (step / scale + 0.5) * zoom;
     for (let n = 0; n < shown.length; n++) {
-      const at = 2 * (n * frames + frame);
+      const at = this.at(n, frame);
       if (this.xy[at] === MISSING) continue;
       const wrong = run && run.wrong[n];
       if (this.onlyErrors.checked && !wrong) continue;
-      const x = (this.xy[at] / scale + 0.5) * zoom, y = (this.xy[at + 1] / scale + 0.5) * zoom;
+      const x = onCanvas(this.xy[at]), y = onCanvas(this.xy[at + 1]);
+      this.trail(pen, n, frame, onCanvas, radius, colourOf(shown[n]));
       pen.beginPath();
       pen.arc(x, y, radius, 0, 7);
       pen.fillStyle = colourOf(shown[n]);
@@ -111,16 +137,23 @@ class Viewer {
   }
 }
 
-// A viewer is made when it is first near the window: twenty clips of frames are not decoded at once.
-const seen = new IntersectionObserver((entries) => {
-  for (const entry of entries) {
-    if (entry.isIntersecting) {
-      seen.unobserve(entry.target);
-      new Viewer(entry.target);
-    }
-  }
-}, { rootMargin: "400px" });
-document.querySelectorAll(".viewer").forEach((root) => seen.observe(root));
+// A viewer is made when it is first near the window, so that not all clips' frames are decoded at once;
+// a printed page shows them all.
+const waiting = new Set(document.querySelectorAll(".viewer"));
+const make = (root) => {
+  if (!waiting.delete(root)) return;
+  near.unobserve(root);
+  new Viewer(root);
+};
+const near = new IntersectionObserver(
+  (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => make(entry.target)),
+  { rootMargin: "400px" },
+);
+waiting.forEach((root) => near.observe(root));
+addEventListener("beforeprint", () => {
+  document.querySelectorAll("details").forEach((part) => { part.open = true; });
+  waiting.forEach(make);
+});
 document.querySelectorAll("[data-colour]").forEach((dot) => {
   dot.style.background = colourOf(Number(dot.dataset.colour));
 });
