@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import write_text
 from mseg.evaluation.leaderboard import Leaderboard
-from mseg.evaluation.page import page
+from mseg.evaluation.page import html_table, page
 from mseg.evaluation.ranking import Board
 
 
@@ -43,16 +44,9 @@ def as_html(boards: list[Board]) -> str:
 
 
 def _section(board: Board) -> str:
-    table = board.table()
-    head = "".join(f"<th scope='col'>{escape(c)}</th>" for c in table.columns)
-    body = "".join(
-        f"<tr{'' if rank else ' class=unranked'}>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>"
-        for (rank, _), row in zip(board.ranked, table.rows, strict=True)
-    )
-    return (
-        f"<section><h2>{escape(board.title)}</h2><div class='scroll'><table class='board'>"
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></section>"
-    )
+    table = replace(board.table(), title=board.about)
+    marks = {i: "unranked" for i, (rank, _) in enumerate(board.ranked) if rank is None}
+    return f"<section><h2>{escape(board.title)}</h2>{html_table(table, kind='board', marks=marks)}</section>"
 
 
 _NOTE = "Entries with failed or missing clips have no rank and stand below; different data are never mixed."

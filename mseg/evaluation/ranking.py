@@ -50,13 +50,14 @@ class Board:
 
     Parameters
     ----------
-    title : str
-        Benchmark, how much of it, and which data.
+    title, about : str
+        The benchmark; how much of it, and which data.
     ranked : list of (int or None, Entry)
         Best first; None for entries with failed or missing clips, which come last.
     """
 
     title: str
+    about: str
     ranked: list[tuple[int | None, Entry]]
 
     def table(self) -> TextTable:
@@ -75,7 +76,7 @@ class Board:
             for rank, entry in self.ranked
         ]
         columns = ["rank", "method", "mean", "median", "seeds", "failed", "added", "submission"]
-        return TextTable(self.title, columns, rows)
+        return TextTable(f"{self.title}: {self.about}", columns, rows)
 
 
 def make_board(entries: list[Entry]) -> Board:
@@ -85,7 +86,7 @@ def make_board(entries: list[Entry]) -> Board:
     name = protocol.title if protocol else "Clips of no benchmark"
     full = first.clips == first.clips_in_full
     amount = f"all {first.clips} clips" if full else f"{first.clips} of {first.clips_in_full} clips, a part"
-    title = f"{name}, {amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"
+    about = f"{amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"
     ordered = sorted(entries, key=lambda e: (e.failed > 0, e.mean, e.id))
     clean = [e.mean for e in ordered if not e.failed]
-    return Board(title, [(None if e.failed else 1 + clean.index(e.mean), e) for e in ordered])
+    return Board(name, about, [(None if e.failed else 1 + clean.index(e.mean), e) for e in ordered])

@@ -13,8 +13,7 @@ from kt3dmoseg.files import write_text
 from kt3dmoseg.types import Clip
 from mseg.evaluation import tables
 from mseg.evaluation.jsonform import to_json
-from mseg.evaluation.layout import TextTable
-from mseg.evaluation.page import page
+from mseg.evaluation.page import html_table, page
 from mseg.evaluation.report_bars import bars_per_clip, bars_published
 from mseg.evaluation.report_clip import clip_section
 from mseg.evaluation.results import ScoreTable
@@ -101,7 +100,7 @@ def report_html(
             bars_published(scores),
             _overlays(checked, scores, order, folder) if overlays else "",
             "<h2 id='table'>Benchmark table</h2>",
-            html_table(tables.headline(scores), own_row=0),
+            html_table(tables.headline(scores), marks={0: "own"}),
             "<h2 id='metrics'>All metrics</h2>",
             html_table(tables.all_means(scores)),
             html_table(tables.per_clip(scores)),
@@ -116,22 +115,6 @@ def _overlays(checked: Validation, scores: ScoreTable, order: Sequence[str], fol
         "<h2 id='overlays'>Truth and prediction, worst first</h2>"
         "<p class='quiet'>Predicted groups have the colour of the motion they are assigned to; "
         f"errors are ringed in red. The slider takes arrow keys.</p>{clips}"
-    )
-
-
-def html_table(table: TextTable, *, own_row: int | None = None) -> str:
-    """Turn a table of texts into HTML."""
-    head = "".join(f"<th scope='col'>{escape(c)}</th>" for c in table.columns)
-    rows = "".join(
-        f"<tr{' class=own' if i == own_row else ''}><th scope='row'>{escape(row[0])}</th>"
-        + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-        + "</tr>"
-        for i, row in enumerate(table.rows)
-    )
-    notes = "".join(f"<p class='quiet'>{escape(note)}</p>" for note in table.notes)
-    return (
-        f"<div class='scroll'><table><caption>{escape(table.title)}</caption><thead><tr>{head}</tr></thead>"
-        f"<tbody>{rows}</tbody></table></div>{notes}"
     )
 
 
