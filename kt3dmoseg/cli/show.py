@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _painting(clip: Clip, arguments: argparse.Namespace) -> Painting:
-    from kt3dmoseg.draw import by_label, by_length
+    from kt3dmoseg.draw import by_label, by_length, by_prediction
     from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.io.predictions import read_prediction
 
@@ -72,7 +72,7 @@ def _painting(clip: Clip, arguments: argparse.Namespace) -> Painting:
     if by == "prediction" and not arguments.pred:
         raise InvalidValueError("--by prediction", expected="--pred FILE", found="none")
     if by == "prediction":
-        return by_label(clip, read_prediction(arguments.pred, clip))
+        return by_prediction(clip, read_prediction(arguments.pred, clip))
     return by_label(clip, clip.labels.label, clip.labels.names) if by == "label" else by_length(clip.dense)
 
 

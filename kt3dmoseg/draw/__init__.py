@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from kt3dmoseg.draw.painting import Painting as Painting
     from kt3dmoseg.draw.painting import by_label as by_label
     from kt3dmoseg.draw.painting import by_length as by_length
+    from kt3dmoseg.draw.painting import by_prediction as by_prediction
     from kt3dmoseg.draw.painting import draw_frame as draw_frame
     from kt3dmoseg.draw.painting import label_colour as label_colour
 
@@ -23,6 +24,7 @@ _PUBLIC = {
     "Painting": "kt3dmoseg.draw.painting",
     "by_label": "kt3dmoseg.draw.painting",
     "by_length": "kt3dmoseg.draw.painting",
+    "by_prediction": "kt3dmoseg.draw.painting",
     "draw_frame": "kt3dmoseg.draw.painting",
     "label_colour": "kt3dmoseg.draw.painting",
 }

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.draw.options import DrawOptions
-from kt3dmoseg.types import ByteArray, Clip, IntArray, Trajectories
+from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Trajectories
 
 # Okabe and Ito (2008): told apart also with a colour vision deficiency. RGB; label 1 comes first.
 PALETTE = np.array(
@@ -28,6 +30,9 @@ PALETTE = np.array(
 UNLABELLED = (190, 190, 190)
 _SHIFT = 4  # OpenCV draws at 1/16 px
 _FONT, _FONT_SCALE, _LINE = cv2.FONT_HERSHEY_SIMPLEX, 0.42, 15
+_WHITE = (255, 255, 255)
+
+Legend: TypeAlias = "Sequence[tuple[str, tuple[int, int, int]]]"
 
 
 @dataclass(frozen=True)
@@ -42,11 +47,14 @@ class Painting:
         RGB.
     legend : sequence of (text, (r, g, b))
         Lines of the legend.
+    ringed : (N,) bool, optional
+        Trajectories whose points stand out by a white ring.
     """
 
     trajectories: Trajectories
     colours: ByteArray
-    legend: Sequence[tuple[str, tuple[int, int, int]]]
+    legend: Legend
+    ringed: BoolArray | None = None
 
 
 def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None = None) -> Painting:
@@ -60,6 +68,28 @@ def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None =
         for value in np.unique(values).tolist()
     ]
     return Painting(clip.evaluated_trajectories, _label_colours(values), legend)
+
+
+def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
+    """Colour the evaluated trajectories by predicted labels (n,).
+
+    Of a labelled clip, a predicted label has the colour of the motion that it shares most with, one to
+    one, and the trajectories that are then labelled otherwise are ringed.
+    """
+    values, truth = np.asarray(predicted, dtype=np.int64), clip.labels.label
+    if not clip.n_motions:
+        return by_label(clip, values)
+    match = _match(values, truth)
+    shown = np.array([match.get(value, 0) for value in values.tolist()], dtype=np.int64)
+    wrong = (shown != truth) & (truth > 0)
+    legend = []
+    for value in np.unique(values).tolist():
+        chosen = values == value
+        text = f"predicted {value}: {int(chosen.sum())}, {int(wrong[chosen].sum())} wrong"
+        legend.append((text, label_colour(match.get(value, 0))))
+    share = wrong.sum() / max(1, (truth > 0).sum())
+    legend.append((f"ringed: labelled otherwise, {share:.1%}", _WHITE))
+    return Painting(clip.evaluated_trajectories, _label_colours(shown), legend, wrong)
 
 
 def by_length(trajectories: Trajectories) -> Painting:
@@ -110,7 +140,7 @@ def draw_frame(
     if frame > 0 and chosen.trail > 0:
         _draw_trails(canvas, painting, frame, chosen)
     _draw_points(canvas, painting, frame, chosen)
-    _draw_legend(canvas, title, painting.legend)
+    _draw_legend(canvas, title, painting.legend, chosen.scale)
     return canvas
 
 
@@ -140,31 +170,45 @@ def _draw_trails(canvas: ByteArray, painting: Painting, frame: int, options: Dra
         begin = start + (len(seen) - int(np.argmin(seen[::-1]))) if not seen.all() else start
         points = _fixed_point(tracks.xy[row, begin : frame + 1], options.scale)
         if len(points) > 1:
-            cv2.polylines(canvas, [points], False, _rgb(painting.colours[row]), 1, cv2.LINE_AA, _SHIFT)
+            colour = _rgb(painting.colours[row])
+            cv2.polylines(canvas, [points], False, colour, options.scale, cv2.LINE_AA, _SHIFT)
 
 
 def _draw_points(canvas: ByteArray, painting: Painting, frame: int, options: DrawOptions) -> None:
     rows = np.flatnonzero(painting.trajectories.visible[:, frame])
     points = _fixed_point(painting.trajectories.xy[rows, frame], options.scale)
-    radius = round(options.radius * (1 << _SHIFT))
+    radius = round(options.radius * options.scale * (1 << _SHIFT))
     for row, point in zip(rows.tolist(), points.tolist(), strict=True):
         cv2.circle(canvas, point, radius, _rgb(painting.colours[row]), cv2.FILLED, cv2.LINE_AA, _SHIFT)
+        if painting.ringed is not None and painting.ringed[row]:
+            cv2.circle(canvas, point, 2 * radius, _WHITE, options.scale, cv2.LINE_AA, _SHIFT)
 
 
-def _draw_legend(canvas: ByteArray, title: str, legend: Sequence[tuple[str, tuple[int, int, int]]]) -> None:
+def _draw_legend(canvas: ByteArray, title: str, legend: Legend, scale: int) -> None:
     lines = ([title] if title else []) + [text for text, _ in legend]
     if not lines:
         return
-    widest = max(cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)[0][0] for text in lines)
-    height, width = _LINE * len(lines) + 8, min(widest + 30, canvas.shape[1])
-    canvas[:height, :width] //= 4
+    size, line = _FONT_SCALE * scale, _LINE * scale
+    widest = max(cv2.getTextSize(text, _FONT, size, scale)[0][0] for text in lines)
+    canvas[: line * len(lines) + 8 * scale, : min(widest + 30 * scale, canvas.shape[1])] //= 4
     for number, text in enumerate(lines):
         left = 6 if title and not number else 22
-        place = (left, _LINE * (number + 1))
-        cv2.putText(canvas, text, place, _FONT, _FONT_SCALE, (255, 255, 255), 1, cv2.LINE_AA)
+        place = (left * scale, line * (number + 1))
+        cv2.putText(canvas, text, place, _FONT, size, _WHITE, scale, cv2.LINE_AA)
     for number, (_, colour) in enumerate(legend, start=len(lines) - len(legend)):
-        top = _LINE * number + 5
-        cv2.rectangle(canvas, (7, top), (17, top + 9), colour, cv2.FILLED)
+        top = line * number + 5 * scale
+        cv2.rectangle(canvas, (7 * scale, top), (17 * scale, top + 9 * scale), colour, cv2.FILLED)
+
+
+def _match(predicted: IntArray, truth: IntArray) -> dict[int, int]:
+    """Match predicted labels to motions, one to one, so that most trajectories agree (Kuhn 1955)."""
+    labels, motions = np.unique(predicted[predicted > 0]), np.unique(truth[truth > 0])
+    shared = ((predicted == labels[:, None])[:, None] & (truth == motions[:, None])).sum(axis=2)
+    rows, columns = linear_sum_assignment(shared, maximize=True)
+    match = dict(zip(labels[rows].tolist(), motions[columns].tolist(), strict=True))
+    # Labels beyond the number of motions take the colours after theirs.
+    spare = (int(motions.max()) + k for k in range(1, len(labels) + 1))
+    return match | {label: next(spare) for label in labels.tolist() if label not in match}
 
 
 def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int32]:

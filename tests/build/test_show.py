@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 
@@ -11,7 +12,16 @@ import pytest
 from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip
 
 from kt3dmoseg.cli import main
-from kt3dmoseg.draw import PALETTE, UNLABELLED, DrawOptions, by_label, by_length, draw_frame, label_colour
+from kt3dmoseg.draw import (
+    PALETTE,
+    UNLABELLED,
+    DrawOptions,
+    by_label,
+    by_length,
+    by_prediction,
+    draw_frame,
+    label_colour,
+)
 from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
@@ -61,6 +71,32 @@ def test_the_legend_names_and_counts(clip):
         "1 background: 1",
         "2 car: 1",
     ]
+
+
+def test_a_prediction_has_the_colours_of_the_motions_it_matches_and_rings_what_is_wrong():
+    xy = np.stack([np.tile(np.arange(10.0, 70, 10)[:, None], 2), np.full((6, 2), 30.0)], axis=2)
+    tracks = Trajectories(xy, np.ones((6, 2), dtype=bool), image_size=(96, 64))
+    clip = Clip("clip", tracks, np.arange(6), Labels(np.array([1, 1, 1, 2, 2, 0]), 1))
+    painting = by_prediction(clip, [7, 7, 3, 3, 3, 9])
+    expected = [label_colour(k) for k in (1, 1, 2, 2, 2, 3)]
+    assert [tuple(colour) for colour in painting.colours.tolist()] == expected
+    assert painting.ringed.tolist() == [False, False, True, False, False, False]
+    assert [text for text, _ in painting.legend] == [
+        "predicted 3: 3, 1 wrong",
+        "predicted 7: 2, 0 wrong",
+        "predicted 9: 1, 0 wrong",
+        "ringed: labelled otherwise, 20.0%",
+    ]
+    picture = draw_frame(dataclasses.replace(painting, legend=[]), 0)
+    assert tuple(picture[30, 30 - 4]) == (255, 255, 255)
+    assert not picture[30, 20 - 4].any()
+
+
+def test_all_that_is_drawn_is_enlarged(clip):
+    small = draw_frame(by_label(clip, clip.labels.label), 0)
+    large = draw_frame(by_label(clip, clip.labels.label), 0, options=DrawOptions(scale=3))
+    coloured = [(p == np.array(label_colour(2))).all(axis=2).sum() for p in (small[50:], large[150:])]
+    assert 5 * coloured[0] < coloured[1] < 13 * coloured[0]
 
 
 def test_lengths_go_from_dark_to_bright(clip):
@@ -125,7 +161,7 @@ def test_a_prediction_in_one_picture(file, tmp_path):
     (tmp_path / "pred.csv").write_text("track,label\n0,3\n1,3\n2,3\n")
     out = tmp_path / "one.png"
     assert main(["show", str(file), "--pred", str(tmp_path / "pred.csv"), "--at", "0", "-o", str(out)]) == 0
-    assert tuple(cv2.imread(str(out))[58, 60, ::-1]) == label_colour(3)
+    assert tuple(cv2.imread(str(out))[58, 60, ::-1]) == label_colour(1)
 
 
 @pytest.mark.parametrize(
