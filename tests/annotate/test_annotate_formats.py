@@ -179,6 +179,44 @@ HOSTILE = [
 ]
 
 
+MANY = np.arange(64 * 96, dtype=np.uint16).reshape(64, 96)
+CROWDS = [
+    ("mots_png", zipped(**{"000000.png": cv2.imencode(".png", MANY)[1].tobytes()}), "10 objects"),
+    ("mots_txt", b"0 1001 1 64 96 PP6\n" * 5001, "5000 lines"),
+    (
+        "coco",
+        b'{"images": [{"id": 0}], "annotations": ['
+        + b",".join([b'{"image_id": 0, "segmentation": [[1, 1, 9, 1, 9, 9]]}'] * 11)
+        + b"]}",
+        "10 objects",
+    ),
+    ("coco", b'{"images": [], "annotations": [' + b",".join([b"{}"] * 5001) + b"]}", "5000 annotations"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "limit"), CROWDS)
+def test_crowds_are_refused_before_they_fill_the_memory(name, content, limit, monkeypatch):
+    monkeypatch.setattr("kt3dmoseg.annotate.formats.instances.MAX_OBJECTS", 10)
+    with pytest.raises(KT3DMoSegError, match=f"at most {limit}"):
+        formats.load(name).parse(content, EMPTY)
+
+
+def test_of_very_many_parts_the_largest_are_kept():
+    mask = np.zeros((60, 60), bool)
+    mask[::2, ::2] = True
+    mask[40:50, 40:50] = True
+    polygons = polygons_of(mask)
+    assert len(polygons) == 200
+    assert max(np.ptp([x for x, _ in polygon]) for polygon in polygons) >= 10
+
+
+def test_an_outline_of_very_many_corners_loses_details_not_itself():
+    comb = np.ones((3, 6000), bool)
+    comb[1:, ::2] = False
+    (polygon,) = polygons_of(comb)
+    assert 4000 <= len(polygon) <= 5000
+
+
 @pytest.mark.parametrize(("name", "content"), HOSTILE)
 def test_hostile_files_are_refused_in_one_line(name, content):
     with pytest.raises(KT3DMoSegError) as caught:

@@ -13,8 +13,8 @@ from kt3dmoseg.annotate.formats.masks import check_frame
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.errors import FileFormatError
 
-_LARGEST_ENTRY = 64 << 20
-_LARGEST_TOTAL = 512 << 20
+_LARGEST_ENTRY = 32 << 20
+_LARGEST_TOTAL = 128 << 20
 _NUMBER = re.compile(r"(\d{1,9})\D*$")
 
 
@@ -116,7 +116,9 @@ def _entries(archive: zipfile.ZipFile, suffix: str, what: str) -> list[zipfile.Z
     total = sum(info.file_size for info in infos)
     if largest > _LARGEST_ENTRY or total > _LARGEST_TOTAL:
         raise FileFormatError(
-            what, expected=f"entries of at most {_LARGEST_ENTRY} bytes", found=f"{largest}, {total} in all"
+            what,
+            expected=f"entries of at most {_LARGEST_ENTRY} bytes, {_LARGEST_TOTAL} in all",
+            found=f"{largest}, {total} in all",
         )
     return infos
 

@@ -14,17 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from kt3dmoseg.annotate.checks import Motion
+from kt3dmoseg.annotate.checks import MAX_OBJECTS, Motion
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.archive import frame_indices
 from kt3dmoseg.annotate.formats.corner import from_corner
-from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, from_masks, mask_of
+from kt3dmoseg.annotate.formats.instances import Instances
+from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, mask_of
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray
-
-_MAX_MASKS = 1_000_000
 
 
 class Coco:
@@ -71,7 +70,7 @@ class Coco:
             data = json.loads(content)
             frames = _frames(data["images"], names)
             kinds = {int(c["id"]): str(c["name"]).lower() for c in data.get("categories", [])}
-            entries = list(data["annotations"])[:_MAX_MASKS]
+            entries = list(data["annotations"])
             return _annotation(entries, frames, kinds, like)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             if isinstance(error, (FileFormatError, InvalidValueError)):
@@ -117,7 +116,10 @@ def _entry(
 def _annotation(
     entries: list[dict[str, Any]], frames: Mapping[int, int], kinds: Mapping[int, str], like: Annotation
 ) -> Annotation:
-    masks: dict[int, dict[int, BoolArray]] = {}
+    most = MAX_OBJECTS * like.n_frames
+    if len(entries) > most:
+        raise FileFormatError("COCO", expected=f"at most {most} annotations", found=str(len(entries)))
+    instances = Instances(like)
     kept: dict[int, dict[str, Any]] = {}
     for number, entry in enumerate(entries):
         where = f"annotations[{number}]"
@@ -125,18 +127,14 @@ def _annotation(
         check_frame(frame, like, where)
         instance = int(entry["track_id"]) if "track_id" in entry else -1 - number
         kept.setdefault(instance, entry)
-        of_instance = masks.setdefault(instance, {})
-        mask = _mask(entry["segmentation"], like, where)
-        of_instance[frame] = of_instance[frame] | mask if frame in of_instance else mask
+        instances.add(instance, frame, _mask(entry["segmentation"], like, where), where)
     motions, notes = _motions(kept)
-    found = from_masks(
-        masks,
-        like,
+    found = instances.annotation(
         motions,
         kinds={i: kinds.get(int(e.get("category_id", 0)), "other") for i, e in kept.items()},
         names={i: str(e.get("attributes", {}).get("name", "")) for i, e in kept.items()},
     )
-    ids = [i for i in sorted(masks) if any(mask.any() for mask in masks[i].values())]
+    ids = instances.numbers
     given = all(i >= 1 for i in ids)
     return replace(
         found,

@@ -7,14 +7,13 @@ pixels whose centres lie inside belong to it. A hole is joined to the outline ar
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from kt3dmoseg.annotate.checks import MAX_POINTS, MAX_POLYGONS, REJECT, Motion, Polygon
-from kt3dmoseg.annotate.model import BACKGROUND, KINDS, AnnotatedObject, Annotation, KeyFrame
+from kt3dmoseg.annotate.checks import MAX_POINTS, MAX_POLYGONS, REJECT, Polygon
+from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.polygons import area, bounds, inside
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError
@@ -49,6 +48,9 @@ def mask_of(polygons: Sequence[FloatArray], image_size: tuple[int, int]) -> Bool
 def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
     """Return the outlines of a mask, one polygon per 4-connected part.
 
+    Of more parts than a region may have, the largest; of more corners than a polygon may have, every
+    second, or third...
+
     Parameters
     ----------
     mask : (H, W) bool
@@ -56,18 +58,20 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
     tolerance : float
         Leave out corners closer than this to the simplified outline, pixels; 0 = exact.
     """
-    parts, count = ndimage.label(mask)
+    parts, _ = ndimage.label(mask)
     boxes = ndimage.find_objects(parts)
+    sizes = np.bincount(parts.ravel())[1:]
     out = []
-    for k in range(count):
+    # In reading order; of more parts than a region may have, the largest.
+    for k in np.sort(np.argsort(-sizes, kind="stable")[:MAX_POLYGONS]):
         rows, columns = boxes[k]
-        part = parts[rows, columns] == k + 1
-        loops = [_straightened(loop) for loop in _loops(part)]
+        loops = [_straightened(loop) for loop in _loops(parts[rows, columns] == k + 1)]
         joined = _joined(loops) + np.array([columns.start - 0.5, rows.start - 0.5])
         simple = simplify(joined, tolerance) if tolerance > 0 else joined
-        if 3 <= len(simple) <= MAX_POINTS:
+        simple = simple[:: -(-len(simple) // MAX_POINTS)]
+        if len(simple) >= 3:
             out.append(tuple((float(x), float(y)) for x, y in simple))
-    return out[:MAX_POLYGONS]
+    return out
 
 
 def simplify(polygon: FloatArray, tolerance: float) -> FloatArray:
@@ -92,43 +96,6 @@ def simplify(polygon: FloatArray, tolerance: float) -> FloatArray:
             kept.add(middle)
             stack += [(first, middle), (middle, last)]
     return turned[sorted(kept)]
-
-
-def from_masks(
-    masks: Mapping[int, Mapping[int, BoolArray]],
-    like: Annotation,
-    motions: Mapping[int, Motion],
-    *,
-    kinds: Mapping[int, str] | None = None,
-    names: Mapping[int, str] | None = None,
-    tolerance: float = 0.0,
-) -> Annotation:
-    """Build an annotation from masks.
-
-    Parameters
-    ----------
-    masks : mapping of instance to frame to (H, W) bool
-        Frames without a mask mean that the object is outside.
-    like : Annotation
-        An empty annotation of the clip.
-    motions : mapping of instance to motion
-        The motion of each instance.
-    kinds, names : mapping of instance to str, optional
-        By default ``"other"`` and ``"object 3"``.
-    tolerance : float
-        As in `polygons_of`.
-    """
-    objects: list[AnnotatedObject] = []
-    for instance in sorted(masks):
-        keys = _key_frames(masks[instance], like.n_frames, tolerance)
-        if any(key.polygons for key in keys):
-            kind = (kinds or {}).get(instance, "other")
-            name = (names or {}).get(instance) or f"object {instance}"
-            number = len(objects) + 1
-            objects.append(
-                AnnotatedObject(number, name, kind if kind in KINDS else "other", motions[instance], keys)
-            )
-    return replace(like, objects=tuple(objects))
 
 
 def label_image(
@@ -180,17 +147,6 @@ def check_frame(frame: int, like: Annotation, where: str) -> None:
 
 def _layer(item: AnnotatedObject) -> int:
     return 2 if item.motion == REJECT else int(item.motion == BACKGROUND)
-
-
-def _key_frames(masks: Mapping[int, BoolArray], n_frames: int, tolerance: float) -> tuple[KeyFrame, ...]:
-    keys: list[KeyFrame] = []
-    for frame in range(n_frames):
-        polygons = polygons_of(masks[frame], tolerance) if frame in masks else []
-        if polygons:
-            keys.append(KeyFrame(frame, "visible", tuple(polygons)))
-        elif not keys or keys[-1].visibility != "outside":
-            keys.append(KeyFrame(frame, "outside"))
-    return tuple(keys)
 
 
 def _loops(part: BoolArray) -> list[list[Corner]]:

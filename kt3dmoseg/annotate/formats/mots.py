@@ -16,10 +16,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.checks import REJECT, Motion
+from kt3dmoseg.annotate.checks import MAX_OBJECTS, REJECT, Motion
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.archive import pack, unpack
-from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, from_masks, label_image
+from kt3dmoseg.annotate.formats.instances import Instances
+from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, label_image
 from kt3dmoseg.annotate.model import AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -30,9 +31,6 @@ _IGNORE = 10_000
 _STEP = 1000
 _CLASS = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
 _KIND = {1: "car", 2: "pedestrian", 3: "other"}
-_MAX_LINES = 1_000_000
-
-Masks = dict[int, dict[int, BoolArray]]
 
 
 class MotsPng:
@@ -53,13 +51,13 @@ class MotsPng:
 
     def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a zip of PNGs; see `AnnotationFormat`."""
-        masks: Masks = {}
+        found = Instances(like)
         for frame, png in unpack(content, ".png", like, names, "MOTS masks").items():
             image, _ = decode_indices(png, f"frame {frame}")
             check_shape(image.shape, like, f"frame {frame}")
             for value in np.unique(image[image > 0]).tolist():
-                masks.setdefault(value, {})[frame] = image == value
-        return _annotation(masks, like)
+                found.add(value, frame, image == value, "MOTS masks")
+        return _annotation(found)
 
 
 class MotsText:
@@ -84,15 +82,16 @@ class MotsText:
     def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a text file; see `AnnotationFormat`."""
         del names
-        masks: Masks = {}
+        found = Instances(like)
         lines = content.decode("ascii", "replace").splitlines()
-        if len(lines) > _MAX_LINES:
-            raise FileFormatError("MOTS text", expected=f"at most {_MAX_LINES} lines", found=str(len(lines)))
+        most = MAX_OBJECTS * like.n_frames
+        if len(lines) > most:
+            raise FileFormatError("MOTS text", expected=f"at most {most} lines", found=str(len(lines)))
         for number, line in enumerate(lines, start=1):
             if line.strip():
                 frame, value, mask = _line(line, like, f"line {number}")
-                masks.setdefault(value, {})[frame] = mask
-        return _annotation(masks, like)
+                found.add(value, frame, mask, "MOTS text")
+        return _annotation(found)
 
 
 MOTS_PNG = MotsPng()
@@ -126,15 +125,16 @@ def _line(line: str, like: Annotation, where: str) -> tuple[int, int, BoolArray]
     return numbers[0], numbers[1], rle.decode(text, numbers[2], numbers[3], where)
 
 
-def _annotation(masks: Masks, like: Annotation) -> Annotation:
-    instances = [value % _STEP for value in masks if value // _STEP != _IGNORE // _STEP]
+def _annotation(found: Instances) -> Annotation:
+    values = found.numbers
+    instances = [value % _STEP for value in values if value // _STEP != _IGNORE // _STEP]
     unique = len(set(instances)) == len(instances) and min(instances, default=1) > 0
     motions: dict[int, Motion] = {}
-    for value in sorted(masks):
+    for value in values:
         if value // _STEP == _IGNORE // _STEP:
             motions[value] = REJECT
         else:
             motions[value] = value % _STEP if unique else len(motions) + 1
-    kinds = {value: _KIND.get(value // _STEP, "other") for value in masks}
-    names = {value: "rejected" if motions[value] == REJECT else f"{kinds[value]} {value}" for value in masks}
-    return from_masks(masks, like, motions, kinds=kinds, names=names)
+    kinds = {value: _KIND.get(value // _STEP, "other") for value in values}
+    names = {value: "rejected" if motions[value] == REJECT else f"{kinds[value]} {value}" for value in values}
+    return found.annotation(motions, kinds=kinds, names=names)

@@ -1,0 +1,82 @@
+"""Objects gathered from masks, one at a time: only outlines are kept, so that no file fills the memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from kt3dmoseg.annotate.checks import MAX_OBJECTS, Motion, Polygon
+from kt3dmoseg.annotate.formats.masks import polygons_of
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame
+from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.types import BoolArray
+
+
+class Instances:
+    """The regions of numbered objects in the frames of a clip.
+
+    Parameters
+    ----------
+    like : Annotation
+        An empty annotation of the clip.
+    """
+
+    def __init__(self, like: Annotation) -> None:
+        self.like = like
+        self._outlines: dict[int, dict[int, list[Polygon]]] = {}
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the objects that have a pixel somewhere, ascending."""
+        return sorted(self._outlines)
+
+    def add(self, number: int, frame: int, mask: BoolArray, where: str) -> None:
+        """Add the pixels of an object in one frame; what is there already stays.
+
+        Raises
+        ------
+        FileFormatError
+            When there are more objects than an annotation may have.
+        """
+        polygons = polygons_of(mask)
+        if not polygons:
+            return
+        if number not in self._outlines and len(self._outlines) == MAX_OBJECTS:
+            raise FileFormatError(where, expected=f"at most {MAX_OBJECTS} objects", found="more")
+        self._outlines.setdefault(number, {}).setdefault(frame, []).extend(polygons)
+
+    def annotation(
+        self,
+        motions: Mapping[int, Motion],
+        *,
+        kinds: Mapping[int, str] | None = None,
+        names: Mapping[int, str] | None = None,
+    ) -> Annotation:
+        """Build the annotation; objects come in the order of their numbers, with ids from 1 on.
+
+        Parameters
+        ----------
+        motions : mapping of number to motion
+            The motion of each object.
+        kinds, names : mapping of number to str, optional
+            By default ``"other"`` and ``"object 3"``.
+        """
+        objects = []
+        for identity, number in enumerate(self.numbers, start=1):
+            kind = (kinds or {}).get(number, "other")
+            name = (names or {}).get(number) or f"object {number}"
+            keys = _key_frames(self._outlines[number], self.like.n_frames)
+            kind = kind if kind in KINDS else "other"
+            objects.append(AnnotatedObject(identity, name, kind, motions[number], keys))
+        return replace(self.like, objects=tuple(objects))
+
+
+def _key_frames(outlines: Mapping[int, list[Polygon]], n_frames: int) -> tuple[KeyFrame, ...]:
+    """Key frames: one for each outline, and one where the object leaves."""
+    keys: list[KeyFrame] = []
+    for frame in range(n_frames):
+        if frame in outlines:
+            keys.append(KeyFrame(frame, "visible", tuple(outlines[frame])))
+        elif not keys or keys[-1].visibility != "outside":
+            keys.append(KeyFrame(frame, "outside"))
+    return tuple(keys)
