@@ -47,9 +47,7 @@ def run(arguments: argparse.Namespace) -> None:
         )
     failed = sorted(folder.rglob(f"*{FAILED}"))
     for path in failed:
-        print(
-            f"failed: {path.relative_to(folder).with_suffix('')}: {path.read_text().strip()}", file=sys.stderr
-        )
+        print(f"failed: {path.relative_to(folder)}: {path.read_text().strip()}", file=sys.stderr)
     print(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))
     print(f"check it: mseg validate {folder} {arguments.data}")
     print(f"score it: mseg score {folder} {arguments.data}")
