@@ -1,0 +1,64 @@
+"""What the commands say beside what their functions do."""
+
+import pytest
+from evaluation_helpers import CLIPS, perfect
+
+import kt3dmoseg
+import mseg.cli
+
+
+@pytest.fixture
+def data(tmp_path):
+    for name, clip in CLIPS.items():
+        kt3dmoseg.save(clip, tmp_path / "data" / f"{name}.h5")
+    return str(tmp_path / "data")
+
+
+def usage_error(capsys, *words):
+    """Exit with 2 and one line; return the line."""
+    try:
+        code = mseg.cli.main(list(words))
+    except SystemExit as stopped:
+        code = stopped.code
+    said = capsys.readouterr()
+    assert code == 2
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    return said.err
+
+
+def test_run_names_the_clips_that_failed_and_the_next_step(data, tmp_path, capsys):
+    out = str(tmp_path / "p")
+    assert mseg.cli.main(["run", data, "-o", out, "--method", "affine", "--n-motions", "50"]) == 0
+    said = capsys.readouterr()
+    assert "failed: example_two.failed: " in said.err
+    assert f"check it: mseg validate {out} {data}" in said.out
+    assert "(1 run failed)" in said.out
+
+
+@pytest.mark.parametrize("flag", ["--seeds", "--workers", "--n-motions"])
+@pytest.mark.parametrize("value", ["0", "-1", "two", "1.5"])
+def test_counts_are_whole_numbers_from_1_up(flag, value, data, tmp_path, capsys):
+    said = usage_error(capsys, "run", data, "-o", str(tmp_path / "p"), flag, value)
+    assert f"argument {flag}: expected a whole number >= 1, found '{value}'" in said
+
+
+def test_seed_is_not_taken_for_seeds(data, tmp_path, capsys):
+    said = usage_error(capsys, "run", data, "-o", str(tmp_path / "p"), "--seed", "3")
+    assert "did you mean '--seeds'?" in said
+
+
+def test_data_come_last(data, tmp_path, capsys):
+    submission, scores = str(perfect(tmp_path / "s")), str(tmp_path / "s.json")
+    assert mseg.cli.main(["score", submission, data, "--json", "-o", scores]) == 0
+    capsys.readouterr()
+    assert "give the data last" in usage_error(capsys, "compare", submission, scores)
+    assert "give the data last" in usage_error(capsys, "compare", scores, submission)
+    assert mseg.cli.main(["compare", submission, scores, data]) == 0
+
+
+def test_a_leaderboard_is_not_made_for_nothing(tmp_path, capsys):
+    submission, board = str(perfect(tmp_path / "s")), tmp_path / "board.sqlite"
+    said = usage_error(capsys, "leaderboard", "add", submission, "--db", str(board))
+    assert "give it after the submission" in said
+    assert not board.exists()
