@@ -68,8 +68,11 @@ def predict(
     Raises
     ------
     InvalidValueError
-        When the folder holds predictions of another configuration.
+        When the folder holds predictions of another configuration, other numbers of motions or
+        another layout, or `n_motions` is not positive.
     """
+    if n_motions is not None and n_motions < 1:
+        raise InvalidValueError("n_motions", expected="1 or more, or None", found=str(n_motions))
     folder = Path(output)
     configuration = configure([method], parameters or {})[0]
     wanted = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
@@ -80,7 +83,7 @@ def predict(
         for name, clip in clips.items()
         for seed in wanted
     }
-    record = _open_record(folder, configuration)
+    record = _open_record(folder, configuration, n_motions, "seed-N" if len(wanted) > 1 else "flat")
     layout = {seed: None if len(wanted) == 1 else seed for seed in wanted}
     tasks = [
         Task(clips[name].without_labels(), told[name], seed, ((k, configuration),))
@@ -105,12 +108,16 @@ def _clips(data: Path) -> dict[str, Clip]:
     return {name: load(path) for name, path in dataset_paths(data).items()}
 
 
-def _open_record(folder: Path, configuration: Configuration) -> dict[str, Any]:
+def _open_record(
+    folder: Path, configuration: Configuration, n_motions: int | None, layout: str
+) -> dict[str, Any]:
     """Read what an earlier run left, refusing to mix two configurations."""
     wanted = {
         "method": configuration.method,
         "parameters": {k: repr(v) for k, v in _parameters(configuration).items()},
         "code": code_hash(),
+        "n_motions": n_motions,
+        "layout": layout,
     }
     path = folder / _RECORD
     if not path.is_file():

@@ -222,6 +222,12 @@ def test_predictions_resume_and_do_not_mix(data, tmp_path):
     assert {p: p.read_bytes() for p in sorted(out.glob("seed-*/*.csv"))} == wanted
     with pytest.raises(KT3DMoSegError, match="differs in parameters"):
         predict(data, out, "affine", seeds=2, parameters={"alpha": 3})
+    with pytest.raises(KT3DMoSegError, match="n_motions"):
+        predict(data, out, "affine", seeds=2, n_motions=2)
+    with pytest.raises(KT3DMoSegError, match="layout"):
+        predict(data, out, "affine", seeds=1)
+    with pytest.raises(KT3DMoSegError, match="1 or more"):
+        predict(data, tmp_path / "zero", "affine", n_motions=0)
 
 
 def test_unlabelled_clips_need_a_number(make_clip, tmp_path):
