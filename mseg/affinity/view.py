@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import groupby, islice, pairwise
+from itertools import islice, pairwise
 from typing import TypeVar
 
 import numpy as np
+from scipy.linalg.blas import ssyrk
 
-from kt3dmoseg.types import Float32Array, FloatArray, IntArray, Trajectories
+from kt3dmoseg.types import Float32Array, IntArray, Trajectories
 from mseg.affinity.ordered_residuals import preferences, top_count
-from mseg.geometry import Distance, change_frame, hartley, residuals
+from mseg.geometry import Distance, change_frame, frame_pair, residuals
 from mseg.types import Hypotheses
 
 # The authors' guard against division by zero, part of the values that alpha is applied to.
 GUARD = 0.1
 _PAIRS_AT_A_TIME = 4
 # Rows spread into the sum at once: few enough that their copy stays in the cache.
-_ROWS_AT_A_TIME = 128
+_BLOCK = 128
 _T = TypeVar("_T")
 
 
@@ -53,13 +54,16 @@ def view_kernel(
     section 3.1.
     """
     total: Float32Array = np.zeros((len(trajectories), len(trajectories)), dtype=np.float32)
-    for rows, marks, count in _marked_chunks(trajectories, hypotheses, fraction, distance):
-        shared = marks @ marks.T
-        shared /= np.float32(count)
-        for start in range(0, len(rows), _ROWS_AT_A_TIME):
-            part = slice(start, start + _ROWS_AT_A_TIME)
-            total[np.ix_(rows[part], rows)] += shared[part]
-    total /= covisible_frames(trajectories) + np.float32(GUARD)
+    usual = top_count(max(map(_length, _pairs(hypotheses)), default=0), fraction)
+    for chunk in _batched(_pairs(hypotheses), _PAIRS_AT_A_TIME):
+        rows, marks = _marks(trajectories, hypotheses, chunk, fraction, distance, usual)
+        # Upper triangle of marks marks^T: counts, exact in single precision.
+        shared = ssyrk(1.0, marks.T, trans=1, lower=1).T
+        for start in range(0, len(rows), _BLOCK):
+            part = slice(start, start + _BLOCK)
+            total[np.ix_(rows[part], rows[start:])] += shared[part, start:]
+    _mirror(total)
+    total /= np.float32(usual) * (covisible_frames(trajectories) + np.float32(GUARD))
     return total
 
 
@@ -70,52 +74,54 @@ def covisible_frames(trajectories: Trajectories) -> Float32Array:
     return together
 
 
-def _marked_chunks(
-    trajectories: Trajectories, hypotheses: Hypotheses, fraction: float, distance: Distance
-) -> Iterator[tuple[IntArray, Float32Array, int]]:
-    """Yield rows (R,), their preferred hypotheses (R, M) as 0 and 1, and how many each prefers.
+def _pairs(hypotheses: Hypotheses) -> list[slice]:
+    """Where the hypotheses of each frame pair lie."""
+    change = np.flatnonzero((hypotheses.pair[1:] != hypotheses.pair[:-1]).any(axis=1)) + 1
+    return [slice(start, end) for start, end in pairwise([0, *change.tolist(), len(hypotheses.pair)])]
 
-    Several frame pairs at a time: one product of their marks side by side is the sum of their
-    kernels, and the sum is spread into the large matrix once.
-    """
-    pairs, start = np.unique(hypotheses.pair, axis=0, return_index=True)
-    parts = [slice(b, e) for b, e in pairwise([*start, len(hypotheses.pair)])]
-    for count, group in groupby(
-        zip(pairs, parts, strict=True), key=lambda item: top_count(item[1].stop - item[1].start, fraction)
-    ):
-        for chunk in _batched(group, _PAIRS_AT_A_TIME):
-            yield *_marks(trajectories, hypotheses, chunk, count, distance), count
+
+def _length(part: slice) -> int:
+    return int(part.stop - part.start)
 
 
 def _marks(
     trajectories: Trajectories,
     hypotheses: Hypotheses,
-    chunk: Sequence[tuple[IntArray, slice]],
-    count: int,
+    chunk: Sequence[slice],
+    fraction: float,
     distance: Distance,
+    usual: int,
 ) -> tuple[IntArray, Float32Array]:
-    seen = [(part, *trajectories.pair(int(i), int(j))) for (i, j), part in chunk]
-    rows = np.unique(np.concatenate([r for _, r, _, _ in seen]))
-    marks: Float32Array = np.zeros((len(rows), sum(p.stop - p.start for p, *_ in seen)), dtype=np.float32)
+    """Mark (R, M) the preferred hypotheses of a few frame pairs, side by side; rows (R,) take part.
+
+    Ones, where a pair has fewer hypotheses than usual larger, so that every pair weighs the same.
+    """
+    pairs = [frame_pair(trajectories, *hypotheses.pair[part.start].tolist()) for part in chunk]
+    rows = np.unique(np.concatenate([pair.rows for pair in pairs]))
+    marks: Float32Array = np.zeros((len(rows), sum(map(_length, chunk))), dtype=np.float32)
     column = 0
-    for part, visible, x1, x2 in seen:
-        end = column + part.stop - part.start
-        if len(visible):
-            residual = _pair_residuals(hypotheses, part, x1, x2, distance)
-            marks[np.searchsorted(rows, visible), column:end] = preferences(residual, count)
+    for part, pair in zip(chunk, pairs, strict=True):
+        end = column + _length(part)
+        if len(pair.rows):
+            # In the pair's own normalised frame, where single precision is enough to rank.
+            models = change_frame(hypotheses.kind, hypotheses.models[part], pair.t1, pair.t2)
+            single = pair.x1.astype(np.float32), pair.x2.astype(np.float32)
+            residual = residuals(hypotheses.kind, models, *single, distance=distance)
+            count = top_count(_length(part), fraction)
+            marks[np.searchsorted(rows, pair.rows), column:end] = preferences(residual, count)
+            if count != usual:
+                marks[:, column:end] *= np.float32(np.sqrt(usual / count))
         column = end
     return rows, marks
 
 
-def _pair_residuals(
-    hypotheses: Hypotheses, part: slice, x1: FloatArray, x2: FloatArray, distance: Distance
-) -> Float32Array:
-    """Residuals (P, K) in the pair's own normalised frame; single precision is enough to rank."""
-    n1, t1 = hartley.normalise(x1)
-    n2, t2 = hartley.normalise(x2)
-    models = change_frame(hypotheses.kind, hypotheses.models[part], t1, t2)
-    single = n1.astype(np.float32), n2.astype(np.float32)
-    return residuals(hypotheses.kind, models, *single, distance=distance)
+def _mirror(upper: Float32Array) -> None:
+    """Copy the upper triangle of a square matrix to the lower, in place, by blocks of rows."""
+    for start in range(0, len(upper), _BLOCK):
+        stop = min(start + _BLOCK, len(upper))
+        upper[stop:, start:stop] = upper[start:stop, stop:].T
+        block = upper[start:stop, start:stop]
+        block[:] = np.triu(block) + np.triu(block, 1).T
 
 
 def _batched(items: Iterable[_T], size: int) -> Iterator[list[_T]]:

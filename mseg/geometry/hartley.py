@@ -51,3 +51,20 @@ def inverse(transform: FloatArray) -> FloatArray:
     out[..., :2, 2] = -transform[..., :2, 2] / scale[..., None]
     out[..., 2, 2] = 1.0
     return out
+
+
+def before(models: FloatArray, transform: FloatArray) -> FloatArray:
+    """Multiply models by similarities [s 0 a; 0 s b; 0 0 1] from the right, both (..., 3, 3).
+
+    Written out, because products of many small matrices spend their time on calls.
+    """
+    scale, a, b = (transform[..., i, j, None] for i, j in ((0, 0), (0, 2), (1, 2)))
+    first, second, third = models[..., 0], models[..., 1], models[..., 2]
+    return np.stack([first * scale, second * scale, first * a + second * b + third], axis=-1)
+
+
+def after(transform: FloatArray, models: FloatArray) -> FloatArray:
+    """Multiply models by similarities from the left; see `before`."""
+    scale, a, b = (transform[..., i, j, None] for i, j in ((0, 0), (0, 2), (1, 2)))
+    first, second, third = models[..., 0, :], models[..., 1, :], models[..., 2, :]
+    return np.stack([first * scale + third * a, second * scale + third * b, third], axis=-2)

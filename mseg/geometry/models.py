@@ -103,10 +103,12 @@ def change_frame(kind: ModelKind, models: FloatArray, t1: FloatArray, t2: FloatA
 
     Homographies and fundamental matrices come out with Frobenius norm 1, affine maps with (0 0 1).
     """
+    back = hartley.inverse(t1)
     if MODELS[kind].maps_points:
-        moved = t2 @ models @ hartley.inverse(t1)
+        moved = hartley.after(t2, hartley.before(models, back))
     else:
-        moved = np.swapaxes(hartley.inverse(t2), -1, -2) @ models @ hartley.inverse(t1)
+        forward = hartley.before(models, back)
+        moved = np.swapaxes(hartley.before(np.swapaxes(forward, -1, -2), hartley.inverse(t2)), -1, -2)
     if kind == "affine":
         return moved
     size = np.linalg.norm(moved, axis=(1, 2), keepdims=True)

@@ -23,13 +23,12 @@ from scipy.sparse import csr_array
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.options import option
-from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray
+from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, IntArray, Trajectories
 from mseg.affinity import sparsify, view_kernel
 from mseg.clustering import GraphLaplacian, kmeans
 from mseg.errors import TooFewPointsError
 from mseg.geometry import MODELS
 from mseg.methods.kernel_cache import remembered
-from mseg.methods.leftover import join_largest
 from mseg.sampling import sample_hypotheses
 from mseg.types import ModelKind, Segmentation
 
@@ -50,6 +49,12 @@ class ViewKernels:
 
     kernels: tuple[csr_array, ...]
     used: BoolArray
+
+    def spread(self, labels: IntArray) -> IntArray:
+        """Labels of all n trajectories from those of the m; the others join the largest motion."""
+        everywhere = np.full(len(self.used), np.bincount(labels).argmax(), dtype=np.int64)
+        everywhere[self.used] = labels
+        return everywhere
 
 
 @dataclass(frozen=True)
@@ -93,9 +98,15 @@ class ViewMethod:
                 "n_motions", expected=f"a number: {type(self).__name__} cannot find it", found="None"
             )
         *streams, last = rng.spawn(len(KINDS) + 1)
+        points = clip.evaluated_trajectories
+        source = points if self.sample_from == "evaluated" else clip.dense
         # One view after the other, so that only one dense kernel is held at a time.
         kernels = [
-            csr_array(sparsify(self._kernel(clip, kind, streams[KINDS.index(kind)]), self.alpha))
+            csr_array(
+                sparsify(
+                    self._kernel(clip.name, points, source, kind, streams[KINDS.index(kind)]), self.alpha
+                )
+            )
             for kind in kinds
         ]
         used = np.logical_or.reduce([kernel.diagonal() > 0 for kernel in kernels])
@@ -121,11 +132,16 @@ class ViewMethod:
         """Run k-means on an embedding and label every evaluated trajectory."""
         found = kmeans(points, n_motions, rng, n_restarts=self.restarts)
         report |= {"inertia": found.inertia, "trajectories_left_out": int((~views.used).sum())}
-        return Segmentation(join_largest(found.labels + 1, views.used), report)
+        return Segmentation(views.spread(found.labels + 1), report)
 
-    def _kernel(self, clip: Clip, kind: ModelKind, rng: np.random.Generator) -> Float32Array:
-        points = clip.evaluated_trajectories
-        source = points if self.sample_from == "evaluated" else clip.dense
+    def _kernel(
+        self,
+        clip: str,
+        points: Trajectories,
+        source: Trajectories,
+        kind: ModelKind,
+        rng: np.random.Generator,
+    ) -> Float32Array:
         content = sha256_arrays(points.xy, points.visible, source.xy, source.visible)
         options = (self.hypotheses, self.gap, self.distance, self.fraction)
 
@@ -133,7 +149,7 @@ class ViewMethod:
             sampled = sample_hypotheses(source, kind, rng, per_pair=self.hypotheses, gap=self.gap)
             if not len(sampled.models):
                 raise TooFewPointsError(
-                    f"{clip.name}, {kind} view",
+                    f"{clip}, {kind} view",
                     expected=f"a frame pair with {MODELS[kind].minimal} points in general position",
                     found="none",
                 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
-from mseg.geometry import MODELS, change_frame, hartley
+from mseg.geometry import MODELS, change_frame, frame_pair, hartley
 from mseg.sampling.subsets import draw_subsets
 from mseg.types import Hypotheses, ModelKind
 
@@ -47,20 +47,18 @@ def sample_hypotheses(
     """
     minimal = MODELS[kind].minimal
     pairs = [(f, f + gap) for f in range(trajectories.n_frames - gap)]
-    points = [(pair, *trajectories.pair(*pair)[1:]) for pair in pairs]
-    usable = [(pair, x1, x2) for pair, x1, x2 in points if len(x1) >= minimal]
+    usable = [pair for pair in pairs if len(frame_pair(trajectories, *pair).rows) >= minimal]
     if not usable:
         return Hypotheses(np.empty((0, 3, 3)), np.empty((0, 2), dtype=np.int64), kind)
-    first = [hartley.normalise(x1) for _, x1, _ in usable]
-    second = [hartley.normalise(x2) for _, _, x2 in usable]
-    size = np.array([len(x1) for x1, _ in first], dtype=np.int64)
-    of = np.repeat(np.arange(len(usable)), per_pair)
-    models, ok = _fit(
-        kind, np.concatenate([x for x, _ in first]), np.concatenate([x for x, _ in second]), size, of, rng
-    )
-    t1, t2 = (np.stack([t for _, t in side])[of] for side in (first, second))
-    pixels = change_frame(kind, models[ok], hartley.inverse(t1[ok]), hartley.inverse(t2[ok]))
-    return Hypotheses(pixels, np.array([pair for pair, _, _ in usable], dtype=np.int64)[of[ok]], kind)
+    found = [frame_pair(trajectories, *pair) for pair in usable]
+    size = np.array([len(pair.rows) for pair in found], dtype=np.int64)
+    of = np.repeat(np.arange(len(found)), per_pair)
+    x1, x2 = np.concatenate([pair.x1 for pair in found]), np.concatenate([pair.x2 for pair in found])
+    models, ok = _fit(kind, x1, x2, size, of, rng)
+    kept = of[ok]
+    t1, t2 = np.stack([pair.t1 for pair in found])[kept], np.stack([pair.t2 for pair in found])[kept]
+    pixels = change_frame(kind, models[ok], hartley.inverse(t1), hartley.inverse(t2))
+    return Hypotheses(pixels, np.array(usable, dtype=np.int64)[kept], kind)
 
 
 def _fit(
