@@ -1,78 +1,17 @@
-"""A world for the tests of pull: a server with a synthetic drive, and a catalog with a clip hidden in it."""
+"""The world as fixtures."""
 
 from __future__ import annotations
 
-import random
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import kitti_drives as drives
 import pytest
 from kitti_server import FaultyServer, serving
+from kitti_world import CALIB, FRAMES, HIDDEN, TRACKLETS, World
 
 from kt3dmoseg import catalog
 from kt3dmoseg.entries import Drive, Entry, fingerprint
-from kt3dmoseg.kitti.network import Traffic
-from kt3dmoseg.kitti.pulling import PullReport, pull
-
-FRAMES = 30
-HIDDEN = tuple(range(11, 17))
-SYNC = f"{drives.NAME}/{drives.NAME}_sync.zip"
-TRACKLETS = f"{drives.NAME}/{drives.NAME}_tracklets.zip"
-CALIB = f"{drives.DATE}_calib.zip"
-QUICK: dict[str, Any] = {"wait": 0.0, "timeout": 5.0, "accept_license": True}
-
-
-@dataclass
-class World:
-    """A server, what it serves, and where pulls go."""
-
-    server: FaultyServer
-    folder: Path
-    members: dict[str, bytes]
-    said: list[str] = field(default_factory=list)
-
-    @property
-    def root(self) -> Path:
-        return self.folder / "root"
-
-    @property
-    def catalog(self) -> Path:
-        return self.folder / "mine.toml"
-
-    def serve(self, members: dict[str, bytes] | None = None) -> None:
-        self.members = members or self.members
-        path = drives.write_zip(self.folder / "sync.zip", self.members)
-        self.server.files[SYNC] = path.read_bytes()
-
-    def pull(self, *clips: str, **options: Any) -> PullReport:
-        self.traffic = Traffic()
-        return pull(
-            self.root,
-            clips or ("Hidden",),
-            catalogs=[self.catalog],
-            traffic=self.traffic,
-            say=self.said.append,
-            **{"mirror": self.server.url} | QUICK | options,
-        )
-
-    def check(self) -> None:
-        """Every frame of the clip is on disk with the bytes that the drive has."""
-        for number in HIDDEN:
-            name = f"{drives.DATE}/{drives.NAME}_sync/image_00/data/{number:010d}.png"
-            assert (self.root / name).read_bytes() == self.members[name]
-        assert not list(self.root.rglob("*.part"))
-
-    def frame(self, number: int) -> Path:
-        return self.root / drives.DATE / f"{drives.NAME}_sync/image_00/data" / f"{number:010d}.png"
-
-
-def faults(rate: float, names: list[str], seed: int = 0) -> Callable[[int, str], str]:
-    """Return a fault function: a random one of these at this rate."""
-    generator = random.Random(seed)
-    return lambda count, path: generator.choice(names) if generator.random() < rate else ""
 
 
 @pytest.fixture

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import World
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from kitti_world import World
 
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
 from kt3dmoseg.kitti.archive import Archive

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import kitti_drives as drives
 import pytest
-from conftest import CALIB, HIDDEN, SYNC, World, faults
+from kitti_world import CALIB, HIDDEN, SYNC, World, faults
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.kitti.http import Client

@@ -8,9 +8,9 @@ import cv2
 import kitti_drives as drives
 import numpy as np
 import pytest
-from conftest import FRAMES, HIDDEN, QUICK, SYNC, World
 from hypothesis import given
 from hypothesis import strategies as st
+from kitti_world import FRAMES, HIDDEN, QUICK, SYNC, World
 
 from kt3dmoseg import catalog, cli
 from kt3dmoseg.kitti.locating import NotLocatedError, locate

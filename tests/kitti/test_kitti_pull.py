@@ -8,7 +8,7 @@ from pathlib import Path
 
 import kitti_drives as drives
 import pytest
-from conftest import CALIB, HIDDEN, SYNC, TRACKLETS, World
+from kitti_world import CALIB, HIDDEN, SYNC, TRACKLETS, World
 
 from kt3dmoseg import cli
 from kt3dmoseg.errors import InputFileError, InvalidValueError, UnknownNameError

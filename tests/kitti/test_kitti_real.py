@@ -11,8 +11,8 @@ import cv2
 import kitti_drives as drives
 import numpy as np
 import pytest
-from conftest import CALIB, QUICK, SYNC, TRACKLETS, faults
 from kitti_server import FaultyServer
+from kitti_world import CALIB, QUICK, SYNC, TRACKLETS, faults
 
 from kt3dmoseg import catalog
 from kt3dmoseg.entries import fingerprint
