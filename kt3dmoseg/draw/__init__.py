@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kt3dmoseg.draw.options import DrawOptions
+from kt3dmoseg.lazy import lazy
 
 if TYPE_CHECKING:
     from kt3dmoseg.draw.painting import PALETTE as PALETTE
@@ -19,20 +19,16 @@ if TYPE_CHECKING:
 
 # Imported on first use: `kt3dmoseg show --help` reads the options without loading OpenCV.
 _PUBLIC = {
-    "PALETTE": "kt3dmoseg.draw.painting",
-    "UNLABELLED": "kt3dmoseg.draw.painting",
-    "Painting": "kt3dmoseg.draw.painting",
-    "by_label": "kt3dmoseg.draw.painting",
-    "by_length": "kt3dmoseg.draw.painting",
-    "by_prediction": "kt3dmoseg.draw.painting",
-    "draw_frame": "kt3dmoseg.draw.painting",
-    "label_colour": "kt3dmoseg.draw.painting",
+    "PALETTE": "painting",
+    "UNLABELLED": "painting",
+    "Painting": "painting",
+    "by_label": "painting",
+    "by_length": "painting",
+    "by_prediction": "painting",
+    "draw_frame": "painting",
+    "label_colour": "painting",
 }
 
 __all__ = ["DrawOptions", *_PUBLIC]  # noqa: PLE0604
 
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)
