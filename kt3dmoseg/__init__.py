@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from kt3dmoseg.lazy import lazy
 
 __version__ = "0.1.0"
 
@@ -24,29 +25,19 @@ if TYPE_CHECKING:
 
 # Public names and where they live; imported on first use so that `--help` stays fast.
 _PUBLIC = {
-    "load": "kt3dmoseg.io",
-    "load_dataset": "kt3dmoseg.io",
-    "save": "kt3dmoseg.io",
-    "track": "kt3dmoseg.tracks",
-    "load_annotation": "kt3dmoseg.annotate",
-    "label_tracks": "kt3dmoseg.annotate",
-    "Trajectories": "kt3dmoseg.types",
-    "Labels": "kt3dmoseg.types",
-    "Camera": "kt3dmoseg.types",
-    "Clip": "kt3dmoseg.types",
+    "load": "io",
+    "load_dataset": "io",
+    "save": "io",
+    "track": "tracks",
+    "load_annotation": "annotate",
+    "label_tracks": "annotate",
+    "Trajectories": "types",
+    "Labels": "types",
+    "Camera": "types",
+    "Clip": "types",
 }
 _MODULES = ("build", "flow", "kitti", "errors", "types", "synthetic", "catalog")
 
 __all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
 
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
-    if name in _MODULES:
-        return import_module(f"kt3dmoseg.{name}")
-    raise AttributeError(f"module 'kt3dmoseg' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)

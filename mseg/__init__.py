@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kt3dmoseg import __version__ as __version__
+from kt3dmoseg.lazy import lazy
 
 if TYPE_CHECKING:
     from mseg import benchmark as benchmark
@@ -17,23 +17,13 @@ if TYPE_CHECKING:
 
 # Public names and where they live; imported on first use so that `--help` stays fast.
 _PUBLIC = {
-    "segment": "mseg.methods",
-    "score": "mseg.evaluation",
-    "Segmentation": "mseg.types",
-    "Hypotheses": "mseg.types",
+    "segment": "methods",
+    "score": "evaluation",
+    "Segmentation": "types",
+    "Hypotheses": "types",
 }
 _MODULES = ("methods", "benchmark", "errors", "types")
 
 __all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
 
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
-    if name in _MODULES:
-        return import_module(f"mseg.{name}")
-    raise AttributeError(f"module 'mseg' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kt3dmoseg.build.options import BuildOptions
+from kt3dmoseg.lazy import lazy
 
 if TYPE_CHECKING:
     from kt3dmoseg.build.clip import build_clip as build_clip
@@ -22,23 +22,19 @@ if TYPE_CHECKING:
 
 # Imported on first use: `kt3dmoseg build --help` reads the options without loading OpenCV.
 _PUBLIC = {
-    "build_clip": "kt3dmoseg.build.clip",
-    "build_dataset": "kt3dmoseg.build.dataset",
-    "Outcome": "kt3dmoseg.build.dataset",
-    "find_sources": "kt3dmoseg.build.sources",
-    "kitti_sources": "kt3dmoseg.build.kitti_clips",
-    "located_sources": "kt3dmoseg.build.kitti_clips",
-    "label_by_masks": "kt3dmoseg.build.masks",
-    "FrameFolder": "kt3dmoseg.build.sources",
-    "VideoFile": "kt3dmoseg.build.sources",
-    "KittiClip": "kt3dmoseg.build.kitti_clips",
-    "Source": "kt3dmoseg.build.shot",
+    "build_clip": "clip",
+    "build_dataset": "dataset",
+    "Outcome": "dataset",
+    "find_sources": "sources",
+    "kitti_sources": "kitti_clips",
+    "located_sources": "kitti_clips",
+    "label_by_masks": "masks",
+    "FrameFolder": "sources",
+    "VideoFile": "sources",
+    "KittiClip": "kitti_clips",
+    "Source": "shot",
 }
 
 __all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604
 
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from kt3dmoseg.entries import Drive
 from kt3dmoseg.kitti.calibration import Calibration
 from kt3dmoseg.kitti.raw import RawDrive
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox
+from kt3dmoseg.lazy import lazy
 
 if TYPE_CHECKING:
     from kt3dmoseg.kitti.locating import locate as locate
@@ -17,15 +17,11 @@ if TYPE_CHECKING:
 
 # What needs the network stack is imported on first use.
 _LAZY = {
-    "fetch_release": "kt3dmoseg.kitti.releases",
-    "locate": "kt3dmoseg.kitti.locating",
-    "pull": "kt3dmoseg.kitti.pulling",
+    "fetch_release": "releases",
+    "locate": "locating",
+    "pull": "pulling",
 }
 
 __all__ = ["Calibration", "Drive", "RawDrive", "Tracklet", "TrackletBox", *_LAZY]  # noqa: PLE0604
 
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    if name in _LAZY:
-        return getattr(import_module(_LAZY[name]), name)
-    raise AttributeError(f"module 'kt3dmoseg.kitti' has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _LAZY)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from kt3dmoseg.lazy import lazy
 from kt3dmoseg.tracks.options import TrackOptions
 
 if TYPE_CHECKING:
@@ -15,16 +15,12 @@ if TYPE_CHECKING:
 
 # Imported on first use: `kt3dmoseg track --help` reads the options without loading OpenCV.
 _PUBLIC = {
-    "track": "kt3dmoseg.tracks.tracker",
-    "Progress": "kt3dmoseg.tracks.tracker",
-    "track_clip": "kt3dmoseg.tracks.clip",
-    "subsample_background": "kt3dmoseg.tracks.subsampling",
+    "track": "tracker",
+    "Progress": "tracker",
+    "track_clip": "clip",
+    "subsample_background": "subsampling",
 }
 
 __all__ = ["TrackOptions", *_PUBLIC]  # noqa: PLE0604
 
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)

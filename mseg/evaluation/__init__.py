@@ -7,10 +7,11 @@ bare arrays.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy.typing as npt
+
+from kt3dmoseg.lazy import lazy
 
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import compare as compare
@@ -98,11 +99,4 @@ def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
     return ERROR(contingency(truth, pred))
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    if name in _PUBLIC:
-        return getattr(import_module(f"mseg.evaluation.{_PUBLIC[name]}"), name)
-    raise AttributeError(f"module 'mseg.evaluation' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)
