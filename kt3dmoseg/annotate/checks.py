@@ -6,6 +6,7 @@ The bounds are those of what a person draws; they keep a hostile file from costi
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Literal, TypeAlias
@@ -24,6 +25,7 @@ MAX_POLYGONS = 200
 MAX_POINTS = 5_000
 MAX_TEXT = 500
 MAX_SIDE = 100_000
+_HALVES = re.compile("[\ud800-\udfff]")
 
 
 @contextmanager
@@ -75,10 +77,12 @@ def whole(name: str, value: object, low: int, high: int) -> int:
 
 
 def text(name: str, value: object, *, empty: bool = False) -> str:
-    """Return `value` when it is a text of sensible length; else name the field."""
+    """Return `value` when it is a text of sensible length that a file can hold; else name the field."""
     if not isinstance(value, str) or len(value) > MAX_TEXT or not (value.strip() or empty):
         expected = f"a text of {0 if empty else 1} to {MAX_TEXT} characters"
         raise InvalidValueError(name, expected=expected, found=repr(value)[:80])
+    if _HALVES.search(value):
+        raise InvalidValueError(name, expected="whole characters", found=repr(value)[:80])
     return value
 
 

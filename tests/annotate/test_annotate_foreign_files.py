@@ -124,6 +124,13 @@ def test_cvat_gets_the_fields_that_it_writes_itself():
     assert "60.75,8.50" in root.find("track/polygon").get("points")
 
 
+def test_cvat_gets_well_formed_xml_whatever_the_name():
+    (item, *_), chosen = scene().objects, formats.load("cvat")
+    odd = replace(scene(), objects=(replace(item, name='a\x00\x1b\uffff <b> ]]> & "é" 🚗'),))
+    (back,) = chosen.parse(chosen.dump(odd, formats.regions(odd)), EMPTY).objects
+    assert back.name == 'a\ufffd\ufffd\ufffd <b> ]]> & "é" 🚗'
+
+
 NAMES = [f"{k:06d}.png" for k in range(1, FRAMES + 1)]
 
 

@@ -273,6 +273,18 @@ def test_annotations_of_another_clip_or_form_name_the_field(page, field, value, 
     assert not (tmp_path / "notes" / "one.json").exists()
 
 
+@pytest.mark.parametrize("name", ["\ud800", " ", "x" * 501])
+def test_texts_that_no_file_can_hold_are_refused(page, name, tmp_path):
+    doc = drawn(page)
+    doc["objects"][0]["name"] = name
+    answer = page.put(
+        "/api/clips/one/annotation", content=json.dumps(doc).encode(), headers={"If-Match": '"0"'}
+    )
+    assert answer.status_code == 400
+    assert "objects[0].name" in answer.json()["error"]
+    assert not (tmp_path / "notes" / "one.json").exists()
+
+
 def test_a_damaged_annotation_file_is_told_and_kept(page, tmp_path):
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "one.json").write_text("{ not json")

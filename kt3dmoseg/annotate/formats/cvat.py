@@ -10,6 +10,7 @@ polygons of an object that is occluded at an unknown place.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,6 +27,10 @@ from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import FloatArray
 
 _WHAT = "CVAT XML"
+_DECLARATION = '<?xml version="1.0" encoding="utf-8"?>\n'
+# Characters that XML 1.0 cannot hold, not even escaped.
+_UNWRITABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
+_UNKNOWN = "\ufffd"
 # CVAT needs points where an object is hidden; these say "somewhere".
 _NOWHERE = "0.00,0.00;1.00,0.00;0.00,1.00"
 
@@ -62,8 +67,8 @@ class Cvat:
                 _track(ET.SubElement(root, "track", track), item, regions[item.id], part)
                 number += 1
         ET.indent(root)
-        content: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-        return content + b"\n"
+        text = ET.tostring(root, encoding="unicode")
+        return f"{_DECLARATION}{_UNWRITABLE.sub(_UNKNOWN, text)}\n".encode()
 
     def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read one XML file, or the zip file with one that CVAT offers; see `AnnotationFormat`."""
