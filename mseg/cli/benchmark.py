@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 
-from mseg.cli.running import add_running_flags, progress_bar
+from mseg.cli.arguments import add_running_flags, progress_bar
 
 _PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 _CACHE = "out/benchmark"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.errors import InvalidValueError
+from mseg.cli.arguments import add_benchmark_flag
 
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import Comparison
@@ -25,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "submissions", nargs="+", metavar="A", help="submissions or score files, then the data"
     )
     parser.add_argument("--data", help="folder of clips with labels; by default the last argument")
-    parser.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
+    add_benchmark_flag(parser)
     parser.add_argument("--metric", default="error", help="what to compare by (default: error)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 
-from mseg.cli.running import positive
+from mseg.cli.arguments import positive
 from mseg.evaluation.submission import FORMATS
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 
+from mseg.cli.arguments import add_benchmark_flag
+
 _ACTIONS = ("add", "list", "rank", "export")
 
 
@@ -17,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = actions.add_parser("add", help="score a submission and keep the scores")
     add.add_argument("submission", help="folder or zip, or a file written by 'mseg score --json'")
     add.add_argument("data", nargs="?", help="folder of clips with labels")
-    add.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
+    add_benchmark_flag(add)
     listing = actions.add_parser("list", help="everything that is kept, oldest first")
     rank = actions.add_parser("rank", help="ranked, per benchmark and data")
     export = actions.add_parser("export", help="ranked, as a page or Markdown")

@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 import sys
 
+from mseg.cli.arguments import add_force_flag, add_submission
+
 _EXTRAS = {
     "latex": "also write the table as .tex",
     "markdown": "also write the table as .md",
@@ -19,14 +21,12 @@ _EXTRAS = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("submission", help="folder or zip")
-    parser.add_argument("data", help="folder of clips with labels (or one clip file)")
+    add_submission(parser)
     parser.add_argument(
         "-o", "--output", default="report.html", metavar="FILE", help="the page (default: %(default)s)"
     )
     parser.add_argument("--frames", metavar="FOLDER", help="pictures, one sub-folder per clip")
-    parser.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
-    parser.add_argument("--force", action="store_true", help="count clips with problems as fully wrong")
+    add_force_flag(parser)
     for name, text in _EXTRAS.items():
         parser.add_argument(f"--{name}", action="store_true", help=text)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from mseg.cli.running import add_running_flags, positive, progress_bar
+from mseg.cli.arguments import add_running_flags, positive, progress_bar
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

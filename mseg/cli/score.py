@@ -11,16 +11,16 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
+from mseg.cli.arguments import add_force_flag, add_submission
+
 if TYPE_CHECKING:
     from mseg.evaluation.results import ScoreTable
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("submission", help="folder or zip")
-    parser.add_argument("data", help="folder of clips with labels (or one clip file)")
-    parser.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
-    parser.add_argument("--force", action="store_true", help="count clips with problems as fully wrong")
+    add_submission(parser)
+    add_force_flag(parser)
     parser.add_argument("-o", "--output", metavar="FILE", help="write there instead of printing")
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="everything, as JSON ('mseg compare' reads it)")

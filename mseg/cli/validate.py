@@ -8,12 +8,12 @@ from __future__ import annotations
 import argparse
 import json
 
+from mseg.cli.arguments import add_submission
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("submission", help="folder or zip")
-    parser.add_argument("data", help="folder of clips (or one clip file)")
-    parser.add_argument("--benchmark", default="", metavar="NAME", help="protocol; default: the submission's")
+    add_submission(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 

@@ -1,10 +1,29 @@
-"""What commands share: a count as an argument; flags for parameters, seeds and workers; progress."""
+"""Arguments that several commands take, and the progress bar."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+
+def add_submission(parser: argparse.ArgumentParser) -> None:
+    """Add a submission and the data that it is for."""
+    parser.add_argument("submission", help="folder or zip")
+    parser.add_argument("data", help="folder of clips with labels (or one clip file)")
+    add_benchmark_flag(parser)
+
+
+def add_benchmark_flag(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of a protocol."""
+    parser.add_argument(
+        "--benchmark", default="", metavar="NAME", help="protocol (default: the submission's own)"
+    )
+
+
+def add_force_flag(parser: argparse.ArgumentParser) -> None:
+    """Add the wish to score what is invalid."""
+    parser.add_argument("--force", action="store_true", help="count clips with problems as fully wrong")
 
 
 def add_running_flags(parser: argparse.ArgumentParser, *, seeds_help: str) -> None:
