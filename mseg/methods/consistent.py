@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Clip, Float32Array, FloatArray
+from kt3dmoseg.types import Clip, Float32Array, FloatArray, Trajectories
 from mseg.affinity import GUARD, covisible_frames
 from mseg.clustering import smallest_eigenvectors, unit_rows
 from mseg.clustering.coefficient_affinity import keep_largest
@@ -67,8 +67,15 @@ class ConsistentMoSeg(ViewMethod):
         kept = keep_largest(np.where(affinity < _NEGLIGIBLE, 0.0, affinity), self.share)
         return csr_array((kept + kept.T) / 2)
 
-    def _kernel(self, clip: Clip, kind: ModelKind, rng: np.random.Generator) -> Float32Array:
+    def _kernel(
+        self,
+        clip: str,
+        points: Trajectories,
+        source: Trajectories,
+        kind: ModelKind,
+        rng: np.random.Generator,
+    ) -> Float32Array:
         # One kernel in the cache for this method and the paper's views, which add a smaller guard.
-        together = covisible_frames(clip.evaluated_trajectories)
+        together = covisible_frames(points)
         scale = (together + np.float32(GUARD)) / (together + np.float32(_GUARD))
-        return np.asarray(super()._kernel(clip, kind, rng) * scale, dtype=np.float32)
+        return np.asarray(super()._kernel(clip, points, source, kind, rng) * scale, dtype=np.float32)

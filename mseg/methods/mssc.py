@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Clip, Float32Array
+from kt3dmoseg.types import Clip, Float32Array, Trajectories
 from mseg.affinity import GUARD, covisible_frames
 from mseg.clustering import smallest_eigenvectors, unit_rows
 from mseg.methods.views import ViewMethod
@@ -43,7 +43,14 @@ class MSSC(ViewMethod):
         embedding = smallest_eigenvectors(self.laplacian(views.kernels[0]), count)
         return self.cluster(views, unit_rows(embedding), count, kmeans_rng, {})
 
-    def _kernel(self, clip: Clip, kind: ModelKind, rng: np.random.Generator) -> Float32Array:
+    def _kernel(
+        self,
+        clip: str,
+        points: Trajectories,
+        source: Trajectories,
+        kind: ModelKind,
+        rng: np.random.Generator,
+    ) -> Float32Array:
         # Undoing the division keeps one kernel in the cache for this method and the paper's views.
-        divisor = covisible_frames(clip.evaluated_trajectories) + np.float32(GUARD)
-        return np.asarray(super()._kernel(clip, kind, rng) * divisor, dtype=np.float32)
+        divisor = covisible_frames(points) + np.float32(GUARD)
+        return np.asarray(super()._kernel(clip, points, source, kind, rng) * divisor, dtype=np.float32)

@@ -23,12 +23,13 @@ from scipy.sparse import csr_array
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.options import option
-from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, IntArray, Trajectories
+from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, Trajectories
 from mseg.affinity import sparsify, view_kernel
 from mseg.clustering import GraphLaplacian, kmeans
 from mseg.errors import TooFewPointsError
 from mseg.geometry import MODELS
 from mseg.methods.kernel_cache import remembered
+from mseg.methods.leftover import join_largest
 from mseg.sampling import sample_hypotheses
 from mseg.types import ModelKind, Segmentation
 
@@ -49,12 +50,6 @@ class ViewKernels:
 
     kernels: tuple[csr_array, ...]
     used: BoolArray
-
-    def spread(self, labels: IntArray) -> IntArray:
-        """Labels of all n trajectories from those of the m; the others join the largest motion."""
-        everywhere = np.full(len(self.used), np.bincount(labels).argmax(), dtype=np.int64)
-        everywhere[self.used] = labels
-        return everywhere
 
 
 @dataclass(frozen=True)
@@ -132,7 +127,7 @@ class ViewMethod:
         """Run k-means on an embedding and label every evaluated trajectory."""
         found = kmeans(points, n_motions, rng, n_restarts=self.restarts)
         report |= {"inertia": found.inertia, "trajectories_left_out": int((~views.used).sum())}
-        return Segmentation(views.spread(found.labels + 1), report)
+        return Segmentation(join_largest(found.labels + 1, views.used), report)
 
     def _kernel(
         self,
