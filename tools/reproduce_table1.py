@@ -118,7 +118,11 @@ def _notes(result: BenchmarkResult) -> list[str]:
     ]
     missing = result.protocol.n_clips - len(result.clips)
     absent = [f"{missing} of {result.protocol.n_clips} sequences are missing{_absent(result)}."]
-    return [*(absent if missing else []), *failed, *result.protocol.notes]
+    minutes = np.nansum(result.seconds) / len(result.seeds) / 60
+    cost = (
+        f"All methods together: {minutes:.1f} CPU minutes per seed, shared kernels counted for each method."
+    )
+    return [*(absent if missing else []), *failed, *result.protocol.notes, cost]
 
 
 def _absent(result: BenchmarkResult) -> str:

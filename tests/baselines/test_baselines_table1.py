@@ -49,6 +49,7 @@ def test_our_figures_stand_beside_the_published_ones(tool):
     assert rows["lrssc"][-1] == "1"
     assert "153 of 155 sequences are missing." in table.notes
     assert "lrssc failed on arm: no reason." in table.notes
+    assert any("0.1 CPU minutes per seed" in note for note in table.notes)
 
 
 def test_published_names_are_found():
