@@ -55,6 +55,10 @@ class World:
             **{"mirror": self.server.url} | QUICK | options,
         )
 
+    def command(self, name: str) -> list[str]:
+        place = ["-o", str(self.root), "--catalog", str(self.catalog), "--mirror", self.server.url]
+        return [name, "Hidden", *place]
+
     def check(self) -> None:
         """Every frame of the clip is on disk with the bytes that the drive has."""
         for number in HIDDEN:

@@ -228,15 +228,6 @@ def test_server_without_ranges_sends_the_zip_once_for_locate_and_pull(world: Wor
 
 
 def test_command_line(world: World, capsys: pytest.CaptureFixture[str]) -> None:
-    line = [
-        "locate",
-        "Hidden",
-        "-o",
-        str(world.root),
-        "--catalog",
-        str(world.catalog),
-        "--mirror",
-        world.server.url,
-    ]
+    line = world.command("locate")
     assert cli.main(line) == 0
     assert "frames 11-16 (crc32)" in capsys.readouterr().out

@@ -239,16 +239,7 @@ def test_full_disk_is_seen_before_the_transfer(world: World, monkeypatch: pytest
 
 
 def test_command_line(world: World, capsys: pytest.CaptureFixture[str]) -> None:
-    line = [
-        "pull",
-        "Hidden",
-        "-o",
-        str(world.root),
-        "--catalog",
-        str(world.catalog),
-        "--mirror",
-        world.server.url,
-    ]
+    line = world.command("pull")
     assert cli.main([*line, "--wait", "0"]) == 2
     captured = capsys.readouterr()
     assert "CC BY-NC-SA" in captured.out
