@@ -24,8 +24,12 @@ _FEWEST = 8
 # Pixels off the epipolar line, over `_GAP` frames, that the tracker's error does not explain.
 _TOLERANCE = 1.2
 _SHARE = 0.6
-_REACH = 20.0
+# Trajectories of one object have neighbours on it within this many pixels, and differ in their steps over
+# `_ALIKE_GAP` frames by less than one pixel and this share.
+_REACH = 26.0
 _SAME_MOTION = 0.25
+_ALIKE_GAP = 2
+_SMALLEST_GROUP = 12
 
 
 def propose(request: Request) -> Labels:
@@ -85,25 +89,39 @@ def _grouped(tracks: Trajectories, moving: BoolArray) -> IntArray:
     """Labels (N,): 1 for what stands still, 2, 3, ... for groups of near trajectories that move alike."""
     label = np.ones(len(tracks), dtype=np.int64)
     rows = np.flatnonzero(moving)
-    parent = np.arange(len(tracks))
-    for frame in range(tracks.n_frames - 1):
-        here = rows[tracks.visible[rows, frame] & tracks.visible[rows, frame + 1]]
-        if len(here) < 2:
-            continue
-        step = tracks.xy[here, frame + 1] - tracks.xy[here, frame]
-        for a, b in cKDTree(tracks.xy[here, frame]).query_pairs(_REACH):
-            apart = np.hypot(*(step[a] - step[b]))
-            if apart <= 1.0 + _SAME_MOTION * np.hypot(*step[a]):
-                parent[_root(parent, int(here[a]))] = _root(parent, int(here[b]))
     label[rows] = 0
+    pairs = _neighbours(tracks, rows)
+    parent = np.arange(len(tracks))
+    for a, b in pairs[_alike(tracks, pairs)]:
+        parent[_root(parent, int(a))] = _root(parent, int(b))
     roots = np.array([_root(parent, int(row)) for row in rows], dtype=np.int64)
-    number = 2
-    for root in sorted(set(roots.tolist()), key=lambda r: -int((roots == r).sum())):
-        group = rows[roots == root]
-        if len(group) >= _FEWEST:
-            label[group] = number
-            number += 1
+    names, sizes = np.unique(roots, return_counts=True)
+    large = names[np.argsort(-sizes, kind="stable")][: int((sizes >= _SMALLEST_GROUP).sum())]
+    for number, root in enumerate(large, start=2):
+        label[rows[roots == root]] = number
     return label
+
+
+def _neighbours(tracks: Trajectories, rows: IntArray) -> IntArray:
+    """Pairs (P, 2) of the rows that come near each other in some frame."""
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for frame in range(tracks.n_frames):
+        here = rows[tracks.visible[rows, frame]]
+        if len(here) > 1:
+            near = cKDTree(tracks.xy[here, frame]).query_pairs(_REACH, output_type="ndarray")
+            found.append(here[near].reshape(-1, 2))
+    return np.unique(np.concatenate(found), axis=0)
+
+
+def _alike(tracks: Trajectories, pairs: IntArray) -> BoolArray:
+    """Whether the two of each pair move alike in most of the frames that show both, (P,)."""
+    gap = min(_ALIKE_GAP, tracks.n_frames - 1)
+    step = tracks.xy[:, gap:] - tracks.xy[:, : tracks.n_frames - gap]
+    a, b = step[pairs[:, 0]], step[pairs[:, 1]]
+    apart = np.linalg.norm(a - b, axis=2)
+    with np.errstate(invalid="ignore"):
+        alike = (apart <= 1.0 + _SAME_MOTION * np.linalg.norm(a, axis=2)).sum(axis=1)
+    return np.asarray(alike >= np.maximum(_SHARE * np.isfinite(apart).sum(axis=1), 1))
 
 
 def _root(parent: IntArray, row: int) -> int:
