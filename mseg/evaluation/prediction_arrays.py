@@ -51,7 +51,8 @@ def _guarded(content: bytes, parse: Callable[[bytes, Columns], None], kind: str)
         parse(content, out)
     except Exception as error:  # zipfile, numpy and libhdf5 raise anything on hostile bytes
         reason = str(error) if isinstance(error, KT3DMoSegError) else type(error).__name__
-        return Columns().bad("unreadable", kind, f"bytes that cannot be read ({reason[:200]})", _FIX)
+        found = f"a file that starts with {content[:8]!r} and cannot be read ({reason[:200]})"
+        return Columns().bad("unreadable", kind, found, _FIX)
     return out
 
 

@@ -70,6 +70,8 @@ def read_submission(path: str | os.PathLike[str]) -> Submission:
         When there is nothing at `path`.
     """
     contents = open_contents(path)
+    if contents.problems and not contents.names:  # no zip, or too large: that says it all
+        return Submission(SubmissionMeta("unnamed"), problems=contents.problems)
     prefix = _find_root(contents)
     reader = _Reader(contents, prefix)
     reader.read_meta()
