@@ -1,0 +1,37 @@
+"""What the README and the docs point to exists."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "annotations").glob("*.md")),
+]
+PLACES = "kt3dmoseg|mseg|tools|docs|tests|benchmarks|examples|annotations"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_and_paths_lead_somewhere(page):
+    text = page.read_text()
+    links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
+    lost = [link for link in links if link and not (page.parent / link).exists()]
+    paths = re.findall(rf"`((?:{PLACES})/[\w./-]+)`", text)
+    lost += [path for path in paths if not (ROOT / path).exists()]
+    assert not lost
+
+
+def test_every_page_is_linked_from_another():
+    pages = sorted((ROOT / "docs").glob("*.md"))
+    linked = {
+        link
+        for page in pages
+        for link in re.findall(r"\]\(([\w-]+\.md)", page.read_text())
+        if link != page.name
+    }
+    assert {page.name for page in pages} - {"index.md"} <= linked
