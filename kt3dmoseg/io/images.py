@@ -25,6 +25,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tif
 _NUMBER = re.compile(r"(\d{1,18})\D*$")
 _MAX_FILE = 1 << 28
 _MIN_FRAMES = 2
+_SILENT = 0  # OpenCV's LOG_LEVEL_SILENT
 
 
 def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
@@ -127,11 +128,12 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
 @contextmanager
 def quiet_opencv() -> Iterator[None]:
     """Keep OpenCV from writing to standard error: a damaged file is our one line to tell."""
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    logging = getattr(cv2.utils, "logging", cv2)  # where it lies depends on OpenCV's release
+    level = logging.setLogLevel(_SILENT)
     try:
         yield
     finally:
-        cv2.utils.logging.setLogLevel(level)
+        logging.setLogLevel(level)
 
 
 def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> ByteArray:
