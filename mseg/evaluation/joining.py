@@ -54,47 +54,51 @@ def join_labels(
 
 
 def _mismatch(ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip, file: str) -> Problem:
-    n = len(wanted)
-    expected = f"the {n} evaluated trajectories"
-    rows = np.arange(len(ids))
-    for code, found, fix, applies in (
-        (
+    code, found, fix = _usual_mistake(ids, label, wanted, clip) or _difference(ids, wanted)
+    return Problem(code, file, clip.name, f"the {len(wanted)} evaluated trajectories", found, fix)
+
+
+def _usual_mistake(
+    ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip
+) -> tuple[str, str, str] | None:
+    """Recognise what is often written instead of the ids: code, what was found, repair."""
+    n, found = len(wanted), len(ids)
+    if found > n and np.array_equal(ids, np.sort(clip.dense.track_id)):
+        return (
             "all-trajectories",
-            f"{len(ids)} labels: those are all trajectories of the clip",
+            f"{found} labels: those are all trajectories of the clip",
             "keep the evaluated ones (clip.dense.track_id[clip.evaluated])",
-            len(ids) > n and np.array_equal(ids, np.sort(clip.dense.track_id)),
-        ),
-        (
+        )
+    if 2 * found < n and np.isin(label, wanted).mean() > _SAME:
+        return (
             "swapped-columns",
             "the ids in the column label",
             "swap the columns: track first, then label",
-            len(ids) < n and np.isin(label, wanted).mean() > _SAME and n > 2 * len(ids),
-        ),
-        (
+        )
+    if found == n and np.array_equal(ids - 1, np.sort(wanted)):
+        return (
             "one-based-ids",
             "ids that are each one larger, counted from 1 as in MATLAB",
             "subtract 1 from every track",
-            len(ids) == n and np.array_equal(ids - 1, np.sort(wanted)),
-        ),
-        (
+        )
+    if found == n and ids[0] in (0, 1) and np.array_equal(ids - ids[0], np.arange(n)):
+        return (
             "row-numbers",
             f"row numbers {ids[0]}..{ids[-1]} instead of track ids",
             "write clip.dense.track_id[clip.evaluated] as track",
-            len(ids) == n and np.array_equal(ids - ids[0], rows) and ids[0] in (0, 1),
-        ),
-    ):
-        if applies:
-            return Problem(code, file, clip.name, expected, found, fix)
+        )
+    return None
+
+
+def _difference(ids: IntArray, wanted: IntArray) -> tuple[str, str, str]:
+    """Say which ids are missing and which do not belong: code, what was found, repair."""
     missing, extra = np.setdiff1d(wanted, ids), np.setdiff1d(ids, wanted)
     parts = [
         f"{len(missing)} missing (track {brief(missing.tolist())})" if len(missing) else "",
         f"{len(extra)} that are not evaluated (track {brief(extra.tolist())})" if len(extra) else "",
     ]
-    other = len(missing) > _SAME * n
-    fix = (
-        "most ids do not fit: these look like labels for another clip or another version of the data"
-        if other
-        else "write one row per evaluated trajectory, by its track id"
-    )
-    code = "other-trajectories" if other else "trajectories"
-    return Problem(code, file, clip.name, expected, " and ".join(p for p in parts if p), fix)
+    found = " and ".join(part for part in parts if part)
+    if len(missing) > _SAME * len(wanted):
+        fix = "most ids do not fit: these look like labels for another clip or another version of the data"
+        return "other-trajectories", found, fix
+    return "trajectories", found, "write one row per evaluated trajectory, by its track id"
