@@ -6,9 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kt3dmoseg.types import FloatArray
-from mseg.clustering.self_expressive import Representation, ShiftedInverse
-from mseg.iteration import iterate
+from kt3dmoseg.types import Float32Array, FloatArray, IntArray
+from mseg.clustering.self_expressive import Representation
+from mseg.iteration import Convergence, iterate
+
+# Points whose coefficients are sought together: their state stays in the processor's cache.
+_BLOCK = 32
 
 
 def collaborative_representation(
@@ -22,6 +25,9 @@ def collaborative_representation(
     """Express every point by few others, the same ones in all views, by ADMM.
 
         min sum_v alpha/2 |W_v - W_v C_v|_F^2 + sum_ij |(C_1(i, j), ..., C_V(i, j))|_2,  diag C_v = 0
+
+    The programme falls apart into one for each column of C; they are solved a few at a time, in single
+    precision.
 
     Parameters
     ----------
@@ -40,7 +46,8 @@ def collaborative_representation(
     Returns
     -------
     Representation
-        Coefficients (N, N): over the views the sum of magnitudes.
+        Coefficients (N, N): over the views the sum of magnitudes. The convergence is that of the block of
+        columns that took longest.
 
     References
     ----------
@@ -48,24 +55,46 @@ def collaborative_representation(
     section 3 (mixed norm); splitting as in Elhamifar and Vidal, TPAMI 2013, algorithm 2.
     """
     n = views[0].shape[1]
-    systems = [ShiftedInverse(np.sqrt(alpha) * view) for view in views]
-    grams = [alpha * (view.T @ view) for view in views]
-    c, u, z = (np.zeros((len(views), n, n)) for _ in range(3))
-    diagonal = np.arange(n)
+    _, values, right = np.linalg.svd(np.sqrt(alpha) * np.stack(views), full_matrices=False)
+    gain = (values**2 / (values**2 + penalty))[:, None, :].astype(np.float32)
+    coefficients = np.empty((n, n))
+    ends = []
+    for start in range(0, n, _BLOCK):
+        block = _Columns(right.astype(np.float32), gain, penalty, np.arange(start, min(start + _BLOCK, n)))
+        ends.append(iterate(block.step, tolerance=tolerance, max_iterations=max_iterations))
+        coefficients[:, block.columns] = np.abs(block.sparse).sum(axis=0).T
+    return Representation(coefficients, _slowest(ends))
 
-    def step() -> float:
-        nonlocal c, u
-        for v, (system, gram) in enumerate(zip(systems, grams, strict=True)):
-            z[v] = system.solve(gram + penalty * (c[v] - u[v]), penalty)
-        u += z
-        size = np.sqrt(np.einsum("vij,vij->ij", u, u))
-        keep = np.maximum(1 - 1 / np.maximum(penalty * size, 1), 0)
-        sparse = u * keep
-        sparse[:, diagonal, diagonal] = 0
-        moved = max(float(np.abs(z - sparse).max()), float(np.abs(sparse - c).max()))
-        c = sparse
-        u -= c
-        return moved
 
-    convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
-    return Representation(np.abs(c).sum(axis=0), convergence)
+class _Columns:
+    """ADMM of some columns of C, kept as rows: arrays are (V, columns, N).
+
+    With ``W = L S V^T`` the fitted copy ``(alpha W^T W + p I)^-1 (alpha W^T w_j + p q)`` is
+    ``q + V h (v_j - V^T q)``, v_j row j of V and ``h = alpha S^2 / (alpha S^2 + p)``.
+    """
+
+    def __init__(self, right: Float32Array, gain: Float32Array, penalty: float, columns: IntArray) -> None:
+        self.columns = columns
+        self.right, self.left = right, np.ascontiguousarray(right.transpose(0, 2, 1))
+        self.gain, self.penalty = gain, np.float32(penalty)
+        self.sparse = np.zeros((len(right), len(columns), right.shape[2]), dtype=np.float32)
+        # The sparse copy before it is shrunk: multipliers and fitted copy together.
+        self.raw = np.zeros_like(self.sparse)
+
+    def step(self) -> float:
+        fitted = 2 * self.sparse - self.raw
+        fitted += ((self.left[:, self.columns] - fitted @ self.left) * self.gain) @ self.right
+        self.raw += fitted - self.sparse
+        size = np.sqrt(np.einsum("vjn,vjn->jn", self.raw, self.raw))
+        keep = np.maximum(1 - 1 / np.maximum(self.penalty * size, 1), 0)
+        keep[np.arange(len(self.columns)), self.columns] = 0
+        before, self.sparse = self.sparse, self.raw * keep
+        return max(float(np.abs(fitted - self.sparse).max()), float(np.abs(self.sparse - before).max()))
+
+
+def _slowest(ends: Sequence[Convergence]) -> Convergence:
+    return Convergence(
+        all(end.converged for end in ends),
+        max(end.iterations for end in ends),
+        max(end.residual for end in ends),
+    )

@@ -9,9 +9,10 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
+from mseg.clustering.flat_code import code_length, reassign_by_code
 from mseg.clustering.linkage import tanimoto_linkage
 from mseg.clustering.preference import preference_matrix
-from mseg.geometry.flats import best_flat_distances, flat_distances
+from mseg.geometry.flats import flat_distances
 from mseg.geometry.trajectory_matrix import project
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 from mseg.sampling.localised import draw_near_subsets
@@ -19,6 +20,8 @@ from mseg.sampling.localised import draw_near_subsets
 FLAT_DIMENSION = 3
 _SAMPLE = FLAT_DIMENSION + 1
 _REDUCTION, _MOST_REDUCTIONS = 0.75, 20
+_SCALES = tuple(2 ** (k / 2) for k in range(-6, 3))
+_SWEEPS = 3
 
 
 @dataclass(frozen=True)
@@ -30,19 +33,22 @@ class TLinkage(CompleteDataMethod):
     2. 6 N flats of dimension three through four neighbours each.
     3. Preferences ``exp(-5 r / epsilon)`` of residuals r < epsilon, else 0.
     4. The two clusters of least Tanimoto distance merge, preferences by minimum, until all are orthogonal.
-    5. With a given number K of motions: the K largest clusters stay, a flat is fitted to each, and all
-       other trajectories join the nearest one; while there are fewer than K clusters, epsilon is lowered by
-       a quarter and step 4 repeated (ours). Without: the clusters as they are.
+    5. With a given number K of motions: the K largest clusters stay, and every trajectory joins the one that
+       describes it best, up to three times (`mseg.clustering.flat_code`, ours). While step 4 gives fewer than
+       K clusters, epsilon is lowered by a quarter (ours). Without K: the clusters as they are.
     6. If wanted, small clusters are outliers: sizes are sorted, with the size of a sample among them, and
        those after the largest drop are labelled 0, unless that leaves a single cluster; then those after
        the next largest drop.
 
+    With `choose_epsilon` and K given, steps 3 to 5 are done for nine epsilons from an eighth of the given one
+    to twice it, and the segmentation with the shortest code stays: no labels are needed (ours).
+
     Source: Magri and Fusiello, "T-Linkage: a continuous relaxation of J-Linkage for multi-model fitting",
     CVPR 2014. Projection, numbers of samples and epsilon are not in that paper's account of its motion
-    experiments; these are the best of a sweep. The published errors are matched only by an epsilon chosen
-    for every sequence with the help of its labels (`tools/best_threshold.py`).
+    experiments, nor is step 5. An epsilon chosen for every sequence with the help of its labels is a
+    protocol of its own (`tools/best_threshold.py`).
     Input: complete trajectories (gaps are completed). Number of motions: given or found. Outliers: labelled
-    0 on request. Cost: O(N^2 M) for M = 6 N flats; O(N M) memory.
+    0 on request. Cost: O(N^2 M) per epsilon for M = 6 N flats; O(N M) memory.
     """
 
     finds_n_motions: ClassVar[bool] = True
@@ -50,6 +56,7 @@ class TLinkage(CompleteDataMethod):
     epsilon: float = option(2.0, "inlier threshold, root mean square pixels per frame", low=1e-9)
     dimension: int = option(5, "dimension of the projection", low=1)
     samples: int = option(6, "flats per trajectory", low=1)
+    choose_epsilon: bool = option(True, "choose epsilon by code length, where the number of motions is known")
     reject_outliers: bool = option(False, "label clusters that are small by step 6 as outliers")
 
     def group(
@@ -58,36 +65,37 @@ class TLinkage(CompleteDataMethod):
         """Label the columns of the trajectory matrix."""
         points = rms_coordinates(data.pixels, self.dimension)
         subsets = draw_near_subsets(points, self.samples * len(points), min(_SAMPLE, len(points)), rng)
-        clusters, epsilon = self._linked(flat_distances(points, subsets), n_motions or 1)
-        labels = clusters if n_motions is None else nearest_flat(points, clusters, n_motions)
-        if self.reject_outliers:
-            labels = np.where(clusters > count_large(np.bincount(clusters)[1:]), 0, labels)
+        residuals = flat_distances(points, subsets)
+        several = self.choose_epsilon and n_motions is not None
+        found = [
+            self._segmented(points, residuals, self.epsilon * scale, n_motions)
+            for scale in (_SCALES if several else (1.0,))
+        ]
+        labels, clusters, epsilon = min(found, key=lambda one: code_length(points, one[0], FLAT_DIMENSION))
         sizes = np.bincount(clusters)[1:]
+        if self.reject_outliers:
+            labels = np.where(clusters > count_large(sizes), 0, labels)
         return labels, {"clusters": len(sizes), "sizes": sizes[:10].tolist(), "epsilon": epsilon}
 
-    def _linked(self, residuals: FloatArray, fewest: int) -> tuple[IntArray, float]:
-        """Clusters, at least `fewest` of them unless the data are exact, and the threshold that gave them."""
-        epsilon = self.epsilon
+    def _segmented(
+        self, points: FloatArray, residuals: FloatArray, epsilon: float, n_motions: int | None
+    ) -> tuple[IntArray, IntArray, float]:
+        """Labels, the clusters behind them, and the epsilon that gave these."""
         for _ in range(_MOST_REDUCTIONS):
             clusters = tanimoto_linkage(preference_matrix(residuals, epsilon))
-            if clusters.max() >= fewest:
+            if clusters.max() >= (n_motions or 1):
                 break
             epsilon *= _REDUCTION
-        return clusters, epsilon
+        if n_motions is None:
+            return clusters, clusters, epsilon
+        kept = np.where(clusters <= n_motions, clusters, 0)
+        return reassign_by_code(points, kept, FLAT_DIMENSION, _SWEEPS), clusters, epsilon
 
 
 def rms_coordinates(pixels: FloatArray, dimension: int) -> FloatArray:
     """Centred principal components (N, dimension) of (2F, N), in root mean square pixels per frame."""
     centred = pixels - pixels.mean(axis=1, keepdims=True)
     return np.asarray(project(centred, dimension).T / np.sqrt(len(pixels) / 2))
-
-
-def nearest_flat(points: FloatArray, clusters: IntArray, n_motions: int) -> IntArray:
-    """Keep the clusters 1..`n_motions` and give all other points to the nearest of their flats."""
-    kept = range(1, min(n_motions, int(clusters.max())) + 1)
-    distance = [best_flat_distances(points, np.flatnonzero(clusters == k), FLAT_DIMENSION) for k in kept]
-    nearest = np.argmin(distance, axis=0) + 1
-    return np.asarray(np.where(clusters <= n_motions, clusters, nearest))
 
 
 def count_large(sizes: IntArray) -> int:
