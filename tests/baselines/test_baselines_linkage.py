@@ -8,6 +8,13 @@ import pytest
 import mseg.methods as methods
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.clustering.collaborative import collaborative_representation
+from mseg.clustering.flat_code import code_length, reassign_by_code
+from mseg.clustering.hyperplanes import (
+    hyperplane_code_length,
+    merge_by_hyperplanes,
+    reassign_by_hyperplanes,
+    whiten,
+)
 from mseg.clustering.linkage import by_size, tanimoto_linkage
 from mseg.clustering.lossy import _Groups, coding_lengths, compress
 from mseg.clustering.symmetric_factors import symmetric_factors
@@ -142,6 +149,61 @@ def test_collaboration_leaves_unseen_points_out(rng):
     assert not solved.coefficients[7].any()
     assert not solved.coefficients[:, 7].any()
     assert not np.diagonal(solved.coefficients).any()
+
+
+def two_hyperplanes(rng, unseen=0):
+    """Whitened points in R^4, 40 in each of two hyperplanes, seen in two views but for `unseen` of them."""
+    views = []
+    for _ in range(2):
+        parts = [rng.normal(size=(4, 3)) @ rng.normal(size=(3, 40)) for _ in range(2)]
+        view = np.hstack(parts)
+        view[:, :unseen] = 0
+        views.append(whiten(view))
+    return np.stack(views), np.repeat([1, 2], 40)
+
+
+def test_pieces_of_hyperplanes_merge(rng):
+    views, truth = two_hyperplanes(rng)
+    pieces = np.repeat([1, 2, 3, 4, 5, 6], [20, 10, 10, 20, 10, 10])
+    assert agree(merge_by_hyperplanes(views, pieces, 2), truth)
+    assert agree(merge_by_hyperplanes(views, truth, 3), truth)
+
+
+def test_points_move_to_their_hyperplane_and_the_code_shortens(rng):
+    views, truth = two_hyperplanes(rng, unseen=2)
+    wrong = truth.copy()
+    wrong[[3, 5, 60]] = [2, 2, 1]
+    found = reassign_by_hyperplanes(views, wrong, 9)
+    np.testing.assert_array_equal(found, truth)
+    assert hyperplane_code_length(views, found) < hyperplane_code_length(views, wrong)
+
+
+def test_points_move_to_their_flat_and_the_code_shortens(rng):
+    flats = [rng.normal(size=(30, 2)) @ rng.normal(size=(2, 4)) * 20 + 5 * k for k in range(2)]
+    points, truth = np.vstack(flats), np.repeat([1, 2], 30)
+    start = truth.copy()
+    start[[0, 9, 40]], start[[1, 2]] = [2, 2, 1], 0
+    found = reassign_by_code(points, start, 2, 9)
+    np.testing.assert_array_equal(found, truth)
+    assert code_length(points, found, 2) < code_length(points, np.where(start == 0, 2, start), 2)
+    np.testing.assert_array_equal(reassign_by_code(points[:3], np.arange(1, 4), 2, 9), [1, 2, 3])
+
+
+def test_code_length_of_the_definition(rng):
+    points = rng.normal(size=(12, 3))
+    s = np.linalg.eigvalsh(np.cov(points.T, bias=True)) + 0.01
+    # The two variances across are added before the precision is: once 0.01, not twice.
+    expected = 12 * (np.log(s[2]) + np.log(s[0] + s[1] - 0.01)) / 2
+    assert code_length(points, np.ones(12, dtype=int), 1) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"), [("tlinkage", {"choose_epsilon": False}), ("tpv", {"merge": False})]
+)
+def test_the_plain_variant_separates_easy_motions(make_scene, method, options):
+    clip = make_scene(np.random.default_rng(1), (26, 26), n_frames=10, noise=0.02)
+    result = methods.segment(clip, method, n_motions=2, **options)
+    assert agree(result.labels, clip.labels.label)
 
 
 def test_tpv_wants_trajectories_in_pairs_of_frames():
