@@ -52,6 +52,10 @@ def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
     none = np.empty(0, dtype=np.int64)
     if columns.track is None or columns.label is None:
         return Prediction(none, none, problems)
+    if not len(columns.track):
+        problems.append(
+            Problem("empty-file", file, clip, "one label per trajectory", "empty vectors", "write them")
+        )
     for name, values in (("track", columns.track), ("label", columns.label)):
         problems += [Problem(code, file, clip, *rest) for code, *rest in _value_problems(name, values)]
     if problems:

@@ -141,6 +141,7 @@ MISTAKES = [
     ("header", lambda f: text(f, "id,motion\n1,2\n"), "track,label"),
     ("ragged", lambda f: text(f, "track,label\n1,2,3\n"), "line 2"),
     ("empty-file", lambda f: text(f, ""), "first line"),
+    ("empty-file", lambda f: npz(f, track=IDS[:0], label=LABEL[:0]), "one label per trajectory"),
     ("encoding", lambda f: (f / f"{ONE}.csv").write_bytes(b"\xff\xfe\x00"), "UTF-8"),
     ("one-based-ids", lambda f: rewrite(f, IDS + 1, LABEL), "subtract 1"),
     ("row-numbers", lambda f: rewrite(f, range(len(IDS)), LABEL), "clip.dense.track_id[clip.evaluated]"),
