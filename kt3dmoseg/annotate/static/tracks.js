@@ -1,23 +1,24 @@
-// Trajectories and their trails, one path per colour, on a layer of their own: dragging a region does not
-// draw them again.
+// Trajectories and their trails, on a layer of their own: dragging a region does not draw them again, and
+// panning only moves a sheet that is larger than the stage.
 
 import { PROBLEM, colourOfLength, colourOfTrack } from "./colours.js";
 
 const TRAIL = 6;
+const MARGIN = 200;
 // What needs a person's eye is drawn larger.
 const LARGER = 3;
 
 export class Tracks {
   #groups = [];
   #lengths = null;
-  #built = null;
+  #sheet = null;
 
   constructor(state, layer) {
     this.state = state;
     this.layer = layer;
     state.on(["tracks", "labels", "colouring"], () => this.#group());
     state.on(
-      ["tracks", "labels", "colouring", "frame", "view", "trails", "problems", "lassoed", "flickered"],
+      ["tracks", "labels", "colouring", "frame", "view", "trails", "problems", "lassoed", "flickered", "resized"],
       () => this.draw());
   }
 
@@ -26,28 +27,58 @@ export class Tracks {
     const { tracks, view, colouring, flickered, lassoed } = this.state;
     if (!tracks || !view || colouring === "none") return;
     const frame = flickered ?? this.state.frame;
-    const size = Math.min(5, Math.max(2, view.scale * 1.2));
-    if (this.#built?.frame !== frame || this.#built.scale !== view.scale) this.#build(frame, view, size);
-    // Panning only moves the paths.
-    context.translate((this.#built.x - view.x) * view.scale, (this.#built.y - view.y) * view.scale);
+    const sheet = this.#sheetFor(frame, view);
+    const ratio = devicePixelRatio || 1;
+    // To whole pixels of the screen, so that points stay sharp.
+    const [x, y] = this.#offset(sheet, view).map((v) => Math.round((v - MARGIN) * ratio) / ratio);
+    context.drawImage(sheet.canvas, x, y, sheet.canvas.width / ratio, sheet.canvas.height / ratio);
+    if (lassoed?.frame === frame) {
+      context.fillStyle = "#ffffff";
+      context.fill(this.#points(lassoed.rows, frame, view, this.#size(view) + 2));
+    }
+  }
+
+  #size(view) {
+    return Math.min(5, Math.max(2, view.scale * 1.2));
+  }
+
+  #offset(sheet, view) {
+    return [(sheet.view.x - view.x) * view.scale, (sheet.view.y - view.y) * view.scale];
+  }
+
+  /** The sheet in use, or a new one where that shows something else or was panned away. */
+  #sheetFor(frame, view) {
+    const { trails, problems } = this.state;
+    const { width, height } = this.layer.canvas;
+    const key = [frame, view.scale, trails, problems, width, height].join();
+    if (this.#sheet?.key !== key || this.#offset(this.#sheet, view).some((v) => Math.abs(v) > MARGIN)) {
+      this.#sheet = { key, view, canvas: this.#render(frame, view, width, height) };
+    }
+    return this.#sheet;
+  }
+
+  #render(frame, view, width, height) {
+    const ratio = devicePixelRatio || 1;
+    const canvas = new OffscreenCanvas(width + 2 * MARGIN * ratio, height + 2 * MARGIN * ratio);
+    const context = canvas.getContext("2d");
+    context.setTransform(ratio, 0, 0, ratio, MARGIN * ratio, MARGIN * ratio);
     context.lineWidth = 1;
-    for (const { colour, points, trails, ground } of this.#built.paths) {
+    for (const { colour, rows } of this.#groups) {
       if (this.state.problems && colour !== PROBLEM) continue;
+      const size = this.#size(view) + (colour === PROBLEM ? LARGER : 0);
       if (this.state.trails) {
         context.globalAlpha = 0.55;
         context.strokeStyle = colour;
-        context.stroke(trails);
+        context.stroke(this.#trails(rows, frame, view));
+        context.globalAlpha = 1;
       }
-      context.globalAlpha = 1;
+      // Dark around each, to be seen on a bright ground.
       context.fillStyle = "#0b0d1090";
-      context.fill(ground);
+      context.fill(this.#points(rows, frame, view, size + 1.4));
       context.fillStyle = colour;
-      context.fill(points);
+      context.fill(this.#points(rows, frame, view, size));
     }
-    if (lassoed?.frame === frame) {
-      context.fillStyle = "#ffffff";
-      context.fill(this.#points(lassoed.rows, frame, this.#built, size + 2));
-    }
+    return canvas;
   }
 
   /** Rows of the trajectories that are visible in a frame and satisfy a test of their position. */
@@ -73,7 +104,7 @@ export class Tracks {
       if (!byColour.has(colour)) byColour.set(colour, []);
       byColour.get(colour).push(row);
     }
-    this.#built = null;
+    this.#sheet = null;
     this.#groups = [...byColour].map(([colour, rows]) => ({ colour, rows }));
   }
 
@@ -85,17 +116,6 @@ export class Tracks {
         if (x === x) this.#lengths[row]++;
       }
     }
-  }
-
-  #build(frame, view, size) {
-    const paths = this.#groups.map(({ colour, rows }) => {
-      const side = colour === PROBLEM ? size + LARGER : size;
-      return {
-        colour, points: this.#points(rows, frame, view, side), trails: this.#trails(rows, frame, view),
-        ground: this.#points(rows, frame, view, side + 1.4),
-      };
-    });
-    this.#built = { frame, x: view.x, y: view.y, scale: view.scale, paths };
   }
 
   #points(rows, frame, view, size) {
