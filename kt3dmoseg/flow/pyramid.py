@@ -9,6 +9,7 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow.base import check_pair
+from kt3dmoseg.flow.outlines import sharpen
 from kt3dmoseg.flow.smoothing import smooth
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
@@ -24,7 +25,8 @@ class VariationalPyramid:
     `VariationalRefinement`, which divides each constancy term by the squared gradient plus
     0.1^2 (Zimmer, Bruhn, Weickert, IJCV 2011, section 3.1). `contrast` moves that 0.1: at the
     default, edges steeper than 0.1 / 0.02 = 5 gray values per pixel count alike and fainter ones
-    less, so that noise in flat places has little say. Measured in docs/tracking.md.
+    less, so that noise in flat places has little say. Before the last level, motion that has spread over
+    outlines is taken back (`kt3dmoseg.flow.outlines`). Measured in docs/tracking.md.
     """
 
     smoothing: float = option(0.8, "smoothing of the frames before the refinement, sigma", low=0, high=5)
@@ -39,12 +41,24 @@ class VariationalPyramid:
     gamma: float = option(6.0, "weight of gradient constancy", low=0)
     iterations: int = option(5, "fixed-point iterations at each level", low=1, high=100)
     relaxations: int = option(3, "SOR sweeps in each fixed-point iteration", low=1, high=100)
+    reach: tuple[int, ...] = option(
+        (5, 10), "distances in pixels at which other motions are tried before the last level; none: empty"
+    )
+    share: float = option(
+        0.85,
+        "another motion must bring the patch's difference under share * difference - floor",
+        low=0,
+        high=1,
+    )
+    floor: float = option(0.7, "that floor, in gray values", low=0, high=255)
 
     def __post_init__(self) -> None:
         if not self.scales or not all(0.1 <= scale <= 1 for scale in self.scales) or self.scales[-1] != 1:
             raise InvalidValueError(
                 "scales", expected="sizes from 0.1 to 1, the last 1", found=f"{self.scales}"
             )
+        if not all(distance >= 1 for distance in self.reach):
+            raise InvalidValueError("reach", expected="distances of at least 1 pixel", found=f"{self.reach}")
 
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
         """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`."""
@@ -52,9 +66,11 @@ class VariationalPyramid:
         field = _seed(a, b)
         frames = [smooth(frame * np.float32(self.contrast), self.smoothing) for frame in (a, b)]
         solver = self._solver()
-        for scale in self.scales:
+        for level, scale in enumerate(self.scales, start=1):
             first, second = (_resize(frame, scale) for frame in frames)
             field = _resize_flow(field, first.shape)
+            if level == len(self.scales) and self.reach:
+                field = sharpen(a, b, field, reach=self.reach, share=self.share, floor=self.floor)
             field = np.asarray(solver.calc(first, second, field), np.float32)
         return field
 
