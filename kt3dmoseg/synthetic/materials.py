@@ -7,7 +7,7 @@ their mean grey instead of flickering.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -84,8 +84,7 @@ class Asphalt:
         u, v = patch.u, patch.v
         shape = patch.cloud.sample(u + 7, v, patch.fu, patch.fv, 13.0)
         crack = np.exp(-((shape / 0.06) ** 2)) / (1 + 40 * patch.fv)
-        tar = _cells(u / 2.3, v / 5.9, self.salt)
-        tar = np.where(tar > 0.8, -14.0, 9 * tar)
+        tar = _mosaic(patch, (2.3, 5.9), self.salt, _TAR)
         grey = self.grey + patch.noise(9.0, 7.0, self.salt) - 30 * crack + tar
         paint = np.zeros_like(u)
         for middle, dash in self.lines:
@@ -93,7 +92,8 @@ class Asphalt:
             paint += line * (stripes(v, 3 * dash, 0.0, dash, patch.fv) if dash else 1.0)
         paint *= 1 - band(v, self.crossing - 5, self.crossing + 5, patch.fv)
         worn: FloatArray = np.clip(0.85 + 0.12 * patch.grain.sample(u, v, patch.fu, patch.fv, 2.0), 0, 1)
-        reach = self.shade_edge - 1.0 - 2.4 * _cells(v / 7.1, np.zeros_like(v), self.salt + 5)
+        roofs = replace(patch, u=np.zeros_like(v), fu=np.zeros_like(v))
+        reach = self.shade_edge - 1.0 - 2.4 * _mosaic(roofs, (1.0, 7.1), self.salt + 5)
         dark = np.clip((u - reach) / np.maximum(patch.fu, 0.08) + 0.5, 0, 1)
         dark *= 1 - band(v, self.crossing - 5, self.crossing + 5, patch.fv)
         lit: FloatArray = (grey + paint * worn * (205 - grey)) * (1 - (1 - SHADOW) * dark)
@@ -113,9 +113,8 @@ class Paving:
         joint = 1 - (1 - stripes(patch.u, self.slab, 0.0, 0.02, patch.fu)) * (
             1 - stripes(patch.v, self.slab, 0.0, 0.02, patch.fv)
         )
-        tone = 22 * (_cells(patch.u / self.slab, patch.v / self.slab, self.salt) - 0.5)
-        fade = 1 / (1 + (np.maximum(patch.fu, patch.fv) / self.slab) ** 2)
-        return self.grey + patch.noise(6.0, 6.0, self.salt) + tone * fade - 35 * joint
+        tone = 22 * (_mosaic(patch, (self.slab, self.slab), self.salt) - 0.5)
+        return self.grey + patch.noise(6.0, 6.0, self.salt) + tone - 35 * joint
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,9 @@ class Facade:
         bars = 1 - (1 - stripes(u, self.pitch, left + width / 2 - 0.03, 0.06, fu)) * (
             1 - stripes(v, self.storey, sill + 0.62 * height, 0.06, fv)
         )
-        room = _cells(u / self.pitch, v / self.storey, self.salt)
-        curtain = np.mod(v / self.storey, 1) * 0.8 + room > 1.0
+        room = _cells(u / self.pitch, v / self.storey, self.salt, _TABLE)
+        hem = (1 - room) / 0.8 * self.storey  # a curtain hangs from the top of the window down to here
+        curtain = np.clip((np.mod(v, self.storey) - hem) / np.maximum(fv, 1e-9) + 0.5, 0, 1)
         glass = 28 + 50 * room + 75 * curtain + patch.noise(5.0, 9.0, self.salt + 1)
         pane = glass + bars * (self.frame - glass)
         return wall * (1 - surround) + self.frame * (surround - opening) + pane * opening
@@ -233,15 +233,41 @@ def stripes(x: FloatArray, period: float, start: float, thickness: float, width:
     return share
 
 
-def _cells(u: FloatArray, v: FloatArray, salt: float) -> FloatArray:
-    """Give every unit cell a number in [0, 1), from a table as fixed as a hash function."""
+def _mosaic(
+    patch: Patch, size: tuple[float, float], salt: float, tones: FloatArray | None = None
+) -> FloatArray:
+    """Average a mosaic of `size` rectangles, one tone each, over the footprint."""
+    (u0, u1, part_u), (v0, v1, part_v) = (
+        _straddle(x / side, width / side)
+        for x, width, side in ((patch.u, patch.fu, size[0]), (patch.v, patch.fv, size[1]))
+    )
+    tones = _TABLE if tones is None else tones
+    near = _cells(u0, v0, salt, tones) * (1 - part_u) + _cells(u1, v0, salt, tones) * part_u
+    far = _cells(u0, v1, salt, tones) * (1 - part_u) + _cells(u1, v1, salt, tones) * part_u
+    mean = float(tones.mean())
+    seen = mean + (near * (1 - part_v) + far * part_v - mean) / (
+        np.maximum(1, patch.fu / size[0]) * np.maximum(1, patch.fv / size[1])
+    )
+    return np.asarray(seen)
+
+
+def _straddle(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give the cells where an interval of at most one cell starts and ends, and the share of the second."""
+    width = np.clip(width, 1e-9, 1)
+    first, last = np.floor(x - width / 2), np.floor(x + width / 2)
+    return first, last, np.where(last > first, (x + width / 2 - last) / width, 0.0)
+
+
+def _cells(u: FloatArray, v: FloatArray, salt: float, tones: FloatArray) -> FloatArray:
+    """Give every unit cell one of 256 tones, from a table as fixed as a hash function."""
     row = np.floor(v).astype(np.int64) * 57 + int(salt * 31)
-    number: FloatArray = _TABLE[(np.floor(u).astype(np.int64) + _ORDER[row & 255]) & 255]
-    return number
+    tone: FloatArray = tones[(np.floor(u).astype(np.int64) + _ORDER[row & 255]) & 255]
+    return tone
 
 
 _ORDER = np.random.default_rng(20101).permutation(256)
 _TABLE = np.random.default_rng(20102).permutation(256) / 256.0
+_TAR = np.where(_TABLE > 0.8, -14.0, 9 * _TABLE)  # a fifth of the road is patched
 
 
 def block_letters(

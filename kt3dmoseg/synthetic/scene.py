@@ -12,7 +12,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.synthetic.motion import Drive, camera_pose
 from kt3dmoseg.synthetic.options import FRAMES_PER_SECOND, SceneOptions
 from kt3dmoseg.synthetic.raycast import SKY, cast
-from kt3dmoseg.synthetic.sensor import expose, subpixels
+from kt3dmoseg.synthetic.sensor import expose, gather, ray_offsets
 from kt3dmoseg.synthetic.shading import Painter
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.surfaces import Face, Mesh, on_body
@@ -87,11 +87,8 @@ class Scene:
 
     def frame(self, frame: int) -> ByteArray:
         """Render a frame, (H, W) uint8: the same bytes whenever and in whatever order it is called."""
-        view, n = self._view(frame), self.options.samples
-        rays = view.grid(*(subpixels(size, n) for size in self.image_size))
-        light = self.painter.paint(view.mesh, rays, self.camera_pose(frame), 1.0 / (n * self.K[0, 0]))
         rng = np.random.default_rng([self.options.seed, 1 + frame])
-        return expose(light, n, self.options.noise, rng)
+        return expose(self._light(frame), self.options.noise, rng)
 
     def frames(self) -> list[ByteArray]:
         """All frames."""
@@ -162,6 +159,18 @@ class Scene:
     @cached_property
     def _mesh(self) -> Mesh:
         return Mesh.of(self.faces)
+
+    def _light(self, frame: int) -> FloatArray:
+        """Light that every pixel gathers, (H, W) float64."""
+        view, n = self._view(frame), self.options.samples
+        camera, spacing = self.camera_pose(frame), 1.0 / (n * self.K[0, 0])
+        places = [np.arange(-1, size + 1, dtype=np.float64) for size in self.image_size]
+        offsets = ray_offsets(n)
+        image = np.zeros(self.image_size[::-1])
+        for offset in offsets:
+            rays = view.grid(places[0] + offset[0], places[1] + offset[1])
+            image += gather(self.painter.paint(view.mesh, rays, camera, spacing), offset)
+        return image / len(offsets)
 
     def _view(self, frame: int) -> View:
         poses = self.body_poses(frame)

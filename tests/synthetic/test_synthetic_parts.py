@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kt3dmoseg.synthetic.materials import Plain, band, stripes
+from kt3dmoseg.synthetic.materials import _TABLE, Patch, Plain, _cells, _mosaic, band, stripes
 from kt3dmoseg.synthetic.motion import Drive
 from kt3dmoseg.synthetic.noise import Noise
 from kt3dmoseg.synthetic.raycast import SKY, Grid, Points, cast
-from kt3dmoseg.synthetic.sensor import expose, subpixels
+from kt3dmoseg.synthetic.sensor import expose, gather, ray_offsets, respond
 from kt3dmoseg.synthetic.surfaces import Mesh, Skin, box, frustum
 
 GREY = Skin.all(Plain(100.0))
@@ -101,9 +101,60 @@ def test_a_drive_keeps_to_its_lane(speed, rate, time):
     assert abs(Drive(0.0, 0.0, speed=speed, yaw_rate=rate).pose(time)[0, 3]) <= 1.2 + 1e-9
 
 
+def test_a_mosaic_is_the_mean_of_its_cells():
+    noise = Noise(np.random.default_rng(0), 1.0)
+    rng = np.random.default_rng(3)
+    size, width, steps = (2.3, 5.9), (0.7, 1.9), (np.arange(400) + 0.5) / 400 - 0.5
+    for _ in range(20):
+        u, v = rng.uniform(-30, 30, 2)
+        one = Patch(*(np.array([x]) for x in (u, v, *width)), noise, noise)
+        across, along = np.meshgrid((u + width[0] * steps) / size[0], (v + width[1] * steps) / size[1])
+        expected = _cells(across.ravel(), along.ravel(), 4.0, _TABLE).mean()
+        assert _mosaic(one, size, 4.0)[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_far_mosaic_fades_to_its_mean():
+    noise = Noise(np.random.default_rng(0), 1.0)
+    u, v = np.random.default_rng(3).uniform(-100, 100, (2, 500))
+    wide = np.full(500, 60.0)
+    far = _mosaic(Patch(u, v, wide, wide, noise, noise), (2.3, 5.9), 4.0)
+    assert np.abs(far - _TABLE.mean()).max() < 0.01
+
+
+def gathered(light, samples, height=9, width=12):
+    """What pixels see of a scene whose light is a function of x and y."""
+    offsets = ray_offsets(samples)
+    x, y = np.arange(-1.0, width + 1), np.arange(-1.0, height + 1)[:, None]
+    return np.mean([gather(light(x + dx, y + dy), np.array([dx, dy])) for dx, dy in offsets], axis=0)
+
+
 @pytest.mark.parametrize("samples", [1, 2, 3, 4])
 def test_pixels_keep_a_linear_ramp(samples):
-    x = subpixels(12, samples)
-    light = 3 * x + 2 * subpixels(9, samples)[:, None] + 100
-    image = expose(light, samples, 0.0, np.random.default_rng(0))
-    assert np.array_equal(image, 3 * np.arange(12) + 2 * np.arange(9)[:, None] + 100)
+    image = gathered(lambda x, y: 3 * x + 2 * y + 100, samples)
+    assert np.allclose(image, 3 * np.arange(12) + 2 * np.arange(9)[:, None] + 100)
+
+
+@pytest.mark.parametrize("samples", [2, 3, 5])
+@pytest.mark.parametrize("across", [True, False])
+def test_edges_move_over_pixels_in_steps_of_one_ray(samples, across):
+    """The summed light of a row of pixels tells where an edge is, to 1 / samples^2 of a pixel."""
+    for edge in np.random.default_rng(1).uniform(4, 6, 30):
+        image = gathered(lambda x, y, at=edge: 1.0 * ((x if across else y) + 0 * (x + y) > at), samples)
+        seen = (11.5 if across else 8.5) - image.sum(axis=int(across)).mean()
+        assert abs(seen - edge) <= 0.5 / samples**2 + 1e-9
+
+
+def test_the_response_keeps_order_and_saturates():
+    light = np.linspace(-5, 260, 500)
+    grey = respond(light)
+    assert (np.diff(grey) >= 0).all()
+    assert (grey[0], grey[-1]) == (0.0, 255.0)
+    assert 60 < respond(np.array(92.0)) < 100
+    dark, bright = (np.diff(respond(np.array([g, g + 1.0])))[0] for g in (40.0, 160.0))
+    assert dark < 1 < bright
+
+
+def test_noise_is_added_after_the_response():
+    flat = expose(np.full((200, 200), 100.0), 2.0, np.random.default_rng(0)).astype(float)
+    assert flat.std() == pytest.approx(2.0, rel=0.05)
+    assert flat.mean() == pytest.approx(respond(np.array(100.0)), abs=0.1)
