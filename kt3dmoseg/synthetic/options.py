@@ -29,7 +29,7 @@ class SceneOptions:
     speed: float = option(5.0, "speed of the camera in m/s", low=0.0, high=40.0)
     turn: float = option(3.0, "yaw rate of the camera in degrees per second, to the right", low=-45, high=45)
     noise: float = option(1.5, "standard deviation of the image noise in grey levels", low=0.0, high=50.0)
-    samples: int = option(3, "rays per pixel: the square of this", low=1, high=8)
+    samples: int = option(2, "rays per pixel: the square of this", low=1, high=8)
 
     def __post_init__(self) -> None:
         check(self, where="SceneOptions")
