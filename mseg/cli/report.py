@@ -45,5 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         extras=[name for name in _EXTRAS if getattr(arguments, name)],
     )
     for path in wrote:
-        print(f"wrote {path} ({path.stat().st_size / 1e6:.2f} MB)", file=sys.stderr)
+        size = path.stat().st_size / 1000
+        shown = f"{size:.1f} kB" if size < 1000 else f"{size / 1000:.1f} MB"
+        print(f"wrote {path} ({shown})", file=sys.stderr)
     return 0

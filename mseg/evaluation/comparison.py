@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -175,17 +175,21 @@ def _unique_names(names: Sequence[str]) -> list[str]:
 
 
 def _with_sentence(pair: Pair, spec: Metric, n_clips: int) -> Pair:
-    scale, unit = (100, " points") if spec.percent else (1, "")
-    size = f"{scale * abs(pair.difference):.2f}{unit}"
+    return replace(pair, sentence=_sentence(pair, spec, n_clips))
+
+
+def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:
     if pair.difference == 0:
-        text = f"{pair.first} and {pair.second} have the same mean."
-    else:
-        ahead, behind = (pair.first, pair.second)
-        if (pair.difference > 0) == (spec.better == "lower"):
-            ahead, behind = behind, ahead
-        text = f"{ahead} is better than {behind} by {size} on average over {n_clips} clips."
-    text = f"{text} {_noise_sentence(pair, scale, unit)} {_test_sentence(pair, n_clips)}"
-    return Pair(**{**vars(pair), "sentence": text})
+        return f"{pair.first} and {pair.second} have the same mean."
+    scale, unit = (100, " points") if spec.percent else (1, "")
+    ahead, behind = pair.first, pair.second
+    if (pair.difference > 0) == (spec.better == "lower"):
+        ahead, behind = behind, ahead
+    size = f"{scale * abs(pair.difference):.2f}{unit}"
+    return (
+        f"{ahead} is better than {behind} by {size} on average over {n_clips} clips. "
+        f"{_noise_sentence(pair, scale, unit)} {_test_sentence(pair, n_clips)}"
+    )
 
 
 def _noise_sentence(pair: Pair, scale: int, unit: str) -> str:

@@ -20,7 +20,7 @@ class TextTable:
     title : str
         What the table shows, with its unit.
     columns : sequence of str
-        Headings; the first column is set left, the others right.
+        Headings; the first column and columns of words are set left, numbers right.
     rows : sequence of sequence of str
         As many cells as columns.
     notes : sequence of str
@@ -35,19 +35,28 @@ class TextTable:
     def text(self) -> str:
         """Lay out for a terminal."""
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
-        lines = [_line(row, widths) for row in (self.columns, *self.rows)]
+        left = self._left()
+        lines = [_line(row, widths, left) for row in (self.columns, *self.rows)]
         return "\n".join(
             [self.title, "", lines[0], "  ".join("-" * w for w in widths), *lines[1:], *self.notes]
         )
 
     def markdown(self) -> str:
         """Lay out as a Markdown table."""
-        rule = ["---", *["---:"] * (len(self.columns) - 1)]
+        rule = ["---" if left else "---:" for left in self._left()]
         rows = [[cell.replace("|", "\\|") for cell in row] for row in (self.columns, *self.rows)]
         lines = ["| " + " | ".join(row) + " |" for row in (rows[0], rule, *rows[1:])]
         return "\n".join(
             [f"**{self.title}**", "", *lines, "", *(f"- {note}" for note in self.notes)]
         ).rstrip()
+
+    def _left(self) -> list[bool]:
+        """Say of each column whether it is set left."""
+        columns = zip(*self.rows, strict=True) if self.rows else ((),) * len(self.columns)
+        return [
+            i == 0 or (bool(cells) and all(cell[:1].isalpha() for cell in cells))
+            for i, cells in enumerate(columns)
+        ]
 
     def latex(self) -> str:
         """Lay out as a LaTeX table for the package booktabs."""
@@ -78,9 +87,9 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def _line(row: Sequence[str], widths: Sequence[int]) -> str:
-    cells = [row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]
-    return "  ".join(cells).rstrip()
+def _line(row: Sequence[str], widths: Sequence[int], left: Sequence[bool]) -> str:
+    cells = zip(row, widths, left, strict=True)
+    return "  ".join(cell.ljust(w) if to_left else cell.rjust(w) for cell, w, to_left in cells).rstrip()
 
 
 def _escape_latex(text: str) -> str:
