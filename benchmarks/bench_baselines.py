@@ -29,7 +29,10 @@ def clip() -> Clip:
     return Clip("bench", Trajectories(xy, visible, image_size=(640, 480)), np.arange(len(xy)), labels)
 
 
-@pytest.mark.parametrize("name", ["lsa", "gpca", "ransac", "ssc", "lrr", "s3c", "rsim", "lrssc"])
+QUICK = ["lsa", "gpca", "ransac", "ssc", "lrr", "s3c", "rsim", "tlinkage", "tpv", "mssc", "rpa"]
+
+
+@pytest.mark.parametrize("name", [*QUICK, "lrssc", "consistent", "alc"])
 def test_method(benchmark, clip, name):
     benchmark.pedantic(methods.segment, args=(clip, name), kwargs={"n_motions": 3}, rounds=2)
 
