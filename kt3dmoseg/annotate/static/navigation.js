@@ -70,8 +70,10 @@ export function fitAll(app) {
 
 export function fitObject(app) {
   const item = chosen(app);
-  const box = item && boundsOf(regionOf(app.state, item, app.state.frame).polygons);
+  if (!item) return;
+  const box = boundsOf(regionOf(app.state, item, app.state.frame).polygons);
   if (box) app.state.set({ view: views.around(box, app.stage()) });
+  else say(app, `${item.name} is not in this frame`);
 }
 
 export const toggle = (app, name) => app.state.set({ [name]: !app.state[name] });
