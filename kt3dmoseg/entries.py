@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 import zlib
 from collections.abc import Iterable
@@ -42,7 +43,7 @@ class Drive:
     number: int
 
     def __post_init__(self) -> None:
-        if not isinstance(self.date, str) or not _DATE.fullmatch(self.date):
+        if not _is_day(self.date):
             raise InvalidValueError("date", expected="the form 2011_09_26", found=repr(self.date))
         object.__setattr__(self, "number", whole(self.number, "drive", _LAST_DRIVE))
 
@@ -165,6 +166,16 @@ def format_numbers(numbers: Iterable[int]) -> str:
         else:
             runs.append([number])
     return ",".join("-".join(map(str, run)) for run in runs)
+
+
+def _is_day(text: object) -> bool:
+    if not isinstance(text, str) or not _DATE.fullmatch(text):
+        return False
+    try:
+        datetime.date(*map(int, text.split("_")))
+    except ValueError:
+        return False
+    return True
 
 
 def whole(value: object, what: str, last: int) -> int:

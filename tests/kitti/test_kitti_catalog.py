@@ -89,6 +89,7 @@ GOOD = 'date = "2011_09_26"\ndrive = 5\ncamera = 0\nlength = 2\nnumbers = "3-4"\
         ("[clips.A]\n" + GOOD.replace("= 5", "= 5.0"), "drive: expected a whole number"),
         ("[clips.A]\n" + GOOD.replace("= 5", "= true"), "drive: expected a whole number"),
         ("[clips.A]\n" + GOOD.replace("2011_09_26", "26.9.2011"), "date: expected the form"),
+        ("[clips.A]\n" + GOOD.replace("2011_09_26", "2011_13_26"), "date: expected the form"),
         ("[clips.A]\n" + GOOD.replace("camera = 0", "camera = 4"), "camera"),
         (
             "[clips.A]\n" + GOOD.replace("length = 2", "length = 3"),
