@@ -113,6 +113,15 @@ class Trajectories:
         rows = np.flatnonzero(self.visible[:, i] & self.visible[:, j])
         return rows, self.xy[rows, i], self.xy[rows, j]
 
+    def at(self, frame: int) -> tuple[IntArray, FloatArray]:
+        """Return rows (P,) of the trajectories visible in a frame, ascending, and their positions (P, 2)."""
+        rows = np.flatnonzero(self.visible[:, frame])
+        return rows, self.xy[rows, frame]
+
+    def block(self, first: int, last: int) -> tuple[FloatArray, BoolArray]:
+        """Return positions (n, F, 2) and visibility (n, F) of the rows from `first` to before `last`."""
+        return self.xy[first:last], self.visible[first:last]
+
     def select(self, rows: npt.ArrayLike) -> Trajectories:
         """Return the trajectories at `rows` (indices or boolean mask), ids kept."""
         index = np.asarray(rows)

@@ -73,8 +73,8 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
     for frame, path in sorted(masks.items()):
         mask = read_mask(path)
         _check_size(trajectories, mask, path)
-        rows = np.flatnonzero(trajectories.visible[:, frame])
-        pixel = np.rint(trajectories.xy[rows, frame]).astype(np.int64)
+        rows, xy = trajectories.at(frame)
+        pixel = np.rint(xy).astype(np.int64)
         column = np.clip(pixel[:, 0], 0, mask.shape[1] - 1)
         line = np.clip(pixel[:, 1], 0, mask.shape[0] - 1)
         votes.append((rows, mask[line, column]))

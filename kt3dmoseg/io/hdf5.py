@@ -6,7 +6,9 @@ NaN. Metadata and data carry checksums, so that a damaged file is told from a so
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import h5py
@@ -48,8 +50,9 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     """
     # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
     with _new_file() as file:
+        _write_trajectories(file, clip.dense)
         for name, values in _arrays(clip).items():
-            _write_array(file, name, values)
+            _create(file, name, values.shape, values.dtype)[...] = _one_nan(values)
         for name, value in _attributes(clip).items():
             group, _, key = name.rpartition("/")
             _untimed_group(file, group).attrs.create(key, _fixed(value))
@@ -92,18 +95,33 @@ def _new_file() -> h5py.File:
     return h5py.File(h5py.h5f.create(b"clip", h5py.h5f.ACC_TRUNC, creation, access))
 
 
-def _write_array(file: h5py.File, name: str, values: npt.NDArray[Any]) -> None:
+def _write_trajectories(file: h5py.File, dense: Trajectories) -> None:
+    """Write chunk by chunk: of a long clip, the whole would be mostly NaN."""
+    shape = (len(dense), dense.n_frames)
+    xy = _create(file, "dense/xy", (*shape, 2), np.dtype(np.float64))
+    for first, last in _chunks(xy):
+        xy[first:last] = _one_nan(dense.block(first, last)[0])
+    visible = _create(file, "dense/visible", shape, np.dtype(np.uint8))
+    for first, last in _chunks(visible):
+        visible[first:last] = dense.block(first, last)[1]
+
+
+def _chunks(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
+    """Rows of each chunk; none of an empty dataset."""
+    size = dataset.chunks[0] if dataset.chunks else 1
+    for first in range(0, len(dataset) if dataset.size else 0, size):
+        yield first, min(first + size, len(dataset))
+
+
+def _create(file: h5py.File, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> h5py.Dataset:
     group = _untimed_group(file, name.rpartition("/")[0])
-    row = max(1, values[:1].nbytes)
-    rows = max(1, min(len(values), _CHUNK_BYTES // row))
-    packed = {"chunks": (rows, *values.shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
-    options = {**packed, "shuffle": True, "fletcher32": True} if values.size else {}
-    dataset = group.create_dataset(
-        name.rpartition("/")[2], values.shape, values.dtype, track_times=False, **options
-    )
-    for first in range(0, len(values), rows):  # chunk by chunk: no copy of the whole
-        dataset[first : first + rows] = _one_nan(values[first : first + rows])
+    row = max(1, math.prod(shape[1:]) * dtype.itemsize)
+    rows = max(1, min(shape[0], _CHUNK_BYTES // row))
+    packed = {"chunks": (rows, *shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
+    options = {**packed, "shuffle": True, "fletcher32": True} if math.prod(shape) else {}
+    dataset = group.create_dataset(name.rpartition("/")[2], shape, dtype, track_times=False, **options)
     dataset.attrs.create("description", _fixed(DESCRIPTIONS[name]))
+    return dataset
 
 
 def _one_nan(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -128,11 +146,8 @@ def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fix
 
 
 def _arrays(clip: Clip) -> dict[str, npt.NDArray[Any]]:
-    dense = clip.dense
     out: dict[str, npt.NDArray[Any]] = {
-        "dense/xy": dense.xy,
-        "dense/visible": dense.visible.view(np.uint8),
-        "dense/track_id": dense.track_id,
+        "dense/track_id": clip.dense.track_id,
         "evaluated": clip.evaluated,
         "labels/label": clip.labels.label,
         "frames/number": clip.frame_numbers,

@@ -2,13 +2,103 @@
 
 from __future__ import annotations
 
-import numpy as np
+from functools import cached_property
 
-from kt3dmoseg.types import FloatArray, IntArray, Trajectories
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.arrays import frozen
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
+
+
+class RunTrajectories(Trajectories):
+    """Trajectories that are visible in one run of frames each, kept as these runs.
+
+    `xy` and `visible` are laid out when they are first asked for: over a long clip nearly all of (N, F, 2)
+    is NaN.
+
+    Parameters
+    ----------
+    start, length : (N,) int64
+        First frame and number of frames of each.
+    points : (P, 2) float64
+        Positions, run after run; P is the sum of the lengths.
+    n_frames : int
+        F.
+    image_size : (W, H)
+        Size of the frames in pixels.
+    """
+
+    def __init__(
+        self,
+        start: IntArray,
+        length: IntArray,
+        points: FloatArray,
+        n_frames: int,
+        image_size: tuple[int, int],
+    ) -> None:
+        self._start, self._lengths, self._points, self._n_frames = start, length, points, n_frames
+        self._offset = np.cumsum(length) - length
+        object.__setattr__(self, "track_id", frozen(np.arange(len(start)), np.int64))
+        object.__setattr__(self, "image_size", image_size)
+
+    def __len__(self) -> int:
+        """Return the number of trajectories."""
+        return len(self._start)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames F."""
+        return self._n_frames
+
+    @property
+    def lengths(self) -> IntArray:
+        """Number of visible frames of each trajectory, (N,) int64."""
+        return self._lengths.copy()
+
+    @cached_property
+    def xy(self) -> FloatArray:
+        """Positions (N, F, 2), NaN where invisible."""
+        return self._dense[0]
+
+    @cached_property
+    def visible(self) -> BoolArray:
+        """Whether each exists in each frame, (N, F)."""
+        return self._dense[1]
+
+    def block(self, first: int, last: int) -> tuple[FloatArray, BoolArray]:
+        """Positions and visibility of some rows; see `Trajectories.block`."""
+        return self._laid_out(np.arange(first, min(last, len(self))))
+
+    def at(self, frame: int) -> tuple[IntArray, FloatArray]:
+        """Rows and positions in one frame; see `Trajectories.at`."""
+        rows = np.flatnonzero((self._start <= frame) & (frame < self._start + self._lengths))
+        return rows, self._points[self._offset[rows] + frame - self._start[rows]]
+
+    def select(self, rows: npt.ArrayLike) -> Trajectories:
+        """Return the trajectories at `rows` (indices or boolean mask), ids kept."""
+        index = np.arange(len(self))[np.asarray(rows)]
+        return Trajectories(*self._laid_out(index), self.track_id[index], self.image_size)
+
+    @cached_property
+    def _dense(self) -> tuple[FloatArray, BoolArray]:
+        xy, visible = self._laid_out(np.arange(len(self)))
+        xy.flags.writeable = visible.flags.writeable = False
+        return xy, visible
+
+    def _laid_out(self, rows: IntArray) -> tuple[FloatArray, BoolArray]:
+        length = self._lengths[rows]
+        row = np.repeat(np.arange(len(rows)), length)
+        step = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
+        xy = np.full((len(rows), self._n_frames, 2), np.nan)
+        xy[row, self._start[rows][row] + step] = self._points[self._offset[rows][row] + step]
+        visible = np.zeros(xy.shape[:2], dtype=np.bool_)
+        visible[row, self._start[rows][row] + step] = True
+        return xy, visible
 
 
 class TrackStore:
-    """Collect live trajectories per frame; `finish` lays them out as `Trajectories`."""
+    """Collect live trajectories per frame; `finish` gives them as `Trajectories`."""
 
     def __init__(self) -> None:
         self._frames: list[tuple[IntArray, FloatArray]] = []
@@ -18,23 +108,20 @@ class TrackStore:
         self._frames.append((ids, xy))
 
     def finish(self, count: int, min_length: int, image_size: tuple[int, int]) -> Trajectories:
-        """Lay out `count` trajectories; those visible in fewer than `min_length` frames are dropped.
+        """Give `count` trajectories; those visible in fewer than `min_length` frames are dropped.
 
         Returns
         -------
         Trajectories
             In the order of their identities, numbered anew from 0.
         """
-        length = np.zeros(count, dtype=np.int64)
-        for ids, _ in self._frames:
-            length[ids] += 1
+        ids = np.concatenate([ids for ids, _ in self._frames])
+        length = np.bincount(ids, minlength=count)
         kept = length >= min_length
-        row = np.cumsum(kept) - 1
-        xy = np.full((int(kept.sum()), len(self._frames), 2), np.nan)
-        visible = np.zeros(xy.shape[:2], dtype=np.bool_)
-        for frame, (ids, positions) in enumerate(self._frames):
-            chosen = kept[ids]
-            rows = row[ids[chosen]]
-            xy[rows, frame], visible[rows, frame] = positions[chosen], True
-        xy.flags.writeable = visible.flags.writeable = False  # handed over, not copied
-        return Trajectories(xy, visible, image_size=image_size)
+        start = np.zeros(count, dtype=np.int64)
+        for frame in reversed(range(len(self._frames))):
+            start[self._frames[frame][0]] = frame
+        order = np.argsort(ids, kind="stable")  # by trajectory, then by frame
+        order = order[kept[ids[order]]]
+        points = np.concatenate([xy for _, xy in self._frames])[order]
+        return RunTrajectories(start[kept], length[kept], points, len(self._frames), image_size)
