@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from kt3dmoseg.annotate.checks import REJECT, Motion
-from kt3dmoseg.annotate.formats.archive import pack, unpack
-from kt3dmoseg.annotate.formats.instances import Instances
-from kt3dmoseg.annotate.formats.masks import check_shape, label_image
+from kt3dmoseg.annotate.formats.archive import pack
+from kt3dmoseg.annotate.formats.instances import from_images
+from kt3dmoseg.annotate.formats.masks import label_image
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.regions import Region
-from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.io.index_images import decode_indices, encode_indices
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io.index_images import encode_indices
 from kt3dmoseg.types import ByteArray
 
 _VOID = 254
@@ -50,16 +50,7 @@ class Davis:
 
     def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a zip of indexed or gray PNGs; see `AnnotationFormat`. 254 and 255 are rejected."""
-        found = Instances(like)
-        for frame, png in unpack(content, ".png", like, names, "DAVIS masks").items():
-            image, bits = decode_indices(png, f"frame {frame}")
-            if bits > 8:
-                expected = "an indexed or 8-bit gray PNG"
-                raise FileFormatError(f"frame {frame}", expected=expected, found=f"{bits} bits")
-            check_shape(image.shape, like, f"frame {frame}")
-            image = np.minimum(image, _VOID)
-            for value in np.unique(image[image > 0]).tolist():
-                found.add(value, frame, image == value, "DAVIS masks")
+        found = from_images(content, like, names, "DAVIS masks", bits=8, largest=_VOID)
         motions: dict[int, Motion] = {value: REJECT if value == _VOID else value for value in found.numbers}
         titles = {value: "rejected" if value == _VOID else f"motion {value}" for value in found.numbers}
         return found.annotation(motions, names=titles)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from kt3dmoseg.annotate.checks import MAX_OBJECTS, Motion, Polygon
-from kt3dmoseg.annotate.formats.masks import polygons_of
+from kt3dmoseg.annotate.formats.archive import unpack
+from kt3dmoseg.annotate.formats.masks import check_shape, polygons_of
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame
 from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.io.index_images import decode_indices
 from kt3dmoseg.types import BoolArray
 
 
@@ -69,6 +73,45 @@ class Instances:
             kind = kind if kind in KINDS else "other"
             objects.append(AnnotatedObject(identity, name, kind, motions[number], keys))
         return replace(self.like, objects=tuple(objects))
+
+
+def from_images(
+    content: bytes, like: Annotation, names: Sequence[str], what: str, *, bits: int, largest: int
+) -> Instances:
+    """Gather the objects of a zip file of PNGs whose pixels are object numbers, 0 = background.
+
+    Parameters
+    ----------
+    content : bytes
+        The zip file, an image per frame.
+    like : Annotation
+        An empty annotation of the clip.
+    names : sequence of str
+        File names of the clip's frames; see `frame_indices`.
+    what : str
+        Name of the format, for messages.
+    bits : int
+        Refuse deeper images.
+    largest : int
+        Larger numbers are taken as this one.
+
+    Raises
+    ------
+    FileFormatError
+        When it is no such file, or does not fit the clip.
+    """
+    found = Instances(like)
+    for frame, png in unpack(content, ".png", like, names, what).items():
+        where = f"{what}, frame {frame}"
+        image, depth = decode_indices(png, where)
+        if depth > bits:
+            expected = f"an indexed or gray PNG of {bits} bits"
+            raise FileFormatError(where, expected=expected, found=f"{depth} bits")
+        check_shape(image.shape, like, where)
+        image = np.minimum(image, largest)
+        for value in np.unique(image[image > 0]).tolist():
+            found.add(value, frame, image == value, where)
+    return found
 
 
 def _key_frames(outlines: Mapping[int, list[Polygon]], n_frames: int) -> tuple[KeyFrame, ...]:

@@ -18,17 +18,17 @@ import numpy.typing as npt
 
 from kt3dmoseg.annotate.checks import MAX_OBJECTS, REJECT, Motion
 from kt3dmoseg.annotate.formats import rle
-from kt3dmoseg.annotate.formats.archive import pack, unpack
-from kt3dmoseg.annotate.formats.instances import Instances
+from kt3dmoseg.annotate.formats.archive import pack
+from kt3dmoseg.annotate.formats.instances import Instances, from_images
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, label_image
 from kt3dmoseg.annotate.model import AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.io.index_images import decode_indices
 from kt3dmoseg.types import BoolArray
 
 _IGNORE = 10_000
 _STEP = 1000
+_LARGEST = (1 << 16) - 1
 _CLASS = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
 _KIND = {1: "car", 2: "pedestrian", 3: "other"}
 
@@ -51,13 +51,7 @@ class MotsPng:
 
     def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
         """Read a zip of PNGs; see `AnnotationFormat`."""
-        found = Instances(like)
-        for frame, png in unpack(content, ".png", like, names, "MOTS masks").items():
-            image, _ = decode_indices(png, f"frame {frame}")
-            check_shape(image.shape, like, f"frame {frame}")
-            for value in np.unique(image[image > 0]).tolist():
-                found.add(value, frame, image == value, "MOTS masks")
-        return _annotation(found)
+        return _annotation(from_images(content, like, names, "MOTS masks", bits=16, largest=_LARGEST))
 
 
 class MotsText:
