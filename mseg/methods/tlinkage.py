@@ -71,7 +71,10 @@ class TLinkage(CompleteDataMethod):
             self._segmented(points, residuals, self.epsilon * scale, n_motions)
             for scale in (_SCALES if several else (1.0,))
         ]
-        labels, clusters, epsilon = min(found, key=lambda one: code_length(points, one[0], FLAT_DIMENSION))
+        # Points without a group cost no code: the fewest of them first.
+        labels, clusters, epsilon = min(
+            found, key=lambda one: ((one[0] == 0).sum(), code_length(points, one[0], FLAT_DIMENSION))
+        )
         sizes = np.bincount(clusters)[1:]
         if self.reject_outliers:
             labels = np.where(clusters > count_large(sizes), 0, labels)

@@ -234,3 +234,8 @@ def test_completion_by_robust_pca_repairs_gross_errors(make_scene, rng):
     data = complete_data(replace(clip, dense=Trajectories(xy, visible, image_size=(640, 480))), "rpca")
     assert data.report["completion_converged"]
     assert np.quantile(np.abs(data.pixels - trajectory_matrix(truth)), 0.98) < 0.5
+
+
+def test_tlinkage_does_not_prefer_a_threshold_that_groups_nothing(make_scene):
+    clip = make_scene(np.random.default_rng(4), (30, 30), noise=6.0)
+    assert (methods.segment(clip, "tlinkage", n_motions=2).labels > 0).all()
