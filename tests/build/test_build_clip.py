@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import weakref
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from kt3dmoseg import catalog
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, save_annotation
 from kt3dmoseg.build import build_clip, find_sources, kitti_sources, label_by_masks
 from kt3dmoseg.build.masks import by_frame, read_mask
+from kt3dmoseg.build.shot import Shot
 from kt3dmoseg.entries import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
 from kt3dmoseg.types import Trajectories
@@ -231,3 +233,31 @@ def test_bad_masks(tmp_path):
     (tmp_path / "1.png").write_bytes(b"text")
     with pytest.raises(FileFormatError, match="indexed or gray PNG"):
         read_mask(tmp_path / "1.png")
+
+
+class _Stream:
+    """A source that counts how many of its frames are still held when the next is asked for."""
+
+    name = where = "stream"
+
+    def __init__(self, frames):
+        self.length, self.held = frames, []
+
+    def inspect(self):
+        return Shot(None, "0" * 64, {"kind": "stream"})
+
+    def frames(self, colour):
+        given = []
+        for picture in scene(frames=self.length):
+            frame = picture.copy()
+            given.append(weakref.ref(frame))
+            yield frame
+            del frame
+            self.held.append(sum(ref() is not None for ref in given))
+
+
+def test_two_frames_are_held_however_long_the_clip_is():
+    stream = _Stream(60)
+    assert build_clip(stream, flow="dis_medium").n_frames == 60
+    assert len(stream.held) == 60
+    assert max(stream.held) <= 2

@@ -244,18 +244,3 @@ def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
     assert {f"{o.name}.h5" for o in outcomes if o.status == "up to date"} == set(finished)
     build_dataset(tmp_path / "frames", tmp_path / "fresh", workers=1)
     assert contents(tmp_path / "out") == contents(tmp_path / "fresh")
-
-
-def test_memory_does_not_grow_with_the_length_of_a_clip(tmp_path):
-    """Frames are read one at a time: thrice the length costs no more than its trajectories."""
-    peaks = []
-    for count in (20, 60):
-        folder = write_clip(tmp_path / f"clip{count}", frames=count)
-        code = (
-            "import resource, sys; from kt3dmoseg.build import build_clip;"
-            f"build_clip({str(folder)!r}, flow='dis_medium');"
-            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
-        )
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-        peaks.append(int(done.stdout))
-    assert peaks[1] < peaks[0] + 20_000  # kilobytes
