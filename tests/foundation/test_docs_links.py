@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from kt3dmoseg import __version__
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     ROOT / "README.md",
@@ -35,3 +37,9 @@ def test_every_page_is_linked_from_another():
         if link != page.name
     }
     assert {page.name for page in pages} - {"index.md"} <= linked
+
+
+def test_version_is_the_same_everywhere():
+    cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), flags=re.MULTILINE)
+    assert cited[1] == __version__
+    assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
