@@ -61,6 +61,17 @@ def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_p
     assert page.errors == []
 
 
+def test_a_folder_that_cannot_be_written_is_told_and_tried_again(page, shared):
+    shared.notes.write_text("a file where the folder should be")
+    page.draw()
+    page.until("labeller.state.saving.kind === 'offline'")
+    page.until("document.getElementById('saved').textContent.includes('cannot write')")
+    assert "kept in this browser" in page.tab.locator("#saved").inner_text()
+    shared.notes.unlink()
+    assert page.saved() == 1
+    assert len(stored(shared).objects) == 1
+
+
 def test_edits_survive_closing_the_tab_while_the_server_is_away(context, clips, server, tmp_path):
     page = Page(context, server.address)
     server.stop(signal.SIGKILL)

@@ -58,7 +58,7 @@ function draw({ labels, summaries, clip, doc }, root) {
   const parts = [];
   const started = doc?.objects.length || doc?.revision;
   const here = labels && started ? shareOf(labels) : null;
-  parts.push(element("span", {}, here ? percent(here) : "to do"));
+  parts.push(element("span", {}, here ? percent(here) : started ? "…" : "to do"));
   const all = overall(summaries ?? []);
   if (all.clips > 1) {
     parts.push(element("span", { className: "faint" }, `all ${all.clips}:`),

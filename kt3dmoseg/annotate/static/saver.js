@@ -90,7 +90,7 @@ export class Saver {
       this.#show("conflict");
       this.state.set({ conflict: error.body.annotation });
     } else if (error.offline || error.status >= 500) {
-      this.#show("offline");
+      this.#show("offline", error.offline ? "" : error.message);
       this.#schedule(RETRY[Math.min(this.#failures++, RETRY.length - 1)]);
     } else {
       this.#show("failed", error.message);

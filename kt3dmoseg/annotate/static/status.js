@@ -4,7 +4,7 @@ const TEXT = {
   saved: (s) => (s.revision ? `✓ saved · rev ${s.revision}` : "no edits yet · rev 0"),
   unsaved: () => "• edited",
   busy: () => "saving…",
-  offline: () => "⚠ server away: edits kept in this browser",
+  offline: (s) => `⚠ ${s.message || "server away"}: edits kept in this browser`,
   conflict: () => "⚠ saved elsewhere: choose",
   failed: (s) => `⚠ not saved: ${s.message}`,
 };
@@ -15,6 +15,7 @@ export function watchStatus(app) {
   state.on(["saving"], () => {
     by("saved").textContent = TEXT[state.saving.kind](state.saving);
     by("saved").className = state.saving.kind;
+    by("saved").title = state.saving.message ?? "";
   });
   state.on(["clip", "frame", "doc", "flickered"], () => {
     if (!state.clip) return;
