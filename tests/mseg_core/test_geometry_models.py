@@ -163,6 +163,39 @@ def test_single_precision_ranks_as_double(kind):
     assert close.mean() > 0.99
 
 
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_change_of_frame_can_be_undone(kind):
+    x1, x2 = samples(kind, 9)
+    models, _ = MODELS[kind].fit(x1, x2)
+    t1, t2 = hartley.normalise(x1)[1], hartley.normalise(x2)[1]
+    moved = change_frame(kind, models, t1, t2)
+    back = change_frame(kind, moved, hartley.inverse(t1), hartley.inverse(t2))
+    size = np.linalg.norm(models, axis=(1, 2), keepdims=True) / np.linalg.norm(
+        back, axis=(1, 2), keepdims=True
+    )
+    assert_allclose(back * size, models, atol=1e-9)
+
+
+def test_similarities_written_out_are_products():
+    rng = np.random.default_rng(0)
+    models, (_, transform) = rng.normal(size=(5, 3, 3)), hartley.normalise(rng.normal(size=(5, 4, 2)))
+    assert_allclose(hartley.before(models, transform), models @ transform)
+    assert_allclose(hartley.after(transform, models), transform @ models)
+    assert_allclose(hartley.after(transform[0], models), transform[0] @ models)
+
+
+def test_many_null_vectors_are_null_and_unit():
+    """More samples than are taken together, one of them with a repeated point."""
+    x1, x2 = samples("fundamental", 700)
+    (n1, _), (n2, _) = hartley.normalise(x1), hartley.normalise(x2)
+    n1[3, 1], n2[3, 1] = n1[3, 0], n2[3, 0]
+    design = np.einsum("kpi,kpj->kpij", *(np.dstack([n, np.ones((700, 8))]) for n in (n2, n1)))
+    vectors, ok = fundamental._null_vectors(design.reshape(700, 8, 9))
+    assert np.flatnonzero(~ok).tolist() == [3]
+    assert_allclose(np.linalg.norm(vectors, axis=1), 1)
+    assert_allclose(design.reshape(700, 8, 9)[ok] @ vectors[ok, :, None], 0, atol=1e-12)
+
+
 def test_shapes_are_checked():
     with pytest.raises(InvalidValueError, match="models"):
         residuals("affine", H, X1, X2[:3])

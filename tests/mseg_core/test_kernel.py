@@ -9,8 +9,18 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from kt3dmoseg.types import Trajectories
-from mseg.affinity import neighbourhood_mask, ordered_residual_kernel, preferences, sparsify, view_kernel
+from mseg.affinity import (
+    GUARD,
+    covisible_frames,
+    neighbourhood_mask,
+    ordered_residual_kernel,
+    preferences,
+    sparsify,
+    view_kernel,
+)
+from mseg.geometry import change_frame, hartley, residuals
 from mseg.sampling import draw_subsets, sample_hypotheses
+from mseg.types import Hypotheses
 
 
 @given(size=st.integers(1, 12), count=st.integers(1, 12))
@@ -66,6 +76,26 @@ def test_view_kernel_is_the_plain_sum_over_pairs(make_clip):
         np.diagonal(found), np.diagonal(pairs @ pairs.T) / (np.diagonal(together) + 0.1), rtol=1e-5
     )
     assert (found[pairs @ pairs.T == 0] == 0).all()
+
+
+@pytest.mark.parametrize("kind", ["affine", "homography", "fundamental"])
+def test_view_kernel_is_the_sum_of_the_pairs_kernels(kind, make_clip):
+    """Against every pair by itself; one pair has fewer hypotheses, and all pairs weigh the same."""
+    trajectories = make_clip(points=40, missing=0.2, frames=7).evaluated_trajectories
+    rng = np.random.default_rng(0)
+    drawn = sample_hypotheses(trajectories, kind, rng, per_pair=40)
+    kept = ~((drawn.pair == (2, 3)).all(axis=1) & (np.arange(len(drawn.pair)) % 2 == 0))
+    hypotheses = Hypotheses(drawn.models[kept], drawn.pair[kept], kind)
+    expected = np.zeros((len(trajectories),) * 2)
+    for i in range(trajectories.n_frames - 1):
+        rows, x1, x2 = trajectories.pair(i, i + 1)
+        (n1, t1), (n2, t2) = hartley.normalise(x1), hartley.normalise(x2)
+        models = hypotheses.models[(hypotheses.pair == (i, i + 1)).all(axis=1)]
+        single = n1.astype(np.float32), n2.astype(np.float32)
+        values = residuals(kind, change_frame(kind, models, t1, t2), *single)
+        expected[np.ix_(rows, rows)] += ordered_residual_kernel(values)
+    expected /= covisible_frames(trajectories) + GUARD
+    assert_allclose(view_kernel(trajectories, hypotheses), expected, atol=1e-6)
 
 
 def test_kernel_tells_motions_apart(make_clip):
