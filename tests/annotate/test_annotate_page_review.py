@@ -206,6 +206,10 @@ def test_clips_flicker_play_zoom_and_pan(page):
     assert page.at((100, 100)) == pytest.approx(where, abs=1.5)
     page.drag((250, 20), (260, 40))
     assert page.value("labeller.state.view.y") != before["y"]
+    page.press("Shift+Z", *["Control+ArrowLeft"] * 40, *["Control+ArrowUp"] * 40)
+    left, top = page.at((0, 0))
+    box = page.tab.locator("#stage").bounding_box()
+    assert (box["x"] + box["width"] - left, box["y"] + box["height"] - top) == pytest.approx((60, 60), abs=1)
     page.press("F2")
     page.tab.get_by_role("button", name="two", exact=True).click()
     page.until("labeller.state.clip.name === 'two' && labeller.state.labels")

@@ -61,7 +61,8 @@ export function zoom(app, factor, at = null) {
 }
 
 export function pan(app, dx, dy) {
-  app.state.set({ view: views.panned(app.state.view, dx, dy) });
+  const { view, clip } = app.state;
+  app.state.set({ view: views.held(views.panned(view, dx, dy), clip.image_size, app.stage()) });
 }
 
 export function fitAll(app) {

@@ -1,6 +1,14 @@
 // Where the frame lies on the screen: (x, y) is the image position of the stage's top left corner.
 
 const CLOSEST = 40;
+// So many pixels of the screen always show a part of the frame.
+const KEPT = 60;
+
+/** The view, moved back where next to nothing of the frame was left in sight. */
+export function held(view, [width, height], stage) {
+  const within = (at, size, room) => Math.min(size - KEPT / view.scale, Math.max(at, (KEPT - room) / view.scale));
+  return { ...view, x: within(view.x, width, stage.width), y: within(view.y, height, stage.height) };
+}
 
 export function fit([width, height], stage) {
   const scale = Math.min(stage.width / width, stage.height / height);
