@@ -1,6 +1,9 @@
 """Draw the figures of docs/reproduction.md from results that ``mseg benchmark --json`` wrote.
 
 python tools/make_reproduction_figures.py --results kt3dmoseg.json --sweeps sweep-*.json -o docs/figures
+
+docs/reproduction.md says which runs these are. The virtual planar slices need none: they are made of a
+synthetic scene.
 """
 
 from __future__ import annotations
@@ -126,15 +129,20 @@ def sensitivity_figure(results: dict[str, Any], sweeps: list[dict[str, Any]]) ->
             values = sorted(points)
             mean = [points[v].mean() for v in values]
             low, high = ([f(points[v].mean(axis=0)) for v in values] for f in (np.min, np.max))
-            axes.plot(values, mean, "o-", color=COLOURS[method], label=method, markersize=4)
+            axes.plot(values, mean, "o-", color=COLOURS[method], label=method, markersize=3)
             axes.fill_between(values, low, high, color=COLOURS[method], alpha=0.15, linewidth=0)
+            default = _default(method, parameter)
+            axes.plot(default, points[default].mean(), "D", color=COLOURS[method], markersize=6)
         axes.set_xlabel(NAMES[parameter])
-        axes.axvline(SWEPT[parameter], color="black", linewidth=0.5, linestyle=":")
         if parameter != "alpha":
             axes.set_xscale("log")
-    panels[0].set_ylabel("mean error, %; band: range over seeds")
+    panels[0].set_ylabel("mean error, %")
     panels[0].set_ylim(bottom=0)
-    if panels[0].lines[:-1]:
+    seeds = {points.shape[1] for points in _swept(results, sweeps, "alpha").get("keradd", {}).values()}
+    figure.suptitle(
+        f"{min(seeds, default=0)} seeds; band: range of a seed's mean; diamond: default", fontsize=9
+    )
+    if panels[0].lines:
         panels[0].legend(frameon=False, ncols=2)
     return figure
 
@@ -150,9 +158,12 @@ def _swept(
                 out[method["method"]][float(method["parameters"][parameter])] = errors
     for method, points in out.items():
         seeds = next(iter(points.values())).shape[1]
-        default = DEFAULT_ALPHA.get(method, SWEPT["alpha"]) if parameter == "alpha" else SWEPT[parameter]
-        points.setdefault(default, errors_of(results, method)[:, :seeds])
+        points.setdefault(_default(method, parameter), errors_of(results, method)[:, :seeds])
     return out
+
+
+def _default(method: str, parameter: str) -> float:
+    return DEFAULT_ALPHA.get(method, SWEPT["alpha"]) if parameter == "alpha" else SWEPT[parameter]
 
 
 def planar_slices_figure() -> Figure:
