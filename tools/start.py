@@ -25,7 +25,14 @@ def main(arguments: list[str]) -> int:
         print(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}")
         return 2
     job, rest = arguments[0], arguments[1:]
-    python = _environment(JOBS[job])
+    try:
+        python = _environment(JOBS[job])
+    except subprocess.CalledProcessError as error:
+        command = " ".join(map(str, error.cmd))
+        print(
+            f"this failed: {command}\nIs the network there, and Python's venv module (Debian: python3-venv)?"
+        )
+        return 2
     if job == "demo":
         command = [python, "-m", "kt3dmoseg.cli", "demo", *rest]
     else:
@@ -37,7 +44,7 @@ def _environment(extras: str) -> Path:
     """Create or update the virtual environment; return its interpreter."""
     folder = "Scripts" if os.name == "nt" else "bin"
     python = ENVIRONMENT / folder / ("python.exe" if os.name == "nt" else "python")
-    if not python.exists():
+    if not _has_pip(python):
         print(f"creating {ENVIRONMENT}", flush=True)
         venv.create(ENVIRONMENT, with_pip=True)
     stamp = ENVIRONMENT / f".installed-{extras.replace(',', '-')}"
@@ -48,6 +55,12 @@ def _environment(extras: str) -> Path:
         subprocess.check_call([str(python), "-m", "pip", "install", "--quiet", "--editable", target])
         stamp.write_text(wanted)
     return python
+
+
+def _has_pip(python: Path) -> bool:
+    """Whether the environment is whole: making it may have been interrupted."""
+    command = [str(python), "-m", "pip", "--version"]
+    return python.exists() and subprocess.call(command, stdout=subprocess.DEVNULL) == 0
 
 
 if __name__ == "__main__":
