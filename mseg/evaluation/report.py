@@ -88,7 +88,9 @@ def report_html(
     folder = Path(frames) if frames is not None else None
     if folder is not None and not any((folder / name).is_dir() for name in order):
         raise InputFileError(
-            f"{folder}", expected=f"a folder of pictures per clip, such as {order[0]}", found="none of any clip"
+            f"{folder}",
+            expected=f"a folder of pictures per clip, such as {order[0]}",
+            found="none of any clip",
         )
     body = "".join(
         [

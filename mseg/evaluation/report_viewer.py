@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.types import Clip, IntArray
+from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation.contingency import Contingency
 from mseg.evaluation.results import ScoreTable
 from mseg.evaluation.validate import Validation
@@ -26,7 +25,8 @@ _TALL = 2.0
 def viewer(checked: Validation, scores: ScoreTable, name: str, frames: Path | None) -> str:
     """Make the overlay of a clip: truth above prediction, slider, seeds to choose from."""
     clip = checked.clips[name]
-    width, height = _size(clip)
+    pictures = _pictures(frames, clip) if frames is not None else []
+    width, height = _size(clip, pictures)
     runs = [_run(clip, checked, scores, name, seed) for seed in scores.seeds]
     drawn = [(seed, run) for seed, run in zip(scores.seeds, runs, strict=True) if run is not None]
     scale = min(10.0, 32000 / max(width, height))
@@ -39,14 +39,15 @@ def viewer(checked: Validation, scores: ScoreTable, name: str, frames: Path | No
         "xy": _packed_positions(clip, scale),
         "truth": _packed(_ranks(clip.labels.label)),
         "runs": [run for _, run in drawn],
-        "frames": _frames(frames, clip) if frames is not None else [],
+        "frames": [_jpeg(picture) for picture in pictures],
     }
     # "</" would end the script element; JSON may write it as "<\/".
     content = json.dumps(payload, separators=(",", ":")).replace("</", "<\\/")
+    canvases = ("truth", "prediction") if drawn else ("truth",)
     shape = " tall" if width < _TALL * height else ""
     return (
         f"<div class='viewer{shape}'><script type='application/json'>{content}</script><div class='views'>"
-        f"{_canvas(clip, 'truth')}{_canvas(clip, 'prediction') if drawn else ''}</div>"
+        f"{''.join(_canvas(clip, what, width, height) for what in canvases)}</div>"
         f"{_controls(clip, [seed for seed, _ in drawn])}</div>"
     )
 
@@ -96,16 +97,19 @@ def _packed_positions(clip: Clip, scale: float) -> str:
     return base64.b64encode(small.tobytes()).decode()
 
 
-def _size(clip: Clip) -> tuple[int, int]:
+def _size(clip: Clip, pictures: Sequence[ByteArray]) -> tuple[int, int]:
     if clip.dense.image_size is not None:
         return clip.dense.image_size
+    if pictures:
+        height, width = pictures[0].shape
+        return width, height
     xy = clip.dense.xy[clip.dense.visible]
     far = np.ceil(xy.max(axis=0)) if len(xy) else np.ones(2)
     return int(max(1, far[0] + 1)), int(max(1, far[1] + 1))
 
 
-def _canvas(clip: Clip, what: str) -> str:
-    width, height = _size(clip)  # so that the page is as long before the canvas is drawn as after
+def _canvas(clip: Clip, what: str, width: int, height: int) -> str:
+    # With its size told, the page is as long before the canvas is drawn as after.
     return (
         f"<figure><figcaption>{what}</figcaption><canvas role='img' width='{width}' height='{height}' "
         f"aria-label='{escape(clip.name)}: {what}'></canvas></figure>"
@@ -125,8 +129,8 @@ def _controls(clip: Clip, seeds: list[int]) -> str:
     )
 
 
-def _frames(folder: Path, clip: Clip) -> list[str]:
-    """Return the frames of a clip as JPEG data URIs; none when the folder has no such clip."""
+def _pictures(folder: Path, clip: Clip) -> list[ByteArray]:
+    """Read the frames of a clip, (H, W) gray; none when the folder has no such clip."""
     from kt3dmoseg.io.images import frame_paths, read_frame
 
     place = folder / clip.name
@@ -137,15 +141,14 @@ def _frames(folder: Path, clip: Clip) -> list[str]:
         raise InputFileError(
             f"{place}", expected=f"{clip.n_frames} frames, as the clip has", found=f"{len(paths)}"
         )
-    return [_jpeg(read_frame(path, colour="luma")) for path in paths]
+    return [read_frame(path, colour="luma") for path in paths]
 
 
-def _jpeg(picture: npt.NDArray[Any]) -> str:
+def _jpeg(picture: ByteArray) -> str:
     import cv2
 
     height, width = picture.shape
-    if width > _MAX_WIDTH:
-        size = (_MAX_WIDTH, round(height * _MAX_WIDTH / width))
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    _, content = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    size = (_MAX_WIDTH, round(height * _MAX_WIDTH / width))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if width > _MAX_WIDTH else picture
+    _, content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode()

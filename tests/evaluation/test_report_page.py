@@ -1,6 +1,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -97,6 +98,11 @@ def test_frames_are_inside(submission, tmp_path):
     for payload in payloads(path.read_text()):
         assert len(payload["frames"]) == 10
         assert all(f.startswith("data:image/jpeg;base64,") for f in payload["frames"])
+    clips = {
+        name: replace(clip, dense=replace(clip.dense, image_size=None)) for name, clip in CLIPS.items()
+    }  # as in the release of 2018: then the pictures tell the size
+    (path,) = write_report(submission, clips, tmp_path / "r.html", frames=tmp_path / "f")
+    assert [(p["width"], p["height"]) for p in payloads(path.read_text())] == [(320, 240)] * 2
     with pytest.raises(InputFileError, match="a folder of pictures per clip"):
         write_report(submission, CLIPS, tmp_path / "r.html", frames=tmp_path / "nowhere")
     with pytest.raises(InputFileError, match="10 frames"):
