@@ -5,6 +5,8 @@ Every message is one line that says where, what was expected, what was found and
 
 from __future__ import annotations
 
+_LONGEST = 1000
+
 
 class KT3DMoSegError(Exception):
     """Root of all errors raised on purpose by kt3dmoseg and mseg.
@@ -20,6 +22,7 @@ class KT3DMoSegError(Exception):
     exit_code = 2
 
     def __init__(self, where: str, *, expected: str = "", found: str = "", fix: str = "") -> None:
+        found = found if len(found) <= _LONGEST else f"{found[:_LONGEST]} ..."  # what a damaged file holds
         self.where, self.expected, self.found, self.fix = where, expected, found, fix
         detail = ", ".join(
             f"{word} {value}" for word, value in (("expected", expected), ("found", found)) if value

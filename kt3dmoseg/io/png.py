@@ -20,7 +20,7 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GRAY, PALETTE = 0, 3
 _CHANNELS = {GRAY: 1, 2: 3, PALETTE: 1, 4: 2, 6: 4}
 _DEPTHS = {GRAY: (1, 2, 4, 8, 16), 2: (8, 16), PALETTE: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-_MAX_PIXELS = 1 << 26
+MAX_PIXELS = 1 << 26
 _DEFLATE_RATIO = 1032  # the most that deflate packs
 _BLOCK = 1 << 20
 _LAST_FILTER = 4
@@ -70,8 +70,8 @@ def read_header(content: bytes, where: str) -> Header:
     if not (width and height and known):
         raise _damage(where, f"a header of {width}x{height}, {bits} bits, colour type {colour}")
     header = Header(width, height, bits, colour, bool(interlace))
-    if width * height > _MAX_PIXELS or _raw_size(header) > _DEFLATE_RATIO * len(content):
-        most = min(_MAX_PIXELS, _DEFLATE_RATIO * len(content))
+    if width * height > MAX_PIXELS or _raw_size(header) > _DEFLATE_RATIO * len(content):
+        most = min(MAX_PIXELS, _DEFLATE_RATIO * len(content))
         raise FileFormatError(
             where,
             expected=f"a picture of at most {most} pixels in {len(content)} bytes",

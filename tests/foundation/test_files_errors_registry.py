@@ -86,3 +86,9 @@ def test_registry_lists_without_importing_and_names_the_nearest():
         registry.load("jsno")
     with pytest.raises(errors.UnknownNameError, match="known: json, broken"):
         registry.load("zzz")
+
+
+def test_what_was_found_is_cut_when_it_is_endless():
+    error = errors.FileFormatError("a.mat", expected="numbers", found="x" * 100_000, fix="do this")
+    assert len(str(error)) < 1100
+    assert str(error).endswith("x ...; do this")

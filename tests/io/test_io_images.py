@@ -132,6 +132,15 @@ def test_a_png_that_contradicts_itself(fields, words, tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_huge_jpeg_is_not_decoded(tmp_path):
+    cv2.imwrite(str(tmp_path / "1.jpg"), np.zeros((16, 16), np.uint8))
+    content = (tmp_path / "1.jpg").read_bytes()
+    at = content.index(b"\xff\xc0") + 5
+    (tmp_path / "1.jpg").write_bytes(content[:at] + b"\x3b\x67\x67\x6f" + content[at + 4 :])
+    with pytest.raises(FileFormatError, match="at most 67108864 pixels, found 26479x15207"):
+        read_frame(tmp_path / "1.jpg")
+
+
 def test_an_interlaced_png_is_read(tmp_path):
     # Rows of the passes of Adam7, each with its filter byte: 2 + 2 + 0 + 2 + 4 + 2 * 4 + 2 * 7.
     (tmp_path / "1.png").write_bytes(_png(interlace=1, pixels=bytes(32)))
