@@ -42,7 +42,7 @@ class VariationalPyramid:
     iterations: int = option(5, "fixed-point iterations at each level", low=1, high=100)
     relaxations: int = option(3, "SOR sweeps in each fixed-point iteration", low=1, high=100)
     reach: tuple[int, ...] = option(
-        (5, 10), "distances in pixels at which other motions are tried before the last level; none: empty"
+        (5, 10), "distances in pixels at which other motions are tried before the last level"
     )
     share: float = option(
         0.85,
