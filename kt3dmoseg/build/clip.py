@@ -167,14 +167,41 @@ def label_source(
     masks : path or None
         A folder of masks, or of one such folder per clip.
     """
-    for given, what in ((annotation, "annotations"), (masks, "masks")):
-        if given is not None and not Path(given).exists():
-            raise InputFileError(f"{given}", expected=what, found="no such file or folder")
+    _check_places(annotation, masks)
     if annotation is not None:
         file = Path(annotation) / f"{name}.json" if Path(annotation).is_dir() else Path(annotation)
         if file.is_file():
             return LabelSource(annotation=file)
     return LabelSource(masks=tuple(mask_paths(masks, name)) if masks is not None else ())
+
+
+def check_usage(
+    settings: Settings, annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
+) -> None:
+    """Find what is wrong for every clip alike, before the first one is read.
+
+    Parameters
+    ----------
+    settings : Settings
+        Names the flow backend and its parameters.
+    annotation, masks : path or None
+        As in `label_source`.
+
+    Raises
+    ------
+    UnknownNameError, InvalidValueError, MissingDependencyError
+        For a flow backend that cannot be made.
+    InputFileError
+        When there are no annotations or masks at the place.
+    """
+    create(settings.build.flow, **settings.flow_parameters)
+    _check_places(annotation, masks)
+
+
+def _check_places(annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None) -> None:
+    for given, what in ((annotation, "annotations"), (masks, "masks")):
+        if given is not None and not Path(given).exists():
+            raise InputFileError(f"{given}", expected=what, found="no such file or folder")
 
 
 def _only(path: str | os.PathLike[str]) -> Source:

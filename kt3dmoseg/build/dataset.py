@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-from kt3dmoseg.build.clip import label_source, prepare
+from kt3dmoseg.build.clip import check_usage, label_source, prepare
 from kt3dmoseg.build.fingerprint import why_build
 from kt3dmoseg.build.options import Settings
 from kt3dmoseg.build.shot import Source
@@ -111,13 +111,15 @@ def build_dataset(
     Raises
     ------
     InputFileError
-        When `frames` holds nothing, or `output` cannot be written or is being built by another process.
+        When `frames` holds nothing, `annotations` or `masks` do not exist, or `output` cannot be written
+        or is being built by another process.
     InvalidValueError, UnknownNameError
         For a bad option.
     """
     settings = Settings.of(options, dict(flow_parameters or {}))
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     _check_names(sources)
+    check_usage(settings, annotations, masks)
     count = _worker_count(workers, len(sources))
     with _sole_writer(Path(output)) as folder:
         shared = (folder, _path(annotations), _path(masks), settings, _path(cache), force)

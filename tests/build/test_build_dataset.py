@@ -92,6 +92,24 @@ def test_a_bad_clip_does_not_stop_the_others(frames, tmp_path, capsys):
     assert "2 built, 0 up to date, 1 failed" in told.out
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (["--flow", "dsi"], "unknown flow 'dsi'"),
+        (["--set", "alfa=3"], "alfa"),
+        (["--annotations", "nowhere"], "nowhere: expected annotations"),
+        (["--masks", "nowhere"], "nowhere: expected masks"),
+    ],
+)
+def test_what_is_wrong_for_all_clips_is_told_once_before_the_first(wrong, words, frames, tmp_path, capsys):
+    assert main(["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW, *wrong]) == 2
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    assert words in told.err
+    assert "failed" not in told.err + told.out
+    assert not (tmp_path / "out").exists()
+
+
 def _colour(folder):
     picture = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     picture[..., 2] = 90
