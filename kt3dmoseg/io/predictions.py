@@ -6,6 +6,7 @@ Scoring reads them in mseg, which reports every fault; here the first one stops.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from kt3dmoseg.types import Clip, IntArray
 
 _MAX_FILE = 1 << 27
 _HEADER = "track,label"
+_ROW = re.compile(r"\s*(-?[0-9]{1,18})\s*,\s*(-?[0-9]{1,18})\s*")  # 18 digits fit into 64 bits
 
 
 def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
@@ -53,12 +55,11 @@ def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
     if len(track) != len(label) or len(np.unique(track)) != len(track):
         raise FileFormatError(where, expected="one label for each track", found=f"{len(track)}, {len(label)}")
     wanted = clip.dense.track_id[clip.evaluated]
-    missing = np.setdiff1d(wanted, track)
-    if len(missing):
+    if len(other := np.setxor1d(wanted, track)):
         raise FileFormatError(
             where,
             expected=f"labels of the {len(wanted)} evaluated tracks of {clip.name}",
-            found=f"none of track {missing[0]}",
+            found=f"{'none' if other[0] in wanted else 'one'} of track {other[0]}",
             fix="give the prediction of this very clip",
         )
     order = np.argsort(track)
@@ -66,14 +67,19 @@ def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
 
 
 def _csv(where: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    lines = read_bytes(where, _MAX_FILE).decode("utf-8-sig", errors="replace").split()
-    if not lines or lines[0] != _HEADER:
+    lines = read_bytes(where, _MAX_FILE).decode("utf-8-sig", errors="replace").splitlines()
+    if not lines or lines[0].strip() != _HEADER:
         raise FileFormatError(where, expected=f"the header {_HEADER}", found=repr("".join(lines[:1])[:40]))
-    try:
-        rows = np.array([line.split(",") for line in lines[1:]], dtype=np.int64).reshape(-1, 2)
-    except (ValueError, OverflowError) as error:
-        raise FileFormatError(where, expected="rows of two whole numbers", found=str(error)) from None
-    return rows[:, 0], rows[:, 1]
+    numbered = ((number, line) for number, line in enumerate(lines[1:], start=2) if line.strip())
+    rows = np.array([_row(line, f"{where}: line {number}") for number, line in numbered], dtype=np.int64)
+    return rows.reshape(-1, 2)[:, 0], rows.reshape(-1, 2)[:, 1]
+
+
+def _row(line: str, where: str) -> tuple[int, int]:
+    found = _ROW.fullmatch(line)
+    if found is None:
+        raise FileFormatError(where, expected="two whole numbers", found=repr(line[:40]))
+    return int(found[1]), int(found[2])
 
 
 def _npz(where: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

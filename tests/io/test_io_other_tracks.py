@@ -113,7 +113,7 @@ def _write(path, track, label):
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5"])
 def test_predictions_are_joined_by_id(suffix, tmp_path):
     path = tmp_path / f"tiny{suffix}"
-    _write(path, np.array([5, 3, 2, 0, 77]), np.array([50, 30, 20, 1, 9]))
+    _write(path, np.array([5, 3, 2, 0]), np.array([50, 30, 20, 1]))
     assert read_prediction(path, small_clip()).tolist() == [1, 20, 50, 30]
 
 
@@ -121,8 +121,19 @@ def test_predictions_of_another_clip_are_refused(tmp_path):
     _write(tmp_path / "a.csv", [0, 2, 5], [1, 1, 1])
     with pytest.raises(FileFormatError, match="found none of track 3; give the prediction of this very clip"):
         read_prediction(tmp_path / "a.csv", small_clip())
+    _write(tmp_path / "a.csv", [0, 2, 3, 5, 77], [1, 1, 1, 1, 1])
+    with pytest.raises(FileFormatError, match="4 evaluated tracks of tiny, found one of track 77; give the"):
+        read_prediction(tmp_path / "a.csv", small_clip())
     (tmp_path / "b.csv").write_text("1\n2\n")
     with pytest.raises(FileFormatError, match="header track,label"):
         read_prediction(tmp_path / "b.csv", small_clip())
     with pytest.raises(InvalidValueError, match="suffix"):
         read_prediction(tmp_path / "b.txt", small_clip())
+
+
+@pytest.mark.parametrize("row", ["2,nan", "2", "2,1,1", "2,1.5", "2," + 30 * "9", "1_0,2"])
+def test_a_bad_row_of_a_prediction_is_told_with_its_line(row, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"track,label\n0,1\n\n{row}\n")
+    with pytest.raises(FileFormatError, match=f"line 4: expected two whole numbers, found '{row}'"):
+        read_prediction(path, small_clip())
