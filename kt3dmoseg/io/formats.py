@@ -167,7 +167,7 @@ def _single_file(path: Path) -> Path:
             f"{path}",
             expected="one clip",
             found=f"a folder with {len(files)} of them",
-            fix="load_dataset reads a folder of clips",
+            fix=f"give one, e.g. {files[0]}; load_dataset reads them all" if files else "",
         )
     return files[0]
 

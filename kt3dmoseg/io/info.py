@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from kt3dmoseg.types import Clip, Trajectories
 
 _FLOW_STARTS = (b"PIEH", b"\x93NUMPY")
 _PICTURE_LIMIT = 1 << 28
-_LONG = 100
+_LONG = 100  # characters of one value of the provenance
+_LINE = 110
 
 
 def info(path: str | os.PathLike[str]) -> str:
@@ -92,10 +94,8 @@ def _clip(clip: Clip, format: str) -> str:
         )
     if clip.timestamps is not None and clip.n_frames:
         rows.append(("time", f"{clip.timestamps[0]:.3f} s to {clip.timestamps[-1]:.3f} s"))
-    rows += [(f"provenance {key}", value) for key, value in _flat(clip.provenance, 2)]
-    width = max(len(name) for name, _ in rows)
-    text = "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
-    return f"{text}\n\n{_motions(clip)}" if clip.n_motions else text
+    motions = _motions(clip) if clip.n_motions else ""
+    return "\n\n".join(part for part in (_entries(rows), motions, _provenance(clip.provenance)) if part)
 
 
 def _motions(clip: Clip) -> str:
@@ -198,11 +198,30 @@ def _size(size: tuple[int, int] | None) -> str:
     return "unknown" if size is None else f"{size[0]}x{size[1]}"
 
 
-def _flat(values: Mapping[str, Any], levels: int) -> Iterator[tuple[str, str]]:
-    """Give the entries as texts; the first levels of nested ones under joined names."""
+def _entries(rows: Sequence[tuple[str, str]]) -> str:
+    """Lay out names and texts; a long text goes on below itself."""
+    width = max((len(name) for name, _ in rows), default=0) + 2
+    wrapper = textwrap.TextWrapper(_LINE, break_long_words=False, break_on_hyphens=False)
+    wrapper.subsequent_indent = " " * width
+    lines = []
+    for name, text in rows:
+        wrapper.initial_indent = f"{name:<{width}}"
+        lines.append(wrapper.fill(text))
+    return "\n".join(lines)
+
+
+def _provenance(values: Mapping[str, Any]) -> str:
+    rows: list[tuple[str, str]] = []
     for key, value in values.items():
-        if isinstance(value, Mapping) and levels > 0:
-            yield from ((f"{key}.{inner}", text) for inner, text in _flat(value, levels - 1))
-        else:
-            text = str(value)
-            yield key, text if len(text) <= _LONG else text[: _LONG - 3] + "..."
+        inner = value if isinstance(value, Mapping) and value else {"": value}
+        rows += [(f"provenance {key} {name}".rstrip(), _text(part)) for name, part in inner.items()]
+    return _entries(rows)
+
+
+def _text(value: object, levels: int = 2) -> str:
+    if isinstance(value, Mapping) and value and levels:
+        return ", ".join(f"{key} {_text(inner, levels - 1)}" for key, inner in value.items())
+    text = str(value)
+    if text in ("", "{}"):
+        return "none"
+    return text if len(text) <= _LONG else text[: _LONG - 3] + "..."

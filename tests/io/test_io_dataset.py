@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -70,6 +72,19 @@ def test_info_of_a_clip(tmp_path, capsys):
     words = capsys.readouterr().out.split()
     for expected in ("tiny", "hdf5", "64x48", "7..11", "car", "background", "provenance", "0.400"):
         assert expected in words
+
+
+def test_info_tells_the_motions_before_where_the_clip_comes_from(tmp_path):
+    options = {f"option_{k}": k for k in range(30)}
+    origin = {"format": "build", "fingerprint": {"options": options, "labels": {}, "code": "e72f"}}
+    save(dataclasses.replace(small_clip(), provenance=origin), tmp_path / "tiny.h5")
+    lines = info(tmp_path / "tiny.h5").splitlines()
+    starts = [line.partition("  ")[0] for line in lines]
+    assert starts.index("motions") < starts.index("motion") < starts.index("provenance fingerprint code")
+    assert sum("options" in line for line in lines) == 1
+    assert "option_0 0, option_1 1, " in " ".join(lines)
+    assert [line.split()[-1] for line in lines if "labels" in line] == ["none"]
+    assert max(map(len, lines)) <= 110
 
 
 def test_info_of_a_folder_counts(tmp_path):

@@ -122,7 +122,7 @@ def test_a_folder_of_one_clip_loads_and_one_of_two_does_not(tmp_path):
     save(small_clip(), tmp_path / "a.h5")
     assert load(tmp_path).name == "tiny"
     save(small_clip(), tmp_path / "b.h5")
-    with pytest.raises(InputFileError, match="load_dataset"):
+    with pytest.raises(InputFileError, match=r"give one, e.g. .*a\.h5; load_dataset reads them all"):
         load(tmp_path)
 
 
