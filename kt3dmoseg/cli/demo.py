@@ -17,7 +17,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="FOLDER", default="demo-out", help="folder (default: %(default)s)"
     )
-    add_arguments(parser, DemoOptions)
+    add_arguments(parser, DemoOptions, skip=["methods"])
+    usual = " ".join(DemoOptions.methods)
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        default=argparse.SUPPRESS,
+        help=f"names of mseg.methods.list() (default: {usual})",
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -25,6 +33,8 @@ def run(arguments: argparse.Namespace) -> None:
     from kt3dmoseg.demo import DemoOptions, run_demo
     from kt3dmoseg.options import from_namespace
 
+    if hasattr(arguments, "methods"):  # words, with or without commas
+        arguments.methods = " ".join(arguments.methods).replace(",", " ").split()
     run_demo(arguments.output, from_namespace(DemoOptions, arguments), tell=_print)
 
 

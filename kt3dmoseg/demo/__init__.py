@@ -18,7 +18,7 @@ import numpy as np
 from kt3dmoseg.annotate import save_annotation
 from kt3dmoseg.build import build_dataset, find_sources
 from kt3dmoseg.demo.outlines import annotation_of
-from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import write_text
 from kt3dmoseg.io import load
 from kt3dmoseg.options import option
@@ -39,9 +39,7 @@ class DemoOptions:
     width: int = option(828, "image width in pixels", low=64, high=4096)
     height: int = option(250, "image height in pixels", low=32, high=4096)
     frames: int = option(12, "frames per drive", low=6, high=200)
-    methods: tuple[str, ...] = option(
-        ("one_motion", "keradd", "subset"), "names of mseg.methods.list(), separated by commas"
-    )
+    methods: tuple[str, ...] = option(("one_motion", "keradd", "subset"), "names of mseg.methods.list()")
     runs: int = option(2, "runs per method, with different seeds", low=1, high=100)
 
 
@@ -102,12 +100,14 @@ def run_demo(
     ------
     InputFileError
         When the folder cannot be written or holds something else.
-    UnknownNameError
-        For an unknown method.
+    InvalidValueError, UnknownNameError
+        For no method, or an unknown one.
     """
     from mseg import methods
 
     demo = Demo(Path(output), options or DemoOptions(), tell)
+    if not demo.options.methods:
+        raise InvalidValueError("methods", expected="at least one name", found="none")
     for name in demo.options.methods:
         methods.create(name)
     _claim(demo.folder)
@@ -261,6 +261,8 @@ def _report(demo: Demo, submissions: dict[str, Path]) -> dict[str, Path]:
 
 def _claim(folder: Path) -> None:
     """Make sure that nothing but a former demo is replaced."""
+    if folder.exists() and not folder.is_dir():
+        raise InputFileError(f"{folder}", expected="a folder", found="a file", fix="choose another")
     if folder.exists() and not (folder / _MARKER).exists() and any(folder.iterdir()):
         raise InputFileError(
             f"{folder}",

@@ -77,6 +77,28 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path, capsys):
     assert (tmp_path / "frames" / "mine.png").read_bytes() == b"mine"
 
 
+def test_a_file_in_place_of_the_folder_is_one_line(tmp_path, capsys):
+    (tmp_path / "file.txt").write_text("mine")
+    assert cli.main(["demo", "-o", str(tmp_path / "file.txt")]) == 2
+    told = capsys.readouterr().err
+    assert told == f"kt3dmoseg: {tmp_path}/file.txt: expected a folder, found a file; choose another\n"
+    assert (tmp_path / "file.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("given", ["one_motion keradd", "one_motion,keradd", "one_motion, keradd"])
+def test_methods_are_words_or_have_commas(given, monkeypatch):
+    runs = []
+    monkeypatch.setattr("kt3dmoseg.demo.run_demo", lambda _, options, **__: runs.append(options.methods))
+    assert cli.main(["demo", "--methods", *given.split(), "--runs", "1"]) == 0
+    assert runs == [("one_motion", "keradd")]
+
+
+def test_no_method_is_one_line(tmp_path, capsys):
+    assert cli.main(["demo", "-o", str(tmp_path / "out"), "--methods", ","]) == 2
+    assert capsys.readouterr().err == "kt3dmoseg: methods: expected at least one name, found none\n"
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_unknown_method_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(UnknownNameError, match="keradd"):
         run_demo(tmp_path / "out", DemoOptions(methods=("keradd2",)))
