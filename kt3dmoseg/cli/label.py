@@ -19,24 +19,38 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("clip", type=Path, metavar="CLIP", help="frames, a clip file, or a folder of them")
     parser.add_argument(
-        "--frames", type=Path, help="frames of a clip file, or a folder with those of all clips"
+        "--frames",
+        type=Path,
+        metavar="FOLDER",
+        help="frames of a clip file, or a folder with those of all clips",
     )
-    parser.add_argument("--tracks", type=Path, help="clip file or folder of them with trajectories to show")
+    parser.add_argument(
+        "--tracks", type=Path, metavar="PATH", help="clip file or folder of them with trajectories to show"
+    )
     parser.add_argument(
         "--annotations",
         type=Path,
+        metavar="FOLDER",
         default=Path("annotations"),
         help="where <clip>.json are (default: annotations)",
     )
-    parser.add_argument("--annotator", default="", help="name written into what is saved")
-    parser.add_argument("--compare", type=Path, help="folder of another annotator's annotations")
-    parser.add_argument("--masks", type=Path, help="folder of masks to propose regions from")
-    parser.add_argument("--kitti", type=Path, help="KITTI raw root to propose regions from tracklets")
+    parser.add_argument("--annotator", default="", metavar="NAME", help="name written into what is saved")
     parser.add_argument(
-        "--flow", default="dis", help="flow that computes missing trajectories (default: dis)"
+        "--compare", type=Path, metavar="FOLDER", help="folder of another annotator's annotations"
+    )
+    parser.add_argument(
+        "--masks", type=Path, metavar="FOLDER", help="folder of masks to propose regions from"
+    )
+    parser.add_argument(
+        "--kitti", type=Path, metavar="FOLDER", help="KITTI raw root to propose regions from tracklets"
+    )
+    parser.add_argument(
+        "--flow", default="dis", metavar="NAME", help="flow that computes missing trajectories (default: dis)"
     )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
-    parser.add_argument("--port", type=int, default=0, help="port to listen on (default: a free one)")
+    parser.add_argument(
+        "--port", type=int, default=0, metavar="N", help="port to listen on (default: a free one)"
+    )
     parser.add_argument("--no-browser", action="store_true", help="print the address, open no browser")
 
 
@@ -47,6 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     from kt3dmoseg.annotate.server.serve import serve
     from kt3dmoseg.annotate.workspace import find_clips
 
+    _check(arguments)
     clips = find_clips(
         arguments.clip,
         annotations=arguments.annotations,
@@ -61,9 +76,22 @@ def run(arguments: argparse.Namespace) -> int:
         masks=arguments.masks,
         kitti=arguments.kitti,
     )
-    print(f"{len(clips)} clip{'s' * (len(clips) > 1)}; annotations in {arguments.annotations.resolve()}")
-    serve(routes, host=arguments.host, port=arguments.port, ready=_announce(not arguments.no_browser))
+    found = f"{len(clips)} clip{'s' * (len(clips) > 1)}; annotations in {arguments.annotations.resolve()}"
+    ready = _announce(found, browse=not arguments.no_browser)
+    serve(routes, host=arguments.host, port=arguments.port, ready=ready)
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Find what would only be missed later, on the page, or not at all."""
+    from kt3dmoseg.errors import InputFileError
+    from kt3dmoseg.flow import create
+
+    create(arguments.flow)
+    for name in ("frames", "tracks", "compare", "masks", "kitti"):
+        place: Path | None = getattr(arguments, name)
+        if place is not None and not place.exists():
+            raise InputFileError(f"--{name} {place}", found="no such file or folder")
 
 
 def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]:
@@ -75,8 +103,9 @@ def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | N
     return work
 
 
-def _announce(browse: bool) -> Callable[[str], None]:
+def _announce(found: str, *, browse: bool) -> Callable[[str], None]:
     def ready(address: str) -> None:
+        print(found)
         print(f"label at {address}  (Ctrl-C stops)", flush=True)
         if browse:
             import webbrowser

@@ -1,0 +1,50 @@
+"""What `kt3dmoseg label` refuses, before it says anything."""
+
+from __future__ import annotations
+
+import socket
+
+import cv2
+import numpy as np
+import pytest
+
+from kt3dmoseg.cli import main
+
+
+@pytest.fixture
+def frames(tmp_path):
+    (tmp_path / "clip").mkdir()
+    for k in (1, 2):
+        cv2.imwrite(str(tmp_path / f"clip/{k:06d}.png"), np.zeros((48, 64), np.uint8))
+    return tmp_path / "clip"
+
+
+def refused(arguments, capsys):
+    assert main(["label", *map(str, arguments), "--no-browser"]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.count("\n") == 1
+    return told.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--port", "99999999"], "--port: expected 0 to 65535, found 99999999"),
+        (["--frames", "nowhere"], "--frames nowhere: found no such file or folder"),
+        (["--frames", "nowhere", "--port", "99999999"], "--frames nowhere"),
+        (["--tracks", "nowhere"], "--tracks nowhere"),
+        (["--compare", "nowhere"], "--compare nowhere"),
+        (["--masks", "nowhere"], "--masks nowhere"),
+        (["--kitti", "nowhere"], "--kitti nowhere"),
+        (["--flow", "dsi"], "unknown flow 'dsi'"),
+    ],
+)
+def test_a_wrong_argument_is_all_that_is_told(arguments, words, frames, capsys):
+    assert words in refused([frames, *arguments], capsys)
+
+
+def test_a_port_in_use_is_told_before_the_clips(frames, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert f"127.0.0.1:{port}: cannot listen" in refused([frames, "--port", port], capsys)
