@@ -1,6 +1,6 @@
 """Frames to dataset files: track, label, subsample; one HDF5 file per clip.
 
-FRAMES is a folder with one folder of frames per clip, the frames of one clip, a video file, or a
+PATH is a folder with one folder of frames per clip, the frames of one clip, a video file, or a
 KITTI raw root: the clips that pull or locate noted in its located.toml, else one clip per drive, or one
 of your choice with --date, --drive, --camera and --range. Clips whose file is up to date are skipped; an
 interrupted build is finished by the same command. Exit code 2 when a clip failed, after the others are
@@ -26,14 +26,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from kt3dmoseg.options import add_arguments
     from kt3dmoseg.tracks.options import TrackOptions
 
-    parser.add_argument("--frames", required=True, help="clips, one clip, a video or a KITTI raw root")
-    parser.add_argument("-o", "--output", metavar="OUT", required=True, help="folder of the files CLIP.h5")
+    parser.add_argument(
+        "--frames", required=True, metavar="PATH", help="clips, one clip, a video or a KITTI raw root"
+    )
+    parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder of the files CLIP.h5")
     parser.add_argument(
         "--annotations",
-        metavar="DIR",
-        help=f"labels: DIR/CLIP.json (default: ./{_ANNOTATIONS} when it exists; 'none' for no labels)",
+        metavar="FOLDER",
+        help=f"labels: FOLDER/CLIP.json (default: ./{_ANNOTATIONS} when it exists; 'none' for no labels)",
     )
-    parser.add_argument("--masks", metavar="DIR", help="labels: DIR/CLIP/*.png, DAVIS indexed or KITTI MOTS")
+    parser.add_argument(
+        "--masks", metavar="FOLDER", help="labels: FOLDER/CLIP/*.png, DAVIS indexed or KITTI MOTS"
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--force", action="store_true", help="build also what is up to date")
     parser.add_argument(
@@ -74,6 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     built = sum(outcome.status == "built" for outcome in outcomes)
+    _warn_of_empty(outcomes, getattr(arguments, "min_length", TrackOptions.min_length))
     print(f"{built} built, {len(outcomes) - built - failed} up to date, {failed} failed: {arguments.output}")
     return _FAILED if failed else 0
 
@@ -98,6 +103,19 @@ def _annotations(given: str | None) -> str | None:
     if given is None:
         return _ANNOTATIONS if Path(_ANNOTATIONS).is_dir() else None
     return None if given == "none" else given
+
+
+def _warn_of_empty(outcomes: list[Outcome], min_length: int | str) -> None:
+    import sys
+
+    empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
+    if empty:
+        names = ", ".join(f"{outcome.name} ({outcome.counts['frames']} frames)" for outcome in empty)
+        print(
+            f"kt3dmoseg: warning: no trajectories in {names}; a track must live --min-length {min_length} "
+            "frames, and starts only where the picture has structure",
+            file=sys.stderr,
+        )
 
 
 class _Bars:

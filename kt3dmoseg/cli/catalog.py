@@ -21,18 +21,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="{list,add,check}")
     listing = verbs.add_parser("list", help="print the clips")
     listing.add_argument(
-        "--catalog", action="append", default=[], help="a catalog of your own; may be repeated"
+        "--catalog",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a catalog of your own; may be repeated",
     )
     check = verbs.add_parser("check", help="print every problem of catalogs")
-    check.add_argument("catalogs", nargs="*", metavar="CATALOG", help="files (default: the built-in one)")
+    check.add_argument("catalogs", nargs="*", metavar="FILE", help="files (default: the built-in one)")
     add = verbs.add_parser("add", help="add a clip to a catalog of your own")
-    add.add_argument("name", metavar="NAME")
-    add.add_argument("--catalog", required=True, help="the file to add to; made when missing")
+    add.add_argument("name", metavar="NAME", help="name of the clip")
+    add.add_argument("--catalog", required=True, metavar="FILE", help="the file to add to; made when missing")
     add.add_argument("--date", required=True, help="day of the drive, 2011_09_26")
     add.add_argument("--drive", required=True, help="number of the drive")
     add.add_argument("--camera", default="0", help="0 gray left, 1 gray right, 2 colour left, 3 colour right")
     add.add_argument("--numbers", help="frame numbers, 40-59 or 40-59,80")
-    add.add_argument("--frames", type=Path, help="folder with the clip's PNG files, to locate them by")
+    add.add_argument(
+        "--frames", type=Path, metavar="FOLDER", help="folder with the clip's PNG files, to locate them by"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

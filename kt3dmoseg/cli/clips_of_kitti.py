@@ -12,10 +12,19 @@ def add_arguments(parser: argparse.ArgumentParser, cls: type, output: str) -> No
     """Add clips, folder and catalogs, and the fields of an options class; `output` is the folder's help."""
     parser.add_argument("clips", nargs="*", metavar="CLIP", help="clips of the catalog (default: all)")
     parser.add_argument(
-        "-o", "--output", "--root", default="kitti_raw", help=f"{output} (default: kitti_raw)"
+        "-o",
+        "--output",
+        "--root",
+        metavar="FOLDER",
+        default="kitti_raw",
+        help=f"{output} (default: kitti_raw)",
     )
     parser.add_argument(
-        "--catalog", action="append", default=[], help="a catalog of your own; may be repeated"
+        "--catalog",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a catalog of your own; may be repeated",
     )
     options.add_arguments(parser, cls)
 

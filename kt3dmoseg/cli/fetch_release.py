@@ -12,8 +12,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``kt3dmoseg fetch-release``."""
     help_names = "kt3dmoseg (default), hopkins155, hopkins12, mtpv62"
     parser.add_argument("names", nargs="*", metavar="NAME", default=["kt3dmoseg"], help=help_names)
-    parser.add_argument("-o", "--output", "--root", default="data", help="folder to fill (default: data)")
-    parser.add_argument("--mirror", help="address of a folder with the same files, one sub-folder per name")
+    parser.add_argument(
+        "-o", "--output", "--root", metavar="FOLDER", default="data", help="folder to fill (default: data)"
+    )
+    parser.add_argument(
+        "--mirror", metavar="URL", help="address of a folder with the same files, one sub-folder per name"
+    )
 
 
 def run(arguments: argparse.Namespace) -> None:

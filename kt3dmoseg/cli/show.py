@@ -1,6 +1,6 @@
 """Draw trajectories with their trails on the frames, as pictures or a short video.
 
-CLIP is any clip file. OUT is a folder (one PNG per frame), a single .png (of --at), or .mp4, .avi,
+CLIP is any clip file. PATH is a folder (one PNG per frame), a single .png (of --at), or .mp4, .avi,
 .gif, .apng, .webp.
 """
 
@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("clip", metavar="CLIP", help="clip file")
     parser.add_argument(
-        "-o", "--output", metavar="OUT", help="where to write (default: CLIP's name, a folder)"
+        "-o", "--output", metavar="PATH", help="where to write (default: CLIP's name, a folder)"
     )
     parser.add_argument(
         "--frames", metavar="FOLDER", help="frames, or a folder with FOLDER/CLIP; else on black"
@@ -105,4 +105,5 @@ def _write(clip: Clip, arguments: argparse.Namespace, drawn: Callable[[int], Byt
     else:
         for frame in chosen:
             write_png(output / f"{clip.name}_{frame + 1:06d}.png", drawn(frame))
-    return f"{output}: {clip.name}, {1 if output.suffix == '.png' else len(chosen)} pictures"
+    count = 1 if output.suffix == ".png" else len(chosen)
+    return f"{output}: {clip.name}, {count} picture{'s' * (count > 1)}"

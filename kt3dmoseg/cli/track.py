@@ -1,6 +1,6 @@
 """Dense point trajectories of a folder of frames.
 
-Writes every trajectory, unlabelled, in the format that the suffix of OUT names (.h5, .mat, .npz, .dat).
+Writes every trajectory, unlabelled, in the format that the suffix of FILE names (.h5, .mat, .npz, .dat).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from kt3dmoseg.tracks.options import TrackOptions
 
     parser.add_argument("frames", metavar="FRAMES", help="folder of gray frames")
-    parser.add_argument("-o", "--output", metavar="OUT", required=True, help="file to write")
+    parser.add_argument("-o", "--output", metavar="FILE", required=True, help="file to write")
     parser.add_argument("--flow", default="dis", metavar="NAME", help="optical flow (default: dis)")
     parser.add_argument(
         "--set",

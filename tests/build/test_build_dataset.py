@@ -110,6 +110,19 @@ def test_what_is_wrong_for_all_clips_is_told_once_before_the_first(wrong, words,
     assert not (tmp_path / "out").exists()
 
 
+def test_clips_without_a_trajectory_are_told_in_the_summary(tmp_path, capsys):
+    for name, count in (("long", FRAMES), ("short", 4), ("shorter", 3)):
+        write_clip(tmp_path / "frames" / name, frames=count)
+    command = ["build", "--frames", str(tmp_path / "frames"), "-o", str(tmp_path / "out"), *FLOW]
+    assert main([*command, "--workers", "1"]) == 0
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    assert "no trajectories in short (4 frames), shorter (3 frames); " in told.err
+    assert "--min-length 5 frames" in told.err
+    assert main([*command, "--workers", "1", "--min-length", "3"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def _colour(folder):
     picture = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     picture[..., 2] = 90

@@ -157,11 +157,18 @@ def test_a_full_disk_leaves_no_half_video(name, file, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["clip.h5"]
 
 
-def test_a_prediction_in_one_picture(file, tmp_path):
+def test_a_prediction_in_one_picture(file, tmp_path, capsys):
     (tmp_path / "pred.csv").write_text("track,label\n0,3\n1,3\n2,3\n")
     out = tmp_path / "one.png"
     assert main(["show", str(file), "--pred", str(tmp_path / "pred.csv"), "--at", "0", "-o", str(out)]) == 0
     assert tuple(cv2.imread(str(out))[58, 60, ::-1]) == label_colour(1)
+    assert capsys.readouterr().out == f"{out}: clip, 1 picture\n"
+
+
+def test_a_folder_of_clips_names_one_of_them(clip, file, tmp_path, capsys):
+    save(clip, tmp_path / "two.h5")
+    assert main(["show", str(tmp_path)]) == 2
+    assert f"found a folder with 2 of them; give one, e.g. {file}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -173,9 +180,12 @@ def test_a_prediction_in_one_picture(file, tmp_path):
         (["--frames", "nowhere"], "no such folder"),
         (["--rate", "0"], "above 0"),
         (["--scale", "99"], "scale"),
+        (["--pred", "other.csv"], "the 3 evaluated tracks of clip, found one of track 7"),
     ],
 )
-def test_what_cannot_be_shown(arguments, words, file, capsys):
+def test_what_cannot_be_shown(arguments, words, file, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "other.csv").write_text("track,label\n0,3\n1,3\n2,3\n7,3\n")
     assert main(["show", str(file), *arguments]) == 2
     told = capsys.readouterr().err
     assert words in told

@@ -1,0 +1,20 @@
+"""Paths have the same names in the help of every command: FOLDER, FILE, or PATH where either may stand."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from kt3dmoseg import cli
+
+PATHS = ("--output", "--annotations", "--masks", "--cache", "--pred", "--catalog", "--kitti")
+
+
+@pytest.mark.parametrize("command", sorted(cli.COMMANDS))
+def test_a_path_is_a_folder_a_file_or_either(command, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([command, "--help"])
+    found = re.findall(r"(--[a-z]+)[ =]([A-Z_]+)", capsys.readouterr().out)
+    shown = {name for flag, name in found if flag in PATHS}
+    assert shown <= {"FOLDER", "FILE", "PATH"}
