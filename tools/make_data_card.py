@@ -23,7 +23,7 @@ from kt3dmoseg.types import Clip
 LICENCE = "https://creativecommons.org/licenses/by-nc-sa/3.0/"
 ABOUT = (
     "Dense point trajectories and motion labels of 22 clips of 10 to 20 frames from KITTI raw, filmed "
-    "from a moving car: strong perspective, forward translation, 1 to 7 moving objects. Version 2: "
+    "from a moving car: strong perspective, forward translation, 1 to 6 moving objects. Version 2: "
     "trajectories and labels rebuilt from the frames with open tools; the data card says how it differs "
     "from the 2018 release."
 )
