@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ from kt3dmoseg.files import atomic_path, sha256_arrays
 from kt3dmoseg.types import Clip
 from mseg.benchmark.tasks import Configuration, Outcome
 from mseg.methods import create
+from mseg.source import source_hash
 
 _CODE = (
     "affinity",
@@ -59,16 +58,9 @@ def clip_hash(clip: Clip) -> str:
     return sha256_arrays(clip.dense.xy, clip.dense.visible, clip.evaluated, size, intrinsics)
 
 
-@cache
 def code_hash() -> str:
     """Hash of the source files that methods are made of."""
-    digest = hashlib.sha256()
-    for name in _CODE:
-        root = Path(str(files("mseg").joinpath(name)))
-        for path in [root] if root.is_file() else sorted(root.glob("**/*.py")):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    return source_hash(*_CODE)
 
 
 class Store:

@@ -13,12 +13,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from kt3dmoseg import __version__
 from kt3dmoseg.files import atomic_path
 from kt3dmoseg.types import Float32Array
+from mseg.source import source_hash
 
 # A fusion of three views at three gaps; at 1,000 points 4 MB each.
 _KEPT = 9
+# What the values of a kernel depend on.
+_CODE = ("affinity", "geometry", "sampling", "methods/views.py")
 _Entry: TypeAlias = tuple[Float32Array, float]
 
 
@@ -100,11 +102,12 @@ def remembered(parts: tuple[object, ...], make: Callable[[], Float32Array]) -> F
     Parameters
     ----------
     parts : tuple
-        Everything the kernel depends on, by its `repr`.
+        Everything the kernel depends on, by its `repr`, but the code, which is added here.
     make : callable
         Makes the kernel.
     """
     cache = _current.get()
     if cache is None:
         return make()
-    return cache.get(hashlib.sha256(repr((__version__, *parts)).encode()).hexdigest()[:40], make)
+    of = repr((source_hash(*_CODE), *parts))
+    return cache.get(hashlib.sha256(of.encode()).hexdigest()[:40], make)

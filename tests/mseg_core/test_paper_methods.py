@@ -146,6 +146,15 @@ def test_sweeps_do_not_sample_again(make_clip, tmp_path):
     assert len(list(tmp_path.glob("*.npz"))) == 6
 
 
+def test_kernels_of_other_code_are_not_taken(make_clip, tmp_path, monkeypatch):
+    clip = make_clip(points=20)
+    for source in ("the code of today", "a changed residual", "a changed residual"):
+        monkeypatch.setattr("mseg.methods.kernel_cache.source_hash", lambda *_, source=source: source)
+        with kernel_cache(tmp_path):
+            mseg.segment(clip, "affine", n_motions=2)
+    assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
 @pytest.mark.data
 def test_real_clip(data_root):
     """A clip that every view and fusion solves; others are a matter of docs/reproduction.md."""
