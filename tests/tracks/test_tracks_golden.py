@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,16 +24,21 @@ def folder(scene, tmp_path_factory):
     return write_drive(scene, tmp_path_factory.mktemp("drive")) / "image_00" / "data"
 
 
-def test_tracks_follow_the_truth(scene):
+def test_tracks_follow_the_truth():
+    # Three drives together: on one, a single track is more than half a percent.
+    errors = np.concatenate([_errors_at_five(make_scene(replace(OPTIONS, seed=seed))) for seed in (3, 4, 5)])
+    assert len(errors) > 400
+    assert np.median(errors) < 0.5
+    assert (errors < 2).mean() > 0.82
+
+
+def _errors_at_five(scene):
     tracks = kt3dmoseg.track(scene.frames())
     first = tracks.visible.argmax(axis=1)
     seeds = np.c_[tracks.xy[np.arange(len(tracks)), first], first]
     exact = scene.trajectories(seeds)
     rows = np.flatnonzero((first == 0) & tracks.visible[:, 5] & exact.visible[:, 5])
-    error = np.linalg.norm(tracks.xy[rows, 5] - exact.xy[rows, 5], axis=1)
-    assert len(rows) > 100
-    assert np.median(error) < 0.55
-    assert (error < 2).mean() > 0.8
+    return np.linalg.norm(tracks.xy[rows, 5] - exact.xy[rows, 5], axis=1)
 
 
 def test_translation_is_exact_to_a_few_hundredths():
