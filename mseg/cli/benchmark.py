@@ -22,13 +22,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help=f"methods (default: {' '.join(_PAPER)})",
     )  # fmt: skip
     parser.add_argument(
-        "--data", nargs="+", default=[], metavar="DIR",
+        "--data", nargs="+", default=[], metavar="FOLDER",
         help="folders of clips (default: the protocol's folder in $KT3DMOSEG_DATA or ../shared/data)",
     )  # fmt: skip
-    parser.add_argument("--cache", default=_CACHE, metavar="DIR", help=f"outcomes (default: {_CACHE})")
+    parser.add_argument("--cache", default=_CACHE, metavar="FOLDER", help=f"outcomes (default: {_CACHE})")
     parser.add_argument("--no-cache", action="store_true", help="run everything, keep nothing")
     parser.add_argument(
-        "--kernels", metavar="DIR", help="keep kernels there, for sweeps over alpha or fusion"
+        "--kernels", metavar="FOLDER", help="keep kernels there, for sweeps over alpha or fusion"
     )
     parser.add_argument("--json", metavar="FILE", help="also write everything as JSON")
     parser.add_argument("--markdown", action="store_true", help="print Markdown tables")

@@ -19,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "-o",
         "--output",
         default="example-submission",
-        metavar="OUT",
+        metavar="FOLDER",
         help="folder to write (default: %(default)s)",
     )
     parser.add_argument(
