@@ -162,7 +162,7 @@ def test_differences_of_two_annotators_are_visited_one_by_one(reviewer, equipped
     reviewer.until("labeller.state.compared.at === 1")
     button(reviewer, "Done").click()
     reviewer.until("labeller.state.compared === null")
-    assert not reviewer.tab.locator("#differences").is_visible()
+    reviewer.tab.locator("#differences").wait_for(state="hidden")  # drawn a moment after the state
 
 
 def test_what_is_in_conflict_is_shown_and_found(page):
