@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import pairwise
@@ -17,7 +16,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io import png
+from kt3dmoseg.io import jpeg, png
 from kt3dmoseg.types import ByteArray
 
 Colour: TypeAlias = Literal["refuse", "luma"]
@@ -26,7 +25,6 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tif
 _NUMBER = re.compile(r"(\d{1,18})\D*$")
 _MAX_FILE = 1 << 28
 _MIN_FRAMES = 2
-_JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _SILENT = 0  # OpenCV's LOG_LEVEL_SILENT
 
 
@@ -116,7 +114,7 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
     picture = None
     if png.is_png(content):
         content = png.sound(content, where)
-    _check_jpeg_size(content, where)
+    jpeg.check(content, where)
     if content:
         with quiet_opencv(), suppress(cv2.error):
             picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -126,19 +124,6 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
             where, expected="a picture", found=found, fix="the file is damaged; fetch it again"
         )
     return np.asarray(picture)
-
-
-def _check_jpeg_size(content: bytes, where: str) -> None:
-    """Refuse a JPEG whose frame header (ITU-T T.81, B.2.2) claims to be huge: a few bytes can."""
-    at = 2 if content.startswith(b"\xff\xd8") else len(content)
-    while at + 9 <= len(content) and content[at] == 0xFF:
-        if content[at + 1] in _JPEG_FRAMES:
-            height, width = struct.unpack(">HH", content[at + 5 : at + 9])
-            if height * width > png.MAX_PIXELS:
-                found = f"{width}x{height}"
-                raise FileFormatError(where, expected=f"at most {png.MAX_PIXELS} pixels", found=found)
-            return
-        at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
 
 
 @contextmanager

@@ -43,6 +43,8 @@ def write_png(path: str | os.PathLike[str], picture: ByteArray) -> None:
 def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float) -> None:
     """Write (H, W, 3) RGB pictures of one size as a video or animation, by the path's suffix.
 
+    A video of an odd height or width has its last row or column twice: the codecs need even sizes.
+
     Parameters
     ----------
     path : path
@@ -76,7 +78,7 @@ def _write_video(
 ) -> None:
     with _named(path, suffix) as temporary, quiet_opencv():
         writer, count = None, 0
-        for picture in pictures:
+        for picture in map(_even, pictures):
             if writer is None:
                 size = picture.shape[1], picture.shape[0]
                 writer = cv2.VideoWriter(os.fspath(temporary), _four_letters(_VIDEO[suffix]), rate, size)
@@ -87,6 +89,12 @@ def _write_video(
         if writer is not None:
             writer.release()
         _check_video(temporary, count, path)
+
+
+def _even(picture: ByteArray) -> ByteArray:
+    """Repeat the last row or column of an odd size: these codecs would drop it (4:2:0 chroma)."""
+    height, width = picture.shape[:2]
+    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
 def _check_video(written: Path, count: int, path: str | os.PathLike[str]) -> None:

@@ -23,6 +23,7 @@ from kt3dmoseg.draw import (
     label_colour,
 )
 from kt3dmoseg.io import save
+from kt3dmoseg.io.video import write_moving
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
 
@@ -124,6 +125,17 @@ def test_a_video(suffix, file, tmp_path):
     assert main(["show", str(file), "-o", str(path), "--by", "length"]) == 0
     video = cv2.VideoCapture(str(path))
     assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == FRAMES
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".avi"])
+def test_a_video_of_an_odd_size_keeps_its_last_row_and_column(suffix, tmp_path):
+    picture = np.zeros((HEIGHT - 1, WIDTH - 1, 3), dtype=np.uint8)
+    picture[-8:], picture[:, -8:] = 200, 200
+    write_moving(tmp_path / f"clip{suffix}", [picture] * 3, rate=5)
+    written = cv2.VideoCapture(str(tmp_path / f"clip{suffix}")).read()[1]
+    assert written.shape == (HEIGHT, WIDTH, 3)
+    assert written[-1].min() > 150
+    assert written[:, -1].min() > 150
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".gif", b"GIF8"), (".apng", b"\x89PNG"), (".webp", b"RIFF")])

@@ -132,6 +132,51 @@ def test_a_png_that_contradicts_itself(fields, words, tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def _jpeg(**settings):
+    picture = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (40, 60), dtype=np.uint8), (0, 0), 1)
+    flags = [value for name, number in settings.items() for value in (getattr(cv2, name), number)]
+    return bytes(cv2.imencode(".jpg", picture, flags)[1])
+
+
+_JPEGS = ({}, {"IMWRITE_JPEG_PROGRESSIVE": 1}, {"IMWRITE_JPEG_RST_INTERVAL": 2})
+
+
+@pytest.mark.parametrize("settings", _JPEGS)
+def test_a_jpeg_is_refused_wherever_it_is_cut_short(settings, tmp_path, capfd):
+    content = _jpeg(**settings)
+    for size in [*range(3, len(content), 41), len(content) - 1]:
+        # A download into a file of the final size leaves zeros.
+        for tail in (b"", bytes(len(content) - size)):
+            (tmp_path / "1.jpg").write_bytes(content[:size] + tail)
+            with pytest.raises(FileFormatError, match=r"1\.jpg: expected a whole JPEG, .*fetch it again"):
+                read_frame(tmp_path / "1.jpg")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("settings", _JPEGS)
+def test_a_whole_jpeg_is_read_with_what_cameras_add_to_it(settings, tmp_path):
+    content, preview = _jpeg(**settings), _jpeg()
+    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    metadata = b"Exif\0\0" + preview
+    segment = b"\xff\xff\xe1" + struct.pack(">H", 2 + len(metadata)) + metadata  # with a fill byte
+    (tmp_path / "1.jpg").write_bytes(content[:2] + segment + content[2:] + b"\xff\xd8 a film" + bytes(9))
+    np.testing.assert_array_equal(read_frame(tmp_path / "1.jpg"), pixels)
+    (tmp_path / "1.jpg").write_bytes(content[:2] + segment + content[2:-2])
+    with pytest.raises(FileFormatError, match="expected a whole JPEG"):
+        read_frame(tmp_path / "1.jpg")
+
+
+@pytest.mark.parametrize("suffix", [".bmp", ".pgm", ".tif", ".webp"])
+def test_pictures_without_checksums_are_refused_when_cut_short(suffix, tmp_path, capfd):
+    picture = np.random.default_rng(0).integers(0, 255, (40, 60), dtype=np.uint8)
+    content, path = bytes(cv2.imencode(suffix, picture)[1]), tmp_path / f"1{suffix}"
+    for size in [*range(1, len(content), len(content) // 20), len(content) - 5]:
+        path.write_bytes(content[:size])
+        with pytest.raises(FileFormatError, match=r"expected a picture, found .* bytes that are not"):
+            read_frame(path)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_huge_jpeg_is_not_decoded(tmp_path):
     cv2.imwrite(str(tmp_path / "1.jpg"), np.zeros((16, 16), np.uint8))
     content = (tmp_path / "1.jpg").read_bytes()
