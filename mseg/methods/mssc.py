@@ -23,19 +23,21 @@ class MSSC(ViewMethod):
     2. Correlations are summed over all frame pairs. The sum is not divided by the number of frames in which
        both are seen, as the paper of 2018 does: long common histories weigh more.
     3. A trajectory keeps the neighbours whose share of the row's distances has a logarithm under the row's
-       mean (negative entropy), `mseg.affinity.sparsify` with alpha = 1.
+       mean (negative entropy), after correlations are raised to the power alpha (`mseg.affinity.sparsify`).
     4. Spectral clustering.
 
     Source: Lai, Wang, Yan, Chin, Zhao, "Motion segmentation via a sparsity constraint", IEEE T-ITS 18(4),
     2017. No code of it is public; steps 1 to 3 follow its description in Xu, Cheong, Li, CVPR 2018 (section
-    3.1 and 4), whose H view differs by the division and the power alpha. Numbers of hypotheses, of preferred
-    ones and restarts are those of 2018. Its segment-and-merge search for the number of motions is not
-    described there and is left out.
+    3.1 and 4), whose H view differs by the division. Numbers of hypotheses, of preferred ones and restarts
+    are those of 2018. Its segment-and-merge search for the number of motions is not described there and is
+    left out. The power is that of Jiang et al., AAAI 2021, for the same kernel and rule: without it (alpha =
+    1) rows keep so many neighbours that a small motion has most of its weight in others, and the largest
+    motion is cut in two instead.
     Input: gaps allowed. Number of motions: given. Outliers: not handled. Cost: O(F N^2 M) for M hypotheses
     per pair, O(N^2) memory.
     """
 
-    alpha: float = option(1.0, "power of the kernel before neighbours are chosen", low=0)
+    alpha: float = option(3.0, "power of the kernel before neighbours are chosen", low=0)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`."""
