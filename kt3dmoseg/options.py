@@ -117,6 +117,13 @@ def from_namespace(cls: type[T], namespace: argparse.Namespace) -> T:
     return from_mapping(cls, given)
 
 
+def add_parameters(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``-p NAME=VALUE``, for the parameters of `what`; `parse_assignments` reads them."""
+    common: dict[str, Any] = {"action": "append", "default": [], "metavar": "NAME=VALUE", "dest": "parameter"}
+    parser.add_argument("-p", "--parameter", help=f"parameter of {what}; may be repeated", **common)
+    parser.add_argument("--set", help=argparse.SUPPRESS, **common)  # an older name
+
+
 def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
     """Split ``["alpha=8"]`` into ``{"alpha": "8"}``.
 

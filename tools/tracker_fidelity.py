@@ -27,7 +27,7 @@ from tqdm import tqdm
 from kt3dmoseg import load
 from kt3dmoseg.files import write_text
 from kt3dmoseg.flow import Flow, create
-from kt3dmoseg.options import parse_assignments
+from kt3dmoseg.options import add_parameters, parse_assignments
 from kt3dmoseg.synthetic import Scene, SceneOptions, make_scene
 from kt3dmoseg.tracks import track
 from kt3dmoseg.types import Clip, Trajectories
@@ -227,7 +227,7 @@ def main() -> None:
     root = os.environ.get("KT3DMOSEG_DATA", Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--data", type=Path, default=Path(root), help="folder that holds kt3dmoseg/")
     parser.add_argument("--flow", default="dis")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    add_parameters(parser, "the optical flow")
     parser.add_argument(
         "--track", action="append", default=[], metavar="NAME=VALUE", help="an option of the tracker"
     )
@@ -238,7 +238,7 @@ def main() -> None:
     parser.add_argument("--cache", metavar="FOLDER", help="keep the flow of real clips here (4 MB a field)")
     parser.add_argument("-o", "--output")
     arguments = parser.parse_args()
-    flow = create(arguments.flow, **parse_assignments(arguments.set))
+    flow = create(arguments.flow, **parse_assignments(arguments.parameter))
     options = parse_assignments(arguments.track)
     data = arguments.data / "kt3dmoseg"
     text = report(data, flow, arguments.clips, arguments.scenes, arguments.cache, options)

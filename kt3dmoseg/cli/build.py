@@ -23,7 +23,7 @@ _FAILED = 2
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     from kt3dmoseg.build.options import BuildOptions
-    from kt3dmoseg.options import add_arguments
+    from kt3dmoseg.options import add_arguments, add_parameters
     from kt3dmoseg.tracks.options import TrackOptions
 
     parser.add_argument(
@@ -40,9 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     parser.add_argument("--force", action="store_true", help="build also what is up to date")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="parameter of the flow backend"
-    )
+    add_parameters(parser, "the optical flow")
     parser.add_argument("--cache", metavar="FOLDER", help="keep and reuse flow fields here")
     kitti = parser.add_argument_group("one clip of a KITTI raw root")
     kitti.add_argument("--date", help="day of the drive, 2011_09_26")
@@ -70,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
             masks=arguments.masks,
             workers=arguments.workers,
             force=arguments.force,
-            flow_parameters=parse_assignments(arguments.set),
+            flow_parameters=parse_assignments(arguments.parameter),
             cache=arguments.cache,
             progress=bars.frame,
             report=bars.clip,

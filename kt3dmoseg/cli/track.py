@@ -16,19 +16,13 @@ if TYPE_CHECKING:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    from kt3dmoseg.options import add_arguments
+    from kt3dmoseg.options import add_arguments, add_parameters
     from kt3dmoseg.tracks.options import TrackOptions
 
     parser.add_argument("frames", metavar="FRAMES", help="folder of gray frames")
     parser.add_argument("-o", "--output", metavar="FILE", required=True, help="file to write")
     parser.add_argument("--flow", default="dis", metavar="NAME", help="optical flow (default: dis)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="parameter of the optical flow; may be given several times",
-    )
+    add_parameters(parser, "the optical flow")
     parser.add_argument("--cache", metavar="FOLDER", help="keep and reuse flow fields here")
     add_arguments(parser, TrackOptions)
 
@@ -43,7 +37,7 @@ def run(arguments: argparse.Namespace) -> None:
     from kt3dmoseg.tracks import TrackOptions, track_clip
 
     options = asdict(from_namespace(TrackOptions, arguments))
-    flow = create(arguments.flow, **parse_assignments(arguments.set))
+    flow = create(arguments.flow, **parse_assignments(arguments.parameter))
     with _bar() as progress:
         clip = track_clip(arguments.frames, flow, cache=arguments.cache, progress=progress, **options)
     save(clip, arguments.output)

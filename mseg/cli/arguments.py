@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from kt3dmoseg.options import add_parameters
+
 
 def add_submission(parser: argparse.ArgumentParser) -> None:
     """Add a submission and the data that it is for."""
@@ -29,10 +31,7 @@ def add_force_flag(parser: argparse.ArgumentParser) -> None:
 def add_running_flags(parser: argparse.ArgumentParser, *, seeds_help: str) -> None:
     """Add the flags."""
     parser.add_argument("--seeds", type=positive, default=1, metavar="N", help=seeds_help)
-    parser.add_argument(
-        "-p", "--parameter", action="append", default=[], metavar="NAME=VALUE",
-        help="parameter of a method, see 'mseg methods NAME'; may be repeated",
-    )  # fmt: skip
+    add_parameters(parser, "a method, see 'mseg methods NAME'")
     parser.add_argument("--workers", type=positive, default=1, metavar="N", help="processes (default: 1)")
     parser.add_argument("--dask", default="", metavar="ADDRESS", help="Dask scheduler, tcp://host:8786")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Literal
 
 import pytest
@@ -94,3 +95,22 @@ def test_assignments_and_descriptions():
     with pytest.raises(InvalidValueError, match="name=value"):
         parse_assignments(["alpha"])
     assert [row[0] for row in describe(Example)] == option_names(Example)
+
+
+@pytest.mark.parametrize(
+    ("module", "needed"),
+    [
+        ("kt3dmoseg.cli.build", ["--frames", "f", "-o", "out"]),
+        ("kt3dmoseg.cli.track", ["f", "-o", "out.h5"]),
+        ("mseg.cli.run", ["data", "-o", "out"]),
+        ("mseg.cli.benchmark", ["kt3dmoseg"]),
+    ],
+)
+def test_parameters_are_given_alike_in_every_command(module, needed):
+    parser = argparse.ArgumentParser()
+    import_module(module).configure(parser)
+    given = ["-p", "a=1", "--parameter", "b=2", "--set", "c=3"]
+    assert parse_assignments(parser.parse_args([*needed, *given]).parameter) == {"a": "1", "b": "2", "c": "3"}
+    assert parser.parse_args(needed).parameter == []
+    assert "-p NAME=VALUE" in parser.format_help()
+    assert "--set" not in parser.format_help()

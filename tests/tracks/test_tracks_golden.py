@@ -53,7 +53,7 @@ def test_translation_is_exact_to_a_few_hundredths():
 def test_the_command_writes_what_track_returns(folder, tmp_path, capsys, suffix):
     out = tmp_path / f"clip.{suffix}"
     command = ["track", str(folder), "-o", str(out), "--flow", "dis_medium", "--min-length", "3"]
-    assert cli.main([*command, "--set", "preset=fast", "--cache", str(tmp_path / "cache")]) == 0
+    assert cli.main([*command, "-p", "preset=fast", "--cache", str(tmp_path / "cache")]) == 0
     wanted = kt3dmoseg.track(folder, kt3dmoseg.flow.create("dis_medium", preset="fast"), min_length=3)
     assert f"{len(wanted)} trajectories in 6 frames" in capsys.readouterr().out
     clip = kt3dmoseg.load(out)
@@ -76,10 +76,10 @@ def test_the_clip_says_where_it_comes_from(folder, tmp_path):
     ("arguments", "says"),
     [
         (["--flow", "flownet"], "unknown flow 'flownet'"),
-        (["--set", "presett=fast"], "unknown option"),
-        (["--set", "contrast"], "expected name=value"),
+        (["-p", "presett=fast"], "unknown option"),
+        (["-p", "contrast"], "expected name=value"),
         (["--spacing", "0"], "spacing: expected a number >= 1"),
-        (["--set", "scales=0.5"], "the last 1"),
+        (["-p", "scales=0.5"], "the last 1"),
     ],
 )
 def test_bad_arguments_are_one_line_and_write_nothing(folder, tmp_path, capsys, arguments, says):
