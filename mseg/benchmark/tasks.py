@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -105,6 +106,12 @@ def lost_task(task: Task, reason: str) -> list[Outcome]:
     return [Outcome(key, None, float("nan"), reason) for key, _ in task.work]
 
 
+def _reason(error: Exception, clip: str) -> str:
+    """Say why in one line, without the clip's name: whoever tells it stands the name before it."""
+    said = " ".join(str(error).split()) or type(error).__name__
+    return re.sub(rf"^{re.escape(clip)}[:,] ", "", said)
+
+
 def _attempt(task: Task, configuration: Configuration) -> tuple[IntArray | None, str]:
     try:
         result = segment(
@@ -115,5 +122,5 @@ def _attempt(task: Task, configuration: Configuration) -> tuple[IntArray | None,
             **configuration.parameters,
         )
     except (KT3DMoSegError, MemoryError, np.linalg.LinAlgError) as error:
-        return None, " ".join(str(error).split()) or type(error).__name__
+        return None, _reason(error, task.clip.name)
     return np.array(result.labels), ""
