@@ -68,6 +68,10 @@ class Page:
             assert time.monotonic() < end, (expression, self.errors)
             time.sleep(0.02)
 
+    def shows(self, selector, text=""):
+        """Wait until an element is to be seen, with that text somewhere in it."""
+        self.tab.locator(selector).filter(has_text=text).first.wait_for()
+
     def at(self, point):
         box = self.tab.locator("#stage").bounding_box()
         view = self.value("labeller.state.view")

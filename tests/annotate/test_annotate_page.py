@@ -114,7 +114,7 @@ def test_everything_by_keyboard_alone(page, shared):
     ]
     assert item.key_frames[0].polygons[0][0] == (x + 2, y)
     page.press("?")
-    assert page.tab.locator("dialog[open] .help").is_visible()
+    page.shows("dialog[open] .help")
     page.press("Escape")
     assert page.value("document.activeElement.id") == "stage"
     page.press("PageDown")

@@ -17,9 +17,9 @@ def test_second_tab_conflict_keeps_both(context, shared):
     first.saved()
     second.draw([(200, 20), (260, 20), (260, 50)])
     second.until("labeller.state.saving.kind === 'conflict'")
-    assert second.tab.locator("dialog[open]").is_visible()
+    second.shows("dialog[open]")
     second.press("Escape")
-    assert second.tab.locator("dialog[open]").is_visible()
+    second.shows("dialog[open]")
     assert len(stored(shared).objects) == 1
     second.tab.get_by_role("button", name="Merge both").click()
     assert second.saved() == 2
@@ -66,7 +66,7 @@ def test_a_folder_that_cannot_be_written_is_told_and_tried_again(page, shared):
     page.draw()
     page.until("labeller.state.saving.kind === 'offline'")
     page.until("document.getElementById('saved').textContent.includes('cannot write')")
-    assert "kept in this browser" in page.tab.locator("#saved").inner_text()
+    page.shows("#saved", "kept in this browser")
     shared.notes.unlink()
     assert page.saved() == 1
     assert len(stored(shared).objects) == 1

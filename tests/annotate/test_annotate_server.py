@@ -465,6 +465,19 @@ def test_token(clips, tmp_path):
     assert page.get("/api/clips").status_code == 200
 
 
+def test_two_servers_on_one_machine_keep_their_own_tokens(clips, tmp_path):
+    hosts = {"one": "localhost:8001", "two": "localhost:8002", "http": "localhost"}
+    pages = {}
+    for token, host in hosts.items():
+        pages[token] = Client(
+            create_app(routes(clips, tmp_path), hosts=[host], token=token), f"http://{host}"
+        )
+        pages[token].cookies = pages["one"].cookies  # as in a browser, for which they are one site
+    for token, page in pages.items():
+        page.get(f"/?token={token}", follow_redirects=False)
+    assert [page.get("/api/clips").status_code for page in pages.values()] == [200, 200, 200]
+
+
 def test_loopback():
     assert [is_loopback(h) for h in ("127.0.0.1", "::1", "localhost", "127.9.9.9")] == [True] * 4
     assert [is_loopback(h) for h in ("0.0.0.0", "::", "192.168.0.4", "example.org")] == [False] * 4

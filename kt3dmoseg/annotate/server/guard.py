@@ -16,8 +16,8 @@ from starlette.responses import JSONResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MAX_BODY = 32 << 20
+_HTTP = 80
 TOO_LARGE = f"a body of at most {MAX_BODY} bytes is expected"
-_COOKIE = "kt3dmoseg_token"
 _HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
@@ -84,7 +84,7 @@ class Guard:
         if scope["path"] == "/" and self._matches(asked):
             # The token leaves the address bar, and with it the browser's history.
             welcome = RedirectResponse("/", status_code=303)
-            welcome.set_cookie(_COOKIE, self.token, httponly=True, samesite="strict")
+            welcome.set_cookie(_cookie_name(headers), self.token, httponly=True, samesite="strict")
             return welcome
         bearer = headers.get("authorization", "").removeprefix("Bearer ")
         if self._matches(bearer) or self._matches(_cookie(headers)):
@@ -108,9 +108,15 @@ class Guard:
         await self.app(scope, counted, send)
 
 
+def _cookie_name(headers: dict[str, str]) -> str:
+    """Name the cookie after the port: browsers keep cookies by host, and two servers may share one."""
+    port = headers["host"].rpartition(":")[2]
+    return f"kt3dmoseg_token_{port if port.isdecimal() else _HTTP}"
+
+
 def _cookie(headers: dict[str, str]) -> str:
     try:
-        found = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
+        found = SimpleCookie(headers.get("cookie", "")).get(_cookie_name(headers))
     except CookieError:
         return ""
     return found.value if found else ""
