@@ -1,11 +1,11 @@
-"""Atomic writes and content hashes: what every reader and writer of files shares."""
+"""Atomic writes, locks and content hashes: what every reader and writer of files shares."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InputFileError
+
+try:
+    import fcntl
+except ImportError:  # pragma: no cover  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 _BLOCK = 1 << 20
 
@@ -48,6 +53,40 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise error if isinstance(error, InputFileError) else _unwritable(target, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def hold_folder(path: str | os.PathLike[str], busy: Callable[[], object] | None = None) -> Iterator[Path]:
+    """Make a folder and hold it alone while the block runs, against other threads and processes.
+
+    The system releases the folder when the process ends, however it ends. Where there is no ``flock``
+    (Windows) nothing is held.
+
+    Parameters
+    ----------
+    path : path
+        The folder.
+    busy : callable, optional
+        Called when somebody else holds it, before waiting for it; may raise instead.
+
+    Raises
+    ------
+    InputFileError
+        When the folder cannot be created or opened.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY) if fcntl else None
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    try:
+        if handle is not None:
+            _lock(handle, busy or (lambda: None))
+        yield folder
+    finally:
+        if handle is not None:
+            os.close(handle)
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
@@ -103,6 +142,14 @@ def sha256_arrays(*arrays: npt.NDArray[Any]) -> str:
         digest.update(f"{little.dtype.str}{little.shape}".encode())
         digest.update(np.ascontiguousarray(little).data)
     return digest.hexdigest()
+
+
+def _lock(handle: int, busy: Callable[[], object]) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        busy()
+        fcntl.flock(handle, fcntl.LOCK_EX)
 
 
 def _sync(path: Path) -> None:

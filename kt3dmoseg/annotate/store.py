@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from kt3dmoseg.annotate.document import load_annotation, save_annotation
 from kt3dmoseg.annotate.model import Annotation
-from kt3dmoseg.errors import InputFileError, KT3DMoSegError
-
-try:
-    import fcntl
-except ImportError:  # pragma: no cover  # Windows: only this process' own threads are kept apart
-    fcntl = None  # type: ignore[assignment]
-
-_threads = threading.Lock()
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.files import hold_folder
 
 
 class StaleRevisionError(KT3DMoSegError):
@@ -61,27 +52,10 @@ def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annot
         When the file cannot be written, or what is there is no annotation.
     """
     target = Path(path)
-    with _locked(target.parent):
+    with hold_folder(target.parent):
         current = load_annotation(target) if target.exists() else None
         if current is not None and current.revision != annotation.revision:
             raise StaleRevisionError(target, current, annotation.revision)
         saved = replace(annotation, revision=annotation.revision + 1)
         save_annotation(target, saved)
     return saved
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Keep other threads and processes from saving into the folder; the system frees a dead one's lock."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise InputFileError(f"{folder}: cannot write", found=error.strerror or str(error)) from error
-    try:
-        with _threads:
-            if fcntl is not None:
-                fcntl.flock(handle, fcntl.LOCK_EX)
-            yield
-    finally:
-        os.close(handle)

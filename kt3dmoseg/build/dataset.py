@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -17,6 +16,7 @@ from kt3dmoseg.build.shot import Source
 from kt3dmoseg.build.sources import find_sources
 from kt3dmoseg.build.workers import in_processes
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import hold_folder
 from kt3dmoseg.io import hdf5
 
 # Told after each frame: clip, frames done, frames in all or None.
@@ -153,31 +153,20 @@ def build_task(task: Task, progress: FrameProgress) -> Outcome:
 
 @contextmanager
 def _sole_writer(output: Path) -> Iterator[Path]:
-    """Make the folder and hold it for this process; the lock goes with the process."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        handle = os.open(output, os.O_RDONLY)
-    except OSError as error:
-        raise InputFileError(
-            f"{output}: cannot write", found=error.strerror or str(error), fix="give another output folder"
-        ) from None
-    try:
-        _check_writable(output)
-        _lock(handle, output)
-        yield output
-    finally:
-        os.close(handle)
-        with suppress(OSError):
-            output.rmdir()  # succeeds only when nothing came of it
+    """Make the folder and hold it for this process; leave none where nothing came of it."""
 
-
-def _lock(handle: int, output: Path) -> None:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    def refuse() -> None:
         raise InputFileError(
             f"{output}", expected="no other build", found="one at work in this folder", fix="wait for it"
-        ) from None
+        )
+
+    with hold_folder(output, busy=refuse) as folder:
+        try:
+            _check_writable(folder)
+            yield folder
+        finally:
+            with suppress(OSError):
+                folder.rmdir()  # succeeds only when it is empty
 
 
 def _check_writable(output: Path) -> None:

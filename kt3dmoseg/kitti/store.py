@@ -12,12 +12,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from kt3dmoseg import catalog
 from kt3dmoseg.entries import Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import read_bytes, write_bytes, write_text
+from kt3dmoseg.files import hold_folder, read_bytes, write_bytes, write_text
 
 _FOLDER = ".kt3dmoseg"
 LOCATED = "located.toml"
@@ -58,31 +57,14 @@ class Store:
     def lock(self, waiting: str = "") -> Iterator[None]:
         """Hold the folder alone; print `waiting` when another process holds it, then wait for it.
 
-        The operating system releases the lock when a process ends, however it ends. Where it has no
-        ``flock`` (Windows), two pulls are still safe, but may fetch the same file twice.
+        The system releases it when a process ends, however it ends. Where it has no ``flock`` (Windows), two
+        pulls are still safe, but may fetch the same file twice.
         """
-        try:
-            import fcntl
-        except ImportError:
-            yield
-            return
         if self.frozen:
             yield
             return
-        with self._lock_file() as stream:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                print(waiting, flush=True)
-                fcntl.flock(stream, fcntl.LOCK_EX)
+        with hold_folder(self.folder, busy=lambda: print(waiting, flush=True)):
             yield
-
-    def _lock_file(self) -> Any:  # noqa: ANN401
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            return open(self.folder / "lock", "w")
-        except OSError as error:
-            raise InputFileError(f"{self.folder}: {error.strerror or error}") from None
 
     @property
     def licence_accepted(self) -> bool:

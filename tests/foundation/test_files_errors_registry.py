@@ -4,12 +4,14 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from kt3dmoseg import errors
-from kt3dmoseg.files import atomic_path, read_bytes, sha256_arrays, sha256_file, write_text
+from kt3dmoseg.files import atomic_path, hold_folder, read_bytes, sha256_arrays, sha256_file, write_text
 from kt3dmoseg.registry import Registry
 
 
@@ -47,6 +49,50 @@ def test_written_files_have_ordinary_permissions(tmp_path):
     write_text(tmp_path / "a", "x")
     (tmp_path / "b").write_text("x")
     assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+def test_a_folder_is_held_alone_and_released_by_the_dead(tmp_path):
+    target = tmp_path / "new" / "folder"
+    program = (
+        "import os, signal\nfrom kt3dmoseg.files import hold_folder\n"
+        f"with hold_folder({str(target)!r}):\n"
+        "    print('held', flush=True); input(); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert other.stdout.readline() == "held\n"
+    told = []
+
+    def busy():
+        told.append("busy")
+        if len(told) > 1:
+            other.communicate("\n")
+        else:
+            raise errors.InputFileError("somebody is at work")
+
+    with pytest.raises(errors.InputFileError, match="somebody"), hold_folder(target, busy=busy):
+        told.append("in")
+    with hold_folder(target, busy=busy):
+        told.append("in")
+    assert told == ["busy", "busy", "in"]
+
+
+def test_a_folder_is_held_against_other_threads(tmp_path):
+    at_work = []
+
+    def work(number):
+        with hold_folder(tmp_path):
+            at_work.append(number)
+            time.sleep(0.01)
+            assert at_work[-1] == number
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, range(8)))
+    assert sorted(at_work) == list(range(8))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(errors.InputFileError, match="file: cannot write"), hold_folder(tmp_path / "file"):
+        pass
 
 
 def test_bounded_reads(tmp_path):
