@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import inspect
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -29,6 +30,7 @@ def option(
     *,
     low: float | None = None,
     high: float | None = None,
+    metavar: str = "",
 ) -> Any:  # noqa: ANN401  # a dataclass field, which must pose as the field's own type
     """Make a dataclass field with its help text and inclusive bounds.
 
@@ -40,8 +42,11 @@ def option(
         One line: meaning, unit, source.
     low, high : float, optional
         Inclusive bounds of a number, checked by `check` and `from_mapping`.
+    metavar : str
+        What stands for the value in ``--help``, for instance FOLDER.
     """
-    return dataclasses.field(default=default, metadata={"help": help, "low": low, "high": high})
+    about = {"help": help, "low": low, "high": high, "metavar": metavar}
+    return dataclasses.field(default=default, metadata=about)
 
 
 def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
@@ -105,7 +110,7 @@ def option_names(cls: type[Any]) -> list[str]:
 def add_arguments(parser: argparse.ArgumentParser, cls: type[Any], *, skip: Iterable[str] = ()) -> None:
     """Add one flag ``--name`` per field of `cls`; absent flags leave no trace in the namespace."""
     hints = typing.get_type_hints(cls)
-    group = parser.add_argument_group(f"options of {cls.__name__}")
+    group = parser.add_argument_group((inspect.getdoc(cls) or cls.__name__).partition("\n")[0].rstrip("."))
     for spec in dataclasses.fields(cls):
         if spec.init and spec.name not in set(skip):
             _add_argument(group, spec, hints[spec.name])
@@ -154,7 +159,8 @@ def _add_argument(group: Any, spec: dataclasses.Field[Any], hint: Any) -> None: 
         group.add_argument(flag, action=argparse.BooleanOptionalAction, **common)
     else:
         choices = typing.get_args(hint) if typing.get_origin(hint) is Literal else None
-        shown = "{" + ",".join(map(str, choices)) + "}" if choices else spec.name.upper()
+        named = spec.metadata.get("metavar") or {int: "N", float: "X"}.get(hint, spec.name.upper())
+        shown = "{" + ",".join(map(str, choices)) + "}" if choices else named
         group.add_argument(flag, metavar=shown, **common)
 
 

@@ -57,7 +57,6 @@ def main() -> None:
     }
     for name, figure in drawings.items():
         figure.savefig(arguments.output / f"{name}.svg", bbox_inches="tight", metadata={"Date": None})
-        figure.savefig(arguments.output / f"{name}.png", bbox_inches="tight", dpi=110)
 
 
 def errors_of(results: dict[str, Any], method: str) -> np.ndarray:

@@ -14,7 +14,7 @@ from kt3dmoseg.tracks import TrackOptions
 class BuildOptions:
     """From frames to a dataset file."""
 
-    flow: str = option("dis", "optical flow backend, a name of kt3dmoseg.flow.list()")
+    flow: str = option("dis", "optical flow backend, a name of kt3dmoseg.flow.list()", metavar="NAME")
     fraction: float = option(0.1, "share of the background that is drawn for evaluation", low=0, high=1)
     seed: int = option(0, "seed of that draw; each clip draws by its own name", low=0)
     colour: Literal["refuse", "luma"] = option("refuse", "colour frames: refuse them, or take their luma")

@@ -33,7 +33,7 @@ _TRUE = 2.0  # pixels; a track that ends nearer to the truth has stayed on its p
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """Options of the demo."""
+    """What the demo makes."""
 
     seed: int = option(0, "seed of the drives and of the methods", low=0)
     width: int = option(828, "image width in pixels", low=64, high=4096)

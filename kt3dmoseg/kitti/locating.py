@@ -36,7 +36,9 @@ class LocateOptions(Origin):
     """How to look for a clip in a drive."""
 
     frames: str | None = option(
-        None, "folder with the clip's own frames (or with one folder per clip), needed for correlation"
+        None,
+        "folder with the clip's own frames (or with one folder per clip), needed for correlation",
+        metavar="FOLDER",
     )
     pixels: bool = option(
         True, "read the drive's frames when checksums do not decide (a whole camera: some 40-300 MB)"

@@ -29,9 +29,13 @@ KITTI_RAW = "https://s3.eu-central-1.amazonaws.com/avg-kitti/raw_data/"
 class Origin(Network):
     """Where the data come from, and how patient to be with it."""
 
-    mirror: str = option(KITTI_RAW, "address of KITTI's raw_data folder or of a copy with the same layout")
+    mirror: str = option(
+        KITTI_RAW, "address of KITTI's raw_data folder or of a copy with the same layout", metavar="URL"
+    )
     local: str | None = option(
-        None, "folder with _sync.zip files or extracted drives already on disk; nothing is downloaded"
+        None,
+        "folder with _sync.zip files or extracted drives already on disk; nothing is downloaded",
+        metavar="FOLDER",
     )
 
 

@@ -11,8 +11,8 @@ from kt3dmoseg.options import add_parameters
 
 def add_submission(parser: argparse.ArgumentParser) -> None:
     """Add a submission and the data that it is for."""
-    parser.add_argument("submission", help="folder or zip")
-    parser.add_argument("data", help="folder of clips with labels (or one clip file)")
+    parser.add_argument("submission", metavar="SUBMISSION", help="folder or zip")
+    parser.add_argument("data", metavar="DATA", help="folder of clips with labels (or one clip file)")
     add_benchmark_flag(parser)
 
 

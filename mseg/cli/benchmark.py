@@ -11,12 +11,15 @@ import argparse
 from mseg.cli.arguments import add_running_flags, progress_bar
 
 _PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
+_STDOUT = "-"
 _CACHE = "out/benchmark"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("benchmark", help="protocol: kt3dmoseg, hopkins155, hopkins12 or mtpv62")
+    parser.add_argument(
+        "benchmark", metavar="BENCHMARK", help="protocol: kt3dmoseg, hopkins155, hopkins12 or mtpv62"
+    )
     parser.add_argument(
         "--methods", nargs="+", default=list(_PAPER), metavar="NAME",
         help=f"methods (default: {' '.join(_PAPER)})",
@@ -30,7 +33,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--kernels", metavar="FOLDER", help="keep kernels there, for sweeps over alpha or fusion"
     )
-    parser.add_argument("--json", metavar="FILE", help="also write everything as JSON")
+    parser.add_argument(
+        "--json",
+        nargs="?",
+        const=_STDOUT,
+        metavar="FILE",
+        help="everything as JSON: written to FILE beside the tables, or printed in their place",
+    )
     parser.add_argument("--markdown", action="store_true", help="print Markdown tables")
     add_running_flags(parser, seeds_help="number of seeds, counted from 0 (default: 1)")
 
@@ -58,6 +67,10 @@ def run(arguments: argparse.Namespace) -> None:
 
         from kt3dmoseg.files import write_text
 
-        write_text(arguments.json, json.dumps(result.as_dict(), indent=1) + "\n")
+        everything = json.dumps(result.as_dict(), indent=1)
+        if arguments.json == _STDOUT:
+            print(everything)
+            return
+        write_text(arguments.json, everything + "\n")
     tables = [result.per_clip(), result.summary()]
     print("\n\n".join(t.markdown() if arguments.markdown else t.text() for t in tables))

@@ -25,7 +25,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "submissions", nargs="+", metavar="A", help="submissions or score files, then the data"
     )
-    parser.add_argument("--data", help="folder of clips with labels; by default the last argument")
+    parser.add_argument(
+        "--data", metavar="DATA", help="folder of clips with labels; by default the last argument"
+    )
     add_benchmark_flag(parser)
     parser.add_argument("--metric", default="error", help="what to compare by (default: error)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")

@@ -14,7 +14,9 @@ from mseg.evaluation.submission import FORMATS
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("data", nargs="?", help="folder of clips; without it, small ones are made up")
+    parser.add_argument(
+        "data", nargs="?", metavar="DATA", help="folder of clips; without it, small ones are made up"
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -32,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILES",
         help="label files: .mat with ClusterIdx, or a folder of <clip>.txt, .csv, .mat or .dat",
     )
-    parser.add_argument("--method", default="", help="name of the method, for meta.toml")
+    parser.add_argument("--method", default="", metavar="NAME", help="name of the method, for meta.toml")
     parser.add_argument("--benchmark", default="", metavar="NAME", help="protocol, for meta.toml")
 
 

@@ -17,8 +17,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="{" + ",".join(_ACTIONS) + "}")
     add = actions.add_parser("add", help="score a submission and keep the scores")
-    add.add_argument("submission", help="folder or zip, or a file written by 'mseg score --json'")
-    add.add_argument("data", nargs="?", help="folder of clips with labels")
+    add.add_argument(
+        "submission", metavar="SUBMISSION", help="folder or zip, or a file written by 'mseg score --json'"
+    )
+    add.add_argument("data", nargs="?", metavar="DATA", help="folder of clips with labels")
     add_benchmark_flag(add)
     listing = actions.add_parser("list", help="everything that is kept, oldest first")
     rank = actions.add_parser("rank", help="ranked, per benchmark and data")

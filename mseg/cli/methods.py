@@ -8,7 +8,7 @@ import inspect
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("method", nargs="?", help="describe this one")
+    parser.add_argument("method", nargs="?", metavar="METHOD", help="describe this one")
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -14,7 +14,7 @@ from mseg.cli.arguments import add_running_flags, positive, progress_bar
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("data", help="folder of clips, or one clip")
+    parser.add_argument("data", metavar="DATA", help="folder of clips, or one clip")
     parser.add_argument("-o", "--output", required=True, metavar="FOLDER", help="where predictions go")
     parser.add_argument("--method", default="subset", metavar="NAME", help="method (default: subset)")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""Paths have the same names in the help of every command: FOLDER, FILE, or PATH where either may stand."""
+"""Values have the same names in the help of every command; a path is FOLDER, FILE, or PATH for either."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ import pytest
 
 from kt3dmoseg import cli
 
-PATHS = ("--output", "--annotations", "--masks", "--cache", "--pred", "--catalog", "--kitti")
+PATHS = (
+    "--frames",
+    "--local",
+    "--output",
+    "--annotations",
+    "--masks",
+    "--cache",
+    "--pred",
+    "--catalog",
+    "--kitti",
+)
 
 
 @pytest.mark.parametrize("command", sorted(cli.COMMANDS))
@@ -17,4 +27,4 @@ def test_a_path_is_a_folder_a_file_or_either(command, capsys):
         cli.main([command, "--help"])
     found = re.findall(r"(--[a-z]+)[ =]([A-Z_]+)", capsys.readouterr().out)
     shown = {name for flag, name in found if flag in PATHS}
-    assert shown <= {"FOLDER", "FILE", "PATH"}
+    assert shown <= {"FOLDER", "FILE", "PATH"} | ({"N"} if command == "demo" else set())  # a count there

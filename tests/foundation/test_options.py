@@ -24,12 +24,15 @@ from kt3dmoseg.options import (
 
 @dataclass(frozen=True)
 class Example:
+    """What the tests set."""
+
     alpha: float = option(8.0, "power, 50 % of it", low=0)
     rounds: int = option(3, "rounds", low=1, high=10)
     kind: Literal["a", "b"] = option("a", "kind")
     fast: bool = option(False, "speed")
     limit: int | None = option(None, "limit")
     scales: tuple[float, ...] = option((1.0,), "scales")
+    frames: str = option("", "where they are", metavar="FOLDER")
 
 
 def parsed(*flags: str) -> Example:
@@ -114,3 +117,14 @@ def test_parameters_are_given_alike_in_every_command(module, needed):
     assert parser.parse_args(needed).parameter == []
     assert "-p NAME=VALUE" in parser.format_help()
     assert "--set" not in parser.format_help()
+
+
+def test_help_says_what_a_value_is():
+    parser = argparse.ArgumentParser()
+    add_arguments(parser, Example)
+    said = parser.format_help()
+    assert "--alpha X" in said
+    assert "--rounds N" in said
+    assert "--kind {a,b}" in said
+    assert "--frames FOLDER" in said
+    assert "What the tests set:\n" in said

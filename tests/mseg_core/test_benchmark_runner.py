@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import signal
@@ -244,6 +245,11 @@ def test_command_line(data, tmp_path, capsys):
     command = ["benchmark", "kt3dmoseg", "--methods", "affine", "coreg", "--data", str(data)]
     assert main([*command, "--seeds", "2", "--cache", str(tmp_path / "cache"), "--quiet"]) == 0
     assert "3 of 22 clips" in capsys.readouterr().out
+    cached = [*command, "--seeds", "2", "--cache", str(tmp_path / "cache"), "--quiet", "--json"]
+    assert main([*cached, str(tmp_path / "all.json")]) == 0
+    assert "3 of 22 clips" in capsys.readouterr().out
+    assert main(cached) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "all.json").read_text())
     assert main([*command, "-p", "alpah=2", "--no-cache", "--quiet"]) == 2
     assert "did you mean 'alpha'" in capsys.readouterr().err
 
