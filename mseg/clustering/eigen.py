@@ -12,7 +12,9 @@ from kt3dmoseg.types import FloatArray
 from mseg.errors import TooFewPointsError
 
 _DENSE = 250
-_GUARD = 4
+# Vectors beyond those asked for, and the width of a block: eight columns cost BLAS no more than six.
+_GUARD = 3
+_WIDTH = 8
 _EXPANSIONS = 4
 _MAX_RESTARTS = 150
 _START_SEED = 20180618
@@ -84,8 +86,8 @@ def smallest_subspace(
     size = matrix.shape[0]
     if not 1 <= count <= size:
         raise TooFewPointsError("number of clusters", expected=f"1..{size} (points)", found=str(count))
-    block = count + _GUARD
-    if size <= max(_DENSE, (_EXPANSIONS + 3) * block):
+    block = _block(count)
+    if size <= max(_DENSE if start is None else 0, (_EXPANSIONS + 3) * block):
         dense = np.asarray(matrix)
         vectors = eigh(dense, subset_by_index=(0, min(block, size) - 1), driver="evr", check_finite=False)[1]
         return np.ascontiguousarray(vectors)
@@ -100,13 +102,17 @@ def fixed_sign(vectors: FloatArray) -> FloatArray:
     return vectors * np.where(sign == 0, 1.0, sign)
 
 
+def _block(count: int) -> int:
+    return -(-(count + _GUARD) // _WIDTH) * _WIDTH
+
+
 def _random_block(size: int, block: int) -> FloatArray:
     return _orthonormal(np.random.default_rng(_START_SEED).standard_normal((size, block)))
 
 
 def _krylov(matrix: Symmetric, first: FloatArray, count: int, tolerance: float) -> FloatArray:
     """Solve the problem projected on a basis, expand the basis by residuals, repeat."""
-    block = count + _GUARD
+    block = _block(count)
     kept = first.shape[1]
     basis = np.empty((len(first), max(kept, 2 * block) + _EXPANSIONS * block), order="F")
     image = np.empty_like(basis, order="F")
@@ -114,7 +120,7 @@ def _krylov(matrix: Symmetric, first: FloatArray, count: int, tolerance: float) 
     filled = kept
     for _ in range(_MAX_RESTARTS):
         projected = basis[:, :filled].T @ image[:, :filled]
-        values, rotation = eigh((projected + projected.T) / 2, check_finite=False)
+        values, rotation = np.linalg.eigh((projected + projected.T) / 2)
         kept = min(filled, 2 * block)
         best = np.asfortranarray(rotation[:, :kept])
         basis[:, :kept], image[:, :kept] = basis[:, :filled] @ best, image[:, :filled] @ best

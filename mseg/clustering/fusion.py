@@ -196,12 +196,14 @@ class _Nesting:
         return np.concatenate(blocks).astype(np.float64)
 
     def _rows(self, part: slice, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-        block: npt.NDArray[Any] = np.zeros((len(range(self.shape[0])[part]), self.shape[0]), dtype)
-        for clip, embedding in ((np.maximum, self.smaller), (np.minimum, self.larger)):
-            if embedding is not None:
-                agreement = _agreement(embedding.astype(dtype), part)
-                block += clip(agreement, 0, out=agreement)
-        return block
+        total, *others = [
+            _clipped(clip, embedding.astype(dtype), part)
+            for clip, embedding in ((np.maximum, self.smaller), (np.minimum, self.larger))
+            if embedding is not None
+        ]
+        for other in others:
+            total += other
+        return total
 
 
 class _Rewarded:
@@ -226,18 +228,23 @@ def _parts(size: int) -> Iterator[slice]:
     return (slice(start, start + rows) for start in range(0, size, rows))
 
 
-def _agreement(embedding: npt.NDArray[Any], part: slice) -> npt.NDArray[Any]:
-    out: npt.NDArray[Any] = embedding[part] @ embedding.T
-    return out
+def _clipped(clip: np.ufunc, embedding: npt.NDArray[Any], part: slice) -> npt.NDArray[Any]:
+    """Rows of max(U U^T, 0) or min(U U^T, 0)."""
+    agreement: npt.NDArray[Any] = embedding[part] @ embedding.T
+    clip(agreement, 0, out=agreement)
+    return agreement
 
 
 def _nested(smaller: FloatArray, larger: FloatArray) -> float:
-    """Sum over all entries of max(S, 0) L + min(L, 0) S, S and L the kernels of the two models."""
+    """Sum over all entries of max(S, 0) L + min(L, 0) S, S and L the kernels of the two models.
+
+    As the traces of U_L^T max(S, 0) U_L and U_S^T min(L, 0) U_S.
+    """
     total = 0.0
     for part in _parts(len(smaller)):
-        small, large = _agreement(smaller, part), _agreement(larger, part)
-        total += float(np.einsum("ij,ij->", np.maximum(small, 0), large))
-        total += float(np.einsum("ij,ij->", np.minimum(large, 0, out=large), small))
+        together = _clipped(np.maximum, smaller, part) @ larger
+        apart = _clipped(np.minimum, larger, part) @ smaller
+        total += float(np.vdot(together, larger[part]) + np.vdot(apart, smaller[part]))
     return total
 
 
@@ -256,7 +263,7 @@ def _alternate(
         raise InvalidValueError(
             "laplacians", expected="at least one, all of one shape", found=shapes or "none"
         )
-    subspaces = [smallest_subspace(laplacian, n_clusters) for laplacian in laplacians]
+    subspaces = [smallest_subspace(laplacian, n_clusters, tolerance=_ACCURACY) for laplacian in laplacians]
     embeddings = [subspace[:, :n_clusters] for subspace in subspaces]
     objectives: list[float] = []
     converged = False
