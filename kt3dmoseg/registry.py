@@ -47,10 +47,11 @@ class Registry:
         UnknownNameError
             When there is no such name; the message proposes the nearest.
         """
-        targets = self.targets()
-        if name not in targets:
-            raise unknown_name(self.kind, name, targets)
-        module, _, attribute = targets[name].partition(":")
+        # Third parties' names are looked for only when needed: that reads a file of every package.
+        target = self.table.get(name) or self.targets().get(name)
+        if target is None:
+            raise unknown_name(self.kind, name, self.names())
+        module, _, attribute = target.partition(":")
         return getattr(import_module(module), attribute)
 
 
