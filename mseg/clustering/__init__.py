@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mseg.clustering.cuts import Cut, lower_cut
 from mseg.clustering.eigen import Symmetric, smallest_eigenvectors
 from mseg.clustering.fusion import Fusion, constrain_subsets, coregularise
 from mseg.clustering.kmeans import KMeans, kmeans
@@ -14,6 +15,7 @@ from mseg.clustering.laplacian import (
 from mseg.clustering.spectral import spectral_clustering
 
 __all__ = [
+    "Cut",
     "Fusion",
     "GraphLaplacian",
     "KMeans",
@@ -21,6 +23,7 @@ __all__ = [
     "constrain_subsets",
     "coregularise",
     "kmeans",
+    "lower_cut",
     "normalised_laplacian",
     "smallest_eigenvectors",
     "spectral_clustering",

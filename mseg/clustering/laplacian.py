@@ -102,8 +102,10 @@ class GraphLaplacian:
         self.shape = weights.shape
         degree = np.asarray(weights.sum(axis=1))
         weight = uniform * degree.mean() / len(degree) if len(degree) else 0.0
+        self.root_degree = np.sqrt(np.where(degree > 0, degree + weight * len(degree), 0.0))
+        """(N,) float64, square roots of the row sums, the uniform part included; 0 without weight."""
         scale = np.zeros(len(degree))
-        np.divide(1.0, np.sqrt(degree + weight * len(degree)), out=scale, where=degree > 0)
+        np.divide(1.0, self.root_degree, out=scale, where=degree > 0)
         self._adjacency = diags_array(scale) @ weights @ diags_array(scale)
         self._uniform = (np.sqrt(weight) * scale)[:, None]
 

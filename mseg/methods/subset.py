@@ -18,9 +18,6 @@ class Subset(FusedViews):
     Cost: the three views and up to 21 sweeps of three eigenproblems.
     """
 
-    # The released scripts' "about 10"; the constraint rewards agreement with the affine view, which at
-    # 8 still joins what the others tell apart (docs/reproduction.md).
-    alpha: float = option(10.0, "power of the kernel before neighbours are chosen", low=0)
     gamma: float = option(0.01, "gamma, weight of the constraint; the paper advises at most 0.01", low=0)
     tolerance: float = option(1e-8, "stop when the objective changes by less", low=0)
     max_sweeps: int = option(21, "most sweeps over the views", low=1)
