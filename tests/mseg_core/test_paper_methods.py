@@ -100,7 +100,7 @@ def test_report_of_a_fusion(make_clip):
     assert len(report["objectives"]) == report["sweeps"]
 
 
-@pytest.mark.parametrize("view", ["affine", "homography", "fundamental"])
+@pytest.mark.parametrize("view", ["joint", "affine", "homography", "fundamental"])
 def test_views_after_fusion(view, make_clip):
     clip = make_clip(points=40)
     labels = mseg.segment(clip, "coreg", n_motions=2, view=view).labels
