@@ -23,7 +23,6 @@ from threadpoolctl import threadpool_limits
 
 from kt3dmoseg.io import load
 from mseg.affinity import sparsify, view_kernel
-from mseg.clustering import kmeans
 from mseg.evaluation.layout import TextTable
 from mseg.methods.subset import Subset
 from mseg.sampling import sample_hypotheses
@@ -86,8 +85,9 @@ def times(clip: Any) -> dict[str, float]:  # noqa: ANN401
         kernels.append(kernel)
 
     def fusion() -> None:
-        fused = method.fuse([method.laplacian(csr_array(kernel)) for kernel in kernels], clip.n_motions)
-        kmeans(fused.joint(), clip.n_motions, np.random.default_rng(0), n_restarts=method.restarts)
+        graphs = [method.laplacian(csr_array(kernel)) for kernel in kernels]
+        fused = method.fuse(graphs, clip.n_motions)
+        method.cuts(fused, graphs, clip.n_motions, np.random.default_rng(0))
 
     _, seconds["subset fusion, k-means"] = best(fusion)
     return dict(sorted(seconds.items(), key=lambda item: list(PEERS).index(item[0])))

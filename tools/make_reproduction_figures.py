@@ -31,7 +31,6 @@ ORDER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 PUBLISHED = {"keradd": "KerAdd", "coreg": "CoReg", "subset": "Subset"}
 COLOURS = dict(zip(ORDER, ("#999999", "#777777", "#555555", "#1b6ca8", "#d97a27", "#3a8f4d"), strict=True))
 SWEPT = {"alpha": 8.0, "lam": 0.01, "gamma": 0.01}
-DEFAULT_ALPHA = {"subset": 10.0}
 NAMES = {"alpha": "alpha", "lam": "lambda (CoReg)", "gamma": "gamma (Subset)"}
 
 
@@ -130,7 +129,7 @@ def sensitivity_figure(results: dict[str, Any], sweeps: list[dict[str, Any]]) ->
             low, high = ([f(points[v].mean(axis=0)) for v in values] for f in (np.min, np.max))
             axes.plot(values, mean, "o-", color=COLOURS[method], label=method, markersize=3)
             axes.fill_between(values, low, high, color=COLOURS[method], alpha=0.15, linewidth=0)
-            default = _default(method, parameter)
+            default = SWEPT[parameter]
             axes.plot(default, points[default].mean(), "D", color=COLOURS[method], markersize=6)
         axes.set_xlabel(NAMES[parameter])
         if parameter != "alpha":
@@ -157,12 +156,8 @@ def _swept(
                 out[method["method"]][float(method["parameters"][parameter])] = errors
     for method, points in out.items():
         seeds = next(iter(points.values())).shape[1]
-        points.setdefault(_default(method, parameter), errors_of(results, method)[:, :seeds])
+        points.setdefault(SWEPT[parameter], errors_of(results, method)[:, :seeds])
     return out
-
-
-def _default(method: str, parameter: str) -> float:
-    return DEFAULT_ALPHA.get(method, SWEPT["alpha"]) if parameter == "alpha" else SWEPT[parameter]
 
 
 def planar_slices_figure() -> Figure:

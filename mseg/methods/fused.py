@@ -46,7 +46,7 @@ class FusedViews(ViewMethod, ABC):
         if self.view != "least_cut":
             points = fusion.joint() if self.view == "joint" else fusion.view(KINDS.index(self.view))
             return self.cluster(views, points, count, kmeans_rng, report)
-        cuts = self._cuts(fusion, laplacians, count, kmeans_rng)
+        cuts = self.cuts(fusion, laplacians, count, kmeans_rng)
         chosen = min(cuts, key=lambda name: cuts[name].value)
         report |= {
             "chosen": chosen,
@@ -55,10 +55,10 @@ class FusedViews(ViewMethod, ABC):
         }
         return Segmentation(join_largest(cuts[chosen].labels + 1, views.used), report)
 
-    def _cuts(
+    def cuts(
         self, fusion: Fusion, graphs: list[GraphLaplacian], count: int, rng: np.random.Generator
     ) -> dict[str, Cut]:
-        """One partition per embedding; the restarts are shared among them."""
+        """Let every embedding propose a partition and lower its cuts; the restarts are shared."""
         embeddings = {"joint": fusion.joint()} | {k: fusion.view(v) for v, k in enumerate(KINDS)}
         restarts = -(-self.restarts // len(embeddings))
         found = {name: kmeans(x, count, rng, n_restarts=restarts).labels for name, x in embeddings.items()}
