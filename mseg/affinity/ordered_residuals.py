@@ -34,6 +34,8 @@ def preferences(residuals: _Array, count: int) -> BoolArray:
     """
     limit = np.partition(residuals, count - 1, axis=1)[:, count - 1 : count]
     chosen: BoolArray = residuals <= limit
+    if np.count_nonzero(chosen) == count * len(chosen) and not np.isnan(limit).any():
+        return chosen
     tied = np.flatnonzero(np.count_nonzero(chosen, axis=1) != count)
     if len(tied):
         order = np.argsort(residuals[tied], axis=1, kind="stable")[:, :count]

@@ -14,7 +14,11 @@ MINIMAL = 8
 _Array = npt.NDArray[Any]
 # Smallest eighth pivot of the design matrix, relative to its first, that still fixes F.
 _DEGENERATE = 1e-9
+# Samples at a time: few enough that their matrices stay in the cache.
 _TOGETHER = 512
+# Squarings until one eigenvector is left: ratios of singular values below 0.95 come out exact.
+_SQUARINGS = 8
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 def fit(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -52,9 +56,13 @@ def eight_point(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
     sample by itself moves the frame in which the nearest matrix of rank 2 is taken, and costs two
     points of error of the fundamental view on KT3DMoSeg.
     """
-    design = _outer(x2, x1)
-    vectors, ok = _null_vectors(design) if x1.shape[1] == MINIMAL else _least_squares(design)
-    return _nearest_rank_2(vectors.reshape(-1, 3, 3)), ok
+    solve = _null_vectors if x1.shape[1] == MINIMAL else _least_squares
+    models, ok = np.empty((len(x1), 3, 3)), np.empty(len(x1), dtype=np.bool_)
+    for start in range(0, len(x1), _TOGETHER):
+        part = slice(start, start + _TOGETHER)
+        vectors, ok[part] = solve(_outer(x2[part], x1[part]))
+        models[part] = _nearest_rank_2(vectors.reshape(3, 3, -1)).transpose(2, 0, 1)
+    return models, ok
 
 
 def sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
@@ -104,22 +112,17 @@ def _outer(second: FloatArray, first: FloatArray) -> FloatArray:
 
 
 def _null_vectors(design: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Null vectors (K, 9) of 8 x 9 matrices: the ninth column of Q in the QR of the transpose.
+    """Null vectors (9, K) of 8 x 9 matrices: the ninth column of Q in the QR of the transpose.
 
-    Householder's reflections written for many matrices side by side, a few hundred at a time so that
-    they stay in the cache: LAPACK, called for one small matrix after the other, takes four times as
-    long.
+    Householder's reflections written for many matrices side by side: LAPACK, called for one small
+    matrix after the other, takes four times as long.
     """
-    vectors = np.empty((len(design), 9))
-    pivots = np.empty((len(design), MINIMAL))
-    for start in range(0, len(design), _TOGETHER):
-        part = slice(start, start + _TOGETHER)
-        vectors[part], pivots[part] = _last_of_q(np.ascontiguousarray(design[part].transpose(2, 1, 0)))
-    return vectors, pivots.min(axis=1) > _DEGENERATE * pivots.max(axis=1)
+    vectors, pivots = _last_of_q(np.ascontiguousarray(design.transpose(2, 1, 0)))
+    return vectors, pivots.min(axis=0) > _DEGENERATE * pivots.max(axis=0)
 
 
 def _last_of_q(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Last column (K, 9) of Q and diagonal (K, 8) of |R| of matrices (9, 8, K), which are overwritten."""
+    """Last column (9, K) of Q and diagonal (8, K) of |R| of matrices (9, 8, K), which are overwritten."""
     count = columns.shape[1]
     reflections, pivots = [], []
     for j in range(count):
@@ -136,20 +139,42 @@ def _last_of_q(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     last[-1] = 1.0
     for j, (mirror, factor) in reversed(list(enumerate(reflections))):
         last[j:] -= mirror * (np.einsum("ik,ik->k", mirror, last[j:]) * factor)
-    return last.T, np.stack(pivots, axis=1)
+    return last, np.stack(pivots)
 
 
 def _least_squares(design: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Right singular vectors (K, 9) of the smallest singular value."""
+    """Right singular vectors (9, K) of the smallest singular value."""
     _, singular, right = np.linalg.svd(design, full_matrices=False)
-    return right[:, -1], singular[:, -2] > _DEGENERATE * singular[:, 0]
+    return np.ascontiguousarray(right[:, -1].T), singular[:, -2] > _DEGENERATE * singular[:, 0]
 
 
 def _nearest_rank_2(matrices: FloatArray) -> FloatArray:
-    """Remove the smallest singular value: F - F v v^T with v its right singular vector."""
-    _, right = np.linalg.eigh(matrices.transpose(0, 2, 1) @ matrices)
-    smallest = right[:, :, 0]
-    out: FloatArray = matrices - (matrices @ smallest[:, :, None]) * smallest[:, None, :]
+    """Remove the smallest singular value of (3, 3, K): F - F v v^T with v its right singular vector.
+
+    v v^T is what adj(F) adj(F)^T, whose eigenvalues are products of two squared singular values, tends
+    to when it is squared again and again.
+    """
+    a, b, c = matrices
+    cofactors = np.empty_like(matrices)
+    cofactors[0], cofactors[1], cofactors[2] = _cross(b, c), _cross(c, a), _cross(a, b)
+    projector = _product(cofactors.swapaxes(0, 1), cofactors)
+    for _ in range(_SQUARINGS):
+        projector /= np.maximum(np.einsum("iik->k", projector), _TINY)
+        projector = _product(projector, projector)
+    projector /= np.maximum(np.einsum("iik->k", projector), _TINY)
+    return matrices - _product(matrices, projector)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    out: FloatArray = a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
+    return out
+
+
+def _product(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Products of many 3 x 3 matrices, all (3, 3, K)."""
+    out: FloatArray = left[:, :1] * right[0]
+    out += left[:, 1:2] * right[1]
+    out += left[:, 2:] * right[2]
     return out
 
 

@@ -192,8 +192,23 @@ def test_many_null_vectors_are_null_and_unit():
     design = np.einsum("kpi,kpj->kpij", *(np.dstack([n, np.ones((700, 8))]) for n in (n2, n1)))
     vectors, ok = fundamental._null_vectors(design.reshape(700, 8, 9))
     assert np.flatnonzero(~ok).tolist() == [3]
-    assert_allclose(np.linalg.norm(vectors, axis=1), 1)
-    assert_allclose(design.reshape(700, 8, 9)[ok] @ vectors[ok, :, None], 0, atol=1e-12)
+    assert_allclose(np.linalg.norm(vectors, axis=0), 1)
+    assert_allclose(design.reshape(700, 8, 9)[ok] @ vectors.T[ok, :, None], 0, atol=1e-12)
+
+
+def test_nearest_matrices_of_rank_2_are_those_of_the_svd(rng):
+    matrices = np.concatenate([rng.normal(size=(200, 3, 3)), np.diag([1.0, 0.5, 0.0])[None]])
+    left, singular, right = np.linalg.svd(matrices)
+    clear = singular[:, 2] < 0.9 * singular[:, 1]
+    nearest = fundamental._nearest_rank_2(np.ascontiguousarray(matrices.transpose(1, 2, 0)))
+    singular[:, 2] = 0
+    expected = (left * singular[:, None]) @ right
+    assert_allclose(nearest.transpose(2, 0, 1)[clear], expected[clear], atol=1e-12)
+
+
+def test_a_matrix_of_rank_1_stays_as_it_is():
+    matrix = np.outer([1.0, 2.0, 3.0], [1.0, 0.0, 1.0])
+    assert_allclose(fundamental._nearest_rank_2(matrix[:, :, None])[:, :, 0], matrix, atol=1e-12)
 
 
 def test_shapes_are_checked():
