@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import tempfile
@@ -21,6 +22,11 @@ except ImportError:  # pragma: no cover  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _BLOCK = 1 << 20
+_REMEDIES = {
+    errno.ENOSPC: "free some space, or write somewhere else",
+    errno.EEXIST: "a file is where a folder should be; remove it, or write somewhere else",
+    errno.ENOTDIR: "a file is where a folder should be; remove it, or write somewhere else",
+}
 
 
 @contextmanager
@@ -53,6 +59,23 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise error if isinstance(error, InputFileError) else _unwritable(target, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Make a folder and see that a file can be made in it, before long work is done for it.
+
+    Raises
+    ------
+    InputFileError
+        When not.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise _unwritable(folder, error) from error
 
 
 @contextmanager
@@ -167,4 +190,5 @@ def _umask() -> int:
 
 
 def _unwritable(path: Path, error: OSError) -> InputFileError:
-    return InputFileError(f"{path}: cannot write: {error.strerror or error}")
+    reason = f"{path}: cannot write: {error.strerror or error}"
+    return InputFileError(reason, fix=_REMEDIES.get(error.errno or 0, "write somewhere else"))

@@ -19,18 +19,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from kt3dmoseg.options import add_arguments, add_parameters
     from kt3dmoseg.tracks.options import TrackOptions
 
-    parser.add_argument("frames", metavar="FRAMES", help="folder of gray frames")
+    parser.add_argument("frames", metavar="FRAMES", help="folder of frames")
     parser.add_argument("-o", "--output", metavar="FILE", required=True, help="file to write")
     parser.add_argument("--flow", default="dis", metavar="NAME", help="optical flow (default: dis)")
     add_parameters(parser, "the optical flow")
     parser.add_argument("--cache", metavar="FOLDER", help="keep and reuse flow fields here")
+    parser.add_argument(
+        "--colour",
+        choices=("refuse", "luma"),
+        default="refuse",
+        help="colour frames: refuse them, or take their luma (default: refuse)",
+    )
     add_arguments(parser, TrackOptions)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Track and write."""
     from dataclasses import asdict
+    from pathlib import Path
 
+    from kt3dmoseg.files import check_writable
     from kt3dmoseg.flow import create
     from kt3dmoseg.io import save
     from kt3dmoseg.options import from_namespace, parse_assignments
@@ -38,8 +46,16 @@ def run(arguments: argparse.Namespace) -> None:
 
     options = asdict(from_namespace(TrackOptions, arguments))
     flow = create(arguments.flow, **parse_assignments(arguments.parameter))
+    check_writable(Path(arguments.output).parent)
     with _bar() as progress:
-        clip = track_clip(arguments.frames, flow, cache=arguments.cache, progress=progress, **options)
+        clip = track_clip(
+            arguments.frames,
+            flow,
+            colour=arguments.colour,
+            cache=arguments.cache,
+            progress=progress,
+            **options,
+        )
     save(clip, arguments.output)
     print(f"{arguments.output}: {len(clip.dense)} trajectories in {clip.n_frames} frames")
 

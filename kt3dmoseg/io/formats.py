@@ -13,6 +13,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError,
 from kt3dmoseg.types import Clip
 
 _HEAD = 128
+_FIX = "is the file whole? fetch it, or write it, again"
 _PICKLE_FIX = "pickles run code when read; save the arrays with numpy.savez"
 
 
@@ -93,7 +94,10 @@ def load(path: str | os.PathLike[str]) -> Clip:
     try:
         clip: Clip = read(file)
     except InvalidValueError as error:
-        raise FileFormatError(f"{file}: {error}") from None
+        raise FileFormatError(f"{file}: {error}", fix=_FIX) from None
+    except FileFormatError as error:
+        fix = error.fix or _FIX
+        raise FileFormatError(error.where, expected=error.expected, found=error.found, fix=fix) from None
     except KT3DMoSegError:
         raise
     except OSError as error:
@@ -152,7 +156,7 @@ def recognise(file: Path) -> Format:
         f"{file}",
         expected=f"a clip ({', '.join(f.name for f in by_suffix or FORMATS)})",
         found="a pickle" if pickled else f"a file that starts with {head[:8]!r}" if head else "an empty file",
-        fix=_PICKLE_FIX if pickled else "",
+        fix=_PICKLE_FIX if pickled else _FIX,
     )
 
 

@@ -14,7 +14,7 @@ from kt3dmoseg import __version__
 from kt3dmoseg.files import sha256_file
 from kt3dmoseg.flow import Flow
 from kt3dmoseg.flow import create as create_flow
-from kt3dmoseg.io.images import frame_number, frame_paths
+from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracks.options import TrackOptions
 from kt3dmoseg.tracks.tracker import Progress, track
@@ -25,6 +25,7 @@ def track_clip(
     folder: str | os.PathLike[str],
     flow: str | Flow = "dis",
     *,
+    colour: Colour = "refuse",
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401
@@ -34,7 +35,9 @@ def track_clip(
     Parameters
     ----------
     folder : path-like
-        Numbered gray frames; the clip takes the folder's name.
+        Numbered frames; the clip takes the folder's name.
+    colour : {"refuse", "luma"}
+        What to do with frames in colour, see `kt3dmoseg.io.images.read_frame`.
     flow, cache, progress, **options
         As in `kt3dmoseg.track`.
 
@@ -53,7 +56,8 @@ def track_clip(
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
     paths = frame_paths(folder)
-    dense = track(paths, backend, cache=cache, progress=progress, **dataclasses.asdict(settings))
+    frames = paths if colour == "refuse" else (read_frame(path, colour) for path in paths)
+    dense = track(frames, backend, cache=cache, progress=progress, **dataclasses.asdict(settings))
     return Clip(
         name=Path(folder).resolve().name,
         dense=dense,

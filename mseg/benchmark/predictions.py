@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import write_text
+from kt3dmoseg.files import check_writable, write_text
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.types import Clip
 from mseg.benchmark.execution import execute
@@ -83,6 +83,7 @@ def predict(
         for name, clip in clips.items()
         for seed in wanted
     }
+    check_writable(folder)
     record = _open_record(folder, configuration, n_motions, "seed-N" if len(wanted) > 1 else "flat")
     layout = {seed: None if len(wanted) == 1 else seed for seed in wanted}
     tasks = [

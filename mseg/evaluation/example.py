@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -59,23 +61,23 @@ def example_submission(
     """
     if seeds < 1:
         raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
-    folder = _new_folder(output)
-    place = Path(data) if data is not None else _write_made_up(folder.with_name(folder.name + "-data"))
-    clips = load_clips(place)
-    protocol = choose_protocol(benchmark, clips)
-    counted = {name: clip for name, clip in clips.items() if protocol.holds(name)}
-    runs = {seed: {n: _left_right(c, seed) for n, c in counted.items()} for seed in range(seeds)}
-    meta = SubmissionMeta(
-        method,
-        ("Your Name",),
-        dataset_version=_version(protocol, counted),
-        benchmark=protocol.name,
-        n_motions_given=False,
-        link="https://example.org/paper-or-code",
-        hardware="one CPU core",
-    )
-    write_submission(folder, counted.values(), runs[0] if seeds == 1 else runs, meta, format=format)
-    return Written(folder, place, len(counted))
+    with _new_folder(output) as folder:
+        place = Path(data) if data is not None else _write_made_up(folder.with_name(folder.name + "-data"))
+        clips = load_clips(place)
+        protocol = choose_protocol(benchmark, clips)
+        counted = {name: clip for name, clip in clips.items() if protocol.holds(name)}
+        runs = {seed: {n: _left_right(c, seed) for n, c in counted.items()} for seed in range(seeds)}
+        meta = SubmissionMeta(
+            method,
+            ("Your Name",),
+            dataset_version=_version(protocol, counted),
+            benchmark=protocol.name,
+            n_motions_given=False,
+            link="https://example.org/paper-or-code",
+            hardware="one CPU core",
+        )
+        write_submission(folder, counted.values(), runs[0] if seeds == 1 else runs, meta, format=format)
+        return Written(folder, place, len(counted))
 
 
 def from_label_files(
@@ -92,19 +94,19 @@ def from_label_files(
         raise InvalidValueError(
             "data", expected="the folder of clips that the labels are for", found="nothing"
         )
-    folder = _new_folder(output)
-    clips = load_clips(data)
-    protocol = choose_protocol(benchmark, clips)
-    labels = read_label_files(source, clips, names=protocol.clips)
-    used = {name: clips[name] for name in labels}
-    meta = SubmissionMeta(
-        method,
-        dataset_version=_version(protocol, used),
-        benchmark=protocol.name,
-        outliers=any(bool((v == 0).any()) and not _is_zero_based(v) for v in labels.values()),
-    )
-    write_submission(folder, used.values(), labels, meta, format=format)
-    return Written(folder, Path(data), len(used))
+    with _new_folder(output) as folder:
+        clips = load_clips(data)
+        protocol = choose_protocol(benchmark, clips)
+        labels = read_label_files(source, clips, names=protocol.clips)
+        used = {name: clips[name] for name in labels}
+        meta = SubmissionMeta(
+            method,
+            dataset_version=_version(protocol, used),
+            benchmark=protocol.name,
+            outliers=any(bool((v == 0).any()) and not _is_zero_based(v) for v in labels.values()),
+        )
+        write_submission(folder, used.values(), labels, meta, format=format)
+        return Written(folder, Path(data), len(used))
 
 
 def made_up_clips() -> dict[str, Clip]:
@@ -155,10 +157,16 @@ def _version(protocol: Protocol, clips: Mapping[str, Clip]) -> str:
     return protocol.version_of({n: fingerprint(c) for n, c in clips.items()}) or "unnamed"
 
 
-def _new_folder(output: str | os.PathLike[str]) -> Path:
+@contextmanager
+def _new_folder(output: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a folder to fill; of one that could not be filled, nothing stays."""
     folder = Path(output)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InvalidValueError(
             f"{folder}", expected="a new or empty folder", found="something there", fix="choose another -o"
         )
-    return folder
+    try:
+        yield folder
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise

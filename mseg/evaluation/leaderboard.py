@@ -199,6 +199,9 @@ class Leaderboard:
             connection.execute("BEGIN IMMEDIATE")
             yield connection
             connection.execute("COMMIT")
+        except sqlite3.OperationalError as error:
+            fix = "may it be written, and is there room on the disk?"
+            raise InputFileError(f"{self.path}: cannot write", found=str(error), fix=fix) from None
         except sqlite3.DatabaseError as error:
             raise FileFormatError(f"{self.path}", expected="a leaderboard", found=str(error)) from None
         finally:

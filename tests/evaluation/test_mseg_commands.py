@@ -5,6 +5,9 @@ from evaluation_helpers import CLIPS, perfect
 
 import kt3dmoseg
 import mseg.cli
+from kt3dmoseg.errors import InputFileError
+from mseg.benchmark import predictions
+from mseg.evaluation import example
 
 
 @pytest.fixture
@@ -65,3 +68,32 @@ def test_a_leaderboard_is_not_made_for_nothing(tmp_path, capsys):
     said = usage_error(capsys, "leaderboard", "add", submission, "--db", str(board))
     assert "give it after the submission" in said
     assert not board.exists()
+
+
+def test_an_output_that_cannot_be_written_is_told_before_the_work(data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(predictions, "execute", None)
+    (tmp_path / "file").write_text("")
+    said = usage_error(capsys, "run", data, "-o", str(tmp_path / "file"))
+    assert "cannot write" in said
+    assert "a file is where a folder should be" in said
+
+
+def test_an_example_that_could_not_be_written_whole_leaves_nothing(data, tmp_path, capsys, monkeypatch):
+    def full_disk(folder, *_, **__):
+        (folder / "first.csv").parent.mkdir()
+        (folder / "first.csv").write_text("track,label")
+        raise InputFileError("meta.toml: cannot write: No space left on device")
+
+    monkeypatch.setattr(example, "write_submission", full_disk)
+    usage_error(capsys, "example-submission", data, "-o", str(tmp_path / "new"))
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_leaderboard_that_cannot_be_written_is_one_line(data, tmp_path, capsys):
+    assert mseg.cli.main(["example-submission", data, "-o", str(tmp_path / "s")]) == 0
+    capsys.readouterr()
+    (tmp_path / "board").mkdir()
+    said = usage_error(
+        capsys, "leaderboard", "add", str(tmp_path / "s"), data, "--db", str(tmp_path / "board")
+    )
+    assert "board: cannot write" in said

@@ -94,7 +94,7 @@ def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "empty file"),
+        (b"", "empty file; is the file whole"),
         (b"<html>not found</html>", "starts with"),
         (pickle.dumps({"video": 1}), "a pickle.*savez"),
     ],

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import kt3dmoseg
-from kt3dmoseg import cli
+from kt3dmoseg import cli, tracks
+from kt3dmoseg.io.images import frame_paths, read_frame
+from kt3dmoseg.io.video import write_png
 from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
 
 OPTIONS = SceneOptions(width=320, height=128, frames=6, objects=1, seed=3, speed=6.0, turn=2.0, noise=1.0)
@@ -89,3 +91,23 @@ def test_bad_arguments_are_one_line_and_write_nothing(folder, tmp_path, capsys, 
     assert says in message
     assert message.count("\n") == 1
     assert not out.exists()
+
+
+def test_colour_frames_are_tracked_by_their_luma_when_asked_for(folder, tmp_path, capsys):
+    coloured = tmp_path / "coloured"
+    coloured.mkdir()
+    for path in frame_paths(folder):
+        gray = read_frame(path)
+        write_png(coloured / path.name, np.dstack([gray, gray, gray // 2]))
+    command = ["track", str(coloured), "-o", str(tmp_path / "clip.h5"), "--flow", "dis_medium"]
+    assert cli.main(command) == 2
+    assert "--colour luma" in capsys.readouterr().err
+    assert cli.main([*command, "--colour", "luma"]) == 0
+    assert len(kt3dmoseg.load(tmp_path / "clip.h5").dense) > 100
+
+
+def test_an_output_that_cannot_be_written_is_told_before_the_work(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(tracks, "track_clip", None)
+    (tmp_path / "file").write_text("")
+    assert cli.main(["track", str(folder), "-o", str(tmp_path / "file" / "clip.h5")]) == 2
+    assert "a file is where a folder should be" in capsys.readouterr().err
