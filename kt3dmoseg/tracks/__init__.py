@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.lazy import lazy
-from kt3dmoseg.tracks.options import TrackOptions
+from kt3dmoseg.tracks.options import RELIABLE, TrackOptions
 
 if TYPE_CHECKING:
     from kt3dmoseg.tracks.clip import track_clip as track_clip
@@ -21,6 +21,6 @@ _PUBLIC = {
     "subsample_background": "subsampling",
 }
 
-__all__ = ["TrackOptions", *_PUBLIC]  # noqa: PLE0604
+__all__ = ["RELIABLE", "TrackOptions", *_PUBLIC]  # noqa: PLE0604
 
 __getattr__, __dir__ = lazy(__name__, _PUBLIC)

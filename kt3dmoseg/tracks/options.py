@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from kt3dmoseg.options import option
 
@@ -44,10 +46,37 @@ class TrackOptions:
         0.01, "stop when |grad u|^2 + |grad v|^2 > boundary * |w|^2 + floor (SBK eq. 6)", low=0
     )
     boundary_floor: float = option(0.002, "the floor (SBK eq. 6)", low=0)
-    appearance: float = option(
+    anchor: float = option(
         0.0,
-        "stop when the patch's mean squared change since the start > appearance * variance + floor; 0: never",
+        "largest correction of a step by registering the patch with its start, in pixels; 0: none (measured)",
         low=0,
     )
-    appearance_floor: float = option(4.0, "the floor, in gray values squared: image noise", low=0)
+    anchor_change: float = option(
+        0.3,
+        "only where the patch's mean squared change since its start is then <= this * variance + floor",
+        low=0,
+    )
+    anchor_iterations: int = option(1, "iterations of the registration (measured)", low=1)
+    anchor_scale: float = option(
+        10.0, "scale of the robust error of the registration, in gray values (measured)", low=0.1
+    )
+    anchor_stiffness: float = option(
+        300.0, "how hard the patch is to deform, in gray values squared (measured)", low=0
+    )
+    patch_radius: int = option(7, "radius of the patches in pixels (measured)", low=1)
+    appearance: float = option(
+        0.0, "stop when the patch's change since its start > appearance * variance + floor; 0: never", low=0
+    )
+    appearance_floor: float = option(
+        9.0, "the floor of both, in gray values squared: twice the variance of image noise", low=0
+    )
     min_length: int = option(5, "shorter trajectories are dropped, in frames (measured)", low=1)
+
+
+RELIABLE: Mapping[str, float] = MappingProxyType(
+    {"anchor": 1.0, "appearance": 0.2, "consistency": 1e-4, "consistency_floor": 0.05}
+)
+"""Options for tracks to rely on, as keywords of `track`: anchored, and stopped where in doubt.
+
+The defaults make tracks like the release's, which drift. What each kind reaches: docs/tracking.md.
+"""

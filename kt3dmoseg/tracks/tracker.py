@@ -38,8 +38,8 @@ def track(
 
     Points start on a grid where the frame has structure, follow the flow, and stop at the frame's
     border, where forward and backward flow disagree, at motion boundaries and, if asked for, where they
-    no longer look like their start; cells that are left uncovered start anew in every frame;
-    trajectories shorter than `min_length` are dropped.
+    no longer look like their start. With `anchor`, what the start looked like corrects every step. Cells
+    that are left uncovered start anew in every frame; trajectories shorter than `min_length` are dropped.
 
     Parameters
     ----------
@@ -80,8 +80,9 @@ def track(
     before: ByteArray | None = None
     done = 0
     for frame in stream:
+        run.see(frame)
         if before is not None:
-            run.advance(frame, *flow_pair(backend, before, frame, store))
+            run.advance(*flow_pair(backend, before, frame, store))
         run.start(frame)
         before, done = frame, done + 1
         if progress is not None:
@@ -100,19 +101,25 @@ class _Run:
         self.starts, self.options, self.positions = starts, options, TrackStore()
         self.ids: IntArray = np.zeros(0, dtype=np.int64)
         self.xy: FloatArray = np.zeros((0, 2))
-        self.looks = Appearance(options) if options.appearance else None
+        self.looks = Appearance(options) if options.appearance or options.anchor else None
 
-    def advance(self, frame: ByteArray, forward: Float32Array, backward: Float32Array) -> None:
-        target, alive = step(self.xy, forward, backward, self.options)
+    def see(self, frame: ByteArray) -> None:
         if self.looks is not None:
-            alive &= self.looks.alike(frame, target)
+            self.looks.see(frame)
+
+    def advance(self, forward: Float32Array, backward: Float32Array) -> None:
+        target, alive = step(self.xy, forward, backward, self.options)
+        before, self.ids, self.xy = self.xy[alive], self.ids[alive], target[alive]
+        if self.looks is not None:
             self.looks.keep(alive)
-        self.ids, self.xy = self.ids[alive], target[alive]
+            self.xy, alike = self.looks.follow(forward, before, self.xy)
+            self.looks.keep(alike)
+            self.ids, self.xy = self.ids[alike], self.xy[alike]
 
     def start(self, frame: ByteArray) -> None:
         ids, xy = self.starts.next(frame, self.xy)
         if self.looks is not None:
-            self.looks.add(frame, xy)
+            self.looks.add(xy)
         self.ids, self.xy = np.concatenate([self.ids, ids]), np.concatenate([self.xy, xy])
         self.positions.append(self.ids, self.xy)
 

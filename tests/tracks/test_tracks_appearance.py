@@ -22,31 +22,40 @@ def picture(rng):
 
 def remembered(frame, xy):
     looks = Appearance(OPTIONS)
-    looks.add(frame, xy)
+    looks.see(frame)
+    looks.add(xy)
     return looks
+
+
+def alike(looks, frame, xy):
+    looks.see(frame)
+    still = np.zeros((*frame.shape, 2), np.float32)
+    found, result = looks.follow(still, xy, xy)
+    np.testing.assert_array_equal(found, xy)  # without `anchor` nothing moves
+    return result
 
 
 def test_what_moved_rigidly_looks_alike(picture):
     moved = np.roll(picture, (2, 5), axis=(0, 1))
     looks = remembered(picture, POINTS)
-    assert looks.alike(moved, POINTS + SHIFT).all()
-    assert not looks.alike(moved, POINTS - SHIFT).any()
+    assert alike(looks, moved, POINTS + SHIFT).all()
+    assert not alike(looks, moved, POINTS - SHIFT).any()
 
 
 def test_brightness_and_faint_noise_do_not_count(picture, rng):
     looks = remembered(picture, POINTS)
-    assert looks.alike((picture // 2 + 90).astype(np.uint8), POINTS).all()
+    assert alike(looks, (picture // 2 + 90).astype(np.uint8), POINTS).all()
     flat = np.full_like(picture, 120)
     noisy = np.rint(120 + 1.5 * rng.standard_normal(picture.shape)).astype(np.uint8)
-    assert remembered(flat, POINTS).alike(noisy, POINTS).all()
+    assert alike(remembered(flat, POINTS), noisy, POINTS).all()
 
 
 def test_the_living_keep_their_own_start(picture):
     looks = remembered(picture, POINTS)
     looks.keep(np.array([False, True]))
-    looks.add(picture, POINTS[:1])
-    assert looks.alike(picture, POINTS[::-1]).all()
-    assert not looks.alike(picture, POINTS).any()
+    looks.add(POINTS[:1])
+    assert alike(looks, picture, POINTS[::-1]).all()
+    assert not alike(looks, picture, POINTS).any()
 
 
 def constant(a, b):
@@ -68,3 +77,28 @@ def test_the_tracker_stops_where_the_flow_is_wrong_and_only_when_asked(picture):
     assert track(right, constant, seeds, appearance=0.8).visible.all()
     assert track(wrong, constant, seeds).visible.all()
     assert track(wrong, constant, seeds, appearance=0.8).lengths.max() < 4
+
+
+def drifting(a, b):
+    """As `constant`, but a quarter of a pixel too far."""
+    sign = 1 if b[0, 0] > a[0, 0] else -1
+    return np.broadcast_to(np.float32((3.25 * sign, 0)), (*a.shape, 2)).copy()
+
+
+def test_the_tracker_does_not_drift_when_anchored(picture):
+    seeds = np.c_[POINTS, [0, 0]]
+    frames = clip(picture, 3)
+    plain, anchored = (track(frames, drifting, seeds, anchor=limit) for limit in (0.0, 1.0))
+    np.testing.assert_allclose(plain.xy[:, 5], np.add(POINTS, (16.25, 0)), atol=1e-6)
+    np.testing.assert_allclose(anchored.xy[:, 5], np.add(POINTS, (15, 0)), atol=0.05)
+
+
+def test_tracks_to_rely_on_by_one_name(picture):
+    from kt3dmoseg.tracks import RELIABLE
+
+    options = TrackOptions(**RELIABLE)
+    assert options.anchor > 0
+    assert options.appearance > 0
+    seeds = np.c_[POINTS, [0, 0]]
+    assert track(clip(picture, 3), constant, seeds, **RELIABLE).visible.all()
+    assert track(clip(picture, 0), constant, seeds, **RELIABLE).lengths.max() < 4
