@@ -62,7 +62,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Make a folder and see that a file can be made in it, before long work is done for it.
+    """See that files can be made in a folder, which need not exist yet, before long work is done for it.
 
     Raises
     ------
@@ -70,9 +70,9 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         When not.
     """
     folder = Path(path)
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        with tempfile.TemporaryFile(dir=there):
             pass
     except OSError as error:
         raise _unwritable(folder, error) from error

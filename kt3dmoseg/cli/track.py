@@ -41,11 +41,13 @@ def run(arguments: argparse.Namespace) -> None:
     from kt3dmoseg.files import check_writable
     from kt3dmoseg.flow import create
     from kt3dmoseg.io import save
+    from kt3dmoseg.io.formats import written_as
     from kt3dmoseg.options import from_namespace, parse_assignments
     from kt3dmoseg.tracks import TrackOptions, track_clip
 
     options = asdict(from_namespace(TrackOptions, arguments))
     flow = create(arguments.flow, **parse_assignments(arguments.parameter))
+    written_as(arguments.output)
     check_writable(Path(arguments.output).parent)
     with _bar() as progress:
         clip = track_clip(

@@ -122,11 +122,21 @@ def save(clip: Clip, path: str | os.PathLike[str]) -> None:
     InputFileError
         When the file cannot be written.
     """
+    _function(written_as(path).writer)(clip, path)
+
+
+def written_as(path: str | os.PathLike[str]) -> Format:
+    """Return the format in which a path's suffix says that a clip is written.
+
+    Raises
+    ------
+    InvalidValueError
+        When no format has that suffix.
+    """
     suffix = Path(path).suffix.lower()
     for format in FORMATS:
         if format.suffix == suffix:
-            _function(format.writer)(clip, path)
-            return
+            return format
     raise InvalidValueError(
         os.fspath(path), expected=f"a suffix of {', '.join(CLIP_SUFFIXES)}", found=repr(suffix)
     )

@@ -111,3 +111,6 @@ def test_an_output_that_cannot_be_written_is_told_before_the_work(folder, tmp_pa
     (tmp_path / "file").write_text("")
     assert cli.main(["track", str(folder), "-o", str(tmp_path / "file" / "clip.h5")]) == 2
     assert "a file is where a folder should be" in capsys.readouterr().err
+    assert cli.main(["track", str(folder), "-o", str(tmp_path / "new" / "clip.foo")]) == 2
+    assert "a suffix of .h5" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
