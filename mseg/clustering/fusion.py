@@ -18,8 +18,8 @@ from mseg.clustering.laplacian import unit_rows
 
 _BLOCK_ENTRIES = 1 << 17
 _KEPT_ENTRIES = 1 << 27
-# Residual of the eigenvectors between sweeps: an objective is off by its square.
-_ACCURACY = 1e-5
+# Residuals of the eigenvectors, of the first sweeps and of the last: an objective is off by their square.
+_ROUGH, _ACCURATE = 1e-4, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,20 +263,20 @@ def _alternate(
         raise InvalidValueError(
             "laplacians", expected="at least one, all of one shape", found=shapes or "none"
         )
-    subspaces = [smallest_subspace(laplacian, n_clusters, tolerance=_ACCURACY) for laplacian in laplacians]
+    subspaces = [smallest_subspace(laplacian, n_clusters, tolerance=_ROUGH) for laplacian in laplacians]
     embeddings = [subspace[:, :n_clusters] for subspace in subspaces]
     objectives: list[float] = []
-    converged = False
-    while len(objectives) < max_sweeps and not converged:
+    change = np.inf
+    while len(objectives) < max_sweeps and change >= tolerance:
+        # An error of the objective far below what the sweep before has changed.
+        accuracy = min(max(0.01 * np.sqrt(change), _ACCURATE), _ROUGH)
         value = 0.0
         for view, laplacian in enumerate(laplacians):
             target = _Rewarded(laplacian, weight, reward(embeddings, view))
-            subspaces[view] = smallest_subspace(
-                target, n_clusters, start=subspaces[view], tolerance=_ACCURACY
-            )
+            subspaces[view] = smallest_subspace(target, n_clusters, start=subspaces[view], tolerance=accuracy)
             embeddings[view] = subspaces[view][:, :n_clusters]
             smoothness = np.einsum("nk,nk->", embeddings[view], laplacian @ embeddings[view])
             value += float(smoothness) - weight * earned(embeddings, view)
-        converged = bool(objectives) and abs(value - objectives[-1]) < tolerance
+        change = abs(value - objectives[-1]) if objectives else np.inf
         objectives.append(value)
-    return Fusion(tuple(map(fixed_sign, embeddings)), tuple(objectives), converged)
+    return Fusion(tuple(map(fixed_sign, embeddings)), tuple(objectives), change < tolerance)
