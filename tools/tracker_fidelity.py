@@ -4,7 +4,7 @@ Usage: python tools/tracker_fidelity.py [--flow dis] [--clips CLIP ...] [--scene
        [--track NAME=VALUE ...] [-o OUT.md]
 
 Prints two Markdown tables. The first compares with the released trajectories: every one of them is
-started at its first point and followed by our flow alone (no stops), and compared after 1, 5 and 10
+started at its first point and followed without stops, and compared after 1, 5 and 10
 frames; then the clip is tracked as usual and start cells, number and mean length are compared. The
 second compares the usual tracks of synthetic drives with the exact ones. docs/tracking.md explains
 the columns.
@@ -36,7 +36,7 @@ AFTER = (1, 5, 10)
 FAST = 20.0
 MIN_LENGTH = 5
 RAYS = 3  # squared: per pixel; with more of them the pictures hardly change (docs/synthetic.md)
-NO_STOPS = {"consistency_floor": float("inf"), "boundary_floor": float("inf")}
+NO_STOPS = {"consistency_floor": float("inf"), "boundary_floor": float("inf"), "appearance": 0}
 
 
 @dataclass
@@ -75,7 +75,7 @@ def compare(clip: Clip, frames: Path, flow: Flow, cache: str | None, options: Ma
     label = label[clip.dense.lengths > 0]
     seeds = starts(dense)
     with tempfile.TemporaryDirectory() as temporary:
-        followed = track(frames, flow, seeds, cache=cache or temporary, **NO_STOPS)
+        followed = track(frames, flow, seeds, cache=cache or temporary, **{**options, **NO_STOPS})
         ours = track(frames, flow, cache=cache or temporary, **options)
     out = Release()
     gap = np.linalg.norm(followed.xy - dense.xy, axis=2)
