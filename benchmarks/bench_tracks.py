@@ -1,6 +1,6 @@
 """Time of everything the tracker does besides the flow: structure, seeding, linking, tests, layout.
 
-Run: pytest benchmarks/bench_tracks.py --benchmark-timer=time.process_time --benchmark-columns=min,median,rounds
+Run: pytest benchmarks/bench_tracks.py --benchmark-timer=time.process_time --benchmark-columns=min,median
 `test_ten_pairs` is ten pairs of frames with all their live tracks, `test_flow_pair` the two fields that one
 of them needs. Less than a tenth is wanted, so the former should take less time than the latter.
 """
