@@ -116,7 +116,7 @@ def _open_record(
     wanted = {
         "method": configuration.method,
         "parameters": {k: repr(v) for k, v in _parameters(configuration).items()},
-        "code": code_hash(),
+        "code": code_hash(create(configuration.method, **configuration.parameters)),
         "n_motions": n_motions,
         "layout": layout,
     }

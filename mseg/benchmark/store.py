@@ -16,7 +16,8 @@ from kt3dmoseg.files import atomic_path, sha256_arrays
 from kt3dmoseg.types import Clip
 from mseg.benchmark.tasks import Configuration, Outcome
 from mseg.methods import create
-from mseg.source import source_hash
+from mseg.source import foreign_hash, source_hash
+from mseg.types import Method
 
 _CODE = (
     "affinity",
@@ -46,7 +47,7 @@ def key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: i
         "content": clip_hash(clip),
         "n_motions": n_motions,
         "seed": 0 if getattr(method, "deterministic", False) else seed,
-        "versions": [__version__, np.__version__, scipy.__version__, code_hash()],
+        "versions": [__version__, np.__version__, scipy.__version__, code_hash(method)],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()[:40]
 
@@ -58,9 +59,9 @@ def clip_hash(clip: Clip) -> str:
     return sha256_arrays(clip.dense.xy, clip.dense.visible, clip.evaluated, size, intrinsics)
 
 
-def code_hash() -> str:
-    """Hash of the source files that methods are made of."""
-    return source_hash(*_CODE)
+def code_hash(method: Method) -> str:
+    """Hash of the source files that methods are made of, and of the package of a third party's method."""
+    return source_hash(*_CODE) + foreign_hash(type(method).__module__)
 
 
 class Store:

@@ -21,7 +21,8 @@ from mseg.benchmark.store import Store, key
 from mseg.benchmark.tasks import Outcome, Task, run_task
 from mseg.cli import main
 from mseg.evaluation import load_protocol
-from mseg.methods import create
+from mseg.methods import METHODS, create
+from mseg.source import foreign_hash
 
 CLIPS = ("Seq005_Clip01", "Seq009_Clip02", "Seq011_Clip01")
 
@@ -159,6 +160,32 @@ def test_keys_tell_everything_apart(make_clip):
     ]
     assert len(set(keys)) == len(keys)
     assert key(Configuration("affine", {"alpha": 8.0}), clip, 2, 0) == keys[0]
+
+
+_THEIRS = """
+from dataclasses import dataclass
+import numpy as np
+from mseg import Segmentation
+
+@dataclass(frozen=True)
+class Theirs:
+    def segment(self, clip, *, n_motions, rng):
+        return Segmentation(np.ones(len(clip.evaluated), dtype=int))
+"""
+
+
+def test_a_method_of_another_package_is_known_by_its_code(make_clip, tmp_path, monkeypatch):
+    file = tmp_path / "their_method.py"
+    file.write_text(_THEIRS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(METHODS.table, "theirs", "their_method:Theirs")
+    clip, keys = make_clip(), []
+    for code in (_THEIRS, _THEIRS.replace("np.ones", "1 + np.ones"), _THEIRS):
+        file.write_text(code)
+        foreign_hash.cache_clear()
+        keys.append(key(Configuration("theirs"), clip, 2, 0))
+    assert keys[0] == keys[2] != keys[1]
+    assert foreign_hash("mseg.methods.keradd") == ""
 
 
 def test_store_keeps_failures_but_not_deaths(tmp_path):
