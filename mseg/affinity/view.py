@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
-from itertools import islice, pairwise
-from typing import TypeVar
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.blas import ssyrk
 
-from kt3dmoseg.types import Float32Array, IntArray, Trajectories
+from kt3dmoseg.types import Float32Array, FloatArray, IntArray, Trajectories
 from mseg.affinity.ordered_residuals import preferences, top_count
-from mseg.geometry import Distance, change_frame, frame_pair, residuals
+from mseg.geometry import Distance, FramePair, change_frame, frame_pair, residuals
 from mseg.types import Hypotheses
 
 # The authors' guard against division by zero, part of the values that alpha is applied to.
 GUARD = 0.1
-_PAIRS_AT_A_TIME = 4
 # Rows spread into the sum at once: few enough that their copy stays in the cache.
 _BLOCK = 128
-_T = TypeVar("_T")
 
 
 def view_kernel(
@@ -57,12 +53,18 @@ def view_kernel(
     total: Float32Array = np.zeros((len(trajectories), len(trajectories)), dtype=np.float32)
     parts = _pairs(hypotheses)
     usual = top_count(max(map(_length, parts), default=0), fraction)
-    normalised = _in_frames_of_pairs(trajectories, hypotheses, parts)
-    for chunk in _batched(parts, _PAIRS_AT_A_TIME):
-        rows, marks = _marks(trajectories, normalised, chunk, fraction, distance, usual)
-        # Upper triangle of marks marks^T: counts, exact in single precision.
-        shared = ssyrk(1.0, marks.T, trans=1, lower=1).T
-        _add_upper(total, rows, shared)
+    pairs = [frame_pair(trajectories, *hypotheses.pair[part.start].tolist()) for part in parts]
+    models = _in_frames_of_pairs(hypotheses, parts, pairs)
+    for part, pair in zip(parts, pairs, strict=True):
+        if not len(pair.rows):
+            continue
+        single = pair.x1.astype(np.float32), pair.x2.astype(np.float32)
+        residual = residuals(hypotheses.kind, models[part], *single, distance=distance)
+        count = top_count(_length(part), fraction)
+        marks = preferences(residual, count).astype(np.float32)
+        # Upper triangle of marks marks^T: counts, exact in single precision. A pair that has fewer
+        # hypotheses than usual weighs as much as the others.
+        _add_upper(total, pair.rows, ssyrk(usual / count, marks.T, trans=1, lower=1).T)
     _mirror(total)
     total /= np.float32(usual) * (covisible_frames(trajectories) + np.float32(GUARD))
     return total
@@ -86,42 +88,12 @@ def _length(part: slice) -> int:
 
 
 def _in_frames_of_pairs(
-    trajectories: Trajectories, hypotheses: Hypotheses, parts: Sequence[slice]
-) -> Hypotheses:
-    """Express each model in the normalised frame of its pair, where single precision is enough to rank."""
-    pairs = [frame_pair(trajectories, *hypotheses.pair[part.start].tolist()) for part in parts]
+    hypotheses: Hypotheses, parts: Sequence[slice], pairs: Sequence[FramePair]
+) -> FloatArray:
+    """Models in the normalised frames of their pairs, where single precision is enough to rank."""
     of = np.repeat(np.arange(len(parts)), list(map(_length, parts)))
     t1, t2 = np.stack([pair.t1 for pair in pairs])[of], np.stack([pair.t2 for pair in pairs])[of]
-    return replace(hypotheses, models=change_frame(hypotheses.kind, hypotheses.models, t1, t2))
-
-
-def _marks(
-    trajectories: Trajectories,
-    normalised: Hypotheses,
-    chunk: Sequence[slice],
-    fraction: float,
-    distance: Distance,
-    usual: int,
-) -> tuple[IntArray, Float32Array]:
-    """Mark (R, M) the preferred hypotheses of a few frame pairs, side by side; rows (R,) take part.
-
-    Ones, where a pair has fewer hypotheses than usual larger, so that every pair weighs the same.
-    """
-    pairs = [frame_pair(trajectories, *normalised.pair[part.start].tolist()) for part in chunk]
-    rows = np.unique(np.concatenate([pair.rows for pair in pairs]))
-    marks: Float32Array = np.zeros((len(rows), sum(map(_length, chunk))), dtype=np.float32)
-    column = 0
-    for part, pair in zip(chunk, pairs, strict=True):
-        end = column + _length(part)
-        if len(pair.rows):
-            single = pair.x1.astype(np.float32), pair.x2.astype(np.float32)
-            residual = residuals(normalised.kind, normalised.models[part], *single, distance=distance)
-            count = top_count(_length(part), fraction)
-            marks[np.searchsorted(rows, pair.rows), column:end] = preferences(residual, count)
-            if count != usual:
-                marks[:, column:end] *= np.float32(np.sqrt(usual / count))
-        column = end
-    return rows, marks
+    return change_frame(hypotheses.kind, hypotheses.models, t1, t2)
 
 
 def _add_upper(total: Float32Array, rows: IntArray, shared: Float32Array) -> None:
@@ -143,10 +115,3 @@ def _mirror(upper: Float32Array) -> None:
         upper[stop:, start:stop] = upper[start:stop, stop:].T
         block = upper[start:stop, start:stop]
         block[:] = np.triu(block) + np.triu(block, 1).T
-
-
-def _batched(items: Iterable[_T], size: int) -> Iterator[list[_T]]:
-    """Split into lists of at most `size` (itertools.batched is new in Python 3.12)."""
-    iterator = iter(items)
-    while chunk := list(islice(iterator, size)):
-        yield chunk
