@@ -14,7 +14,7 @@ from kt3dmoseg import __version__
 from kt3dmoseg.files import sha256_file
 from kt3dmoseg.flow import Flow
 from kt3dmoseg.flow import create as create_flow
-from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame
+from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frames
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracks.options import TrackOptions
 from kt3dmoseg.tracks.tracker import Progress, track
@@ -56,7 +56,7 @@ def track_clip(
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
     paths = frame_paths(folder)
-    frames = paths if colour == "refuse" else (read_frame(path, colour) for path in paths)
+    frames = paths if colour == "refuse" else read_frames(paths, colour)
     dense = track(frames, backend, cache=cache, progress=progress, **dataclasses.asdict(settings))
     return Clip(
         name=Path(folder).resolve().name,

@@ -63,7 +63,7 @@ class TrackOptions:
     anchor_stiffness: float = option(
         300.0, "how hard the patch is to deform, in gray values squared (measured)", low=0
     )
-    patch_radius: int = option(7, "radius of the patches in pixels (measured)", low=1)
+    patch_radius: int = option(6, "radius of the patches in pixels (measured)", low=1)
     appearance: float = option(
         0.0, "stop when the patch's change since its start > appearance * variance + floor; 0: never", low=0
     )
