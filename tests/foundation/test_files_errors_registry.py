@@ -124,6 +124,14 @@ def test_every_error_is_one_line_and_crosses_processes(kind):
     assert str(copy) == str(error)
 
 
+def test_a_built_in_name_asks_no_package(monkeypatch):
+    monkeypatch.setattr("kt3dmoseg.registry.entry_points", lambda **_: 1 / 0)
+    registry = Registry("codec", {"json": "json:dumps"}, group="none.such")
+    assert registry.load("json")([1]) == "[1]"
+    with pytest.raises(ZeroDivisionError):
+        registry.load("other")
+
+
 def test_registry_lists_without_importing_and_names_the_nearest():
     registry = Registry("codec", {"json": "json:dumps", "broken": "no.such.module:x"}, group="none.such")
     assert registry.names() == ["json", "broken"]

@@ -167,3 +167,14 @@ def test_sparsification_in_single_precision_is_that_in_double(make_clip):
 def test_constant_rows_keep_nothing():
     assert not neighbourhood_mask(np.zeros((3, 3)), 2).any()
     assert not neighbourhood_mask(np.ones((3, 3)), 2).any()
+
+
+@pytest.mark.parametrize("alpha", [0.5, 1.0, 2.0, 3.0, 7.0, 8.0, 10.0, 2.5])
+def test_neighbours_are_those_of_the_power_as_it_is_defined(alpha, rng):
+    half = rng.uniform(0, 1, size=(40, 40))
+    kernel = (half + half.T) / 2
+    distance = (kernel**alpha).max(axis=1, keepdims=True) - kernel**alpha
+    share = distance / distance.sum(axis=1, keepdims=True)
+    logarithm = np.log(share + np.finfo(np.float64).eps)
+    keep = logarithm < (share * logarithm).sum(axis=1, keepdims=True)
+    assert_array_equal(neighbourhood_mask(kernel, alpha), (keep.astype(float) + keep.T) / 2)
