@@ -15,7 +15,9 @@ class TrackOptions:
 
     The algorithm is that of Sundaram, Brox and Keutzer, "Dense point trajectories by GPU-accelerated
     large displacement optical flow", ECCV 2010, section 2 (SBK below). Constants marked "measured"
-    were found by comparing with the released trajectories (docs/tracking.md).
+    were found by comparing with the released trajectories (docs/tracking.md). The comparison of patches
+    with their start (`anchor`, `appearance` and what belongs to them) is not the release's but after Shi
+    and Tomasi, CVPR 1994, and Baker and Matthews, IJCV 2004; measured on synthetic drives.
     """
 
     spacing: int = option(8, "distance of the seed grid's points in pixels (SBK: every 8th pixel)", low=1)
