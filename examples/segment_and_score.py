@@ -25,7 +25,7 @@ def main(path: str | None = None) -> dict[str, float]:
     clip = synthetic_clip() if path is None else kt3dmoseg.load(path)
     print(f"{clip.name}: {len(clip.evaluated)} trajectories, {clip.n_motions} motions")
     errors = {}
-    for method in ("one_motion", "fundamental", "keradd"):
+    for method in ("one_motion", "fundamental", "keradd", "subset"):
         found = mseg.segment(clip, method, n_motions=clip.n_motions, seed=0)
         scores = mseg.score(truth=clip.labels, pred=found)
         errors[method] = float(scores.per_clip().mean())
