@@ -1,152 +1,140 @@
-"""Groups of points of which each has a hyperplane in every view: merging, reassigning, describing them.
+"""Groups of correspondences of which each has one epipolar geometry in every pair of frames.
 
-Views come as from `whiten`: (V, D, N), zero columns where a view does not see a point.
+Pairs of frames come as views (V, 9, N): columns ``w = vec(x' x^T)``, x and x' homogeneous, at any scale;
+zero columns where a pair does not see a trajectory. ``f . w = 0`` is a hyperplane of R^9, and f, row by row,
+the fundamental matrix.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import combinations
+
 import numpy as np
 
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+from mseg.iteration import Convergence, iterate
 
-_RELATIVE_FLOOR = 1e-3
-# Squared distances under this are noise; those of whitened points at random are 1 / D.
-_PRECISION = 1e-3
-
-
-def whiten(view: FloatArray) -> FloatArray:
-    """Coordinates in which the seen points scatter alike in all directions, each at unit length.
-
-    A hyperplane stays one under a linear map. What tells two motions apart, however, is small beside what
-    tells two places of the image apart; here both count alike. Directions under a thousandth of the widest
-    are noise and are not drawn out further.
-
-    Parameters
-    ----------
-    view : (D, N) float64
-        Points as columns; zero where not seen, and still so in what returns.
-    """
-    left, values, _ = np.linalg.svd(view, full_matrices=False)
-    scaled = (left.T @ view) / np.hypot(values, _RELATIVE_FLOOR * values[0])[:, None]
-    length = np.linalg.norm(scaled, axis=0)
-    return np.asarray(np.divide(scaled, length, out=np.zeros_like(scaled), where=length > 0))
+_LARGEST = float(np.finfo(np.float64).max)
 
 
-def merge_by_hyperplanes(views: FloatArray, groups: IntArray, count: int) -> IntArray:
-    """Merge two groups at a time, those that one hyperplane per view serves best.
+@dataclass(frozen=True, eq=False)
+class EpipolarGroups:
+    """What a partition of trajectories costs, and partitions that cost little.
 
-    With S_a the second moments of group a in a view, the least eigenvalue of S_a is the squared error of
-    its best hyperplane through the origin. The two groups merge for which the increase
-    ``lambda(S_a + S_b) - lambda(S_a) - lambda(S_b)``, summed over the views that see both, is least per
-    point and view.
+    The cost of groups g is, per trajectory and pair that sees it, the nats that describe its distance from
+    the group's fundamental matrix, and the normalised cut of an affinity:
+
+        sum_g (1/T sum_v n_gv/2 log(d_gv + noise^2) + weight cut(g) / degree(g))
+
+    with d_gv the mean squared Sampson distance of the n_gv trajectories of g that view v sees, T the sum of
+    all n_gv. Distances alone let K geometries per pair explain wrong groups as well; the cut alone parts the
+    largest motion.
 
     Parameters
     ----------
-    views : (V, D, N) float64
-        Whitened points.
-    groups : (N,) int64
-        Labels 1..L.
-    count : int
-        Number of groups wanted; L stay if it is larger.
-
-    Returns
-    -------
-    (N,) int64
-        Labels 1..min(L, count).
-
-    Notes
-    -----
-    Merging one group into another adds their moments, so that after one pass over the points, O(V N D^2),
-    a merge costs O(L^2 V D^3).
+    views : (V, 9, N) float64
+        See the module.
+    affinity : (N, N) float64
+        Symmetric weights >= 0.
+    noise : float
+        Distance, in the units of the views, under which nothing is told apart.
+    weight : float
+        Weight of the cut.
     """
-    labels, owner = np.unique(groups, return_inverse=True)
-    moments = np.stack([_moments(views[:, :, owner == group]) for group in range(len(labels))])
-    merged = np.arange(len(labels))
-    while len(moments) > count:
-        into, gone = sorted(divmod(int(_increase(moments).argmin()), len(moments)))
-        moments[into] += moments[gone]
-        moments = np.delete(moments, gone, axis=0)
-        merged[merged == gone] = into
-        merged[merged > gone] -= 1
-    return np.asarray(merged[owner] + 1)
+
+    views: FloatArray
+    affinity: FloatArray
+    noise: float
+    weight: float
+
+    def cost(self, labels: IntArray) -> float:
+        """Cost of the groups 1..K of `labels` (N,)."""
+        return sum(self._cost(labels == k) for k in np.unique(labels).tolist())
+
+    def merge(self, labels: IntArray, count: int) -> IntArray:
+        """Merge two groups at a time, those whose union lowers the cost most, until `count` are left.
+
+        Returns
+        -------
+        (N,) int64
+            Labels 1..min(count, number of groups).
+        """
+        groups = [labels == k for k in np.unique(labels).tolist()]
+        costs = [self._cost(group) for group in groups]
+        rise = np.full((len(groups), len(groups)), np.inf)
+        for a, b in combinations(range(len(groups)), 2):
+            rise[a, b] = self._cost(groups[a] | groups[b]) - costs[a] - costs[b]
+        while len(groups) > count:
+            a, b = divmod(int(rise.argmin()), len(groups))
+            groups[a] |= groups.pop(b)
+            costs[a] += costs.pop(b) + float(rise[a, b])
+            rise = np.delete(np.delete(rise, b, axis=0), b, axis=1)
+            for c in (c for c in range(len(groups)) if c != a):
+                rise[min(a, c), max(a, c)] = self._cost(groups[a] | groups[c]) - costs[a] - costs[c]
+        return np.asarray(np.stack(groups).argmax(axis=0) + 1)
+
+    def reassign(self, labels: IntArray, max_iterations: int) -> tuple[IntArray, Convergence]:
+        """Give every trajectory to the group whose geometry fits it best, and fit again.
+
+        Distances from a group's matrix are taken for Gaussian with the group's own variance in the view; the
+        nats are averaged over the views that see the trajectory and at least nine of the group.
+
+        Returns
+        -------
+        labels : (N,) int64
+            Labels 1..K; no group becomes empty, and what nothing is known about keeps its label.
+        convergence : Convergence
+            Of the share of trajectories that moved.
+        """
+        count = int(labels.max())
+
+        def step() -> float:
+            nonlocal labels
+            nats = np.array([self._mean_nats(labels == k) for k in range(1, count + 1)])
+            moved = np.where((nats < _LARGEST).any(axis=0), nats.argmin(axis=0) + 1, labels)
+            if len(np.unique(moved)) < len(np.unique(labels)):
+                return 0.0
+            before, labels = labels, moved
+            return float((before != labels).mean())
+
+        convergence = iterate(step, tolerance=0.0, max_iterations=max_iterations)
+        return labels, convergence
+
+    def _cost(self, group: BoolArray) -> float:
+        seen, squares = _distances(self.views[:, :, group], fundamental_matrices(self.views[:, :, group]))
+        number = seen.sum(axis=1)
+        mean = squares.sum(axis=1) / np.maximum(number, 1)
+        nats = float(number @ np.log(mean + self.noise**2)) / 2 / float(self.views.any(axis=1).sum())
+        weights = self.affinity[group]
+        return nats + self.weight * (1 - float(weights[:, group].sum() / max(weights.sum(), 1e-300)))
+
+    def _mean_nats(self, group: BoolArray) -> FloatArray:
+        """Nats (N,) per view as a member of a group; the largest number where no view tells."""
+        seen, squares = _distances(self.views, fundamental_matrices(self.views[:, :, group]))
+        number = seen[:, group].sum(axis=1)
+        variance = squares[:, group].sum(axis=1) / np.maximum(number, 1) + self.noise**2
+        telling = seen & (number > self.views.shape[1] - 1)[:, None]
+        nats = np.where(telling, (squares / variance[:, None] + np.log(variance)[:, None]) / 2, 0).sum(axis=0)
+        views = telling.sum(axis=0)
+        return np.asarray(np.divide(nats, views, out=np.full(nats.shape, _LARGEST), where=views > 0))
 
 
-def reassign_by_hyperplanes(views: FloatArray, labels: IntArray, sweeps: int) -> IntArray:
-    """Give every point to the group in whose hyperplanes it is likeliest, until nothing changes.
+def fundamental_matrices(views: FloatArray) -> FloatArray:
+    """Matrices (V, 3, 3) of least algebraic error of the points of views (V, 9, n)."""
+    _, vectors = np.linalg.eigh(views @ views.transpose(0, 2, 1))
+    return np.asarray(vectors[:, :, 0].reshape(-1, 3, 3))
 
-    The distance from a group's hyperplane is taken for Gaussian with the group's own variance; the
-    logarithms are averaged over the views that see the point and at least D points of the group.
 
-    Parameters
-    ----------
-    views : (V, D, N) float64
-        Whitened points.
-    labels : (N,) int64
-        Groups 1..K.
-    sweeps : int
-        Cap on repetitions.
+def _distances(views: FloatArray, models: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Which points the views see (V, n), and squared Sampson distances, zero where they do not.
 
-    Returns
-    -------
-    (N,) int64
-        Labels 1..K; points that nothing is known about keep theirs.
+    The last row of ``x' x^T`` is x, the last column x', both at the scale of w: the distance is free of it.
     """
-    for _ in range(sweeps):
-        nats = np.array([_mean_nats(views, labels == k) for k in range(1, int(labels.max()) + 1)])
-        known = np.isfinite(nats).any(axis=0)
-        before, labels = labels, np.where(known, nats.argmin(axis=0) + 1, labels)
-        if np.array_equal(before, labels):
-            break
-    return labels
-
-
-def hyperplane_code_length(views: FloatArray, labels: IntArray) -> float:
-    """Nats that describe the distances of points (V, D, N) from their groups' hyperplanes, and the groups.
-
-    For n of N points ``n (1/2 sum_v log lambda_v - log(n / N))`` with lambda_v the mean squared distance in
-    view v, to which 0.001 is added; nothing for less than D points in a view.
-    """
-    total = 0.0
-    for k in np.unique(labels):
-        members = views[:, :, labels == k]
-        variances, _, seen = _hyperplanes(members)
-        total += float((seen * np.log(variances))[seen >= views.shape[1]].sum()) / 2
-        total -= members.shape[2] * float(np.log(members.shape[2] / len(labels)))
-    return total
-
-
-def _moments(members: FloatArray) -> FloatArray:
-    return np.asarray(members @ members.transpose(0, 2, 1))
-
-
-def _hyperplanes(members: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Per view the variance of distances, the normal (V, D) and the number of points seen."""
-    moments = _moments(members)
-    # Columns have unit length.
-    seen = np.trace(moments, axis1=1, axis2=2).round()
-    values, vectors = np.linalg.eigh(moments)
-    return np.maximum(values[:, 0], 0) / np.maximum(seen, 1) + _PRECISION, vectors[:, :, 0], seen
-
-
-def _mean_nats(views: FloatArray, members: FloatArray) -> FloatArray:
-    """Nats (N,) per view as a member of a group; infinite where no view tells."""
-    variances, normals, seen = _hyperplanes(views[:, :, members])
-    distances = np.einsum("vd,vdn->vn", normals, views)
-    usable = views.any(axis=1) & (seen >= views.shape[1])[:, None]
-    nats = (distances**2 / variances[:, None] + np.log(variances)[:, None]) / 2
-    number = usable.sum(axis=0)
-    summed = np.where(usable, nats, 0).sum(axis=0)
-    return np.asarray(np.divide(summed, number, out=np.full(len(number), np.inf), where=number > 0))
-
-
-def _increase(moments: FloatArray) -> FloatArray:
-    """Increase of squared error per point and view (L, L) under merging, huge where nothing is known."""
-    alone = np.linalg.eigvalsh(moments)[..., 0]
-    seen = np.trace(moments, axis1=2, axis2=3)
-    both = (seen[:, None] > 0) & (seen > 0)
-    joint = np.linalg.eigvalsh(moments[:, None] + moments)[..., 0]
-    more = np.where(both, joint - alone[:, None] - alone, 0).sum(axis=2)
-    points = np.where(both, seen[:, None] + seen, 0).sum(axis=2)
-    each = np.divide(more, points, out=np.full(more.shape, np.finfo(np.float64).max), where=points > 0)
-    np.fill_diagonal(each, np.inf)
-    return np.asarray(each)
+    seen = np.asarray(views.any(axis=1))
+    algebraic = np.einsum("vd,vdn->vn", models.reshape(-1, 9), views)
+    back = models[:, :, :2].transpose(0, 2, 1)
+    lines = np.concatenate([models[:, :2] @ views[:, 6:], back @ views[:, 2::3]], axis=1)
+    gradient = np.einsum("vdn,vdn->vn", lines, lines)
+    squares = np.divide(algebraic**2, gradient, out=np.zeros_like(gradient), where=gradient > 0)
+    return seen, squares

@@ -11,19 +11,17 @@ from kt3dmoseg.types import Clip, FloatArray, IntArray, Trajectories
 from mseg.clustering import spectral_clustering
 from mseg.clustering.coefficient_affinity import count_by_eigengap, sparse_affinity
 from mseg.clustering.collaborative import collaborative_representation
-from mseg.clustering.hyperplanes import (
-    hyperplane_code_length,
-    merge_by_hyperplanes,
-    reassign_by_hyperplanes,
-    whiten,
-)
+from mseg.clustering.hyperplanes import EpipolarGroups
 from mseg.errors import SegmentationError, TooFewPointsError
 from mseg.geometry import hartley
+from mseg.iteration import Convergence
 from mseg.methods.leftover import join_largest
 from mseg.types import Segmentation
 
-_PIECES = (4, 6, 8, 12, 16)
-_SWEEPS = 5
+_PIECES = (4, 6, 8, 12)
+# Three times the points that fix a fundamental matrix; of fewer, any will fit.
+_POINTS_PER_PIECE = 24
+_MOST_SWEEPS = 100
 
 
 @dataclass(frozen=True)
@@ -35,12 +33,13 @@ class TPV:
     2. ``min sum_k alpha/2 |W_k - W_k C_k|^2 + sum_ij |(C_1(i, j), ..., C_P(i, j))|_2`` with zero diagonals;
        a trajectory not seen in pair k takes no part there.
     3. Affinity of ``sum_k |C_k|``, of each column the largest 70 per cent, scaled to a maximum of one
-       (as in SSC); spectral clustering into K, 4, 6, 8, 12 and 16 groups. Sparse coefficients join near
-       points: they hardly cross from one motion to another, yet tie the far ends of a large motion even less.
-    4. Groups merge, two at a time those for which one hyperplane per pair fits both best, until K are left;
-       trajectories move to the group whose hyperplanes fit them best, up to five times. Of the six
-       segmentations the one stays in which distances from the hyperplanes take the shortest code
-       (`mseg.clustering.hyperplanes`).
+       (as in SSC); spectral clustering into K, 4, 6, 8 and 12 groups, of 24 trajectories or more on
+       average. Sparse coefficients join near points: they hardly cross from one motion to another, yet tie
+       the far ends of a large motion even less.
+    4. Groups merge, two at a time, until K are left, by a cost of distances from each group's fundamental
+       matrices and of the affinity that is cut (`mseg.clustering.hyperplanes.EpipolarGroups`);
+       trajectories move to the group whose matrices fit them best until none moves. Of the five
+       segmentations the cheapest stays.
 
     Trajectories that no pair sees join the largest motion.
 
@@ -52,9 +51,9 @@ class TPV:
     memory.
     """
 
-    pairs: int = option(8, "most pairs of frames, evenly over the clip", low=1)
+    pairs: int = option(8, "most pairs of frames in the length of a trajectory", low=1)
     gap: float = option(
-        0.25, "frames from the first to the second of a pair, as part of the clip", low=0, high=1
+        0.25, "frames from the first to the second of a pair, as part of a trajectory", low=0, high=1
     )
     alpha: float = option(8000.0, "weight of the fit", low=1e-9)
     penalty: float = option(50.0, "penalty of ADMM's splitting", low=1e-9)
@@ -62,6 +61,8 @@ class TPV:
     tolerance: float = option(2e-3, "largest residual of the constraint and step at convergence", low=0)
     max_iterations: int = option(400, "cap on ADMM iterations", low=1)
     merge: bool = option(True, "cluster into more groups than motions too, and merge (step 4)")
+    noise: float = option(0.005, "least distance that tells, with points sqrt 2 from their centre", low=1e-9)
+    cut: float = option(6.0, "weight of the normalised cut beside nats per trajectory and pair", low=0)
     restarts: int = option(20, "restarts of k-means", low=1)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
@@ -84,23 +85,24 @@ class TPV:
         )
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
-        found = self._grouped(views, affinity, count, rng)
+        found, refined = self._grouped(np.stack(views), affinity, count, rng)
         report = {"pairs": len(views), "n_motions": count, "trajectories_left_out": int((~used).sum())}
-        return Segmentation(join_largest(found, used), {**report, **solved.convergence.report()})
+        report |= {**solved.convergence.report(), **refined.report("reassignment_")}
+        return Segmentation(join_largest(found, used), report)
 
     def _grouped(
-        self, views: list[FloatArray], affinity: FloatArray, count: int, rng: np.random.Generator
-    ) -> IntArray:
+        self, views: FloatArray, affinity: FloatArray, count: int, rng: np.random.Generator
+    ) -> tuple[IntArray, Convergence]:
         """Labels 1..count by steps 3 and 4."""
+        whole = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
         if not self.merge:
-            return spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
-        whitened = np.stack([whiten(view) for view in views])
-        candidates = []
-        for pieces in (count, *(p for p in _PIECES if count < p <= len(affinity) // 2)):
+            return whole, Convergence(True, 0, 0.0)
+        epipolar = EpipolarGroups(views, affinity, self.noise, self.cut)
+        candidates = [epipolar.reassign(whole, _MOST_SWEEPS)]
+        for pieces in (p for p in _PIECES if count < p <= len(affinity) // _POINTS_PER_PIECE):
             groups = spectral_clustering(affinity, pieces, rng, n_restarts=self.restarts)
-            merged = merge_by_hyperplanes(whitened, groups, count)
-            candidates.append(reassign_by_hyperplanes(whitened, merged, _SWEEPS))
-        return min(candidates, key=lambda labels: hyperplane_code_length(whitened, labels))
+            candidates.append(epipolar.reassign(epipolar.merge(groups, count), _MOST_SWEEPS))
+        return min(candidates, key=lambda candidate: epipolar.cost(candidate[0]))
 
 
 def epipolar_views(trajectories: Trajectories, most: int, gap: float) -> list[FloatArray]:
@@ -111,9 +113,10 @@ def epipolar_views(trajectories: Trajectories, most: int, gap: float) -> list[Fl
     trajectories : Trajectories
         N trajectories over F frames.
     most : int
-        Largest number of pairs.
+        Largest number of pairs over as many frames as the median trajectory is seen in; more where the clip
+        is longer.
     gap : float
-        Distance of the two frames as part of F - 1; at least one frame.
+        Distance of the two frames as part of that number less one; at least one frame.
 
     Returns
     -------
@@ -121,9 +124,11 @@ def epipolar_views(trajectories: Trajectories, most: int, gap: float) -> list[Fl
         Unit columns ``vec(x' x^T)``, zero for trajectories that the pair does not see. Pairs that see
         fewer than two are left out.
     """
-    apart = max(1, round(gap * (trajectories.n_frames - 1)))
+    length = max(2.0, float(np.median(trajectories.visible.sum(axis=1))))
+    apart = max(1, round(gap * (length - 1)))
     starts = np.arange(max(0, trajectories.n_frames - apart))
-    chosen = np.unique(np.linspace(0, len(starts) - 1, most).round().astype(int)) if len(starts) else starts
+    wanted = round(most * trajectories.n_frames / length)
+    chosen = np.unique(np.linspace(0, len(starts) - 1, wanted).round().astype(int)) if len(starts) else starts
     views = []
     for first in chosen.tolist():
         seen, x1, x2 = trajectories.pair(first, first + apart)

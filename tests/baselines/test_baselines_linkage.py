@@ -9,17 +9,13 @@ import mseg.methods as methods
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.clustering.collaborative import collaborative_representation
 from mseg.clustering.flat_code import code_length, reassign_by_code
-from mseg.clustering.hyperplanes import (
-    hyperplane_code_length,
-    merge_by_hyperplanes,
-    reassign_by_hyperplanes,
-    whiten,
-)
+from mseg.clustering.hyperplanes import EpipolarGroups, fundamental_matrices
 from mseg.clustering.linkage import by_size, tanimoto_linkage
 from mseg.clustering.lossy import _Groups, coding_lengths, compress
 from mseg.clustering.symmetric_factors import symmetric_factors
 from mseg.completion import robust_pca
 from mseg.errors import SegmentationError
+from mseg.geometry import fundamental
 from mseg.geometry.flats import best_flat_distances, flat_distances
 from mseg.geometry.trajectory_matrix import trajectory_matrix
 from mseg.methods.alc import elect, sparsity_preserving_dimension
@@ -141,6 +137,15 @@ def test_correspondences_of_a_motion_lie_in_a_hyperplane(make_scene):
         np.testing.assert_allclose(np.linalg.norm(view, axis=0), 1)
 
 
+def test_short_trajectories_get_near_frames_and_more_pairs(make_scene):
+    clip = make_scene(np.random.default_rng(5), (40,), n_frames=24)
+    visible = (np.arange(24) // 8)[None] == (np.arange(40) % 3)[:, None]
+    parts = Trajectories(np.where(visible[..., None], clip.dense.xy, np.nan), visible)
+    assert len(epipolar_views(clip.dense, 3, 0.5)) == 3
+    views = epipolar_views(parts, 3, 0.5)
+    assert np.any([view.any(axis=0) for view in views], axis=0).all()
+
+
 def test_collaboration_leaves_unseen_points_out(rng):
     views = [rng.normal(size=(3, 8)) for _ in range(2)]
     for view in views:
@@ -151,31 +156,42 @@ def test_collaboration_leaves_unseen_points_out(rng):
     assert not np.diagonal(solved.coefficients).any()
 
 
-def two_hyperplanes(rng, unseen=0):
-    """Whitened points in R^4, 40 in each of two hyperplanes, seen in two views but for `unseen` of them."""
-    views = []
-    for _ in range(2):
-        parts = [rng.normal(size=(4, 3)) @ rng.normal(size=(3, 40)) for _ in range(2)]
-        view = np.hstack(parts)
-        view[:, :unseen] = 0
-        views.append(whiten(view))
-    return np.stack(views), np.repeat([1, 2], 40)
+def two_motions(make_scene, unseen=0):
+    """Groups of a clip of 30 and 30 trajectories, the first few unseen, without affinity between motions."""
+    clip = make_scene(np.random.default_rng(4), (30, 30), noise=0.02)
+    views = np.stack(epipolar_views(clip.evaluated_trajectories, 4, 0.5))
+    views[:, :, :unseen] = 0
+    truth = clip.labels.label
+    return EpipolarGroups(views, (truth[:, None] == truth).astype(float), 0.005, 1.0), truth
 
 
-def test_pieces_of_hyperplanes_merge(rng):
-    views, truth = two_hyperplanes(rng)
-    pieces = np.repeat([1, 2, 3, 4, 5, 6], [20, 10, 10, 20, 10, 10])
-    assert agree(merge_by_hyperplanes(views, pieces, 2), truth)
-    assert agree(merge_by_hyperplanes(views, truth, 3), truth)
+def test_pieces_of_motions_merge(make_scene):
+    groups, truth = two_motions(make_scene)
+    pieces = 2 * truth - (np.arange(60) % 30 < 14)
+    assert agree(groups.merge(pieces, 2), truth)
+    assert agree(groups.merge(truth, 3), truth)
 
 
-def test_points_move_to_their_hyperplane_and_the_code_shortens(rng):
-    views, truth = two_hyperplanes(rng, unseen=2)
+def test_trajectories_move_to_their_motion_and_the_cost_falls(make_scene):
+    groups, truth = two_motions(make_scene, unseen=2)
     wrong = truth.copy()
-    wrong[[3, 5, 60]] = [2, 2, 1]
-    found = reassign_by_hyperplanes(views, wrong, 9)
-    np.testing.assert_array_equal(found, truth)
-    assert hyperplane_code_length(views, found) < hyperplane_code_length(views, wrong)
+    moved = [np.flatnonzero(truth == 1)[4], np.flatnonzero(truth == 2)[5]]
+    wrong[moved] = 3 - truth[moved]
+    found, convergence = groups.reassign(wrong, 20)
+    np.testing.assert_array_equal(found[2:], truth[2:])
+    assert convergence.converged
+    assert groups.cost(found) < groups.cost(wrong)
+    assert not groups.reassign(wrong, 1)[1].converged
+
+
+def test_epipolar_distance_is_that_of_sampson(make_scene):
+    clip = make_scene(np.random.default_rng(6), (25,), noise=0.5)
+    view = epipolar_views(clip.evaluated_trajectories, 1, 1.0)[0]
+    first, second = view[6:8] / view[8], view[2:8:3] / view[8]
+    models = fundamental_matrices(view[None])
+    expected = fundamental.sampson(models, first.T, second.T)[:, 0]
+    cost = EpipolarGroups(view[None], np.eye(25), 1e-9, 0.0).cost(np.ones(25, dtype=int))
+    assert cost == pytest.approx(np.log(expected.mean() + 1e-18) / 2)
 
 
 def test_points_move_to_their_flat_and_the_code_shortens(rng):
