@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+from mseg.iteration import Convergence, iterate
 
 # Pixels: no spread under this is told from none.
 _PRECISION = 0.1
@@ -33,7 +34,9 @@ def code_length(points: FloatArray, labels: IntArray, flat: int) -> float:
     return sum(_nats(group, flat, len(points)) for group in groups)
 
 
-def reassign_by_code(points: FloatArray, labels: IntArray, flat: int, sweeps: int) -> IntArray:
+def reassign_by_code(
+    points: FloatArray, labels: IntArray, flat: int, sweeps: int
+) -> tuple[IntArray, Convergence]:
     """Give every point to the group whose code for it is shortest, again and again until nothing changes.
 
     Parameters
@@ -49,18 +52,23 @@ def reassign_by_code(points: FloatArray, labels: IntArray, flat: int, sweeps: in
 
     Returns
     -------
-    (N,) int64
+    labels : (N,) int64
         Labels 1..K; as given where no group is large enough.
+    convergence : Convergence
+        Of the share of points that moved.
     """
     groups = int(labels.max(initial=0))
-    for _ in range(sweeps):
+
+    def step() -> float:
+        nonlocal labels
         length = np.array([_lengths(points, labels == k, flat) for k in range(1, groups + 1)])
         if not np.isfinite(length).any():
-            break
+            return 0.0
         before, labels = labels, length.argmin(axis=0) + 1
-        if np.array_equal(before, labels):
-            break
-    return labels
+        return float((before != labels).mean())
+
+    convergence = iterate(step, tolerance=0.0, max_iterations=sweeps)
+    return labels, convergence
 
 
 def _lengths(points: FloatArray, members: BoolArray, flat: int) -> FloatArray:

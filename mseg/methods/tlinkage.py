@@ -14,6 +14,7 @@ from mseg.clustering.linkage import tanimoto_linkage
 from mseg.clustering.preference import preference_matrix
 from mseg.geometry.flats import flat_distances
 from mseg.geometry.trajectory_matrix import project
+from mseg.iteration import Convergence
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 from mseg.sampling.localised import draw_near_subsets
 
@@ -72,27 +73,29 @@ class TLinkage(CompleteDataMethod):
             for scale in (_SCALES if several else (1.0,))
         ]
         # Points without a group cost no code: the fewest of them first.
-        labels, clusters, epsilon = min(
+        labels, clusters, epsilon, reassigned = min(
             found, key=lambda one: ((one[0] == 0).sum(), code_length(points, one[0], FLAT_DIMENSION))
         )
         sizes = np.bincount(clusters)[1:]
         if self.reject_outliers:
             labels = np.where(clusters > count_large(sizes), 0, labels)
-        return labels, {"clusters": len(sizes), "sizes": sizes[:10].tolist(), "epsilon": epsilon}
+        report = {"clusters": len(sizes), "sizes": sizes[:10].tolist(), "epsilon": epsilon}
+        return labels, {**report, **reassigned.report("reassignment_")}
 
     def _segmented(
         self, points: FloatArray, residuals: FloatArray, epsilon: float, n_motions: int | None
-    ) -> tuple[IntArray, IntArray, float]:
-        """Labels, the clusters behind them, and the epsilon that gave these."""
+    ) -> tuple[IntArray, IntArray, float, Convergence]:
+        """Labels, the clusters behind them, the epsilon that gave these, and how reassignment ended."""
         for _ in range(_MOST_REDUCTIONS):
             clusters = tanimoto_linkage(preference_matrix(residuals, epsilon))
             if clusters.max() >= (n_motions or 1):
                 break
             epsilon *= _REDUCTION
         if n_motions is None:
-            return clusters, clusters, epsilon
+            return clusters, clusters, epsilon, Convergence(True, 0, 0.0)
         kept = np.where(clusters <= n_motions, clusters, 0)
-        return reassign_by_code(points, kept, FLAT_DIMENSION, _SWEEPS), clusters, epsilon
+        labels, reassigned = reassign_by_code(points, kept, FLAT_DIMENSION, _SWEEPS)
+        return labels, clusters, epsilon, reassigned
 
 
 def rms_coordinates(pixels: FloatArray, dimension: int) -> FloatArray:

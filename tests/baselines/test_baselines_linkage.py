@@ -199,10 +199,12 @@ def test_points_move_to_their_flat_and_the_code_shortens(rng):
     points, truth = np.vstack(flats), np.repeat([1, 2], 30)
     start = truth.copy()
     start[[0, 9, 40]], start[[1, 2]] = [2, 2, 1], 0
-    found = reassign_by_code(points, start, 2, 9)
+    found, convergence = reassign_by_code(points, start, 2, 9)
+    assert convergence.converged
+    assert not reassign_by_code(points, start, 2, 1)[1].converged
     np.testing.assert_array_equal(found, truth)
     assert code_length(points, found, 2) < code_length(points, np.where(start == 0, 2, start), 2)
-    np.testing.assert_array_equal(reassign_by_code(points[:3], np.arange(1, 4), 2, 9), [1, 2, 3])
+    np.testing.assert_array_equal(reassign_by_code(points[:3], np.arange(1, 4), 2, 9)[0], [1, 2, 3])
 
 
 def test_code_length_of_the_definition(rng):
