@@ -10,7 +10,7 @@ from kt3dmoseg import flow
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow.outlines import sharpen
 
-SETTINGS = {"reach": (5, 10), "share": 0.85, "floor": 0.7}
+SETTINGS = {name: getattr(flow.create("dis"), name) for name in ("reach", "share", "floor")}
 GROUND, OBJECT = (0.0, 0.0), (7.0, 2.0)
 WHERE = slice(40, 90), slice(60, 120)
 
@@ -88,7 +88,7 @@ def test_the_default_flow_gains_at_outlines(scene):
     ring = np.zeros(a.shape, bool)
     ring[30:100, 50:120] = True
     ring[46:84, 66:114] = False
-    plain, whole = (flow.create("dis", reach=reach)(a, b) for reach in ((), (5, 10)))
+    plain, whole = (flow.create("dis", reach=reach)(a, b) for reach in ((), SETTINGS["reach"]))
     assert wrong(whole, exact, ring) < wrong(plain, exact, ring)
 
 
