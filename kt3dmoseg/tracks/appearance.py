@@ -62,8 +62,9 @@ class Appearance:
         A <- (1 + grad w) A: a camera that drives forward enlarges what it sees by some percent per frame.
         With `anchor`, position and map are then registered with the start. The result is taken where it lies
         at most `anchor` pixels off, and the change of the patch has fallen, and to `anchor_change` *
-        variance + `appearance_floor` at most; elsewhere the flow's point stays. Patches are alike
-        where change <= `appearance` * variance + `appearance_floor`; see `Window.unlike`.
+        variance + `appearance_floor` at most; elsewhere the flow's point stays. Of the way from the flow's
+        point to the result the trajectory goes the share `anchor_gain`. Patches are alike where change <=
+        `appearance` * variance + `appearance_floor`; see `Window.unlike`.
 
         Parameters
         ----------
@@ -94,8 +95,10 @@ class Appearance:
         better = (np.hypot(*(xy - target).T) <= limit) & self._alike(found, self.options.anchor_change)
         better &= self._change(found)[0] < self._change(seen)[0]
         better &= inside(xy, (image.shape[0] // 2, image.shape[1] // 2))
-        self._affine[better] = affine[better]
-        return np.where(better[:, None], xy, target), np.where(better[:, None], found, seen)
+        row = better[:, None]
+        gain = self.options.anchor_gain
+        self._affine += gain * np.where(row[..., None], affine - self._affine, 0)
+        return target + gain * np.where(row, xy - target, 0), np.where(row, found, seen)
 
     def _alike(self, seen: Float32Array, share: float) -> BoolArray:
         change, variance = self._change(seen)

@@ -58,6 +58,7 @@ class TrackOptions:
         "only where the patch's mean squared change since its start is then <= this * variance + floor",
         low=0,
     )
+    anchor_gain: float = option(1.0, "share of the correction that is applied, 0 to 1", low=0, high=1)
     anchor_iterations: int = option(1, "iterations of the registration (measured)", low=1)
     anchor_scale: float = option(
         10.0, "scale of the robust error of the registration, in gray values (measured)", low=0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import cast
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 
 from kt3dmoseg.flow.smoothing import smooth
 from kt3dmoseg.tracks.options import TrackOptions
-from kt3dmoseg.types import BoolArray, ByteArray, Float32Array
+from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray
 
 _CENTRAL = np.array([-0.5, 0.0, 0.5], dtype=np.float32)
 _ONE = np.ones(1, dtype=np.float32)
@@ -50,9 +51,13 @@ def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
     (H, W) bool
     """
     eigenvalue = smaller_eigenvalue(frame, options.presmoothing, options.integration)
-    height, width = frame.shape
+    fraction = _fraction(*frame.shape, options.structure, options.border_gain, options.border_decay)
+    return cast(BoolArray, eigenvalue >= fraction * eigenvalue.mean(dtype=np.float64))
+
+
+@lru_cache(maxsize=1)  # the same for all frames of a clip
+def _fraction(height: int, width: int, structure: float, gain: float, decay: float) -> FloatArray:
     across = np.minimum(np.arange(width), np.arange(width)[::-1])
     down = np.minimum(np.arange(height), np.arange(height)[::-1])
     distance = np.minimum(down[:, None], across[None, :])
-    fraction = options.structure + options.border_gain * np.exp(-options.border_decay * distance)
-    return cast(BoolArray, eigenvalue >= fraction * eigenvalue.mean(dtype=np.float64))
+    return structure + gain * np.exp(-decay * distance)

@@ -55,6 +55,14 @@ def test_a_drift_below_a_pixel_is_taken_back(shift):
     np.testing.assert_allclose(found, POINTS + shift, atol=0.02)
 
 
+def test_a_share_of_the_correction_is_applied():
+    looks = remembered(
+        gray(picture()), POINTS, TrackOptions(anchor=1.5, anchor_iterations=6, anchor_gain=0.5)
+    )
+    found = moved(looks, gray(picture((0.6, 0.4))), POINTS)
+    np.testing.assert_allclose(found - POINTS, [(0.3, 0.2)] * 3, atol=0.02)
+
+
 def test_gain_and_brightness_do_not_pull():
     looks = remembered(gray(picture()), POINTS)
     found = moved(looks, gray(picture((0.3, 0.2), gain=0.8, add=30)), POINTS)
