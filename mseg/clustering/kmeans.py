@@ -10,8 +10,6 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.errors import TooFewPointsError
 
-_MAX_STEPS = 300
-
 
 @dataclass(frozen=True, eq=False)
 class KMeans:
@@ -97,11 +95,17 @@ def _plus_plus(
 
 
 def _lloyd(points: FloatArray, squares: FloatArray, centres: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Alternate assignment and means for all restarts until each stands still."""
+    """Alternate assignment and means for all restarts until each stands still.
+
+    Without a cap: a restart goes on only while what its centres explain has grown, and there are finitely
+    many partitions, so each comes to rest (Selim and Ismail, "K-means-type algorithms: a generalized
+    convergence theorem", TPAMI 1984).
+    """
     n_restarts, n_clusters, dimension = centres.shape
     labels = np.full((n_restarts, len(points)), -1, dtype=np.int64)
+    explained = np.full(n_restarts, -np.inf)
     active = np.arange(n_restarts)
-    for _ in range(_MAX_STEPS):
+    while len(active):
         flat = centres[active].reshape(-1, dimension)
         distance = _distances(points, squares, flat).reshape(len(active), n_clusters, len(points))
         assigned = distance.argmin(axis=1)
@@ -110,20 +114,26 @@ def _lloyd(points: FloatArray, squares: FloatArray, centres: FloatArray) -> tupl
         active, assigned = active[moved], assigned[moved]
         if not len(active):
             break
-        centres[active] = _means(points, assigned, centres[active])
+        centres[active], now = _means(points, assigned, centres[active])
+        grown = now > explained[active]
+        explained[active] = now
+        active = active[grown]
     return labels, centres
 
 
-def _means(points: FloatArray, labels: IntArray, centres: FloatArray) -> FloatArray:
-    """Means of the clusters of each restart; a cluster that lost all its points keeps its centre."""
+def _means(points: FloatArray, labels: IntArray, centres: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Means of the clusters of each restart, and ``sum_k n_k |mean_k|^2`` of each.
+
+    A cluster that lost all its points keeps its centre.
+    """
     n_restarts, n_clusters, dimension = centres.shape
     member = (labels[:, None, :] == np.arange(n_clusters)[:, None]).astype(np.float64)
     member = member.reshape(n_restarts * n_clusters, -1)
     count = member.sum(axis=1, keepdims=True)
     total = member @ points
     mean = np.divide(total, count, out=centres.reshape(-1, dimension).copy(), where=count > 0)
-    out: FloatArray = mean.reshape(centres.shape)
-    return out
+    explained = count[:, 0] * np.einsum("cd,cd->c", mean, mean)
+    return mean.reshape(centres.shape), explained.reshape(n_restarts, n_clusters).sum(axis=1)
 
 
 def _distances(points: FloatArray, squares: FloatArray, centres: FloatArray) -> FloatArray:
