@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg import catalog
-from kt3dmoseg.build.shot import Shot, Source, pictures, sha256_of
+from kt3dmoseg.build.shot import Shot, Source, sha256_of
 from kt3dmoseg.entries import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.io.images import Colour
+from kt3dmoseg.io.images import Colour, read_frames
 from kt3dmoseg.kitti import Drive, RawDrive
 from kt3dmoseg.kitti.store import LOCATED
 from kt3dmoseg.types import ByteArray, Camera
@@ -63,7 +63,7 @@ class KittiClip:
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Give gray frames; of the colour cameras 2 and 3 their luma."""
         wanted: Colour = "luma" if self.drive.camera > 1 else colour
-        return pictures([self.drive.frame_path(n) for n in self._numbers()], wanted)
+        return read_frames([self.drive.frame_path(n) for n in self._numbers()], wanted)
 
     def _numbers(self) -> Sequence[int]:
         present = [int(n) for n in self.drive.numbers]

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import sha256_file
-from kt3dmoseg.io.images import Colour, read_frame
+from kt3dmoseg.io.images import Colour
 from kt3dmoseg.types import ByteArray, Camera, FloatArray
 
 
@@ -59,22 +58,6 @@ class Source(Protocol):
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Give gray frames one after the other."""
         ...
-
-
-def pictures(paths: Sequence[Path], colour: Colour) -> Iterator[ByteArray]:
-    """Read pictures as gray frames, one after the other, all of one size."""
-    first: tuple[int, ...] | None = None
-    for path in paths:
-        frame = read_frame(path, colour)
-        first = first or frame.shape
-        if frame.shape != first:
-            raise FileFormatError(
-                f"{path}",
-                expected=f"{first[1]}x{first[0]} px, as {paths[0].name}",
-                found=f"{frame.shape[1]}x{frame.shape[0]}",
-                fix="give frames of one size",
-            )
-        yield frame
 
 
 def sha256_of(paths: Sequence[Path]) -> str:

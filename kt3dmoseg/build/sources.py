@@ -10,16 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.build.kitti_clips import DRIVE_FOLDERS, kitti_sources, located_sources
-from kt3dmoseg.build.shot import Shot, Source, pictures, sha256_of
+from kt3dmoseg.build.shot import Shot, Source, sha256_of
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import sha256_file
-from kt3dmoseg.io.images import (
-    IMAGE_SUFFIXES,
-    Colour,
-    frame_number,
-    frame_paths,
-    gray,
-)
+from kt3dmoseg.io.images import IMAGE_SUFFIXES, Colour, frame_number, frame_paths, gray, read_frames
 from kt3dmoseg.io.video import open_video
 from kt3dmoseg.types import ByteArray
 
@@ -58,7 +52,7 @@ class FrameFolder:
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Give gray frames, all of one size."""
-        return pictures(frame_paths(self.folder), colour)
+        return read_frames(frame_paths(self.folder), colour)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def _painting(clip: Clip, arguments: argparse.Namespace) -> Painting:
 def _pictures(clip: Clip, folder: str | None) -> list[ByteArray]:
     """Gray frames of the clip; none when no folder is given."""
     from kt3dmoseg.errors import InputFileError
-    from kt3dmoseg.io.images import frame_paths, read_frame
+    from kt3dmoseg.io.images import frame_paths, read_frames
 
     if folder is None:
         return []
@@ -89,7 +89,14 @@ def _pictures(clip: Clip, folder: str | None) -> list[ByteArray]:
         raise InputFileError(
             folder, expected=f"the {clip.n_frames} frames of {clip.name}", found=f"{len(paths)}"
         )
-    return [read_frame(path, "luma") for path in paths]
+    frames = list(read_frames(paths, "luma"))
+    size = frames[0].shape[1], frames[0].shape[0]
+    if clip.dense.image_size not in (None, size):
+        width, height = clip.dense.image_size
+        raise InputFileError(
+            folder, expected=f"frames of {width}x{height} px, as in {clip.name}", found=f"{size[0]}x{size[1]}"
+        )
+    return frames
 
 
 def _write(clip: Clip, arguments: argparse.Namespace, drawn: Callable[[int], ByteArray]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
@@ -109,6 +109,28 @@ def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteA
     return gray(decode(read_bytes(path, _MAX_FILE), where), where, colour)
 
 
+def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refuse") -> Iterator[ByteArray]:
+    """Read frames one after the other, all of one size; see `read_frame`.
+
+    Raises
+    ------
+    FileFormatError
+        Also for a frame of another size than the first.
+    """
+    first: tuple[str, tuple[int, ...]] | None = None
+    for path in paths:
+        frame = read_frame(path, colour)
+        name, shape = first = first or (Path(path).name, frame.shape)
+        if frame.shape != shape:
+            raise FileFormatError(
+                os.fspath(path),
+                expected=f"{shape[1]}x{shape[0]} px, as {name}",
+                found=f"{frame.shape[1]}x{frame.shape[0]}",
+                fix="give frames of one size",
+            )
+        yield frame
+
+
 def decode(content: bytes, where: str) -> npt.NDArray[Any]:
     """Decode a picture as it is stored: (H, W) or (H, W, C), in OpenCV's BGR order."""
     picture = None
@@ -159,18 +181,6 @@ def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> By
             fix="convert it to gray, or ask for its luma with --colour luma (colour='luma')",
         )
     return np.asarray(cv2.cvtColor(channels, cv2.COLOR_BGR2GRAY))
-
-
-def check_sizes(shapes: Sequence[tuple[int, int]], paths: Sequence[os.PathLike[str]]) -> None:
-    """Refuse frames of different (H, W)."""
-    for shape, path in zip(shapes, paths, strict=True):
-        if shape != shapes[0]:
-            raise FileFormatError(
-                os.fspath(path),
-                expected=f"{shapes[0][1]}x{shapes[0][0]} px, as the frames before",
-                found=f"{shape[1]}x{shape[0]}",
-                fix="give frames of one size",
-            )
 
 
 def _check_consecutive(root: Path, numbers: Sequence[int]) -> None:

@@ -121,7 +121,8 @@ def _write_animation(
     animation = cv2.Animation()
     animation.frames = [np.ascontiguousarray(picture[..., ::-1]) for picture in pictures]
     animation.durations = [round(1000 / rate)] * len(animation.frames)
-    encoded, content = cv2.imencodeanimation(".png" if suffix == ".apng" else suffix, animation)
+    with quiet_opencv():
+        encoded, content = cv2.imencodeanimation(".png" if suffix == ".apng" else suffix, animation)
     if not encoded:
         raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write it", fix="write .mp4")
     write_bytes(path, content.tobytes())

@@ -177,6 +177,23 @@ def test_a_prediction_in_one_picture(file, tmp_path, capsys):
     assert capsys.readouterr().out == f"{out}: clip, 1 picture\n"
 
 
+@pytest.mark.parametrize("name", ["c.mp4", "c.gif", "shown"])
+def test_frames_of_another_size_are_one_line_and_nothing_is_drawn(name, file, tmp_path, capfd):
+    frames = write_clip(tmp_path / "frames/clip").parent
+    third = sorted((frames / "clip").iterdir())[2]
+    cv2.imwrite(str(third), np.zeros((HEIGHT - 4, WIDTH), np.uint8))
+    command = ["show", str(file), "--frames", str(frames), "-o", str(tmp_path / name)]
+    assert main(command) == 2
+    told = capfd.readouterr().err
+    assert f"{third}: expected {WIDTH}x{HEIGHT} px" in told
+    assert told.count("\n") == 1
+    for path in (frames / "clip").iterdir():
+        cv2.imwrite(str(path), np.zeros((HEIGHT - 4, WIDTH), np.uint8))
+    assert main(command) == 2
+    assert f"expected frames of {WIDTH}x{HEIGHT} px, as in clip" in capfd.readouterr().err
+    assert not (tmp_path / name).exists()
+
+
 def test_a_folder_of_clips_names_one_of_them(clip, file, tmp_path, capsys):
     save(clip, tmp_path / "two.h5")
     assert main(["show", str(tmp_path)]) == 2

@@ -97,3 +97,13 @@ def test_a_leaderboard_that_cannot_be_written_is_one_line(data, tmp_path, capsys
         capsys, "leaderboard", "add", str(tmp_path / "s"), data, "--db", str(tmp_path / "board")
     )
     assert "board: cannot write" in said
+
+
+def test_clips_without_labels_need_a_number_of_motions(tmp_path, capsys):
+    name, clip = next(iter(CLIPS.items()))
+    kt3dmoseg.save(clip.without_labels(), tmp_path / "data" / f"{name}.h5")
+    command = ["run", str(tmp_path / "data"), "-o", str(tmp_path / "p"), "--method", "affine"]
+    assert mseg.cli.main(command) == 0
+    assert "give --n-motions N" in capsys.readouterr().err
+    assert mseg.cli.main([*command[:3], str(tmp_path / "q"), *command[4:], "--n-motions", "2"]) == 0
+    assert capsys.readouterr().err == ""
