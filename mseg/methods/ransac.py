@@ -48,7 +48,7 @@ class Ransac(CompleteDataMethod):
         assert n_motions is not None
         points = leading_row_space(data.pixels, self.dimension)
         size = min(self.subspace, points.shape[1] - 1, len(points))
-        free, trials = np.arange(len(points)), []
+        free, trials, confident = np.arange(len(points)), [], True
         groups: list[IntArray] = []
         for _ in range(n_motions):
             pool = free if len(free) >= size else np.arange(len(points))
@@ -56,9 +56,14 @@ class Ransac(CompleteDataMethod):
             groups.append(pool[inliers])
             free = np.setdiff1d(free, groups[-1])
             trials.append(count)
+            confident &= count >= _trials(len(inliers) / len(pool), size, self.confidence)
         bases = [_leading_basis(points[g], size) for g in groups if len(g)]
         distance = np.stack([_squared_distance(points, basis) for basis in bases])
-        return distance.argmin(axis=0) + 1, {"trials": trials, "left": len(free)}
+        return distance.argmin(axis=0) + 1, {
+            "trials": trials,
+            "left": len(free),
+            "converged": bool(confident),
+        }
 
     def _one(self, points: FloatArray, size: int, rng: np.random.Generator) -> tuple[IntArray, int]:
         """Inliers of the best subspace, and how many samples were drawn."""

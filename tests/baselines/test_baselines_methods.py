@@ -145,6 +145,20 @@ def test_failure_to_converge_is_reported(make_scene, name):
     assert report["residual"] > 0
 
 
+# Nothing is iterated, or to the end: greedy merging (ALC), k-means.
+WITHOUT_CAP = {"one_motion", "prevalence", "affine", "homography", "fundamental", "keradd", "mssc"}
+WITHOUT_CAP |= {"lsa", "gpca", "alc"}
+
+
+@pytest.mark.parametrize("name", methods.list())
+def test_every_iteration_with_a_cap_says_how_it_ended(make_scene, name):
+    clip = make_scene(np.random.default_rng(12), (18, 18), noise=0.05)
+    report = methods.segment(clip, name, n_motions=2, **QUICK.get(name, {})).report
+    ends = {key: value for key, value in report.items() if key.endswith("converged")}
+    assert all(isinstance(value, bool) for value in ends.values())
+    assert bool(ends) == (name not in WITHOUT_CAP)
+
+
 def test_ssc_options(make_scene):
     clip = make_scene(np.random.default_rng(11), (20, 20))
     for parameters in ({"dimension": 8}, {"affine": False}):
