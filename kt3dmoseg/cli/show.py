@@ -78,25 +78,12 @@ def _painting(clip: Clip, arguments: argparse.Namespace) -> Painting:
 
 def _pictures(clip: Clip, folder: str | None) -> list[ByteArray]:
     """Gray frames of the clip; none when no folder is given."""
-    from kt3dmoseg.errors import InputFileError
-    from kt3dmoseg.io.images import frame_paths, read_frames
+    from kt3dmoseg.io.clip_frames import frames_of
 
     if folder is None:
         return []
     inner = Path(folder) / clip.name
-    paths = frame_paths(inner if inner.is_dir() else folder)
-    if len(paths) != clip.n_frames:
-        raise InputFileError(
-            folder, expected=f"the {clip.n_frames} frames of {clip.name}", found=f"{len(paths)}"
-        )
-    frames = list(read_frames(paths, "luma"))
-    size = frames[0].shape[1], frames[0].shape[0]
-    if clip.dense.image_size not in (None, size):
-        width, height = clip.dense.image_size
-        raise InputFileError(
-            folder, expected=f"frames of {width}x{height} px, as in {clip.name}", found=f"{size[0]}x{size[1]}"
-        )
-    return frames
+    return frames_of(clip, inner if inner.is_dir() else folder)
 
 
 def _write(clip: Clip, arguments: argparse.Namespace, drawn: Callable[[int], ByteArray]) -> str:

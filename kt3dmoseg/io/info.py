@@ -147,8 +147,10 @@ def _frames(folders: Sequence[Path]) -> str:
             size = f"{first.shape[1]}x{first.shape[0]}"
             rows.append([folder.name, str(len(paths)), numbers, size, _kind(first), ""])
         except (FileFormatError, InputFileError) as error:
+            if len(folders) == 1:
+                raise
             rows.append([folder.name, "-", "-", "-", "-", str(error)])
-    return table(rows, ["frames of", "frames", "numbers", "size", "pixels", ""])
+    return table(rows, ["frames of", "frames", "numbers", "size", "first picture", ""])
 
 
 def _picture(path: Path) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation.contingency import Contingency
 from mseg.evaluation.results import ScoreTable
@@ -131,17 +130,10 @@ def _controls(clip: Clip, seeds: list[int]) -> str:
 
 def _pictures(folder: Path, clip: Clip) -> list[ByteArray]:
     """Read the frames of a clip, (H, W) gray; none when the folder has no such clip."""
-    from kt3dmoseg.io.images import frame_paths, read_frame
+    from kt3dmoseg.io.clip_frames import frames_of
 
     place = folder / clip.name
-    if not place.is_dir():
-        return []
-    paths = frame_paths(place)
-    if len(paths) != clip.n_frames:
-        raise InputFileError(
-            f"{place}", expected=f"{clip.n_frames} frames, as the clip has", found=f"{len(paths)}"
-        )
-    return [read_frame(path, colour="luma") for path in paths]
+    return frames_of(clip, place) if place.is_dir() else []
 
 
 def _jpeg(picture: ByteArray) -> str:

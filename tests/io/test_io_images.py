@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.io import png
 from kt3dmoseg.io.images import frame_number, frame_paths, read_frame
@@ -53,6 +54,18 @@ def test_bad_folders(names, words, tmp_path):
     with pytest.raises((FileFormatError, InputFileError), match=words) as caught:
         frame_paths(_frames(tmp_path / "clip", names))
     assert str(tmp_path / "clip") in str(caught.value)
+
+
+@pytest.mark.parametrize("names", [["000001.png"], ["1.png", "2.png", "4.png"]])
+def test_info_of_a_bad_folder_is_one_line(names, tmp_path, capsys):
+    folder = _frames(tmp_path / "clip", names)
+    assert main(["info", str(folder)]) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    _frames(tmp_path / "good", ["1.png", "2.png"])  # one of several is told in its row
+    assert main(["info", str(tmp_path)]) == 0
+    assert str(folder) in capsys.readouterr().out
 
 
 def test_a_missing_folder(tmp_path):
