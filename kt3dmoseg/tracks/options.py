@@ -77,7 +77,7 @@ class TrackOptions:
 
 
 RELIABLE: Mapping[str, float] = MappingProxyType(
-    {"anchor": 1.0, "appearance": 0.2, "consistency": 1e-4, "consistency_floor": 0.05}
+    {"anchor": 1.0, "appearance": 0.2, "consistency": 1e-4, "consistency_floor": 0.02}
 )
 """Options for tracks to rely on, as keywords of `track`: anchored, and stopped where in doubt.
 
