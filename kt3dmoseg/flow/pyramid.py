@@ -33,7 +33,7 @@ class VariationalPyramid:
 
     smoothing: float = option(0.8, "smoothing of the frames before the refinement, sigma", low=0, high=5)
     scales: tuple[float, ...] = option(
-        (0.5, 0.65, 0.82, 1.0, 1.0), "size of each level to the frame; the flow is warped once at each"
+        (0.5, 0.7, 1.0, 1.0), "size of each level to the frame; the flow is warped once at each"
     )
     contrast: float = option(
         0.02, "gray values are multiplied by this before the refinement", low=1e-4, high=10
