@@ -12,6 +12,7 @@ from kt3dmoseg import cli, tracks
 from kt3dmoseg.io.images import frame_paths, read_frame
 from kt3dmoseg.io.video import write_png
 from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
+from kt3dmoseg.tracks import RELIABLE
 
 OPTIONS = SceneOptions(width=320, height=128, frames=6, objects=1, seed=3, speed=6.0, turn=2.0, noise=1.0)
 
@@ -26,21 +27,40 @@ def folder(scene, tmp_path_factory):
     return write_drive(scene, tmp_path_factory.mktemp("drive")) / "image_00" / "data"
 
 
-def test_tracks_follow_the_truth():
-    # Three drives together: on one, a single track is more than half a percent.
-    errors = np.concatenate([_errors_at_five(make_scene(replace(OPTIONS, seed=seed))) for seed in (3, 4, 5)])
-    assert len(errors) > 400
-    assert np.median(errors) < 0.5
-    assert (errors < 2).mean() > 0.82
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """Three drives: on one, a single track is more than half a percent."""
+    scenes = [make_scene(replace(OPTIONS, seed=seed)) for seed in (3, 4, 5)]
+    return [(scene, scene.frames()) for scene in scenes], tmp_path_factory.mktemp("flow")
 
 
-def _errors_at_five(scene):
-    tracks = kt3dmoseg.track(scene.frames())
+def errors_at_five(drives, **options):
+    scenes, cache = drives
+    return np.concatenate(
+        [_errors(scene, kt3dmoseg.track(frames, cache=cache, **options)) for scene, frames in scenes]
+    )
+
+
+def _errors(scene, tracks):
     first = tracks.visible.argmax(axis=1)
     seeds = np.c_[tracks.xy[np.arange(len(tracks)), first], first]
     exact = scene.trajectories(seeds)
     rows = np.flatnonzero((first == 0) & tracks.visible[:, 5] & exact.visible[:, 5])
     return np.linalg.norm(tracks.xy[rows, 5] - exact.xy[rows, 5], axis=1)
+
+
+def test_tracks_follow_the_truth(drives):
+    errors = errors_at_five(drives)
+    assert len(errors) > 400
+    assert np.median(errors) < 0.5
+    assert (errors < 2).mean() > 0.82
+
+
+def test_tracks_to_rely_on_follow_it_more_closely(drives):
+    errors = errors_at_five(drives, **RELIABLE)
+    assert len(errors) > 250
+    assert np.median(errors) < 0.15
+    assert (errors < 1).mean() > 0.9
 
 
 def test_translation_is_exact_to_a_few_hundredths():
