@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,19 @@ def test_an_object_keeps_a_motion_of_over_20_pixels():
     on_it, beside = field[56:92, 106:158], field[16:38, 60:260]
     assert np.mean(np.linalg.norm(on_it - (step, 0), axis=2) < 0.5) > 0.9
     assert np.mean(np.linalg.norm(beside - (2, 0), axis=2) < 0.2) > 0.95
+
+
+def test_threads_and_other_sizes_in_between_change_nothing():
+    x, y = np.meshgrid(np.arange(120.0), np.arange(90.0))
+    pairs = [(waves(x, y, seed), waves(x - seed, y, seed)) for seed in range(4)]
+    default, other = flow.create("dis"), flow.create("dis", alpha=30)
+    alone = [default(a, b) for a, b in pairs]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(lambda pair: default(*pair), pairs))
+    for (a, b), expected, found in zip(pairs, alone, together, strict=True):
+        other(a[:64, :80], b[:64, :80])
+        np.testing.assert_array_equal(default(a, b), expected)
+        np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("scales", [(), (0.5, 0.7), (0.05, 1.0), (0.5, 1.2, 1.0)])
