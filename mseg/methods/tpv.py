@@ -113,8 +113,8 @@ def epipolar_views(trajectories: Trajectories, most: int, gap: float) -> list[Fl
     trajectories : Trajectories
         N trajectories over F frames.
     most : int
-        Largest number of pairs over as many frames as the median trajectory is seen in; more where the clip
-        is longer.
+        Largest number of pairs over as many frames as the median trajectory that is seen twice is seen in;
+        more where the clip is longer.
     gap : float
         Distance of the two frames as part of that number less one; at least one frame.
 
@@ -124,11 +124,14 @@ def epipolar_views(trajectories: Trajectories, most: int, gap: float) -> list[Fl
         Unit columns ``vec(x' x^T)``, zero for trajectories that the pair does not see. Pairs that see
         fewer than two are left out.
     """
-    length = max(2.0, float(np.median(trajectories.visible.sum(axis=1))))
+    lengths = trajectories.lengths[trajectories.lengths > 1]
+    if not len(lengths):
+        return []
+    length = float(np.median(lengths))
     apart = max(1, round(gap * (length - 1)))
-    starts = np.arange(max(0, trajectories.n_frames - apart))
+    last = trajectories.n_frames - 1 - apart
     wanted = round(most * trajectories.n_frames / length)
-    chosen = np.unique(np.linspace(0, len(starts) - 1, wanted).round().astype(int)) if len(starts) else starts
+    chosen = np.unique(np.linspace(0, last, wanted).round().astype(int))
     views = []
     for first in chosen.tolist():
         seen, x1, x2 = trajectories.pair(first, first + apart)
