@@ -39,11 +39,13 @@ class TrackOptions:
     )
     border_decay: float = option(0.1, "its decay per pixel (measured)", low=0)
     consistency: float = option(
-        0.005,
+        0.004,
         "stop when |w + w'|^2 >= consistency * (|w|^2 + |w'|^2) + floor (SBK eq. 5: 0.01; measured)",
         low=0,
     )
-    consistency_floor: float = option(0.5, "the floor, in pixels squared (SBK eq. 5)", low=0)
+    consistency_floor: float = option(
+        0.2, "the floor, in pixels squared (SBK eq. 5: 0.5; measured)", low=0
+    )
     boundary: float = option(
         0.01, "stop when |grad u|^2 + |grad v|^2 > boundary * |w|^2 + floor (SBK eq. 6)", low=0
     )
