@@ -88,9 +88,7 @@ def smallest_subspace(
         raise TooFewPointsError("number of clusters", expected=f"1..{size} (points)", found=str(count))
     block = _block(count)
     if size <= max(_DENSE if start is None else 0, (_EXPANSIONS + 3) * block):
-        dense = np.asarray(matrix)
-        vectors = eigh(dense, subset_by_index=(0, min(block, size) - 1), driver="evr", check_finite=False)[1]
-        return np.ascontiguousarray(vectors)
+        return _dense(matrix, min(block, size))
     first = _random_block(size, block) if start is None else start
     return _krylov(matrix, first, count, tolerance)
 
@@ -102,6 +100,11 @@ def fixed_sign(vectors: FloatArray) -> FloatArray:
     return vectors * np.where(sign == 0, 1.0, sign)
 
 
+def _dense(matrix: Symmetric, count: int) -> FloatArray:
+    vectors = eigh(np.asarray(matrix), subset_by_index=(0, count - 1), driver="evr", check_finite=False)[1]
+    return np.ascontiguousarray(vectors)
+
+
 def _block(count: int) -> int:
     return -(-(count + _GUARD) // _WIDTH) * _WIDTH
 
@@ -111,7 +114,10 @@ def _random_block(size: int, block: int) -> FloatArray:
 
 
 def _krylov(matrix: Symmetric, first: FloatArray, count: int, tolerance: float) -> FloatArray:
-    """Solve the problem projected on a basis, expand the basis by residuals, repeat."""
+    """Solve the problem projected on a basis, expand the basis by residuals, repeat.
+
+    LAPACK takes over where eigenvalues lie so close that this does not get there.
+    """
     block = _block(count)
     kept = first.shape[1]
     basis = np.empty((len(first), max(kept, 2 * block) + _EXPANSIONS * block), order="F")
@@ -135,6 +141,8 @@ def _krylov(matrix: Symmetric, first: FloatArray, count: int, tolerance: float) 
             direction = matrix @ np.ascontiguousarray(direction)
             image[:, filled : filled + block] = direction
             filled += block
+    else:
+        return _dense(matrix, block)
     return np.ascontiguousarray(basis[:, :kept])
 
 

@@ -68,6 +68,14 @@ def test_krylov_finds_what_lapack_finds(rng):
     assert_allclose(found @ found.T, vectors @ vectors.T, atol=1e-6)
 
 
+def test_lapack_takes_over_where_krylov_does_not_get_there(rng):
+    """Below the precision of a product no residual falls."""
+    laplacian = normalised_laplacian(gaussian(rng.normal(size=(300, 3))))
+    vectors = eigh(laplacian, subset_by_index=(0, 1))[1]
+    found = smallest_eigenvectors(laplacian, 2, tolerance=0.0)
+    assert_allclose(found @ found.T, vectors @ vectors.T, atol=1e-12)
+
+
 def test_eigenvectors_have_a_fixed_sign(rng):
     vectors = spectral_embedding(gaussian(rng.normal(size=(20, 2))), 3)
     assert (vectors.max(axis=0) >= -vectors.min(axis=0)).all()
