@@ -43,9 +43,7 @@ class TrackOptions:
         "stop when |w + w'|^2 >= consistency * (|w|^2 + |w'|^2) + floor (SBK eq. 5: 0.01; measured)",
         low=0,
     )
-    consistency_floor: float = option(
-        0.2, "the floor, in pixels squared (SBK eq. 5: 0.5; measured)", low=0
-    )
+    consistency_floor: float = option(0.2, "the floor, in pixels squared (SBK eq. 5: 0.5; measured)", low=0)
     boundary: float = option(
         0.01, "stop when |grad u|^2 + |grad v|^2 > boundary * |w|^2 + floor (SBK eq. 6)", low=0
     )
