@@ -19,13 +19,13 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.completion import Completion, complete, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.trajectory_matrix import normalised, normalising_matrix, trajectory_matrix
 from mseg.methods.leftover import join_largest
+from mseg.methods.motion_count import told
 from mseg.types import Segmentation
 
 _FEWEST_FRAMES = 2
@@ -132,10 +132,8 @@ class CompleteDataMethod(ABC):
 
         See `mseg.types.Method.segment` for parameters and `mseg.methods.complete_data` for the rules.
         """
-        if n_motions is None and not self.finds_n_motions:
-            raise InvalidValueError(
-                "n_motions", expected=f"a number: {type(self).__name__} cannot find it", found="None"
-            )
+        if not self.finds_n_motions:
+            told(n_motions, self)
         data = complete_data(clip, self.completion, self.completion_rank)
         if n_motions is not None and data.n_points < n_motions:
             raise TooFewPointsError(

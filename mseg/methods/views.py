@@ -20,7 +20,6 @@ from typing import Any, Literal
 import numpy as np
 from scipy.sparse import csr_array
 
-from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, Trajectories
@@ -30,6 +29,7 @@ from mseg.errors import TooFewPointsError
 from mseg.geometry import MODELS
 from mseg.methods.kernel_cache import remembered
 from mseg.methods.leftover import join_largest
+from mseg.methods.motion_count import told
 from mseg.sampling import sample_hypotheses
 from mseg.types import ModelKind, Segmentation
 
@@ -88,10 +88,7 @@ class ViewMethod:
         TooFewPointsError
             When a view has no hypothesis, or there are fewer usable trajectories than motions.
         """
-        if n_motions is None:
-            raise InvalidValueError(
-                "n_motions", expected=f"a number: {type(self).__name__} cannot find it", found="None"
-            )
+        count = told(n_motions, self)
         *streams, last = rng.spawn(len(KINDS) + 1)
         points = clip.evaluated_trajectories
         source = points if self.sample_from == "evaluated" else clip.dense
@@ -105,12 +102,12 @@ class ViewMethod:
             for kind in kinds
         ]
         used = np.logical_or.reduce([kernel.diagonal() > 0 for kernel in kernels])
-        if used.sum() < n_motions:
+        if used.sum() < count:
             raise TooFewPointsError(
-                clip.name, expected=f"at least {n_motions} usable trajectories", found=str(int(used.sum()))
+                clip.name, expected=f"at least {count} usable trajectories", found=str(int(used.sum()))
             )
         parts = kernels if used.all() else [kernel[used][:, used] for kernel in kernels]
-        return ViewKernels(tuple(parts), used), n_motions, last
+        return ViewKernels(tuple(parts), used), count, last
 
     def laplacian(self, kernel: csr_array) -> GraphLaplacian:
         """Normalised Laplacian of a kernel."""

@@ -105,6 +105,14 @@ def test_more_motions_than_points(method, make_clip):
     assert labels.shape == (10,)
 
 
+def test_the_number_of_motions_is_found_or_asked_for(method, tiny):
+    try:
+        assert mseg.segment(tiny, method).labels.min() >= 0
+    except KT3DMoSegError as error:
+        assert "--n-motions" in str(error)
+        assert "n_motions=" in str(error)
+
+
 def test_bad_numbers_of_motions_are_refused(method, tiny):
     with pytest.raises(KT3DMoSegError, match="n_motions"):
         mseg.segment(tiny, method, n_motions=0)

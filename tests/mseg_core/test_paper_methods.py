@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import mseg
-from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io import load
 from mseg.errors import SegmentationError, TooFewPointsError
 from mseg.evaluation import classification_error
@@ -87,11 +86,6 @@ def test_collinear_points_tell_nothing(make_clip, clip_of):
 def test_more_motions_than_points(make_clip):
     with pytest.raises(TooFewPointsError, match="at least 41"):
         mseg.segment(make_clip(), "subset", n_motions=41)
-
-
-def test_number_of_motions_is_needed(make_clip):
-    with pytest.raises(InvalidValueError, match="cannot find it"):
-        mseg.segment(make_clip(), "keradd")
 
 
 def test_report_of_a_fusion(make_clip):
