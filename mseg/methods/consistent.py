@@ -14,7 +14,7 @@ from mseg.clustering import smallest_eigenvectors, unit_rows
 from mseg.clustering.coefficient_affinity import keep_largest
 from mseg.clustering.consistent import consistent_affinity
 from mseg.methods.views import KINDS, ViewMethod
-from mseg.types import ModelKind, Segmentation
+from mseg.types import Segmentation
 
 _GUARD = 0.2
 _NEGLIGIBLE = 1e-5
@@ -63,19 +63,12 @@ class ConsistentMoSeg(ViewMethod):
         report = {"views": list(KINDS), **solved.convergence.report()}
         return self.cluster(views, unit_rows(embedding), count, kmeans_rng, report)
 
+    def divided_anew(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
+        """Divide by the common frames plus 0.2 instead of the paper's 0.1."""
+        together = covisible_frames(points)
+        scale = (together + np.float32(GUARD)) / (together + np.float32(_GUARD))
+        return np.asarray(kernel * scale, dtype=np.float32)
+
     def _kept(self, affinity: FloatArray) -> csr_array:
         kept = keep_largest(np.where(affinity < _NEGLIGIBLE, 0.0, affinity), self.share)
         return csr_array((kept + kept.T) / 2)
-
-    def _kernel(
-        self,
-        clip: str,
-        points: Trajectories,
-        source: Trajectories,
-        kind: ModelKind,
-        rng: np.random.Generator,
-    ) -> Float32Array:
-        # One kernel in the cache for this method and the paper's views, which add a smaller guard.
-        together = covisible_frames(points)
-        scale = (together + np.float32(GUARD)) / (together + np.float32(_GUARD))
-        return np.asarray(super()._kernel(clip, points, source, kind, rng) * scale, dtype=np.float32)

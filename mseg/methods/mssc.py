@@ -11,7 +11,7 @@ from kt3dmoseg.types import Clip, Float32Array, Trajectories
 from mseg.affinity import GUARD, covisible_frames
 from mseg.clustering import smallest_eigenvectors, unit_rows
 from mseg.methods.views import ViewMethod
-from mseg.types import ModelKind, Segmentation
+from mseg.types import Segmentation
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,6 @@ class MSSC(ViewMethod):
         embedding = smallest_eigenvectors(self.laplacian(views.kernels[0]), count)
         return self.cluster(views, unit_rows(embedding), count, kmeans_rng, {})
 
-    def _kernel(
-        self,
-        clip: str,
-        points: Trajectories,
-        source: Trajectories,
-        kind: ModelKind,
-        rng: np.random.Generator,
-    ) -> Float32Array:
-        # Undoing the division keeps one kernel in the cache for this method and the paper's views.
-        divisor = covisible_frames(points) + np.float32(GUARD)
-        return np.asarray(super()._kernel(clip, points, source, kind, rng) * divisor, dtype=np.float32)
+    def divided_anew(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
+        """Undo the division."""
+        return np.asarray(kernel * (covisible_frames(points) + np.float32(GUARD)), dtype=np.float32)

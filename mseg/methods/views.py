@@ -93,14 +93,10 @@ class ViewMethod:
         points = clip.evaluated_trajectories
         source = points if self.sample_from == "evaluated" else clip.dense
         # One view after the other, so that only one dense kernel is held at a time.
-        kernels = [
-            csr_array(
-                sparsify(
-                    self._kernel(clip.name, points, source, kind, streams[KINDS.index(kind)]), self.alpha
-                )
-            )
-            for kind in kinds
-        ]
+        kernels = []
+        for kind in kinds:
+            kernel = self._kernel(clip.name, points, source, kind, streams[KINDS.index(kind)])
+            kernels.append(csr_array(sparsify(self.divided_anew(kernel, points), self.alpha)))
         used = np.logical_or.reduce([kernel.diagonal() > 0 for kernel in kernels])
         if used.sum() < count:
             raise TooFewPointsError(
@@ -108,6 +104,14 @@ class ViewMethod:
             )
         parts = kernels if used.all() else [kernel[used][:, used] for kernel in kernels]
         return ViewKernels(tuple(parts), used), count, last
+
+    def divided_anew(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
+        """Change what a kernel (N, N) of `points` is divided by, in methods that differ from the paper there.
+
+        What is kept in the cache is the kernel of `view_kernel`, so that they share it.
+        """
+        del points
+        return kernel
 
     def laplacian(self, kernel: csr_array) -> GraphLaplacian:
         """Normalised Laplacian of a kernel."""
