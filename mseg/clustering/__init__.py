@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mseg.clustering.cuts import Cut, lower_cut
-from mseg.clustering.eigen import Symmetric, smallest_eigenvectors
+from mseg.clustering.eigen import smallest_eigenvectors
 from mseg.clustering.fusion import Fusion, constrain_subsets, coregularise
 from mseg.clustering.kmeans import KMeans, kmeans
 from mseg.clustering.laplacian import (
@@ -13,6 +13,7 @@ from mseg.clustering.laplacian import (
     unit_rows,
 )
 from mseg.clustering.spectral import spectral_clustering
+from mseg.clustering.symmetric import Symmetric, WeightedSum
 
 __all__ = [
     "Cut",
@@ -20,6 +21,7 @@ __all__ = [
     "GraphLaplacian",
     "KMeans",
     "Symmetric",
+    "WeightedSum",
     "constrain_subsets",
     "coregularise",
     "kmeans",

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
 import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dgeqrf, dorgqr
 
 from kt3dmoseg.types import FloatArray
+from mseg.clustering.symmetric import Symmetric
 from mseg.errors import TooFewPointsError
 
 _DENSE = 250
@@ -18,17 +17,6 @@ _WIDTH = 8
 _EXPANSIONS = 4
 _MAX_RESTARTS = 150
 _START_SEED = 20180618
-
-
-class Symmetric(Protocol):
-    """A symmetric (N, N) matrix that may exist only as a product with vectors."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(N, N)."""
-
-    def __matmul__(self, vectors: FloatArray, /) -> Any:  # noqa: ANN401  # ndarray, whatever its stubs say
-        """Multiply with (N, b) float64."""
 
 
 def smallest_eigenvectors(matrix: Symmetric, count: int, *, tolerance: float = 1e-8) -> FloatArray:

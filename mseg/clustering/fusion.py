@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise, starmap
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray
-from mseg.clustering.eigen import Symmetric, fixed_sign, smallest_subspace
+from mseg.clustering.eigen import fixed_sign, smallest_subspace
 from mseg.clustering.laplacian import unit_rows
+from mseg.clustering.nesting import Nesting, nested
+from mseg.clustering.symmetric import LowRank, Symmetric, WeightedSum
 
-_BLOCK_ENTRIES = 1 << 17
-_KEPT_ENTRIES = 1 << 27
 # Residuals of the eigenvectors, of the first sweeps and of the last: an objective is off by their square.
 _ROUGH, _ACCURATE = 1e-4, 1e-5
 
@@ -87,8 +84,8 @@ def coregularise(
     CVPR 2018, section 3.2.
     """
 
-    def agreement(embeddings: list[FloatArray], view: int) -> _LowRank:
-        return _LowRank(np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1))
+    def agreement(embeddings: list[FloatArray], view: int) -> LowRank:
+        return LowRank(np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1))
 
     def earned(embeddings: list[FloatArray], view: int) -> float:
         return float(((agreement(embeddings, view).factor.T @ embeddings[view]) ** 2).sum())
@@ -137,121 +134,24 @@ def constrain_subsets(
     Xu, Cheong, Li, CVPR 2018, section 3.2, equations of the subset constraint.
     """
 
-    def nesting(embeddings: list[FloatArray], view: int) -> _LowRank | _Nesting:
+    def nesting(embeddings: list[FloatArray], view: int) -> LowRank | Nesting:
         if len(embeddings) == 1:
-            return _LowRank(np.zeros((len(embeddings[0]), 1)))
+            return LowRank(np.zeros((len(embeddings[0]), 1)))
         smaller = embeddings[view - 1] if view > 0 else None
         larger = embeddings[view + 1] if view + 1 < len(embeddings) else None
-        return _Nesting(smaller, larger, len(embeddings[view]))
+        return Nesting(smaller, larger, len(embeddings[view]))
 
     def earned(embeddings: list[FloatArray], view: int) -> float:
         complete = view == len(embeddings) - 1
-        return sum(starmap(_nested, pairwise(embeddings))) if complete else 0.0
+        return sum(starmap(nested, pairwise(embeddings))) if complete else 0.0
 
     return _alternate(laplacians, n_clusters, nesting, earned, weight, tolerance, max_sweeps)
-
-
-class _LowRank:
-    """U U^T for a thin U, never written out."""
-
-    def __init__(self, factor: FloatArray) -> None:
-        self.factor, self.shape = factor, (len(factor),) * 2
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        out: FloatArray = self.factor @ self.factor.T
-        return out
-
-    def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        out: FloatArray = self.factor @ (self.factor.T @ vectors)
-        return out
-
-
-class _Nesting:
-    """max(U U^T, 0) of the smaller model plus min(U U^T, 0) of the larger, by blocks of rows.
-
-    Up to `_KEPT_ENTRIES` are computed once and kept; beyond, memory matters more than time. Single
-    precision: the weight of the constraint takes its error below that of the eigenvectors.
-    """
-
-    def __init__(self, smaller: FloatArray | None, larger: FloatArray | None, size: int) -> None:
-        self.smaller, self.larger, self.shape = smaller, larger, (size, size)
-
-    @cached_property
-    def kept(self) -> npt.NDArray[Any] | None:
-        if self.shape[0] ** 2 > _KEPT_ENTRIES:
-            return None
-        whole: npt.NDArray[Any] = np.empty(self.shape, np.float32)
-        for part in _parts(self.shape[0]):
-            whole[part] = self._rows(part, np.float32)
-        return whole
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        return np.concatenate([self._rows(part, np.float64) for part in _parts(self.shape[0])])
-
-    def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        single = vectors.astype(np.float32)
-        if self.kept is not None:
-            return (self.kept @ single).astype(np.float64)
-        blocks = [self._rows(part, np.float32) @ single for part in _parts(self.shape[0])]
-        return np.concatenate(blocks).astype(np.float64)
-
-    def _rows(self, part: slice, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-        total, *others = [
-            _clipped(clip, embedding.astype(dtype), part)
-            for clip, embedding in ((np.maximum, self.smaller), (np.minimum, self.larger))
-            if embedding is not None
-        ]
-        for other in others:
-            total += other
-        return total
-
-
-class _Rewarded:
-    """laplacian - weight * reward."""
-
-    def __init__(self, laplacian: Symmetric, weight: float, reward: _LowRank | _Nesting) -> None:
-        self.laplacian, self.weight, self.reward = laplacian, weight, reward
-        self.shape = laplacian.shape
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        out: FloatArray = np.asarray(self.laplacian) - self.weight * np.asarray(self.reward)
-        return out
-
-    def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        out: FloatArray = self.laplacian @ vectors - self.weight * (self.reward @ vectors)
-        return out
-
-
-def _parts(size: int) -> Iterator[slice]:
-    """Blocks of rows of a matrix of that size, few enough to stay in the cache."""
-    rows = max(1, _BLOCK_ENTRIES // max(1, size))
-    return (slice(start, start + rows) for start in range(0, size, rows))
-
-
-def _clipped(clip: np.ufunc, embedding: npt.NDArray[Any], part: slice) -> npt.NDArray[Any]:
-    """Rows of max(U U^T, 0) or min(U U^T, 0)."""
-    agreement: npt.NDArray[Any] = embedding[part] @ embedding.T
-    clip(agreement, 0, out=agreement)
-    return agreement
-
-
-def _nested(smaller: FloatArray, larger: FloatArray) -> float:
-    """Sum over all entries of max(S, 0) L + min(L, 0) S, S and L the kernels of the two models.
-
-    As the traces of U_L^T max(S, 0) U_L and U_S^T min(L, 0) U_S.
-    """
-    total = 0.0
-    for part in _parts(len(smaller)):
-        together = _clipped(np.maximum, smaller, part) @ larger
-        apart = _clipped(np.minimum, larger, part) @ smaller
-        total += float(np.vdot(together, larger[part]) + np.vdot(apart, smaller[part]))
-    return total
 
 
 def _alternate(
     laplacians: Sequence[Symmetric],
     n_clusters: int,
-    reward: Callable[[list[FloatArray], int], _LowRank | _Nesting],
+    reward: Callable[[list[FloatArray], int], LowRank | Nesting],
     earned: Callable[[list[FloatArray], int], float],
     weight: float,
     tolerance: float,
@@ -272,7 +172,7 @@ def _alternate(
         accuracy = min(max(0.01 * np.sqrt(change), _ACCURATE), _ROUGH)
         value = 0.0
         for view, laplacian in enumerate(laplacians):
-            target = _Rewarded(laplacian, weight, reward(embeddings, view))
+            target = WeightedSum((1.0, laplacian), (-weight, reward(embeddings, view)))
             subspaces[view] = smallest_subspace(target, n_clusters, start=subspaces[view], tolerance=accuracy)
             embeddings[view] = subspaces[view][:, :n_clusters]
             smoothness = np.einsum("nk,nk->", embeddings[view], laplacian @ embeddings[view])

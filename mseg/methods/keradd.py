@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import Clip, FloatArray
-from mseg.clustering import GraphLaplacian, smallest_eigenvectors, unit_rows
+from mseg.clustering import WeightedSum, smallest_eigenvectors, unit_rows
 from mseg.methods.views import KINDS, ViewKernels, ViewMethod
 from mseg.types import Segmentation
 
@@ -34,25 +34,7 @@ class KerAdd(ViewMethod):
 
     def _embedding(self, views: ViewKernels, count: int) -> FloatArray:
         if self.add == "laplacians":
-            return smallest_eigenvectors(_Sum([self.laplacian(k) for k in views.kernels]), count)
+            terms = ((1.0, self.laplacian(kernel)) for kernel in views.kernels)
+            return smallest_eigenvectors(WeightedSum(*terms), count)
         affine, homography, fundamental = views.kernels
         return smallest_eigenvectors(self.laplacian(affine + homography + fundamental), count)
-
-
-class _Sum:
-    """Sum of matrices that exist as products."""
-
-    def __init__(self, terms: list[GraphLaplacian]) -> None:
-        self.terms, self.shape = terms, terms[0].shape
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        total = np.zeros(self.shape)
-        for term in self.terms:
-            total += np.asarray(term)
-        return total
-
-    def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        total = np.zeros_like(vectors)
-        for term in self.terms:
-            total += term @ vectors
-        return total
