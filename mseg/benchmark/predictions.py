@@ -12,14 +12,14 @@ from typing import Any
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import check_writable, write_text
-from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.types import Clip
 from mseg.benchmark.execution import execute
 from mseg.benchmark.runner import Progress, configure
 from mseg.benchmark.store import code_hash, key
-from mseg.benchmark.tasks import Configuration, Outcome, Task
+from mseg.benchmark.tasks import Configuration, Outcome, Task, seed_numbers
 from mseg.evaluation import SubmissionMeta, fingerprint, write_failure, write_meta, write_prediction
 from mseg.evaluation.submission import FAILED
+from mseg.evaluation.validate import load_clips
 from mseg.methods import create
 
 # Which configuration made the predictions; hidden, so no part of the submission.
@@ -75,8 +75,8 @@ def predict(
         raise InvalidValueError("n_motions", expected="1 or more, or None", found=str(n_motions))
     folder = Path(output)
     configuration = configure([method], parameters or {})[0]
-    wanted = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
-    clips = _clips(Path(data))
+    wanted = seed_numbers(seeds)
+    clips = load_clips(data)
     told = {name: n_motions or clip.n_motions or None for name, clip in clips.items()}
     keys = {
         (name, seed): key(configuration, clip, told[name], seed)
@@ -100,13 +100,6 @@ def predict(
     seconds = sum(record["done"].get(k, 0.0) for k in keys.values()) / len(wanted)
     write_meta(folder, _meta(configuration, clips, seconds, given=all(told.values())))
     return folder
-
-
-def _clips(data: Path) -> dict[str, Clip]:
-    if data.is_file():
-        clip = load(data)
-        return {clip.name: clip}
-    return {name: load(path) for name, path in dataset_paths(data).items()}
 
 
 def _open_record(

@@ -11,8 +11,11 @@ import numpy as np
 from kt3dmoseg.types import FloatArray
 from mseg.benchmark.tasks import Configuration
 from mseg.evaluation import Group, Protocol
-from mseg.evaluation.layout import TextTable
+from mseg.evaluation.layout import TextTable, count
+from mseg.evaluation.problems import brief
 from mseg.evaluation.statistics import standard_deviation
+
+_LISTED = 12  # clips named in a note
 
 
 def published_name(protocol: Protocol, method: str) -> str:
@@ -90,9 +93,9 @@ class BenchmarkResult:
         """One row per clip: mean over seeds of every configuration, with the spread over seeds."""
         columns = ["clip", "motions", *(c.title for c in self.configurations)]
         lines = []
-        for i, (name, count) in enumerate(self.motions.items()):
+        for i, (name, motions) in enumerate(self.motions.items()):
             cells = [_with_spread(self.errors[m, i]) for m in range(len(self.configurations))]
-            lines.append([name, str(count), *cells])
+            lines.append([name, str(motions), *cells])
         means = [_with_spread(self.errors[m].mean(axis=0)) for m in range(len(self.configurations))]
         medians = [f"{100 * np.median(self.errors[m].mean(axis=1)):.2f}" for m in range(len(means))]
         seconds = [f"{self.seconds[m].sum(axis=0).mean():.2f}" for m in range(len(means))]
@@ -126,7 +129,7 @@ class BenchmarkResult:
         return [self.clips.index(name) for name in names]
 
     def _heading(self) -> str:
-        seeds = f"{len(self.seeds)} seed{'s' * (len(self.seeds) != 1)}"
+        seeds = count(len(self.seeds), "seed")
         return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {seeds}"
 
     def _published(self, groups: list[Group]) -> list[list[str]]:
@@ -149,7 +152,7 @@ class BenchmarkResult:
             if len(rows) < group.n_clips:
                 notes.append(f"{group.title}: {_missing(group, [self.clips[r] for r in rows])}.")
         if self.others:
-            notes.append(f"Not counted: {_listed(list(self.others))}.")
+            notes.append(f"Not counted: {brief(self.others, _LISTED)}.")
         notes += [
             f"Counted as fully wrong: {c.title} on {clip}, seed {seed}: {reason}."
             for c, clip, seed, reason in self.failures
@@ -185,13 +188,8 @@ def _missing(group: Group, present: list[str]) -> str:
     absent = [name for name in group.clips if name not in present]
     if group.unknown:
         return "which clips it holds was never published"
-    what = f" ({_listed(absent)})" if absent else ""
+    what = f" ({brief(absent, _LISTED)})" if absent else ""
     return f"{group.n_clips - len(present)} of {group.n_clips} clips are missing{what}"
-
-
-def _listed(names: list[str], most: int = 12) -> str:
-    rest = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + rest
 
 
 def _of(present: int, total: int) -> str:

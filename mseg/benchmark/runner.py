@@ -16,7 +16,7 @@ from mseg.benchmark.data import find_clips
 from mseg.benchmark.execution import execute
 from mseg.benchmark.results import BenchmarkResult
 from mseg.benchmark.store import Store, key
-from mseg.benchmark.tasks import Configuration, Outcome, Task
+from mseg.benchmark.tasks import Configuration, Outcome, Task, seed_numbers
 from mseg.evaluation import classification_error, load_protocol
 from mseg.methods import create
 
@@ -78,7 +78,7 @@ def run(
     """
     protocol = load_protocol(benchmark)
     configurations = configure(methods, parameters or {})
-    wanted = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    wanted = seed_numbers(seeds)
     if not wanted or not configurations:
         raise InvalidValueError("benchmark", expected="at least one method and one seed", found="none")
     paths, others = find_clips(protocol, data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -87,6 +87,11 @@ class Task:
     def name(self) -> str:
         """For progress and schedulers."""
         return f"{self.clip.name}, seed {self.seed}"
+
+
+def seed_numbers(seeds: int | Sequence[int]) -> tuple[int, ...]:
+    """Return the seeds; of a number of them, those counted from 0."""
+    return tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
 
 
 def run_task(task: Task) -> list[Outcome]:

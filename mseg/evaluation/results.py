@@ -14,7 +14,7 @@ from mseg.evaluation.contingency import Contingency
 from mseg.evaluation.layout import count
 from mseg.evaluation.problems import Problem
 from mseg.evaluation.protocol import Group, Protocol, protocol_of_clips
-from mseg.evaluation.statistics import Interval, bootstrap_mean
+from mseg.evaluation.statistics import Interval, bootstrap_mean, standard_deviation
 from mseg.evaluation.submission import SubmissionMeta
 
 
@@ -207,7 +207,7 @@ class ScoreTable:
             float(means.mean()),
             float(np.median(means)),
             float(np.average(means, weights=weights)),
-            float(values.mean(axis=0).std(ddof=1)) if values.shape[1] > 1 else None,
+            standard_deviation(values.mean(axis=0)),
             bootstrap_mean(means),
         )
 
