@@ -51,6 +51,11 @@ class Contingency:
         return np.asarray(self.counts.sum(axis=1) + self.unassigned, dtype=np.int64)
 
     @property
+    def static(self) -> int:
+        """Row of the static scene; where the truth does not name it, that of the largest motion."""
+        return int(np.argmax(self.sizes)) if self.background is None else self.background
+
+    @property
     def n(self) -> int:
         """Number of scored trajectories."""
         return int(self.sizes.sum())

@@ -145,7 +145,7 @@ def moving_f(table: Contingency) -> float:
 
 def _moving(table: Contingency) -> tuple[int, int, int]:
     """Count moving called moving, background called moving, moving called background."""
-    row = table.background if table.background is not None else int(np.argmax(table.sizes))
+    row = table.static
     called = int(table.group_sizes[row])
     kept = int(table.matched[row])
     false = int(table.sizes[row]) - kept

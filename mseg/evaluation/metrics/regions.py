@@ -86,8 +86,7 @@ def objects_found(table: Contingency) -> float:
     >>> objects_found(contingency([1, 1, 1, 2, 3, 3], [1, 1, 1, 2, 3, 0], background=1))
     1.0
     """
-    row = table.background if table.background is not None else int(np.argmax(table.sizes))
-    return float((np.delete(region_f_per_motion(table), row) >= OBJECT_F).sum())
+    return float((np.delete(region_f_per_motion(table), table.static) >= OBJECT_F).sum())
 
 
 def _regions(table: Contingency) -> tuple[FloatArray, FloatArray, FloatArray]:
