@@ -8,6 +8,7 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -40,10 +41,7 @@ CREATE TABLE entries (
     UNIQUE (benchmark, dataset_sha256, submission_sha256, toolkit_version)
 )
 """
-_COLUMNS = (
-    "id, added, benchmark, method, dataset_version, dataset_sha256, submission_sha256, toolkit_version, "
-    "clips, clips_in_full, failed, seeds, mean, median"
-)
+_COLUMNS = [field.name for field in fields(Entry)]
 
 
 class Leaderboard:
@@ -105,7 +103,7 @@ class Leaderboard:
             summary.median,
             json.dumps(to_json(scores)),
         )
-        names = _COLUMNS.removeprefix("id, ") + ", scores"
+        names = ", ".join([*_COLUMNS[1:], "scores"])
         with self._transaction() as connection:
             marks = ", ".join("?" * len(values))
             cursor = connection.execute(f"INSERT OR IGNORE INTO entries ({names}) VALUES ({marks})", values)
@@ -126,7 +124,7 @@ class Leaderboard:
     def entries(self) -> list[Entry]:
         """Everything that is kept, oldest first."""
         with self._transaction() as connection:
-            rows = connection.execute(f"SELECT {_COLUMNS} FROM entries ORDER BY id").fetchall()
+            rows = connection.execute(f"SELECT {', '.join(_COLUMNS)} FROM entries ORDER BY id").fetchall()
         return [Entry(*row) for row in rows]
 
     def scores(self, number: int) -> ScoreTable:
