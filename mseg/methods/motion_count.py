@@ -18,6 +18,6 @@ def told(n_motions: int | None, method: object) -> int:
             "n_motions",
             expected=f"a number: {type(method).__name__} cannot find it",
             found="none",
-            fix="give it: --n-motions K, or segment(..., n_motions=K)",
+            fix="give --n-motions N, or segment(..., n_motions=N)",
         )
     return n_motions
