@@ -10,11 +10,15 @@ import numpy.typing as npt
 from kt3dmoseg.errors import InvalidValueError
 
 _BLOCK = 1 << 20
+_MAX_SIDE = 1 << 20
+_MAX_INT = np.iinfo(np.int64).max
 
 
 def frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """Return a read-only array of `dtype`, copied unless it is one already."""
+    """Return a read-only array of `dtype`, copied unless it is one already; refuse what would wrap around."""
     given = np.asarray(values)
+    if dtype == np.int64 and given.dtype == np.uint64 and given.size and given.max() > _MAX_INT:
+        raise InvalidValueError("whole numbers", expected=f"at most {_MAX_INT}", found=brief(given))
     same = given.dtype == dtype and not given.flags.writeable and given.base is None
     array = given if same else np.array(given, dtype=dtype, order="C")
     array.flags.writeable = False
@@ -27,6 +31,17 @@ def per_frame(values: npt.ArrayLike, dtype: npt.DTypeLike, frames: int, name: st
     if array.shape != (frames,):
         raise InvalidValueError(name, expected=f"shape ({frames},)", found=f"{array.shape}")
     return array
+
+
+def image_size(size: npt.ArrayLike) -> tuple[int, int]:
+    """Return width and height of frames as whole numbers; refuse what is none."""
+    values = np.asarray(size)
+    fine = values.shape == (2,) and values.dtype.kind in "iuf"
+    if not fine or not ((values >= 1) & (values <= _MAX_SIDE) & (values == np.floor(values))).all():
+        raise InvalidValueError(
+            "image_size", expected=f"(width, height), 1..{_MAX_SIDE}", found=f"{size!r:.80}"
+        )
+    return int(values[0]), int(values[1])
 
 
 def check_presence(xy: npt.NDArray[np.float64], visible: npt.NDArray[np.bool_]) -> None:

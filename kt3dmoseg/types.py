@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.arrays import brief, check_presence, frozen, per_frame
+from kt3dmoseg.arrays import brief, check_presence, frozen, image_size, per_frame
 from kt3dmoseg.errors import InvalidValueError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ class Trajectories:
     Raises
     ------
     InvalidValueError
-        When shapes disagree, ids repeat, or `xy` is not finite exactly where visible.
+        When shapes disagree, ids repeat, `xy` is not finite exactly where visible, or the image has no size.
     """
 
     xy: FloatArray
@@ -70,8 +70,7 @@ class Trajectories:
         object.__setattr__(self, "visible", visible)
         object.__setattr__(self, "track_id", track_id)
         if self.image_size is not None:
-            width, height = self.image_size
-            object.__setattr__(self, "image_size", (int(width), int(height)))
+            object.__setattr__(self, "image_size", image_size(self.image_size))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild through the constructor: pickling alone would make the arrays writable."""
@@ -154,6 +153,8 @@ class Labels:
             raise InvalidValueError("label", expected="integers >= 0", found=brief(raw))
         object.__setattr__(self, "label", frozen(raw, np.int64))
         object.__setattr__(self, "names", MappingProxyType(dict(self.names)))
+        if self.background is not None:
+            object.__setattr__(self, "background", int(frozen(self.background, np.int64)))
 
     def __repr__(self) -> str:
         """Say how many there are; the array would fill the screen."""

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.io.hdf5_checks import checked_group, open_hdf5, read_array, read_text
-from kt3dmoseg.io.text import json_object, json_text
+from kt3dmoseg.io.text import json_object, json_text, motion_names
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
 FORMAT, VERSION = "kt3dmoseg clip", 1
@@ -181,9 +181,10 @@ def _check_version(file: h5py.File, where: str) -> None:
     kind = read_text(file, "format", where, default="")
     if kind != FORMAT:
         found = f"format {kind!r}" if kind else "another HDF5 file (no attribute 'format')"
+        fix = "give a file that kt3dmoseg build, track or convert wrote"
         if "#refs#" in file or "Data" in file:
-            found = "a MATLAB 7.3 MAT-file; save it again in MATLAB with the option '-v7'"
-        raise FileFormatError(where, expected=f"a {FORMAT}", found=found)
+            found, fix = "a MATLAB 7.3 MAT-file", "save it again in MATLAB with the option '-v7'"
+        raise FileFormatError(where, expected=f"a {FORMAT}", found=found, fix=fix)
     version = _integer(file, "version", where)
     if version is None or version < 1:
         raise FileFormatError(f"{where}: version", expected="1 or more", found=str(version))
@@ -201,7 +202,7 @@ def _clip(file: h5py.File, where: str) -> Clip:
     visible = read_array(file, "dense/visible", where, "u1", 2) != 0
     size = dense.attrs.get("image_size")
     xy = read_array(file, "dense/xy", where, "f8", 3)
-    names = {int(key): str(text) for key, text in _json(labels, "names", where).items()}
+    names = motion_names(read_text(labels, "names", where, default="{}"), f"{where}: names")
     background = _integer(labels, "background", where)
     optional = {"timestamps": "frames/timestamp"}
     return Clip(
@@ -210,7 +211,7 @@ def _clip(file: h5py.File, where: str) -> Clip:
             xy,
             visible,
             read_array(file, "dense/track_id", where, "i8", 1),
-            None if size is None else (int(size[0]), int(size[1])),
+            size,
         ),
         evaluated=read_array(file, "evaluated", where, "i8", 1),
         labels=Labels(read_array(file, "labels/label", where, "i8", 1), background, names),

@@ -70,7 +70,7 @@ def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None
         dense=Trajectories(
             xy,
             visible,
-            image_size=(int(arrays["width"].item()), int(arrays["height"].item())),
+            image_size=(arrays["width"].item(), arrays["height"].item()),
         ),
         evaluated=np.arange(len(xy)),
         labels=Labels(_labels(where, arrays["s"])),

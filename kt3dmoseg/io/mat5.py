@@ -159,6 +159,8 @@ class _Reader:
         shape = tuple(int(n) for n in self._numbers({MI_INT32}, _MAX_DIMS, "dimensions"))
         if len(shape) < 2 or min(shape) < 0:
             raise self.fail("two or more dimensions >= 0", str(shape))
+        if 0 in shape and math.prod(n or 1 for n in shape) > _RATIO_FREE:
+            raise self.fail(f"at most {_RATIO_FREE} places in an empty array", str(shape))
         name = bytes(self._typed({MI_INT8}, "a name")).decode("latin-1")
         return name, self._value(int(flags[0]) & 0xFF, int(flags[0]) >> 8 & 0xFF, shape)
 

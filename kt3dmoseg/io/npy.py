@@ -151,6 +151,9 @@ def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dt
         raise FileFormatError(where, expected="numbers or texts", found=f"{descr!r:.80}", fix=fix)
     if not all(isinstance(n, int) and n >= 0 for n in shape) or fortran not in (True, False):
         raise FileFormatError(where, expected="dimensions >= 0", found=f"{shape!r:.80}")
+    if 0 in shape and math.prod(n or 1 for n in shape) > _RATIO_FREE:
+        expected = f"at most {_RATIO_FREE} places in an empty array"
+        raise FileFormatError(where, expected=expected, found=f"{shape!r:.80}")
     return tuple(shape), fortran, np.dtype(descr)
 
 

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.arrays import image_size
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.io import point_tracks
 from kt3dmoseg.io.npy import npz_shapes, read_npz, write_npz
-from kt3dmoseg.io.text import json_object, json_text
+from kt3dmoseg.io.text import json_object, json_text, motion_names
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
 KEYS = {"xy", "visible", "evaluated", "label", "track_id", "frame_numbers", "name"}
@@ -45,7 +46,7 @@ def read(path: str | os.PathLike[str]) -> Clip:
     """Read a clip; see `kt3dmoseg.io.load` for the errors."""
     where = os.fspath(path)
     arrays = _Arrays(where, read_npz(path))
-    names = json_object(arrays.text("label_names", "{}"), f"{where}: label_names")
+    names = motion_names(arrays.text("label_names", "{}"), f"{where}: label_names")
     size = arrays.get("image_size", "iu", (2,))
     background = arrays.get("background", "iu", ())
     has_camera = "K" in arrays or "camera_name" in arrays
@@ -55,13 +56,13 @@ def read(path: str | os.PathLike[str]) -> Clip:
             arrays.need("xy", "f", 3),
             arrays.need("visible", "b", 2),
             arrays.need("track_id", "iu", 1),
-            None if size is None else (int(size[0]), int(size[1])),
+            None if size is None else image_size(size),
         ),
         evaluated=arrays.need("evaluated", "iu", 1),
         labels=Labels(
             arrays.need("label", "iu", 1),
             None if background is None else int(background),
-            {int(k): str(v) for k, v in names.items()},
+            names,
         ),
         frame_numbers=arrays.need("frame_numbers", "iu", 1),
         timestamps=arrays.get("timestamps", "f", None),

@@ -25,7 +25,7 @@ TAPVID_KEYS = {"points", "occluded", "video"}
 
 def read_cotracker(path: str | os.PathLike[str]) -> Clip:
     """Read CoTracker's output for one video."""
-    arrays = read_npz(path, COTRACKER_KEYS)
+    arrays = _numbers(path, COTRACKER_KEYS)
     tracks = arrays["pred_tracks"]
     if tracks.ndim != 4 or tracks.shape[0] != 1 or tracks.shape[3] != 2:
         raise _wrong(path, "pred_tracks", "shape (1, F, N, 2)", tracks)
@@ -39,7 +39,7 @@ def read_cotracker(path: str | os.PathLike[str]) -> Clip:
 def read_tapvid(path: str | os.PathLike[str]) -> Clip:
     """Read a video of TAP-Vid."""
     video = npz_shapes(path)["video"]
-    arrays = read_npz(path, {"points", "occluded"})
+    arrays = _numbers(path, {"points", "occluded"})
     points, occluded = arrays["points"], arrays["occluded"]
     if points.ndim != 3 or points.shape[2] != 2:
         raise _wrong(path, "points", "shape (N, F, 2)", points)
@@ -53,6 +53,15 @@ def read_tapvid(path: str | os.PathLike[str]) -> Clip:
     height, width = video[1:3]
     pixels = points.astype(np.float64) * (width, height) - 0.5
     return _clip(path, "tap-vid", pixels, occluded == 0, (width, height))
+
+
+def _numbers(path: str | os.PathLike[str], names: set[str]) -> dict[str, npt.NDArray[Any]]:
+    arrays = read_npz(path, names)
+    for name, array in arrays.items():
+        if array.dtype.kind not in "buif":
+            place = f"{os.fspath(path)}: {name}"
+            raise FileFormatError(place, expected="numbers", found=f"{array.dtype}")
+    return arrays
 
 
 def _clip(

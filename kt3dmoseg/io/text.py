@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from typing import Any
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 
 _ENDINGS = ("_Tracks", "_truth")
+_LONGEST = 200
+_NUMBER = re.compile(r"-?[0-9]{1,18}")
 
 
 def clip_name(path: str | os.PathLike[str]) -> str:
@@ -48,3 +51,26 @@ def json_object(text: str, where: str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise FileFormatError(where, expected="a JSON object", found=type(values).__name__)
     return values
+
+
+def motion_names(text: str, where: str) -> dict[int, str]:
+    """Parse a JSON object of the names of motions, its keys being their numbers."""
+    values = json_object(text, where)
+    odd = next((key for key in values if not _NUMBER.fullmatch(key)), None)
+    if odd is not None:
+        raise FileFormatError(where, expected="numbers of motions", found=repr(odd))
+    return {int(key): str(name) for key, name in values.items()}
+
+
+def check_name(name: str, where: str) -> None:
+    """Refuse the name of a clip that could not be a file's, before anything is written under it.
+
+    Raises
+    ------
+    FileFormatError
+        When the name is empty, too long, or leads elsewhere.
+    """
+    if not name.isprintable() or name in ("", ".", "..") or len(name) > _LONGEST or set(name) & set("/\\"):
+        raise FileFormatError(
+            where, expected=f"a clip's name, at most {_LONGEST} characters without a slash", found=f"{name!r}"
+        )

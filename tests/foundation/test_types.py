@@ -58,6 +58,20 @@ def test_inconsistent_trajectories_are_refused(xy, visible, message):
         Trajectories(xy, visible)
 
 
+@pytest.mark.parametrize("size", [(0, 4), (4, -1), (4,), 4, (2.5, 4), (np.inf, 4), ("4", "4"), (1 << 40, 4)])
+def test_an_image_size_that_is_none_is_refused(size):
+    with pytest.raises(InvalidValueError, match="image_size"):
+        Trajectories(np.zeros((1, 2, 2)), np.ones((1, 2), bool), image_size=size)
+
+
+def test_numbers_that_would_wrap_around_are_refused():
+    beyond = np.array([1 << 63], dtype=np.uint64)
+    with pytest.raises(InvalidValueError, match="at most 9223372036854775807"):
+        Labels(beyond)
+    with pytest.raises(InvalidValueError, match="at most 9223372036854775807"):
+        Labels(np.array([1]), background=beyond[0])
+
+
 def test_repeated_track_ids_are_refused():
     with pytest.raises(InvalidValueError, match="unique ids"):
         Trajectories(np.zeros((2, 1, 2)), np.ones((2, 1), bool), np.array([3, 3]))

@@ -8,7 +8,7 @@ import pytest
 from io_clips import assert_same, small_clip
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.io import hdf5
+from kt3dmoseg.io import hdf5, load
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
 
@@ -118,8 +118,25 @@ def _replace(file, name, value, **options):
 )
 def test_wrong_content_is_named(name, value, words, file):
     _replace(file, name, value)
-    from kt3dmoseg.io import load
+    with pytest.raises(FileFormatError, match=words) as caught:
+        load(file)
+    assert str(file) in str(caught.value)
 
+
+@pytest.mark.parametrize(
+    ("group", "name", "value", "words"),
+    [
+        ("dense", "image_size", np.int64(5), "image_size: expected .width, height."),
+        ("dense", "image_size", np.array([5]), "image_size: expected .width, height."),
+        ("dense", "image_size", np.array([0, 4]), "image_size: expected .width, height."),
+        ("dense", "image_size", np.array([4, 1 << 40]), "image_size: expected .width, height."),
+        ("dense", "image_size", np.array([np.nan, 4]), "image_size: expected .width, height."),
+        ("labels", "names", '{"van": "2"}', "names: expected numbers of motions, found 'van'"),
+    ],
+)
+def test_wrong_attributes_are_named(group, name, value, words, file):
+    with h5py.File(file, "r+") as stream:
+        stream[group].attrs[name] = value
     with pytest.raises(FileFormatError, match=words) as caught:
         load(file)
     assert str(file) in str(caught.value)

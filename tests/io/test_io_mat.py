@@ -121,6 +121,9 @@ def _release(**changes):
         ({"s": np.array([[1], [1.5]])}, "s: expected whole numbers"),
         ({"y": np.zeros((3, 2, 4))}, r"y: expected finite \(x, y, 1\)"),
         ({"width": "wide"}, "width: expected an array"),
+        ({"width": np.nan}, "image_size: expected .width, height.*found .nan, 9"),
+        ({"height": np.inf}, "image_size: expected .width, height"),
+        ({"height": -9.0}, "image_size: expected .width, height"),
     ],
 )
 def test_bad_hopkins_files(changes, words, tmp_path):
@@ -199,6 +202,7 @@ def _matrix(shape, payload):
 HOSTILE = {
     "element larger than the file": struct.pack("<II", 14, 1 << 31) + bytes(64),
     "array larger than its bytes": _matrix((1 << 30, 1 << 30), struct.pack("<II", 9, 8) + bytes(8)),
+    "empty array of huge dimensions": _matrix((0, 2**31 - 1, 2**31 - 1, 2**31 - 1), struct.pack("<II", 9, 0)),
     "negative dimension": _matrix((-1, 4), struct.pack("<II", 9, 8) + bytes(8)),
     "too many dimensions": _matrix((1,) * 40, struct.pack("<II", 9, 8) + bytes(8)),
     "zlib bomb": (lambda packed: struct.pack("<II", 15, len(packed)) + packed)(

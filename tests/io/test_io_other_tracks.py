@@ -7,7 +7,7 @@ import pytest
 from io_clips import small_clip
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.io import load
+from kt3dmoseg.io import load, save
 from kt3dmoseg.io.npy import npz_shapes, read_npz, write_npz
 from kt3dmoseg.io.predictions import read_prediction
 
@@ -84,12 +84,40 @@ def _tapvid(occluded, video):
             "occluded",
         ),
         ({"a": np.zeros(3)}, "found a; the arrays of CoTracker"),
+        (
+            {"pred_tracks": np.full((1, 4, 3, 2), "a"), "pred_visibility": np.ones((1, 4, 3))},
+            "expected numbers",
+        ),
+        (
+            {"pred_tracks": np.zeros((1, 4, 3, 2)), "pred_visibility": np.full((1, 4, 3), "a")},
+            "expected numbers",
+        ),
+        (_tapvid((3, 4), (4, 0, 0, 3)), "image_size: expected .width, height.*found .0, 0"),
+        (
+            {"pred_tracks": np.zeros((1, 1 << 30, 0, 2)), "pred_visibility": np.ones((1, 1 << 30, 0))},
+            "places in an empty array",
+        ),
     ],
 )
 def test_bad_arrays(arrays, words, tmp_path):
     np.savez(tmp_path / "v.npz", **arrays)
     with pytest.raises(FileFormatError, match=words):
         load(tmp_path / "v.npz")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"label_names": np.array('{"van": "2"}')}, "label_names: expected numbers of motions, found 'van'"),
+        ({"image_size": np.array([-1, 4])}, "image_size"),
+        ({"background": np.array(1 << 63, dtype=np.uint64)}, "at most 9223372036854775807"),
+    ],
+)
+def test_a_clip_in_npz_that_contradicts_itself(changes, words, tmp_path):
+    save(small_clip(), tmp_path / "a.npz")
+    write_npz(tmp_path / "b.npz", read_npz(tmp_path / "a.npz") | changes)
+    with pytest.raises(FileFormatError, match=words):
+        load(tmp_path / "b.npz")
 
 
 def test_npz_reads_no_more_than_asked_for(tmp_path):
