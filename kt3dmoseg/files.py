@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -143,6 +145,17 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     if room <= 0:
         raise InputFileError(os.fspath(path), expected=f"at most {limit} bytes", found="more")
     return b"".join(blocks)
+
+
+def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
+    """Pack a zip file without times, readable by everyone: the same entries give the same bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in entries.items():
+            info = zipfile.ZipInfo(name)  # dated 1980, whatever the day
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, content, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
 
 
 def sha256_file(path: str | os.PathLike[str]) -> str:

@@ -9,24 +9,22 @@ not see. The image must have Python 3.11 or newer; numpy, scipy and h5py are ins
 from __future__ import annotations
 
 import argparse
-import io
 import json
-import struct
 import sys
-import zipfile
-import zlib
 from pathlib import Path
+
+import numpy as np
 
 import kt3dmoseg
 import mseg
 from kt3dmoseg.errors import KT3DMoSegError
-from kt3dmoseg.files import write_bytes
+from kt3dmoseg.files import write_bytes, zip_bytes
 from kt3dmoseg.io import dataset_paths
+from kt3dmoseg.io.index_images import encode_indices
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import load_protocol
 from mseg.evaluation.validate import choose_protocol
 
-_STAMP = (1980, 1, 1, 0, 0, 0)
 # What the scoring program imports; the other sub-packages (methods, trackers, servers) stay out.
 _PARTS = {
     kt3dmoseg: ("*.py", "io/**/*"),
@@ -90,14 +88,14 @@ def make_bundle(data: str, benchmark: str, image: str) -> bytes:
     name = load_protocol(benchmark).name if benchmark else choose_protocol("", paths).name
     title = load_protocol(name).title if name != "custom" else "Motion segmentation"
     reference = {path.name: path.read_bytes() for path in paths.values()}
-    return pack(
+    return zip_bytes(
         {
             "competition.yaml": competition_yaml(title, image).encode(),
             "logo.png": logo(),
             "terms.md": TERMS.encode(),
             "overview.md": OVERVIEW.format(title=title).encode(),
-            "scoring_program.zip": pack(scoring_program(name)),
-            "reference_data.zip": pack(reference),
+            "scoring_program.zip": zip_bytes(scoring_program(name)),
+            "reference_data.zip": zip_bytes(reference),
         }
     )
 
@@ -170,31 +168,12 @@ def competition_yaml(title: str, image: str) -> str:
 
 def logo() -> bytes:
     """Draw two groups of dots in motion: a PNG of 160 x 160."""
-    rows = bytearray()
-    for y in range(160):
-        rows.append(0)
-        for x in range(160):
-            first = (x % 40 - 20) ** 2 + (y % 40 - 20) ** 2 < 90
-            inside = 40 <= x < 120 and 80 <= y < 160
-            rows += bytes((230, 159, 0) if first and inside else (86, 180, 233) if first else (27, 30, 35))
-    header = struct.pack(">IIBBBBB", 160, 160, 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(rows), 9)), (b"IEND", b""))
-    body = b"".join(
-        struct.pack(">I", len(c)) + k + c + struct.pack(">I", zlib.crc32(k + c)) for k, c in chunks
-    )
-    return b"\x89PNG\r\n\x1a\n" + body
-
-
-def pack(files: dict[str, bytes]) -> bytes:
-    """Zip files without time stamps."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in sorted(files):
-            info = zipfile.ZipInfo(name, _STAMP)
-            info.compress_type = zipfile.ZIP_DEFLATED
-            info.external_attr = 0o644 << 16
-            archive.writestr(info, files[name])
-    return buffer.getvalue()
+    y, x = np.mgrid[:160, :160]
+    dots = (x % 40 - 20) ** 2 + (y % 40 - 20) ** 2 < 90
+    moving = (x >= 40) & (x < 120) & (y >= 80)
+    palette = np.zeros((256, 3), dtype=np.uint8)
+    palette[:3] = (27, 30, 35), (86, 180, 233), (230, 159, 0)
+    return encode_indices((dots * (1 + moving)).astype(np.uint8), palette)
 
 
 if __name__ == "__main__":

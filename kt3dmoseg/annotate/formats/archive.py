@@ -1,11 +1,11 @@
-"""Zip files with one entry per frame, written byte for byte the same every time, read with care."""
+"""Zip files with one entry per frame, read with care."""
 
 from __future__ import annotations
 
 import io
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import PurePosixPath
 
@@ -16,17 +16,6 @@ from kt3dmoseg.errors import FileFormatError
 _LARGEST_ENTRY = 32 << 20
 _LARGEST_TOTAL = 128 << 20
 _NUMBER = re.compile(r"(\d{1,9})\D*$")
-
-
-def pack(entries: Mapping[str, bytes]) -> bytes:
-    """Return a zip file with these entries."""
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in entries.items():
-            info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
-            info.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(info, content)
-    return out.getvalue()
 
 
 def unpack(

@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from kt3dmoseg.annotate.checks import MAX_OBJECTS, Motion
+from kt3dmoseg.annotate.checks import MAX_OBJECTS
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.archive import frame_indices
 from kt3dmoseg.annotate.formats.corner import from_corner
 from kt3dmoseg.annotate.formats.instances import Instances
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, mask_of
+from kt3dmoseg.annotate.formats.objects import own_motions
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -128,32 +129,21 @@ def _annotation(
         instance = int(entry["track_id"]) if "track_id" in entry else -1 - number
         kept.setdefault(instance, entry)
         instances.add(instance, frame, _mask(entry["segmentation"], like, where), where)
-    motions, notes = _motions(kept)
+    about = {i: entry.get("attributes", {}) for i, entry in sorted(kept.items())}
     found = instances.annotation(
-        motions,
+        dict(zip(about, own_motions(told.get("motion") for told in about.values()), strict=True)),
         kinds={i: kinds.get(int(e.get("category_id", 0)), "other") for i, e in kept.items()},
-        names={i: str(e.get("attributes", {}).get("name", "")) for i, e in kept.items()},
+        names={i: str(told.get("name", "")) for i, told in about.items()},
     )
     ids = instances.numbers
     given = all(i >= 1 for i in ids)
     return replace(
         found,
         objects=tuple(
-            replace(item, id=i if given else item.id, note=notes[i])
+            replace(item, id=i if given else item.id, note=str(about[i].get("note", "")))
             for item, i in zip(found.objects, ids, strict=True)
         ),
     )
-
-
-def _motions(kept: Mapping[int, dict[str, Any]]) -> tuple[dict[int, Motion], dict[int, str]]:
-    """Motions as told by the attributes; objects without get numbers of their own."""
-    told = {i: entry.get("attributes", {}).get("motion") for i, entry in kept.items()}
-    free = max((m for m in told.values() if isinstance(m, int)), default=0)
-    motions: dict[int, Motion] = {}
-    for i in sorted(kept):
-        free += told[i] is None
-        motions[i] = free if told[i] is None else told[i]
-    return motions, {i: str(entry.get("attributes", {}).get("note", "")) for i, entry in kept.items()}
 
 
 def _mask(segmentation: Any, like: Annotation, where: str) -> BoolArray:  # noqa: ANN401

@@ -21,6 +21,7 @@ from kt3dmoseg.annotate.formats import safe_xml
 from kt3dmoseg.annotate.formats.archive import only_entry
 from kt3dmoseg.annotate.formats.corner import from_corner, to_corner
 from kt3dmoseg.annotate.formats.masks import check_frame
+from kt3dmoseg.annotate.formats.objects import known_kind, own_motions
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame, Visibility
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -171,19 +172,16 @@ def _read_shape(shape: ET.Element, frame: int, item: _Found) -> None:
 
 def _objects(found: Mapping[str, _Found]) -> tuple[AnnotatedObject, ...]:
     numbered = all(name.isdigit() and int(name) >= 1 for name in found)
-    free = max((m for f in found.values() if isinstance(m := _motion(f), int)), default=0)
+    motions = own_motions(map(_motion, found.values()))
     out = []
-    for number, (name, item) in enumerate(found.items(), start=1):
-        motion = _motion(item)
-        free += motion is None
+    for number, ((name, item), motion) in enumerate(zip(found.items(), motions, strict=True), start=1):
         keys = tuple(KeyFrame(f, v, tuple(item.polygons[f])) for f, v in sorted(item.keys.items()))
-        label = item.label.lower()
         out.append(
             AnnotatedObject(
                 int(name) if numbered else number,
                 item.attributes.get("name") or f"{item.label or 'object'} {number}",
-                label if label in KINDS else "other",
-                free if motion is None else motion,
+                known_kind(item.label.lower()),
+                motion,
                 keys,
                 item.attributes.get("note", ""),
             )

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from kt3dmoseg.annotate.checks import REJECT, Motion
-from kt3dmoseg.annotate.formats.archive import pack
 from kt3dmoseg.annotate.formats.instances import from_images
 from kt3dmoseg.annotate.formats.masks import label_image
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.io.index_images import encode_indices
 from kt3dmoseg.types import ByteArray
 
@@ -41,7 +41,7 @@ class Davis:
         values = {o.id: _VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
         images = (label_image(annotation, regions, k, values) for k in range(annotation.n_frames))
         palette = davis_palette()
-        return pack(
+        return zip_bytes(
             {
                 f"{frame:05d}.png": encode_indices(image.astype(np.uint8), palette)
                 for frame, image in enumerate(images)

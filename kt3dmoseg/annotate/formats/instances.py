@@ -10,7 +10,8 @@ import numpy as np
 from kt3dmoseg.annotate.checks import MAX_OBJECTS, Motion, Polygon
 from kt3dmoseg.annotate.formats.archive import unpack
 from kt3dmoseg.annotate.formats.masks import check_shape, polygons_of
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame
+from kt3dmoseg.annotate.formats.objects import key_frames_of, known_kind
+from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.io.index_images import decode_indices
 from kt3dmoseg.types import BoolArray
@@ -67,10 +68,10 @@ class Instances:
         """
         objects = []
         for identity, number in enumerate(self.numbers, start=1):
-            kind = (kinds or {}).get(number, "other")
+            kind = known_kind((kinds or {}).get(number, "other"))
             name = (names or {}).get(number) or f"object {number}"
-            keys = _key_frames(self._outlines[number], self.like.n_frames)
-            kind = kind if kind in KINDS else "other"
+            seen = {f: KeyFrame(f, "visible", tuple(p)) for f, p in self._outlines[number].items()}
+            keys = key_frames_of(seen, self.like.n_frames)
             objects.append(AnnotatedObject(identity, name, kind, motions[number], keys))
         return replace(self.like, objects=tuple(objects))
 
@@ -112,14 +113,3 @@ def from_images(
         for value in np.unique(image[image > 0]).tolist():
             found.add(value, frame, image == value, where)
     return found
-
-
-def _key_frames(outlines: Mapping[int, list[Polygon]], n_frames: int) -> tuple[KeyFrame, ...]:
-    """Key frames: one for each outline, and one where the object leaves."""
-    keys: list[KeyFrame] = []
-    for frame in range(n_frames):
-        if frame in outlines:
-            keys.append(KeyFrame(frame, "visible", tuple(outlines[frame])))
-        elif not keys or keys[-1].visibility != "outside":
-            keys.append(KeyFrame(frame, "outside"))
-    return tuple(keys)

@@ -15,11 +15,13 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, within
-from kt3dmoseg.annotate.formats.archive import pack, unpack
+from kt3dmoseg.annotate.formats.archive import unpack
 from kt3dmoseg.annotate.formats.corner import from_corner, to_corner
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame
+from kt3dmoseg.annotate.formats.objects import key_frames_of, known_kind, own_motions
+from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Visibility
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import zip_bytes
 
 _DESCRIPTION = re.compile(r"kind=(\w+) motion=(\d{1,4}|reject)")
 _MAX_SHAPES = 10_000
@@ -47,7 +49,7 @@ class LabelMe:
     ) -> bytes:
         """Write one JSON file per frame, named as the frame; see `AnnotationFormat`."""
         pictures = names or [f"{frame:06d}.png" for frame in range(annotation.n_frames)]
-        return pack(
+        return zip_bytes(
             {
                 f"{PurePosixPath(picture).stem}.json": _frame_file(annotation, regions, frame, picture)
                 for frame, picture in enumerate(pictures)
@@ -114,9 +116,7 @@ def _read_shape(shape: dict[str, Any], frame: int, found: dict[object, _Found]) 
     motion: Motion | None = None
     if told:
         motion = REJECT if told.group(2) == REJECT else int(told.group(2))
-    item = found.setdefault(
-        label if group is None else int(group), _Found(label, kind if kind in KINDS else "other", motion)
-    )
+    item = found.setdefault(label if group is None else int(group), _Found(label, known_kind(kind), motion))
     item.shapes.setdefault(frame, []).append(points)
     if (shape.get("flags") or {}).get("occluded"):
         item.occluded.add(frame)
@@ -134,24 +134,16 @@ def _outline(shape: dict[str, Any]) -> Polygon:
 
 def _annotation(found: Mapping[object, _Found], like: Annotation) -> Annotation:
     grouped = all(isinstance(key, int) and key >= 1 for key in found)
-    free = max((i.motion for i in found.values() if isinstance(i.motion, int)), default=0)
+    motions = own_motions(item.motion for item in found.values())
     objects = []
-    for number, (key, item) in enumerate(found.items(), start=1):
-        free += item.motion is None
-        motion = free if item.motion is None else item.motion
+    for number, ((key, item), motion) in enumerate(zip(found.items(), motions, strict=True), start=1):
         object_id = key if grouped and isinstance(key, int) else number
-        keys = _key_frames(item, like.n_frames)
+        keys = key_frames_of({frame: _key_frame(item, frame) for frame in item.shapes}, like.n_frames)
         objects.append(AnnotatedObject(object_id, item.name, item.kind, motion, keys))
     ordered = sorted(objects, key=lambda o: o.id)
     return replace(like, objects=tuple(ordered))
 
 
-def _key_frames(item: _Found, n_frames: int) -> tuple[KeyFrame, ...]:
-    keys: list[KeyFrame] = []
-    for frame in range(n_frames):
-        if frame in item.shapes:
-            visibility = "occluded" if frame in item.occluded else "visible"
-            keys.append(KeyFrame(frame, visibility, tuple(item.shapes[frame])))  # type: ignore[arg-type]
-        elif not keys or keys[-1].visibility != "outside":
-            keys.append(KeyFrame(frame, "outside"))
-    return tuple(keys)
+def _key_frame(item: _Found, frame: int) -> KeyFrame:
+    visibility: Visibility = "occluded" if frame in item.occluded else "visible"
+    return KeyFrame(frame, visibility, tuple(item.shapes[frame]))

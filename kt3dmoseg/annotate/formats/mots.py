@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from kt3dmoseg.annotate.checks import MAX_OBJECTS, REJECT, Motion
 from kt3dmoseg.annotate.formats import rle
-from kt3dmoseg.annotate.formats.archive import pack
 from kt3dmoseg.annotate.formats.instances import Instances, from_images
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, label_image
 from kt3dmoseg.annotate.model import AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.types import BoolArray
 
 _IGNORE = 10_000
@@ -45,7 +45,7 @@ class MotsPng:
         """Write one PNG per frame; see `AnnotationFormat`."""
         del names
         images = (image.astype(np.uint16) for image in _images(annotation, regions))
-        return pack(
+        return zip_bytes(
             {f"{k:06d}.png": cv2.imencode(".png", image)[1].tobytes() for k, image in enumerate(images)}
         )
 

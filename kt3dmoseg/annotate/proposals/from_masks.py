@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.annotate.formats import load
-from kt3dmoseg.annotate.formats.archive import pack
 from kt3dmoseg.annotate.model import AnnotatedObject
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import read_bytes, zip_bytes
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate.proposals import Request
@@ -36,7 +35,7 @@ def propose(request: Request) -> list[AnnotatedObject]:
     files = sorted((request.masks / request.clip).glob("*.png"))
     if not files:
         raise InputFileError(f"{request.masks / request.clip}", expected="masks, *.png", found="none")
-    content = pack({file.name: read_bytes(file, _MAX_FILE) for file in files})
+    content = zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in files})
     names = [frame.name for frame in request.frames]
     problem: FileFormatError | None = None
     for name in _FORMATS:

@@ -11,7 +11,8 @@ import numpy as np
 
 from kt3dmoseg import catalog
 from kt3dmoseg.annotate.checks import Polygon
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, KeyFrame
+from kt3dmoseg.annotate.formats.objects import key_frames_of, known_kind
+from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.kitti import RawDrive, Tracklet
 from kt3dmoseg.types import FloatArray
@@ -27,7 +28,7 @@ _PARKED = 1.0
 _RAW = re.compile(
     r"(?P<date>\d{4}_\d\d_\d\d)_drive_(?P<drive>\d{4})_sync/image_0(?P<camera>\d)/data/(?P<number>\d{10})\.\w+$"
 )
-_KIND_OF = {"person (sitting)": "pedestrian", "misc": "other"}
+_KIND_OF = {"person (sitting)": "pedestrian"}
 
 
 def propose(request: Request) -> list[AnnotatedObject]:
@@ -50,12 +51,12 @@ def propose(request: Request) -> list[AnnotatedObject]:
         keys = _key_frames(drive, tracklet, numbers)
         if moves and any(key.polygons for key in keys):
             number = len(objects) + 1
-            kind = _KIND_OF.get(tracklet.kind.lower(), tracklet.kind.lower())
+            kind = tracklet.kind.lower()
             objects.append(
                 AnnotatedObject(
                     number,
-                    f"{tracklet.kind.lower()} {number}",
-                    kind if kind in KINDS else "other",
+                    f"{kind} {number}",
+                    known_kind(_KIND_OF.get(kind, kind)),
                     number,
                     keys,
                     "from a KITTI tracklet",
@@ -110,16 +111,13 @@ def _moving(drive: RawDrive, tracklets: list[Tracklet], numbers: tuple[int, ...]
 
 
 def _key_frames(drive: RawDrive, tracklet: Tracklet, numbers: tuple[int, ...]) -> tuple[KeyFrame, ...]:
-    keys: list[KeyFrame] = []
+    seen: dict[int, KeyFrame] = {}
     for frame, number in enumerate(numbers):
         polygon = _polygon(drive, tracklet, number) if number in tracklet.numbers else None
-        if polygon is None:
-            if not keys or keys[-1].visibility != "outside":
-                keys.append(KeyFrame(frame, "outside"))
-        else:
+        if polygon is not None:
             hidden = int(tracklet.occlusion[tracklet.row(number)]) == _FULLY_OCCLUDED
-            keys.append(KeyFrame(frame, "occluded" if hidden else "visible", (polygon,)))
-    return tuple(keys)
+            seen[frame] = KeyFrame(frame, "occluded" if hidden else "visible", (polygon,))
+    return key_frames_of(seen, len(numbers))
 
 
 def _polygon(drive: RawDrive, tracklet: Tracklet, number: int) -> Polygon | None:
