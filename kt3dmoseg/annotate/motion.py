@@ -78,18 +78,6 @@ class FlowMotion:
     def __init__(self, flow: Callable[[int, int], Float32Array], spacing: float = 2.0) -> None:
         self.flow, self.spacing = flow, spacing
 
-    @classmethod
-    def from_stack(cls, forward: Sequence[Float32Array]) -> FlowMotion:
-        """Make it from the fields of frames t to t + 1 only.
-
-        Backwards, the field at a point is taken as minus the forward field that ends nearby.
-        """
-
-        def flow(i: int, j: int) -> Float32Array:
-            return forward[i] if j > i else _reversed(forward[j])
-
-        return cls(flow)
-
     def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
         """Points on a grid in the region and where the flow takes them; see `ImageMotion`."""
         field = self.flow(i, j)
@@ -199,15 +187,3 @@ def _median(values: FloatArray, known: BoolArray) -> FloatArray:
     low, high = ordered[rows, np.maximum(count - 1, 0) // 2], ordered[rows, np.minimum(count // 2, count - 1)]
     with np.errstate(invalid="ignore"):
         return np.where(count > 0, (low + high) / 2, 0.0)
-
-
-def _reversed(forward: Float32Array) -> Float32Array:
-    height, width = forward.shape[:2]
-    rows, columns = np.mgrid[0:height, 0:width]
-    back = np.full_like(forward, np.nan)
-    known = np.isfinite(forward).all(axis=2)
-    x = np.rint(columns + np.where(known, forward[..., 0], 0)).astype(np.int64)
-    y = np.rint(rows + np.where(known, forward[..., 1], 0)).astype(np.int64)
-    kept = known & (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    back[y[kept], x[kept]] = -forward[kept]
-    return back

@@ -79,19 +79,6 @@ def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion)
     return regions
 
 
-def carry(
-    polygons: Sequence[FloatArray], start: int, stop: int, motion: ImageMotion
-) -> list[list[FloatArray]]:
-    """Carry a region from frame `start` to `stop` (either direction) by the image motion.
-
-    Returns
-    -------
-    list of list of (P, 2) float64
-        The region in each frame from `start` to `stop`, both included.
-    """
-    return _chain(polygons, start, stop, motion, None)
-
-
 def _between(key: KeyFrame, after: KeyFrame | None, end: int, motion: ImageMotion) -> list[list[FloatArray]]:
     """Polygons of the frames strictly between `key` and `end`."""
     span = end - key.frame
