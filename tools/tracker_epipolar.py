@@ -6,7 +6,8 @@ Real frames have no true tracks, but where the scene is static and the camera mo
 point some frames later obey x'^T F x = 0. The released tracks of the background that live so long are
 started anew at their first points and followed in several ways. For each way and each start frame, F is
 fitted (MAGSAC) to its own positions of those tracks that every way keeps, and the Sampson distances of all
-are pooled. The error along the epipolar line stays unseen.
+are pooled: of all tracks, of those that every way keeps, and of those on which the release and the default
+disagree, where the distances tell which of the two is right. The error along the epipolar line stays unseen.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ import argparse
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from tqdm import tqdm
-from tracker_fidelity import NO_STOPS, alive_after, starts
+from tracker_fidelity import FAST, NO_STOPS, alive_after, starts, table
 
 from kt3dmoseg import load
 from kt3dmoseg.files import write_text
@@ -34,7 +37,8 @@ WAYS = {
     "anchored": {"anchor": RELIABLE["anchor"], **NO_STOPS},
     "reliable": dict(RELIABLE),
 }
-HEAD = ["tracks", "points", "median px", "90 %", "95 %", "kept by `reliable`: median px", "90 %", "95 %"]
+APART = 1.0  # pixels between the release and the default that make them disagree
+HEAD = ["of", "tracks", "points", "median px", "90 %", "95 %", "nearer than the release"]
 
 
 def sampson(fundamental: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -51,8 +55,25 @@ def strayed(a: np.ndarray, b: np.ndarray, kept: np.ndarray) -> np.ndarray:
     return np.full(len(a), np.nan) if fundamental is None else sampson(fundamental[:3], a, b)
 
 
-def compare(clip: Clip, frames: Path, after: int, cache: str | None) -> dict[str, np.ndarray]:
-    """Distances of each way of tracking, (N,), of the same tracks; NaN where a way has stopped."""
+@dataclass
+class Comparison:
+    """The same N tracks in several ways."""
+
+    distance: dict[str, np.ndarray]  # of each way, (N,); NaN where it has stopped
+    gap: np.ndarray  # pixels between the release and the default, (N,)
+    step: np.ndarray  # length of the released track's first step in pixels, (N,)
+
+    @classmethod
+    def pooled(cls, parts: Sequence[Comparison]) -> Comparison:
+        """All tracks of several comparisons."""
+        distance = {
+            name: np.concatenate([part.distance[name] for part in parts]) for name in parts[0].distance
+        }
+        return cls(distance, *(np.concatenate([getattr(part, k) for part in parts]) for k in ("gap", "step")))
+
+
+def compare(clip: Clip, frames: Path, after: int, cache: str | None) -> Comparison:
+    """Follow a clip's released background tracks in every way; distances `after` frames later."""
     label = np.zeros(len(clip.dense), int)
     label[clip.evaluated] = clip.labels.label
     moving = (label > 0) & (label != clip.labels.background)
@@ -65,22 +86,47 @@ def compare(clip: Clip, frames: Path, after: int, cache: str | None) -> dict[str
         }
     ways = {"release": dense.xy, **ways}
     rows, at = alive_after(dense, after)
-    pooled: dict[str, list[np.ndarray]] = {name: [] for name in ways}
+    none = np.zeros(0)
+    parts = [Comparison(dict.fromkeys(ways, none), none, none)]
     for end in np.unique(at):
         some = rows[at == end]
-        step = np.linalg.norm(dense.xy[some, end] - dense.xy[some, end - after], axis=1)
-        kept = np.isfinite(np.stack([xy[some, end, 0] for xy in ways.values()])).all(axis=0)
-        if kept.sum() >= LEAST_POINTS and np.median(step) >= LEAST_MOTION:
-            for name, xy in ways.items():
-                pooled[name].append(strayed(xy[some, end - after], xy[some, end], kept))
-    return {name: np.concatenate([np.zeros(0), *parts]) for name, parts in pooled.items()}
+        first = {name: xy[some, end - after] for name, xy in ways.items()}
+        last = {name: xy[some, end] for name, xy in ways.items()}
+        kept = np.isfinite(np.stack(list(last.values()))).all(axis=(0, 2))
+        way = np.linalg.norm(last["release"] - first["release"], axis=1)
+        if kept.sum() >= LEAST_POINTS and np.median(way) >= LEAST_MOTION:
+            gap = np.linalg.norm(last["release"] - last["default"], axis=1)
+            step = np.linalg.norm(dense.xy[some, end - after + 1] - first["release"], axis=1)
+            parts.append(
+                Comparison({name: strayed(first[name], last[name], kept) for name in ways}, gap, step)
+            )
+    return Comparison.pooled(parts)
 
 
-def row(name: str, distance: np.ndarray, kept: np.ndarray) -> list[str]:
-    def quantiles(values: np.ndarray) -> list[str]:
-        return [f"{q:.3f}" for q in np.nanpercentile(values, [50, 90, 95])]
+def rows_of(found: Comparison) -> list[list[str]]:
+    """One row for each way and each set of tracks."""
+    kept = np.isfinite(np.stack(list(found.distance.values()))).all(axis=0)
+    apart = found.gap > APART
+    sets = {
+        "all": np.ones_like(kept),
+        "kept by all": kept,
+        f"over {APART:g} px apart": apart,
+        f"the same, steps > {FAST:g} px": apart & (found.step > FAST),
+    }
+    return [
+        row(of, name, distance[some], found.distance["release"][some])
+        for of, some in sets.items()
+        for name, distance in found.distance.items()
+    ]
 
-    return [name, str(np.isfinite(distance).sum()), *quantiles(distance), *quantiles(distance[kept])]
+
+def row(of: str, name: str, distance: np.ndarray, release: np.ndarray) -> list[str]:
+    there = np.isfinite(distance) & np.isfinite(release)
+    quantiles = (
+        [f"{q:.3f}" for q in np.percentile(distance[there], [50, 90, 95])] if there.any() else ["-"] * 3
+    )
+    nearer = f"{np.mean((distance < release)[there]):.3f}" if there.any() and name != "release" else "-"
+    return [of, name, str(there.sum()), *quantiles, nearer]
 
 
 def main() -> None:
@@ -105,10 +151,7 @@ def main() -> None:
         )
         for name in tqdm(arguments.clips or known, disable=None)
     ]
-    pooled = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    kept = np.isfinite(np.stack(list(pooled.values()))).all(axis=0)
-    lines = [HEAD, ["---"] * len(HEAD), *(row(name, d, kept) for name, d in pooled.items())]
-    text = "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    text = table(HEAD, rows_of(Comparison.pooled(parts)))
     if arguments.output:
         write_text(arguments.output, text)
     sys.stdout.write(text)
