@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from kt3dmoseg.draw import Painting
     from kt3dmoseg.types import ByteArray, Clip
 
+_PICTURE = ".png"
+_SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
@@ -45,14 +48,20 @@ def run(arguments: argparse.Namespace) -> None:
     from kt3dmoseg.draw import DrawOptions, draw_frame
     from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.io import load
+    from kt3dmoseg.io.text import check_name
     from kt3dmoseg.options import from_namespace
 
+    options = from_namespace(DrawOptions, arguments)
+    if not _SLOWEST <= arguments.rate <= _FASTEST:  # nor NaN
+        expected = f"a number above 0, from {_SLOWEST:g} to {_FASTEST:g}"
+        raise InvalidValueError("--rate", expected=expected, found=f"{arguments.rate}")
     clip = load(arguments.clip)
+    check_name(clip.name, f"{arguments.clip}: name")
+    output = _output(arguments.output or clip.name)
+    if not clip.n_frames:
+        raise InvalidValueError(arguments.clip, expected="a clip with frames", found="none")
     if arguments.at is not None and not 0 <= arguments.at < clip.n_frames:
         raise InvalidValueError("--at", expected=f"0..{clip.n_frames - 1}", found=str(arguments.at))
-    if arguments.rate <= 0:
-        raise InvalidValueError("--rate", expected="a number above 0", found=str(arguments.rate))
-    options = from_namespace(DrawOptions, arguments)
     painting = _painting(clip, arguments)
     pictures = _pictures(clip, arguments.frames)
 
@@ -60,7 +69,21 @@ def run(arguments: argparse.Namespace) -> None:
         title = f"{clip.name}  frame {frame + 1}/{clip.n_frames}"
         return draw_frame(painting, frame, pictures[frame] if pictures else None, title, options)
 
-    print(_write(clip, arguments, drawn))
+    print(_write(clip, output, arguments, drawn))
+
+
+def _output(path: str) -> Path:
+    """Refuse a suffix that nothing is written as, before anything is drawn."""
+    from kt3dmoseg.errors import InvalidValueError
+    from kt3dmoseg.io.video import MOVING_SUFFIXES
+
+    output = Path(path)
+    if not output.is_dir() and output.suffix.lower() not in ("", _PICTURE, *MOVING_SUFFIXES):
+        known = ", ".join((*MOVING_SUFFIXES, _PICTURE))
+        raise InvalidValueError(
+            path, expected=f"a suffix of {known}, or none for a folder", found=repr(output.suffix)
+        )
+    return output
 
 
 def _painting(clip: Clip, arguments: argparse.Namespace) -> Painting:
@@ -86,18 +109,18 @@ def _pictures(clip: Clip, folder: str | None) -> list[ByteArray]:
     return frames_of(clip, inner if inner.is_dir() else folder)
 
 
-def _write(clip: Clip, arguments: argparse.Namespace, drawn: Callable[[int], ByteArray]) -> str:
+def _write(clip: Clip, output: Path, arguments: argparse.Namespace, drawn: Callable[[int], ByteArray]) -> str:
     from kt3dmoseg.io.video import write_moving, write_png
 
-    output = Path(arguments.output or clip.name)
     chosen = range(clip.n_frames) if arguments.at is None else [arguments.at]
-    if output.suffix == ".png":
+    suffix = "" if output.is_dir() else output.suffix.lower()
+    if suffix == _PICTURE:
         middle = arguments.at if arguments.at is not None else clip.n_frames // 2
         write_png(output, drawn(middle))
-    elif output.suffix:
+    elif suffix:
         write_moving(output, map(drawn, chosen), arguments.rate)
     else:
         for frame in chosen:
             write_png(output / f"{clip.name}_{frame + 1:06d}.png", drawn(frame))
-    count = 1 if output.suffix == ".png" else len(chosen)
+    count = 1 if suffix == _PICTURE else len(chosen)
     return f"{output}: {clip.name}, {count} picture{'s' * (count > 1)}"

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.draw.options import DrawOptions
+from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Trajectories
 
 # Okabe and Ito (2008): told apart also with a colour vision deficiency. RGB; label 1 comes first.
@@ -31,6 +32,7 @@ UNLABELLED = (190, 190, 190)
 _SHIFT = 4  # OpenCV draws at 1/16 px
 _FONT, _FONT_SCALE, _LINE = cv2.FONT_HERSHEY_SIMPLEX, 0.42, 15
 _WHITE = (255, 255, 255)
+_MAX_PIXELS, _MAX_EXTENT = 1 << 27, 4096
 
 Legend: TypeAlias = "Sequence[tuple[str, tuple[int, int, int]]]"
 
@@ -145,8 +147,15 @@ def draw_frame(
 
 
 def _canvas(trajectories: Trajectories, picture: ByteArray | None, options: DrawOptions) -> ByteArray:
+    given = None if picture is None else (picture.shape[1], picture.shape[0])
+    width, height = given or trajectories.image_size or _extent(trajectories)
+    if width * height * options.scale**2 > _MAX_PIXELS:
+        raise InvalidValueError(
+            "scale",
+            expected=f"pictures of at most {_MAX_PIXELS} pixels",
+            found=f"{width}x{height}, enlarged {options.scale} times",
+        )
     if picture is None:
-        width, height = trajectories.image_size or _extent(trajectories)
         return np.zeros((height * options.scale, width * options.scale, 3), dtype=np.uint8)
     dimmed = np.rint(picture * options.dim).astype(np.uint8)
     large = np.repeat(np.repeat(dimmed, options.scale, axis=0), options.scale, axis=1)
@@ -157,8 +166,9 @@ def _extent(trajectories: Trajectories) -> tuple[int, int]:
     """Width and height that hold every point, for clips that do not tell their image size."""
     if not trajectories.visible.any():
         return 64, 48
-    width, height = np.ceil(trajectories.xy[trajectories.visible].max(axis=0)).astype(np.int64) + 1
-    return int(np.clip(width, 64, 16384)), int(np.clip(height, 48, 16384))
+    furthest = np.ceil(trajectories.xy[trajectories.visible].max(axis=0)) + 1
+    width, height = np.clip(furthest, (64, 48), _MAX_EXTENT).astype(np.int64).tolist()
+    return width, height
 
 
 def _draw_trails(canvas: ByteArray, painting: Painting, frame: int, options: DrawOptions) -> None:

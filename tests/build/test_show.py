@@ -207,7 +207,11 @@ def test_a_folder_of_clips_names_one_of_them(clip, file, tmp_path, capsys):
         (["--at", "6"], "expected 0..5, found 6"),
         (["-o", "clip.xyz"], "a suffix of .mp4"),
         (["--frames", "nowhere"], "no such folder"),
+        (["-o", "clip.jpg"], ".webp, .png, or none for a folder"),
         (["--rate", "0"], "above 0"),
+        (["--rate", "nan"], "from 0.1 to 240, found nan"),
+        (["--rate", "1e-300", "-o", "a.gif"], "from 0.1 to 240"),
+        (["--rate", "inf", "-o", "a.mp4"], "from 0.1 to 240, found inf"),
         (["--scale", "99"], "scale"),
         (["--pred", "other.csv"], "the 3 evaluated tracks of clip, found one of track 7"),
     ],
@@ -219,6 +223,37 @@ def test_what_cannot_be_shown(arguments, words, file, tmp_path, monkeypatch, cap
     told = capsys.readouterr().err
     assert words in told
     assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("size", "name", "words"),
+    [
+        ((1_000_000, 1_000_000), "clip", "at most 134217728 pixels, found 1000000x1000000"),
+        ((40, 30), "../elsewhere", "name: expected a clip's name"),
+    ],
+)
+def test_what_a_hostile_clip_says_is_not_trusted(size, name, words, clip, tmp_path, monkeypatch, capsys):
+    dense = Trajectories(clip.dense.xy, clip.dense.visible, image_size=size)
+    save(dataclasses.replace(clip, name=name, dense=dense), tmp_path / "work" / "a.h5")
+    monkeypatch.chdir(tmp_path / "work")
+    assert main(["show", "a.h5"]) == 2
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_far_points_of_a_clip_without_an_image_size_fit_the_picture():
+    far = Trajectories(np.full((1, 2, 2), 1e300), np.ones((1, 2), bool))
+    assert draw_frame(by_length(far), 1).shape == (4096, 4096, 3)
+
+
+def test_a_suffix_in_capitals_and_a_folder_with_a_dot(file, tmp_path):
+    (tmp_path / "shown.v2").mkdir()
+    assert main(["show", str(file), "-o", str(tmp_path / "shown.v2")]) == 0
+    assert len(list((tmp_path / "shown.v2").glob("*.png"))) == 6
+    assert main(["show", str(file), "-o", str(tmp_path / "ONE.PNG")]) == 0
+    assert (tmp_path / "ONE.PNG").read_bytes().startswith(b"\x89PNG")
 
 
 def test_frames_of_another_clip(file, tmp_path, capsys):
