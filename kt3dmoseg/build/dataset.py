@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias
 
 from kt3dmoseg.build.clip import check_usage, label_source, prepare
 from kt3dmoseg.build.fingerprint import why_build
+from kt3dmoseg.build.masks import has_masks
 from kt3dmoseg.build.options import Settings
 from kt3dmoseg.build.shot import Source
 from kt3dmoseg.build.sources import find_sources
@@ -111,8 +112,8 @@ def build_dataset(
     Raises
     ------
     InputFileError
-        When `frames` holds nothing, `annotations` or `masks` do not exist, or `output` cannot be written
-        or is being built by another process.
+        When `frames` holds nothing, `annotations` do not exist, `masks` hold none of any clip, or
+        `output` cannot be written or is being built by another process.
     InvalidValueError, UnknownNameError
         For a bad option.
     """
@@ -120,6 +121,7 @@ def build_dataset(
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     _check_names(sources)
     check_usage(settings, annotations, masks)
+    _check_masks(sources, _path(masks))
     count = _worker_count(workers, len(sources))
     with _sole_writer(Path(output)) as folder:
         shared = (folder, _path(annotations), _path(masks), settings, _path(cache), force)
@@ -187,6 +189,23 @@ def _check_names(sources: Sequence[Source]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InvalidValueError(f"clip {twice[0]}", expected="one source", found=f"{names.count(twice[0])}")
+
+
+def _check_masks(sources: Sequence[Source], masks: Path | None) -> None:
+    """See that masks belong to clips by name: one clip's must not label them all, nor a wrong folder none."""
+    if masks is None:
+        return
+    if len(sources) > 1 and has_masks(masks):
+        raise InvalidValueError(
+            f"{masks}",
+            expected=f"one folder of masks per clip, as {masks / sources[0].name}",
+            found=f"masks, and {len(sources)} clips",
+            fix="build their clip alone, or move them into a folder of its name",
+        )
+    if not any(has_masks(place) for place in (masks, *(masks / source.name for source in sources))):
+        raise InputFileError(
+            f"{masks}", expected=f"masks (.png) there, or in {masks / sources[0].name}", found="none"
+        )
 
 
 def _worker_count(workers: int | None, clips: int) -> int:

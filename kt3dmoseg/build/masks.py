@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.images import frame_number, frame_paths
+from kt3dmoseg.io.images import frame_number, numbered_pictures
 from kt3dmoseg.io.index_images import decode_indices
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
@@ -27,11 +27,19 @@ _MAX_FILE = 1 << 26
 
 
 def mask_paths(folder: str | os.PathLike[str], clip: str) -> list[Path]:
-    """List a clip's masks: those of ``folder/clip``, or of `folder` itself; empty when there are none."""
+    """List a clip's masks: those of ``folder/clip``, or of `folder` itself; empty when there are none.
+
+    Not every frame needs one.
+    """
     for place in (Path(folder) / clip, Path(folder)):
-        if place.is_dir() and any(place.glob("*.png")):
-            return frame_paths(place)
+        if has_masks(place):
+            return list(numbered_pictures(place).values())
     return []
+
+
+def has_masks(folder: Path) -> bool:
+    """Whether a folder holds masks itself."""
+    return folder.is_dir() and any(folder.glob("*.png"))
 
 
 def read_mask(path: str | os.PathLike[str]) -> IntArray:
@@ -83,7 +91,7 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
 
 
 def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[int, Path]:
-    """Match masks to frames by number; by order when there are as many but numbered otherwise.
+    """Match masks to frames by number; by order when there are as many, without a gap, numbered otherwise.
 
     Raises
     ------
@@ -94,7 +102,7 @@ def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[i
     named = {frame_number(path): path for path in paths}
     if set(named) <= set(index):
         return {index[number]: path for number, path in named.items()}
-    if len(paths) == len(numbers):
+    if len(paths) == len(numbers) == max(named) - min(named) + 1:
         return dict(enumerate(paths))
     raise InputFileError(
         f"masks of {clip}",

@@ -47,27 +47,40 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
     root = Path(folder)
     if not root.is_dir():
         raise InputFileError(f"{root}", expected="a folder of frames", found="no such folder")
-    files = [f for f in sorted(root.iterdir()) if f.suffix.lower() in IMAGE_SUFFIXES and f.is_file()]
-    by_number: dict[int, Path] = {}
-    for file in files:
-        number = frame_number(file)
-        if number in by_number:
-            raise FileFormatError(
-                f"{root}: frame {number}",
-                expected="one file",
-                found=f"{by_number[number].name} and {file.name}",
-                fix="keep one of them",
-            )
-        by_number[number] = file
-    if len(by_number) < _MIN_FRAMES:
+    pictures = numbered_pictures(root)
+    if len(pictures) < _MIN_FRAMES:
         raise InputFileError(
             f"{root}",
             expected="at least two numbered frames (000001.png, 000002.png, ...)",
-            found=f"only {files[0].name}" if files else "no pictures",
+            found=f"only {next(iter(pictures.values())).name}" if pictures else "no pictures",
             fix="give the folder that holds the frames of one clip",
         )
-    _check_consecutive(root, sorted(by_number))
-    return [by_number[number] for number in sorted(by_number)]
+    _check_consecutive(root, list(pictures))
+    return list(pictures.values())
+
+
+def numbered_pictures(folder: Path) -> dict[int, Path]:
+    """Return the pictures of a folder by number, in order; there may be gaps.
+
+    Raises
+    ------
+    FileFormatError
+        When a name has no number, or a number is given twice.
+    """
+    out: dict[int, Path] = {}
+    for file in sorted(folder.iterdir()):
+        if file.suffix.lower() not in IMAGE_SUFFIXES or not file.is_file():
+            continue
+        number = frame_number(file)
+        if number in out:
+            raise FileFormatError(
+                f"{folder}: frame {number}",
+                expected="one file",
+                found=f"{out[number].name} and {file.name}",
+                fix="keep one of them",
+            )
+        out[number] = file
+    return dict(sorted(out.items()))
 
 
 def frame_number(path: str | os.PathLike[str]) -> int:

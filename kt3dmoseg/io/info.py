@@ -26,6 +26,8 @@ _LINE = 110
 def info(path: str | os.PathLike[str]) -> str:
     """Describe a clip, a folder of clips, a folder of frames (or of such folders), or a flow field.
 
+    Of a single folder of frames every picture is read, of several only the first of each.
+
     Parameters
     ----------
     path : path
@@ -142,7 +144,7 @@ def _frames(folders: Sequence[Path]) -> str:
     for folder in folders:
         try:
             paths = frame_paths(folder)
-            first = decode(read_bytes(paths[0], _PICTURE_LIMIT), f"{paths[0]}")
+            first = _first_of(paths, check=len(folders) == 1)
             numbers = f"{frame_number(paths[0])}..{frame_number(paths[-1])}"
             size = f"{first.shape[1]}x{first.shape[0]}"
             rows.append([folder.name, str(len(paths)), numbers, size, _kind(first), ""])
@@ -151,6 +153,17 @@ def _frames(folders: Sequence[Path]) -> str:
                 raise
             rows.append([folder.name, "-", "-", "-", "-", str(error)])
     return table(rows, ["frames of", "frames", "numbers", "size", "first picture", ""])
+
+
+def _first_of(paths: Sequence[Path], *, check: bool) -> np.ndarray[Any, Any]:
+    """Return the first picture; with `check` see that the others are sound, of its size and depth."""
+    first = decode(read_bytes(paths[0], _PICTURE_LIMIT), f"{paths[0]}")
+    for path in paths[1:] if check else ():
+        other = decode(read_bytes(path, _PICTURE_LIMIT), f"{path}")
+        if (other.shape[:2], other.dtype) != (first.shape[:2], first.dtype):
+            expected, found = (f"{p.shape[1]}x{p.shape[0]}, {_kind(p)}" for p in (first, other))
+            raise FileFormatError(f"{path}", expected=f"{expected}, as {paths[0].name}", found=found)
+    return first
 
 
 def _picture(path: Path) -> str:

@@ -213,6 +213,23 @@ def test_masks_are_matched_by_number_else_by_order(tmp_path):
         by_frame(paths, list(range(100, 110)), "c")
 
 
+def test_a_gap_in_masks_is_no_order(tmp_path):
+    paths = sorted(write_masks(tmp_path / "m", first=0).iterdir())
+    with pytest.raises(InputFileError, match="masks of c: expected numbers within"):
+        by_frame([*paths[:2], *paths[3:]], list(range(100, 100 + FRAMES - 1)), "c")
+
+
+@pytest.mark.parametrize("kept", [{1}, {0, FRAMES - 1}])
+def test_some_frames_may_have_no_mask(kept, folder, tmp_path):
+    for number, path in enumerate(sorted(write_masks(tmp_path / "masks").iterdir())):
+        if number not in kept:
+            path.unlink()
+    clip = build_clip(folder, masks=tmp_path / "masks", fraction=1.0)
+    truth = on_patch(clip.evaluated_trajectories)
+    assert clip.n_motions == 2
+    assert (clip.labels.label[truth == 1] == 2).all()
+
+
 def test_void_abstains_and_ties_stay_unlabelled(tmp_path):
     mask = np.zeros((48, 64), np.uint8)
     mask[:, 10:20], mask[:, 20:30], mask[:, 30:40] = 255, 1, 2

@@ -110,6 +110,22 @@ def test_what_is_wrong_for_all_clips_is_told_once_before_the_first(wrong, words,
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("", "expected one folder of masks per clip, as {masks}/a, found masks, and 3 clips"),
+        ("d", "expected masks (.png) there, or in {masks}/a, found none"),
+    ],
+)
+def test_masks_belong_to_a_clip_by_name(place, words, frames, tmp_path, capsys):
+    masks = tmp_path / "masks"
+    write_masks(masks / place)
+    command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), "--masks", str(masks), *FLOW]
+    assert main(command) == 2
+    assert words.format(masks=masks) in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_clips_without_a_trajectory_are_told_in_the_summary(tmp_path, capsys):
     for name, count in (("long", FRAMES), ("short", 4), ("shorter", 3)):
         write_clip(tmp_path / "frames" / name, frames=count)

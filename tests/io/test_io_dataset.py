@@ -112,6 +112,20 @@ def test_info_of_frames_flow_and_pictures(tmp_path):
     assert "a picture of 64x48, 8-bit gray" in info(clips / "good/000001.png")
 
 
+@pytest.mark.parametrize("picture", [np.zeros((40, 64), np.uint8), np.zeros((48, 64), np.uint16), None])
+def test_info_of_one_folder_reads_every_frame(picture, tmp_path):
+    for number in (1, 2, 3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((48, 64), np.uint8))
+    assert "64x48" in info(tmp_path)
+    third = tmp_path / "3.png"
+    if picture is None:
+        third.write_bytes(third.read_bytes()[:60])
+    else:
+        cv2.imwrite(str(third), picture)
+    with pytest.raises(FileFormatError, match=r"3\.png: expected"):
+        info(tmp_path)
+
+
 def test_info_of_nothing(tmp_path, capsys):
     assert main(["info", str(tmp_path / "none")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
