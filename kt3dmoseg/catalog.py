@@ -40,6 +40,7 @@ from kt3dmoseg.entries import (
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes, write_text
 from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.toml_text import quoted
 
 __all__ = ["BUILT_IN", "Drive", "Entry", "Fingerprint", "add", "load", "parse", "save", "select"]
 
@@ -205,7 +206,7 @@ def _toml(entry: Entry) -> str:
         lines.append(f"size = [{entry.size[0]}, {entry.size[1]}]")
     if entry.numbers is not None:
         lines.append(f'numbers = "{format_numbers(entry.numbers)}"')
-    lines += [f"{key} = {_quoted(value)}" for key in ("proof", "source") if (value := getattr(entry, key))]
+    lines += [f"{key} = {quoted(value)}" for key in ("proof", "source") if (value := getattr(entry, key))]
     if entry.frames:
         rows = [
             f'  {{ crc32 = "{f.crc32:08x}", bytes = {f.bytes}, pixels = "{f.pixels}" }},'
@@ -213,8 +214,3 @@ def _toml(entry: Entry) -> str:
         ]
         lines += ["frames = [", *rows, "]"]
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    kept = "".join(c for c in text if c.isprintable())
-    return '"' + kept.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.matching import match_labels
 from kt3dmoseg.types import IntArray
 
 _UNLABELLED = 0
@@ -100,18 +100,9 @@ def agree(a: npt.ArrayLike, b: npt.ArrayLike, *, match: bool = True) -> Agreemen
         )
     if not match:
         return Agreement(mine, other, {})
-    matching = _matching(mine, other)
+    matching = match_labels(mine, other)
     renamed = np.zeros_like(mine)
     spare = max(int(other.max(initial=0)), int(mine.max(initial=0))) + 1
     for label in np.unique(mine[mine != _UNLABELLED]):
         renamed[mine == label] = matching.get(int(label), spare + int(label))
     return Agreement(renamed, other, matching)
-
-
-def _matching(a: IntArray, b: IntArray) -> dict[int, int]:
-    names_a, names_b = (np.unique(labels[labels != _UNLABELLED]) for labels in (a, b))
-    overlap = np.array([[np.sum((a == x) & (b == y)) for y in names_b] for x in names_a]).reshape(
-        len(names_a), len(names_b)
-    )
-    rows, columns = linear_sum_assignment(overlap, maximize=True)
-    return {int(names_a[i]): int(names_b[j]) for i, j in zip(rows, columns, strict=True) if overlap[i, j] > 0}

@@ -9,10 +9,10 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.draw.options import DrawOptions
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.matching import match_labels
 from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Trajectories
 
 # Okabe and Ito (2008): told apart also with a colour vision deficiency. RGB; label 1 comes first.
@@ -211,14 +211,10 @@ def _draw_legend(canvas: ByteArray, title: str, legend: Legend, scale: int) -> N
 
 
 def _match(predicted: IntArray, truth: IntArray) -> dict[int, int]:
-    """Match predicted labels to motions, one to one, so that most trajectories agree (Kuhn 1955)."""
-    labels, motions = np.unique(predicted[predicted > 0]), np.unique(truth[truth > 0])
-    shared = ((predicted == labels[:, None])[:, None] & (truth == motions[:, None])).sum(axis=2)
-    rows, columns = linear_sum_assignment(shared, maximize=True)
-    match = dict(zip(labels[rows].tolist(), motions[columns].tolist(), strict=True))
-    # Labels beyond the number of motions take the colours after theirs.
-    spare = (int(motions.max()) + k for k in range(1, len(labels) + 1))
-    return match | {label: next(spare) for label in labels.tolist() if label not in match}
+    """Match predicted labels to motions, one to one; those left over get numbers after the motions'."""
+    match = match_labels(predicted, truth)
+    others = [label for label in np.unique(predicted[predicted > 0]).tolist() if label not in match]
+    return match | {label: int(truth.max()) + k for k, label in enumerate(others, start=1)}
 
 
 def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int32]:

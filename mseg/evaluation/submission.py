@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import atomic_path, sha256_arrays, write_bytes, write_text
+from kt3dmoseg.toml_text import quoted
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.contingency import label_vector
 
@@ -242,12 +243,4 @@ def _toml(value: object) -> str:
         return repr(value)
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_toml(v) for v in value) + "]"
-    text = str(value)
-    escaped = "".join(_escape(c) for c in text)
-    return f'"{escaped}"'
-
-
-def _escape(character: str) -> str:
-    if character in '"\\':
-        return "\\" + character
-    return character if character.isprintable() else f"\\U{ord(character):08x}"
+    return quoted(str(value))
