@@ -22,11 +22,11 @@ def decode(content: bytes, where: str) -> ByteArray:
     FileFormatError
         When it is not a picture of 8 bits, or only a part of one.
     """
-    import cv2
+    from kt3dmoseg.io import images
 
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
-    if image is None or image.dtype != np.uint8 or image.ndim not in (2, 3):
-        raise FileFormatError(where, expected="an 8-bit PNG image", found="something else or a part of one")
+    image = images.decode(content, where)
+    if image.dtype != np.uint8:
+        raise FileFormatError(where, expected="an 8-bit PNG image", found=f"one of type {image.dtype}")
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., 2::-1], dtype=np.uint8)
 
 
