@@ -55,11 +55,21 @@ class Registry:
         return getattr(import_module(module), attribute)
 
 
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the known name that a misspelt one is most like, whatever the case; empty when none is.
+
+    >>> nearest("sbset", ["affine", "Subset"])
+    'Subset'
+    """
+    folded = {each.lower(): each for each in known}
+    close = get_close_matches(name.lower(), folded, n=1)
+    return folded[close[0]] if close else ""
+
+
 def unknown_name(kind: str, name: object, known: Iterable[str], *, where: str = "") -> UnknownNameError:
     """Make the error for an unknown name, with the nearest known one or the whole list."""
     names = list(known)
-    close = get_close_matches(str(name).lower(), [n.lower() for n in names], n=1)
-    nearest = next((n for n in names if close and n.lower() == close[0]), None)
-    fix = f"did you mean {nearest!r}?" if nearest else f"known: {', '.join(names) or 'none'}"
+    meant = nearest(str(name), names)
+    fix = f"did you mean {meant!r}?" if meant else f"known: {', '.join(names) or 'none'}"
     message = f"unknown {kind} {str(name)!r}"
     return UnknownNameError(f"{where}: {message}" if where else message, fix=fix)

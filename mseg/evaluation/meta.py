@@ -6,9 +6,9 @@ import dataclasses
 import math
 import tomllib
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import Any
 
+from kt3dmoseg.registry import nearest
 from mseg.evaluation.problems import Problem
 from mseg.evaluation.protocol import list_protocols
 from mseg.evaluation.submission import FORMAT_VERSION, META, SubmissionMeta
@@ -71,8 +71,8 @@ class _Reader:
         known = [field.name for field in dataclasses.fields(SubmissionMeta)]
         for key in self.raw:
             if key not in known:
-                close = get_close_matches(key, known, n=1)
-                fix = f"did you mean {close[0]!r}?" if close else f"put it under [parameters]; {_EXAMPLE}"
+                meant = nearest(key, known)
+                fix = f"did you mean {meant!r}?" if meant else f"put it under [parameters]; {_EXAMPLE}"
                 self.problems.append(
                     Problem("meta-field", META, expected="a known field", found=repr(key)[:80], fix=fix)
                 )
@@ -93,8 +93,8 @@ class _Reader:
             self.bad("n_motions_given", "true or false", "nothing", "say whether the method was told it")
         benchmark = self.raw.get("benchmark")
         if isinstance(benchmark, str) and benchmark not in ("", "custom", *list_protocols()):
-            close = get_close_matches(benchmark.lower(), list_protocols(), n=1)
-            fix = f"did you mean {close[0]!r}?" if close else ""
+            meant = nearest(benchmark, list_protocols())
+            fix = f"did you mean {meant!r}?" if meant else ""
             self.bad("benchmark", "one of " + ", ".join(list_protocols()), repr(benchmark), fix)
         if not self.raw.get("dataset_version") and not self.raw.get("fingerprints"):
             self.bad("dataset_version", '"2018", the version of the data that was segmented', "nothing")

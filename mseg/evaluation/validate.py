@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from kt3dmoseg.registry import nearest
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.joining import join_labels
 from mseg.evaluation.label_checks import label_problems
@@ -261,10 +262,7 @@ def _other_data(name: str, here: str, found: str) -> Problem:
 
 
 def _extra_clip(file: str, name: str, known: list[str]) -> Problem:
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, known, n=1)
     stem = name.removesuffix("_Tracks").removesuffix("_truth")
-    near = stem if stem in known else (close[0] if close else "")
-    fix = f"did you mean {near}?" if near else "remove it"
+    meant = stem if stem in known else nearest(name, known)
+    fix = f"did you mean {meant}?" if meant else "remove it"
     return Problem("extra-clip", file, name, f"one of {brief(known)}", name, fix)
