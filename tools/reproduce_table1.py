@@ -25,7 +25,7 @@ from kt3dmoseg.options import parse_assignments
 from mseg import methods
 from mseg.benchmark import BenchmarkResult, Configuration, run
 from mseg.benchmark.results import published_name
-from mseg.evaluation.layout import TextTable
+from mseg.evaluation.layout import TextTable, count
 
 BENCHMARKS = ("hopkins155", "hopkins12", "mtpv62", "kt3dmoseg")
 _COMMAND = "python tools/reproduce_table1.py"
@@ -67,7 +67,8 @@ def comparison(result: BenchmarkResult) -> TextTable:
         cells += [median, _figure(published.get("all", {}), "median"), f"{np.nanmean(result.seconds[m]):.2f}"]
         failed = {clip for made, clip, *_ in result.failures if made == configuration}
         lines.append([configuration.title, *cells, str(len(failed))])
-    title = f"{protocol.title}: {protocol.coverage(result.clips)}, {_seeds(result.seeds)}; error in %"
+    seeds = count(len(result.seeds), "seed")
+    title = f"{protocol.title}: {protocol.coverage(result.clips)}, {seeds}; error in %"
     return TextTable(title, columns, lines, _notes(result))
 
 
@@ -138,10 +139,6 @@ def _mean(errors: np.ndarray[Any, np.dtype[np.float64]]) -> str:
 
 def _figure(values: Mapping[str, float], statistic: str) -> str:
     return f"{values[statistic]:.2f}" if statistic in values else "-"
-
-
-def _seeds(seeds: Sequence[int]) -> str:
-    return f"{len(seeds)} seed{'s' * (len(seeds) != 1)}"
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:

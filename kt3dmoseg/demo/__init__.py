@@ -247,9 +247,8 @@ def _report(demo: Demo, submissions: dict[str, Path]) -> dict[str, Path]:
         shutil.copytree(drive / "image_00" / "data", frames / drive.name.removesuffix("_sync"))
     reports = {}
     for method, folder in submissions.items():
-        reports[method] = write_report(folder, dataset, demo.folder / f"report-{method}.html", frames=frames)[
-            0
-        ]
+        reports[method] = demo.folder / f"report-{method}.html"
+        write_report(folder, dataset, reports[method], frames=frames)
         demo.say(str(reports[method]))
     demo.tell(
         f"\nDone in {time.perf_counter() - demo.started:.0f} s. Open a report in a browser, for instance:"

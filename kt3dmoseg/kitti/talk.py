@@ -57,10 +57,8 @@ def plan_lines(tasks: Iterable[Task], root: Path) -> Iterator[str]:
     for task in tasks:
         yield f"  {task.title}: {_extent(task)}"
         for entry in task.choice.entries:
-            numbers, proof = (
-                format_numbers(entry.numbers or ()),
-                f"by {entry.proof}" if entry.proof else "as given",
-            )
+            numbers = format_numbers(entry.numbers or ())
+            proof = f"by {entry.proof}" if entry.proof else "as given"
             yield f"    {entry.name}: frames {numbers}, camera {entry.camera}, {proof}"
         yield from (f"    {failure}" for failure in task.choice.failures)
         files, cost, whole = files + len(task.missing), cost + task.cost, whole + bool(task.url)

@@ -15,8 +15,6 @@ from kt3dmoseg.types import FloatArray
 
 _CAMERA_HEIGHT = 1.65
 _PITCH, _ROLL, _BOUNCE = 0.0035, 0.0025, 0.012  # radians, radians, metres: a car on its springs
-
-
 _SWAY = 0.6  # metres; a body weaves about its straight path by at most twice this
 _SLOWEST_WEAVE = 0.5  # radians per second
 
