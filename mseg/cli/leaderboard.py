@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     elif arguments.action == "rank":
         print("\n\n".join(table.text() for table in board.ranked(arguments.benchmark)))
     else:
-        from mseg.evaluation.leaderboard_export import export
+        from mseg.evaluation.leaderboard.export import export
 
         export(board, arguments.output, benchmark=arguments.benchmark)
         print(f"wrote {arguments.output}")

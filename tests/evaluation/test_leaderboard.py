@@ -12,7 +12,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.types import Labels
 from mseg.evaluation import SubmissionMeta, score_submission, write_submission
 from mseg.evaluation.leaderboard import Leaderboard
-from mseg.evaluation.leaderboard_export import export
+from mseg.evaluation.leaderboard.export import export
 
 
 def scored(folder, method, wrong, clips=CLIPS):

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.types import IntArray
-from mseg.evaluation.prediction_arrays import Columns, parse_h5, parse_npz
-from mseg.evaluation.prediction_csv import parse_csv
+from mseg.evaluation.prediction.arrays import Columns, parse_h5, parse_npz
+from mseg.evaluation.prediction.csv import parse_csv
 from mseg.evaluation.problems import Problem
 
 _PARSERS: dict[str, Callable[[bytes], Columns]] = {".csv": parse_csv, ".npz": parse_npz, ".h5": parse_h5}

@@ -10,8 +10,8 @@ from pathlib import Path
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import write_text
 from mseg.evaluation.leaderboard import Leaderboard
+from mseg.evaluation.leaderboard.ranking import Board
 from mseg.evaluation.page import html_table, page
-from mseg.evaluation.ranking import Board
 
 
 def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str = "") -> None:

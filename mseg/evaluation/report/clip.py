@@ -16,7 +16,7 @@ from mseg.evaluation.metrics.motions import (
     precision_per_motion,
     recall_per_motion,
 )
-from mseg.evaluation.report_viewer import group_colours, shown_groups, viewer
+from mseg.evaluation.report.viewer import group_colours, shown_groups, viewer
 from mseg.evaluation.results import ScoreTable
 from mseg.evaluation.validate import Validation
 

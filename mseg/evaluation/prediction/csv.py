@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mseg.evaluation.prediction_arrays import Columns
+from mseg.evaluation.prediction.arrays import Columns
 from mseg.evaluation.problems import brief
 
 HEADER = ["track", "label"]

@@ -16,7 +16,7 @@ from pathlib import Path
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from mseg.evaluation.jsonform import from_json, to_json
 from mseg.evaluation.layout import TextTable
-from mseg.evaluation.ranking import Board, Entry, make_board
+from mseg.evaluation.leaderboard.ranking import Board, Entry, make_board
 from mseg.evaluation.results import ScoreTable
 
 _VERSION = 1

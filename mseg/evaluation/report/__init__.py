@@ -14,8 +14,8 @@ from kt3dmoseg.types import Clip
 from mseg.evaluation import tables
 from mseg.evaluation.jsonform import to_json
 from mseg.evaluation.page import html_table, page
-from mseg.evaluation.report_bars import bars_per_clip, bars_published
-from mseg.evaluation.report_clip import clip_section
+from mseg.evaluation.report.bars import bars_per_clip, bars_published
+from mseg.evaluation.report.clip import clip_section
 from mseg.evaluation.results import ScoreTable
 from mseg.evaluation.scoring import score_validated
 from mseg.evaluation.validate import Validation, validate_submission
