@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from kt3dmoseg.annotate.server.desk import Desk
     from kt3dmoseg.types import ByteArray, Trajectories
 
 
@@ -69,8 +70,11 @@ def run(arguments: argparse.Namespace) -> int:
         tracks=arguments.tracks,
     )
     tracker = _tracker(arguments.flow)
+    desks = {name: Desk(source, tracker) for name, source in clips.items()}
+    if len(desks) == 1:
+        _read_once(*desks.values())
     routes = Routes(
-        {name: Desk(source, tracker) for name, source in clips.items()},
+        desks,
         annotator=arguments.annotator,
         other=arguments.compare,
         masks=arguments.masks,
@@ -92,6 +96,19 @@ def _check(arguments: argparse.Namespace) -> None:
         place: Path | None = getattr(arguments, name)
         if place is not None and not place.exists():
             raise InputFileError(f"--{name} {place}", found="no such file or folder")
+
+
+def _read_once(desk: Desk) -> None:
+    """Read the files of the only clip: what is wrong with them is told here; of several, on the page."""
+    from collections import deque
+
+    from kt3dmoseg.io import load
+    from kt3dmoseg.io.images import read_frames
+
+    deque(read_frames(desk.source.frames, "luma"), maxlen=0)
+    if desk.source.tracks is not None:
+        load(desk.source.tracks)
+    desk.annotation()
 
 
 def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]:

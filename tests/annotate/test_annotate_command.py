@@ -48,3 +48,22 @@ def test_a_port_in_use_is_told_before_the_clips(frames, capsys):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert f"127.0.0.1:{port}: cannot listen" in refused([frames, "--port", port], capsys)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("000002.png", b"text", "000002.png: expected a picture"),
+        ("000002.png", (30, 64), "000002.png: expected 64x48 px"),
+        ("clip.h5", b"text", "clip.h5: expected a clip"),
+        ("clip.json", b"{", "clip.json: "),
+    ],
+)
+def test_a_bad_file_of_the_only_clip_is_told_before_the_page(name, content, words, frames, tmp_path, capsys):
+    path = (frames if name.endswith("png") else tmp_path) / name
+    if isinstance(content, tuple):
+        cv2.imwrite(str(path), np.zeros(content, np.uint8))
+    else:
+        path.write_bytes(content)
+    tracks = ["--tracks", tmp_path / "clip.h5"] if name == "clip.h5" else []
+    assert words in refused([frames, "--annotations", tmp_path, *tracks], capsys)
