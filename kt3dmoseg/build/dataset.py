@@ -16,9 +16,10 @@ from kt3dmoseg.build.options import Settings
 from kt3dmoseg.build.shot import Source
 from kt3dmoseg.build.sources import find_sources
 from kt3dmoseg.build.workers import in_processes
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import hold_folder
 from kt3dmoseg.io import hdf5
+from kt3dmoseg.io.text import check_name
 
 # Told after each frame: clip, frames done, frames in all or None.
 FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
@@ -116,6 +117,8 @@ def build_dataset(
         `output` cannot be written or is being built by another process.
     InvalidValueError, UnknownNameError
         For a bad option.
+    MissingDependencyError
+        When the flow backend needs a package that is not installed.
     """
     settings = Settings.of(options, dict(flow_parameters or {}))
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
@@ -146,6 +149,8 @@ def build_task(task: Task, progress: FrameProgress) -> Outcome:
         clip = job.build(cache=task.cache, progress=lambda done, total: progress(name, done, total))
         _remove_leftovers(target)
         hdf5.write(clip, target)
+    except MissingDependencyError:  # the same for every clip
+        raise
     except KT3DMoSegError as error:
         return Outcome(name, "failed", str(error), target, {})
     sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
@@ -186,9 +191,14 @@ def _remove_leftovers(target: Path) -> None:
 
 def _check_names(sources: Sequence[Source]) -> None:
     names = [source.name for source in sources]
+    for name in names:
+        check_name(name, "name")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InvalidValueError(f"clip {twice[0]}", expected="one source", found=f"{names.count(twice[0])}")
+        places = " and ".join(source.where for source in sources if source.name == twice[0])
+        raise InvalidValueError(
+            f"clip {twice[0]}", expected="one source", found=places, fix="rename or remove one"
+        )
 
 
 def _check_masks(sources: Sequence[Source], masks: Path | None) -> None:

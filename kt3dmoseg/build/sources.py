@@ -14,10 +14,8 @@ from kt3dmoseg.build.shot import Shot, Source, sha256_of
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import sha256_file
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, Colour, frame_number, frame_paths, gray, read_frames
-from kt3dmoseg.io.video import open_video
+from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import ByteArray
-
-VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Say what is inside a clip, a folder of clips, a folder of frames or a flow field."""
+"""Say what is inside a clip, a folder of clips, a folder of frames, a video or a flow field."""
 
 from __future__ import annotations
 

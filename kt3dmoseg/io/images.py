@@ -46,7 +46,8 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
     """
     root = Path(folder)
     if not root.is_dir():
-        raise InputFileError(f"{root}", expected="a folder of frames", found="no such folder")
+        found = "a file" if root.exists() else "no such folder"
+        raise InputFileError(f"{root}", expected="a folder of frames", found=found)
     pictures = numbered_pictures(root)
     if len(pictures) < _MIN_FRAMES:
         raise InputFileError(

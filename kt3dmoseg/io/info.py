@@ -15,6 +15,7 @@ from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.dataset import dataset_paths
 from kt3dmoseg.io.formats import clip_files, load, recognise
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths
+from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import Clip, Trajectories
 
 _FLOW_STARTS = (b"PIEH", b"\x93NUMPY")
@@ -24,7 +25,7 @@ _LINE = 110
 
 
 def info(path: str | os.PathLike[str]) -> str:
-    """Describe a clip, a folder of clips, a folder of frames (or of such folders), or a flow field.
+    """Describe a clip, a folder of clips, a folder of frames (or of such folders), a video, or a flow field.
 
     Of a single folder of frames every picture is read, of several only the first of each.
 
@@ -54,6 +55,8 @@ def info(path: str | os.PathLike[str]) -> str:
         return _flow(place)
     if place.suffix.lower() in IMAGE_SUFFIXES:
         return _picture(place)
+    if place.suffix.lower() in VIDEO_SUFFIXES:
+        return _video(place)
     return _npz(place) if head[:2] == b"PK" else _clip(load(place), recognise(place).name)
 
 
@@ -171,6 +174,16 @@ def _picture(path: Path) -> str:
     if picture.dtype == np.uint16 and picture.ndim == 3:
         return _flow(path)
     return f"{path.name}: a picture of {picture.shape[1]}x{picture.shape[0]}, {_kind(picture)}"
+
+
+def _video(path: Path) -> str:
+    with open_video(path) as video:
+        size, count = "", 0
+        while (read := video.read())[0]:
+            size, count = f"{read[1].shape[1]}x{read[1].shape[0]}", count + 1
+    if not count:
+        raise FileFormatError(f"{path}", expected="a video that OpenCV decodes", found="none")
+    return f"{path.name}: a video of {count} frames, {size}"
 
 
 def _kind(picture: np.ndarray[Any, Any]) -> str:

@@ -67,10 +67,10 @@ def check_name(name: str, where: str) -> None:
 
     Raises
     ------
-    FileFormatError
+    InvalidValueError
         When the name is empty, too long, or leads elsewhere.
     """
     if not name.isprintable() or name in ("", ".", "..") or len(name) > _LONGEST or set(name) & set("/\\"):
-        raise FileFormatError(
+        raise InvalidValueError(
             where, expected=f"a clip's name, at most {_LONGEST} characters without a slash", found=f"{name!r}"
         )

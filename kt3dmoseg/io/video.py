@@ -17,6 +17,7 @@ from kt3dmoseg.types import ByteArray
 
 _VIDEO = {".mp4": "mp4v", ".avi": "MJPG"}
 _ANIMATION = (".gif", ".apng", ".webp")
+VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
 MOVING_SUFFIXES = (*_VIDEO, *_ANIMATION)
 # FFmpeg's AV_LOG_QUIET, which OpenCV reads once: a damaged video is our one line to tell.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib.util
 import os
 import shutil
 import signal
@@ -14,9 +16,9 @@ import numpy as np
 import pytest
 from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip, write_masks
 
-from kt3dmoseg.build import build_dataset, dataset
+from kt3dmoseg.build import FrameFolder, build_dataset, dataset
 from kt3dmoseg.cli import main
-from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import hdf5, load
 
 FLOW = ["--flow", "dis_medium"]
@@ -123,6 +125,31 @@ def test_masks_belong_to_a_clip_by_name(place, words, frames, tmp_path, capsys):
     command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), "--masks", str(masks), *FLOW]
     assert main(command) == 2
     assert words.format(masks=masks) in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@dataclasses.dataclass(frozen=True)
+class Named(FrameFolder):
+    name: str = "../elsewhere"
+
+
+def test_a_name_does_not_lead_out_of_the_folder(frames, tmp_path):
+    with pytest.raises(InvalidValueError, match=r"name: expected a clip's name.*found '../elsewhere'"):
+        build([Named(frames / "a")], tmp_path / "out")
+    assert not (tmp_path / "elsewhere.h5").exists()
+
+
+def test_two_clips_of_one_name_are_both_named(frames, tmp_path):
+    with pytest.raises(InvalidValueError, match=r"clip x: expected one source, found .*a and .*b; rename"):
+        build([Named(frames / "a", "x"), Named(frames / "b", "x")], tmp_path / "out")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_missing_package_is_told_once(workers, frames, tmp_path):
+    if importlib.util.find_spec("torch"):
+        pytest.skip("torch is installed")
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        build_dataset(frames, tmp_path / "out", flow="raft", workers=workers)
     assert not (tmp_path / "out").exists()
 
 

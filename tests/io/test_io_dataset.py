@@ -16,6 +16,7 @@ from kt3dmoseg.io.convert import convert
 from kt3dmoseg.io.flow_files import read_flow, write_flow
 from kt3dmoseg.io.info import info
 from kt3dmoseg.io.text import clip_name
+from kt3dmoseg.io.video import write_moving
 
 
 @pytest.mark.data
@@ -124,6 +125,15 @@ def test_info_of_one_folder_reads_every_frame(picture, tmp_path):
         cv2.imwrite(str(third), picture)
     with pytest.raises(FileFormatError, match=r"3\.png: expected"):
         info(tmp_path)
+
+
+def test_info_of_a_video(tmp_path, capfd):
+    write_moving(tmp_path / "a.avi", [np.zeros((48, 64, 3), np.uint8)] * 3, 5)
+    assert info(tmp_path / "a.avi") == "a.avi: a video of 3 frames, 64x48"
+    (tmp_path / "b.mp4").write_bytes(b"text")
+    with pytest.raises(FileFormatError, match=r"b\.mp4: expected a video"):
+        info(tmp_path / "b.mp4")
+    assert capfd.readouterr().err == ""
 
 
 def test_info_of_nothing(tmp_path, capsys):
