@@ -152,7 +152,7 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
         content = png.sound(content, where)
     jpeg.check(content, where)
     if content:
-        with quiet_opencv(), suppress(cv2.error):
+        with quiet_opencv(), jpeg.watched(content, where), suppress(cv2.error):
             picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None:
         found = f"{len(content)} bytes that are not" if content else "an empty file"

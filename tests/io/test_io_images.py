@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 
@@ -14,6 +15,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.io import png
 from kt3dmoseg.io.images import frame_number, frame_paths, read_frame
 from kt3dmoseg.io.index_images import decode_indices
+from kt3dmoseg.io.jpeg import watched
 from kt3dmoseg.io.video import write_png
 
 
@@ -177,6 +179,35 @@ def test_a_whole_jpeg_is_read_with_what_cameras_add_to_it(settings, tmp_path):
     (tmp_path / "1.jpg").write_bytes(content[:2] + segment + content[2:-2])
     with pytest.raises(FileFormatError, match="expected a whole JPEG"):
         read_frame(tmp_path / "1.jpg")
+
+
+@pytest.mark.parametrize("settings", _JPEGS)
+def test_a_jpeg_that_libjpeg_finds_corrupt_is_refused(settings, tmp_path, capfd):
+    content = _jpeg(**settings)
+    at = content.index(b"\xff\xda") + (len(content) - content.index(b"\xff\xda")) // 2
+    (tmp_path / "1.jpg").write_bytes(content[:at] + content[at + 200 :])
+    with pytest.raises(
+        FileFormatError, match=r"1\.jpg: expected a sound JPEG, found Corrupt JPEG data: .*PNG"
+    ):
+        read_frame(tmp_path / "1.jpg")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_others_say_while_a_jpeg_is_decoded_is_passed_on(capfd):
+    with (
+        pytest.raises(FileFormatError, match="found Corrupt JPEG data: bad Huffman code"),
+        watched(_jpeg(), "a"),
+    ):
+        os.write(
+            2, b"another thread\nCorrupt JPEG data: bad Huffman code\nWarning: unknown JFIF revision number\n"
+        )
+    with watched(_jpeg(), "a"):
+        os.write(2, b"Corrupt JPEG data: bad ICC marker\n" + bytes(1 << 20))  # more than a pipe holds
+    with watched(b"no JPEG", "a"):
+        os.write(2, b"Corrupt JPEG data: is no concern of ours\n")
+    assert capfd.readouterr().err.replace("\0", "") == (
+        "another thread\nCorrupt JPEG data: is no concern of ours\n"
+    )
 
 
 @pytest.mark.parametrize("suffix", [".bmp", ".pgm", ".tif", ".webp"])
