@@ -110,6 +110,8 @@ def test_info_of_frames_flow_and_pictures(tmp_path):
     assert "optical flow of 6x4, 100.0% known, mean 4.24 px" in info(tmp_path / "a.flo")
     write_flow(tmp_path / "a.png", np.full((4, 6, 2), np.nan))
     assert "nowhere known" in info(tmp_path / "a.png")
+    np.save(tmp_path / "a.npy", np.full((4, 6, 2), 3e38, np.float32))  # its length is beyond float32
+    assert "nowhere known" in info(tmp_path / "a.npy")
     assert "a picture of 64x48, 8-bit gray" in info(clips / "good/000001.png")
 
 
