@@ -202,8 +202,8 @@ def _flow(path: Path) -> str:
     from kt3dmoseg.io.flow_files import read_flow
 
     field = read_flow(path)
-    with np.errstate(over="ignore", invalid="ignore"):  # of a field that may hold anything
-        length = np.hypot(field[..., 0], field[..., 1])
+    with np.errstate(invalid="ignore"):  # a file may hold any NaN
+        length = np.hypot(*np.moveaxis(field.astype(np.float64), -1, 0))
     known = np.isfinite(length)
     size = f"{field.shape[1]}x{field.shape[0]}"
     if not known.any():
