@@ -49,6 +49,25 @@ def option(
     return dataclasses.field(default=default, metadata=about)
 
 
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """Values of several options under one name.
+
+    A dataclass offers presets in a class attribute `presets`, by name. Where one is asked for, its values
+    take the place of the defaults; what is given beside it goes before. It leaves no trace but these values.
+
+    Parameters
+    ----------
+    help : str
+        One line: what it is for.
+    values : mapping of str to object
+        Options by name.
+    """
+
+    help: str
+    values: Mapping[str, Any]
+
+
 def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     """Build an options dataclass from keywords, TOML keys or strings.
 
@@ -57,7 +76,7 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
     cls : type
         A dataclass made of `option` fields.
     values : mapping of str to object
-        Values; strings are converted to the field's type.
+        Values; strings are converted to the field's type. The name of a `Preset` takes true or false.
     where : str
         Context for messages, for instance a file name.
 
@@ -73,6 +92,7 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
     for key in values:
         if key not in names:
             raise unknown_name("option" if where else f"option of {cls.__name__}", key, names, where=where)
+    values = _with_presets(cls, values, where)
     converted = {
         key: _convert(value, hints[key], f"{where}: {key}" if where else key) for key, value in values.items()
     }
@@ -103,14 +123,19 @@ def check(instance: T, *, where: str = "") -> T:
 
 
 def option_names(cls: type[Any]) -> list[str]:
-    """Names of the options of a dataclass, in order."""
-    return [spec.name for spec in dataclasses.fields(cls) if spec.init]
+    """Names of the options of a dataclass and of its presets, in order."""
+    return [*(spec.name for spec in dataclasses.fields(cls) if spec.init), *_presets(cls)]
 
 
 def add_arguments(parser: argparse.ArgumentParser, cls: type[Any], *, skip: Iterable[str] = ()) -> None:
     """Add one flag ``--name`` per field of `cls`; absent flags leave no trace in the namespace."""
     hints = typing.get_type_hints(cls)
     group = parser.add_argument_group((inspect.getdoc(cls) or cls.__name__).partition("\n")[0].rstrip("."))
+    for name, preset in _presets(cls).items():
+        values = ", ".join(f"{key} {value}" for key, value in preset.values.items())
+        group.add_argument(
+            f"--{name}", action="store_true", default=argparse.SUPPRESS, help=f"{preset.help}: {values}"
+        )
     for spec in dataclasses.fields(cls):
         if spec.init and spec.name not in set(skip):
             _add_argument(group, spec, hints[spec.name])
@@ -149,6 +174,20 @@ def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
 def describe(cls: type[Any]) -> list[tuple[str, str, str]]:
     """List (name, default, help) of every option, for help texts and docs."""
     return [(s.name, repr(s.default), s.metadata.get("help", "")) for s in dataclasses.fields(cls) if s.init]
+
+
+def _presets(cls: type[Any]) -> Mapping[str, Preset]:
+    return getattr(cls, "presets", {})
+
+
+def _with_presets(cls: type[Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Put the values of the presets that are asked for behind those that are given by themselves."""
+    presets = _presets(cls)
+    out = {key: value for key, value in values.items() if key not in presets}
+    for name, preset in presets.items():
+        if _boolean(values.get(name, False), f"{where}: {name}" if where else name):
+            out = {**preset.values, **out}
+    return out
 
 
 def _add_argument(group: Any, spec: dataclasses.Field[Any], hint: Any) -> None:  # noqa: ANN401

@@ -3,7 +3,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Literal
+from typing import ClassVar, Literal
 
 import pytest
 from hypothesis import given
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from kt3dmoseg.errors import InvalidValueError, UnknownNameError
 from kt3dmoseg.options import (
+    Preset,
     add_arguments,
     check,
     describe,
@@ -33,6 +34,7 @@ class Example:
     limit: int | None = option(None, "limit")
     scales: tuple[float, ...] = option((1.0,), "scales")
     frames: str = option("", "where they are", metavar="FOLDER")
+    presets: ClassVar = {"steep": Preset("high powers", {"alpha": 30.0, "rounds": 9})}
 
 
 def parsed(*flags: str) -> Example:
@@ -97,7 +99,29 @@ def test_assignments_and_descriptions():
     assert parse_assignments(["alpha=8", "k-means=a=b"]) == {"alpha": "8", "k_means": "a=b"}
     with pytest.raises(InvalidValueError, match="name=value"):
         parse_assignments(["alpha"])
-    assert [row[0] for row in describe(Example)] == option_names(Example)
+    assert [*(row[0] for row in describe(Example)), "steep"] == option_names(Example)
+
+
+@pytest.mark.parametrize(
+    ("flags", "alpha", "rounds"),
+    [
+        ([], 8, 3),
+        (["--steep"], 30, 9),
+        (["--steep", "--rounds", "4"], 30, 4),
+        (["--rounds", "4", "--steep"], 30, 4),
+    ],
+)
+def test_a_preset_is_its_values_and_single_options_go_before(flags, alpha, rounds):
+    assert parsed(*flags) == Example(alpha=alpha, rounds=rounds)
+
+
+def test_a_preset_is_true_or_false():
+    assert from_mapping(Example, {"steep": "yes"}).alpha == 30
+    assert from_mapping(Example, {"steep": False}).alpha == 8
+    with pytest.raises(InvalidValueError, match="steep: expected true or false"):
+        from_mapping(Example, {"steep": "very"})
+    with pytest.raises(UnknownNameError, match="did you mean 'steep'"):
+        from_mapping(Example, {"steeep": True})
 
 
 @pytest.mark.parametrize(
