@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from kt3dmoseg.flow.sampling import sample
-from kt3dmoseg.tracks.linking import inside
+from kt3dmoseg.tracks.linking import gradient, inside
 from kt3dmoseg.tracks.options import TrackOptions
 from kt3dmoseg.tracks.patches import Window, doubled
-from kt3dmoseg.tracks.registration import register
+from kt3dmoseg.tracks.registration import CHUNK, Starts, correction, remember
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray
 
-_REACH = 4.0  # pixels on either side over which the derivatives of the flow are taken
-_STEPS = _REACH * np.array([[1.0, 0.0], [0.0, 1.0]])
-_STAR = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+_REACH = 4  # pixels on either side over which the derivatives of the flow are taken
 
 
 class Appearance:
@@ -31,27 +29,27 @@ class Appearance:
 
     def __init__(self, options: TrackOptions) -> None:
         self.options, self.window = options, Window(options.patch_radius)
-        self._start: Float32Array = np.zeros((0, 3, self.window.offset.shape[1]), dtype=np.float32)
+        nothing = np.zeros((0, 3, len(self.window.weight)), dtype=np.float32)
+        self._starts = remember(nothing, self.window, options)
+        self._row: npt.NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # of the live ones, in `_starts`
         self._affine: FloatArray = np.zeros((0, 2, 2))
         self._image: Float32Array = np.zeros((0, 0), dtype=np.float32)
+        self._size: tuple[int, ...] = (0, 0)
 
     def see(self, frame: ByteArray) -> None:
         """Look at the next frame (H, W) uint8; what follows happens in it."""
-        self._image = doubled(frame)
+        self._image, self._size = doubled(frame), frame.shape
 
     def add(self, xy: FloatArray) -> None:
         """Remember how new trajectories (N, 2) look; they come after all that are alive."""
-        upright = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
-        value, left, right, above, below = (
-            self.window.look(self._image, xy + step, upright) for step in _STAR
-        )
-        start = np.stack([value, right - left, below - above], axis=1)
-        self._start = np.concatenate([self._start, start])
-        self._affine = np.concatenate([self._affine, upright])
+        new = remember(self.window.start(self._image, xy), self.window, self.options)
+        self._starts = self._starts.at(self._row).and_then(new)
+        self._row = np.arange(len(self._row) + len(xy))
+        self._affine = np.concatenate([self._affine, np.broadcast_to(np.eye(2), (len(xy), 2, 2))])
 
     def keep(self, alive: BoolArray) -> None:
         """Forget the trajectories (L,) that are not alive."""
-        self._start, self._affine = self._start[alive], self._affine[alive]
+        self._row, self._affine = self._row[alive], self._affine[alive]
 
     def follow(
         self, forward: Float32Array, xy: FloatArray, target: FloatArray
@@ -64,7 +62,8 @@ class Appearance:
         at most `anchor` pixels off, and the change of the patch has fallen, and to `anchor_change` *
         variance + `appearance_floor` at most; elsewhere the flow's point stays. Of the way from the flow's
         point to the result the trajectory goes the share `anchor_gain`. Patches are alike where change <=
-        `appearance` * variance + `appearance_floor`; see `Window.unlike`.
+        `appearance` * variance + `appearance_floor`. The change is the weighted mean of (I - T)^2, the
+        variance that of T^2, with the present patch I and the start's T, both less their means.
 
         Parameters
         ----------
@@ -80,35 +79,29 @@ class Appearance:
         alike : (L,) bool
             All True when `appearance` is 0.
         """
-        self._affine = (np.eye(2) + _gradient(forward, xy)) @ self._affine
-        seen = self.window.look(self._image, target, self._affine)
+        affine = (np.eye(2) + gradient(forward, xy, _REACH)) @ self._affine
+        place, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)
+        for first in range(0, len(xy), CHUNK):
+            part = slice(first, first + CHUNK)
+            place[part], alike[part] = self._compared(place[part], self._starts.at(self._row[part]))
+        self._affine = place[..., :2]
+        return place[..., 2].copy(), alike
+
+    def _compared(self, place: FloatArray, start: Starts) -> tuple[FloatArray, BoolArray]:
+        floor = self.options.appearance_floor
+        rest = self._rest(place, start)
+        change = rest**2 @ self.window.weight
         if self.options.anchor:
-            target, seen = self._anchored(target, seen)
+            step = -place[..., :2] @ correction(rest, start, self.window, self.options)
+            after = self._rest(place + step, start) ** 2 @ self.window.weight
+            better = after < np.minimum(change, self.options.anchor_change * start.variance + floor)
+            better &= np.hypot(*step[..., 2].T) <= self.options.anchor
+            better &= inside(place[..., 2] + step[..., 2], self._size)
+            place = place + self.options.anchor_gain * np.where(better[:, None, None], step, 0)
+            change = np.where(better, after, change)
         if not self.options.appearance:
-            return target, np.ones(len(target), dtype=np.bool_)
-        return target, self._alike(seen, self.options.appearance)
+            return place, np.ones(len(place), dtype=np.bool_)
+        return place, change <= self.options.appearance * start.variance + floor
 
-    def _anchored(self, target: FloatArray, seen: Float32Array) -> tuple[FloatArray, Float32Array]:
-        limit, image = self.options.anchor, self._image
-        xy, affine = register(image, seen, target, self._affine, self._start, self.window, self.options)
-        found = self.window.look(image, xy, affine)
-        better = (np.hypot(*(xy - target).T) <= limit) & self._alike(found, self.options.anchor_change)
-        better &= self._change(found)[0] < self._change(seen)[0]
-        better &= inside(xy, (image.shape[0] // 2, image.shape[1] // 2))
-        row = better[:, None]
-        gain = self.options.anchor_gain
-        self._affine += gain * np.where(row[..., None], affine - self._affine, 0)
-        return target + gain * np.where(row, xy - target, 0), np.where(row, found, seen)
-
-    def _alike(self, seen: Float32Array, share: float) -> BoolArray:
-        change, variance = self._change(seen)
-        return change <= share * variance + self.options.appearance_floor
-
-    def _change(self, seen: Float32Array) -> tuple[FloatArray, FloatArray]:
-        return self.window.unlike(seen, self._start[:, 0])
-
-
-def _gradient(field: Float32Array, xy: FloatArray) -> FloatArray:
-    """Differentiate a flow's components along x and y, (N, 2, 2); 0 where the flow is not known."""
-    along = [(sample(field, xy + step) - sample(field, xy - step)) / (2 * _REACH) for step in _STEPS]
-    return np.nan_to_num(np.stack(along, axis=2))
+    def _rest(self, place: FloatArray, start: Starts) -> Float32Array:
+        return self.window.centred(self.window.look(self._image, place)) - start.patch[:, 0]

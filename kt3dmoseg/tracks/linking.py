@@ -65,11 +65,21 @@ def at_boundary(xy: FloatArray, w: FloatArray, forward: Float32Array, options: T
     |grad u|^2 + |grad v|^2 > boundary * |w|^2 + boundary_floor (Sundaram, Brox, Keutzer 2010, eq. 6);
     gradients by central differences at the nearest pixel.
     """
+    change = (gradient(forward, xy, 1) ** 2).sum(axis=(1, 2))
+    return cast(BoolArray, change > options.boundary * (w**2).sum(axis=1) + options.boundary_floor)
+
+
+def gradient(forward: Float32Array, xy: FloatArray, reach: int) -> FloatArray:
+    """Differentiate a flow's components along x and y, (N, 2, 2); 0 where the flow is not known.
+
+    By differences between the pixels `reach` to either side of the nearest one.
+    """
     height, width = forward.shape[:2]
     column = np.clip(np.rint(xy[:, 0]).astype(np.intp), 0, width - 1)
     row = np.clip(np.rint(xy[:, 1]).astype(np.intp), 0, height - 1)
-    along_x = forward[row, np.minimum(column + 1, width - 1)] - forward[row, np.maximum(column - 1, 0)]
-    along_y = forward[np.minimum(row + 1, height - 1), column] - forward[np.maximum(row - 1, 0), column]
-    gradient = ((along_x**2).sum(axis=1) + (along_y**2).sum(axis=1)) / 4
-    length = (w**2).sum(axis=1)
-    return cast(BoolArray, gradient > options.boundary * length + options.boundary_floor)
+    left, right = np.maximum(column - reach, 0), np.minimum(column + reach, width - 1)
+    above, below = np.maximum(row - reach, 0), np.minimum(row + reach, height - 1)
+    flat = forward.reshape(-1, 2)
+    along_x = flat.take(row * width + right, axis=0) - flat.take(row * width + left, axis=0)
+    along_y = flat.take(below * width + column, axis=0) - flat.take(above * width + column, axis=0)
+    return np.nan_to_num(np.stack([along_x, along_y], axis=2) / (2 * reach))

@@ -5,8 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import ClassVar
 
-from kt3dmoseg.options import option
+from kt3dmoseg.options import Preset, option
+
+RELIABLE: Mapping[str, float] = MappingProxyType(
+    {"anchor": 1.0, "appearance": 0.18, "consistency": 1e-4, "consistency_floor": 0.02}
+)
+"""What `reliable` stands for: tracks that are anchored, and stopped where in doubt.
+
+The defaults make tracks like the release's, which drift. What each kind reaches: docs/tracking.md.
+"""
 
 
 @dataclass(frozen=True)
@@ -55,11 +64,10 @@ class TrackOptions:
     )
     anchor_change: float = option(
         0.3,
-        "only where the patch's mean squared change since its start is then <= this * variance + floor",
+        "only where the patch's mean squared change since its start is then <= this * its variance + floor",
         low=0,
     )
     anchor_gain: float = option(1.0, "share of the correction that is applied, 0 to 1", low=0, high=1)
-    anchor_iterations: int = option(1, "iterations of the registration (measured)", low=1)
     anchor_scale: float = option(
         10.0, "scale of the robust error of the registration, in gray values (measured)", low=0.1
     )
@@ -68,18 +76,15 @@ class TrackOptions:
     )
     patch_radius: int = option(6, "radius of the patches in pixels (measured)", low=1)
     appearance: float = option(
-        0.0, "stop when the patch's change since its start > appearance * variance + floor; 0: never", low=0
+        0.0,
+        "stop when the patch's mean squared change since its start > this * its variance + floor; 0: never",
+        low=0,
     )
     appearance_floor: float = option(
         9.0, "the floor of both, in gray values squared: twice the variance of image noise", low=0
     )
     min_length: int = option(5, "shorter trajectories are dropped, in frames (measured)", low=1)
 
-
-RELIABLE: Mapping[str, float] = MappingProxyType(
-    {"anchor": 1.0, "appearance": 0.2, "consistency": 1e-4, "consistency_floor": 0.02}
-)
-"""Options for tracks to rely on, as keywords of `track`: anchored, and stopped where in doubt.
-
-The defaults make tracks like the release's, which drift. What each kind reaches: docs/tracking.md.
-"""
+    presets: ClassVar[Mapping[str, Preset]] = MappingProxyType(
+        {"reliable": Preset("fewer tracks, which do not drift, instead of ones like the release's", RELIABLE)}
+    )

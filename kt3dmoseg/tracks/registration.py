@@ -2,105 +2,119 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.tracks.options import TrackOptions
 from kt3dmoseg.tracks.patches import Window
 from kt3dmoseg.types import Float32Array, FloatArray
 
-_CHUNK = 256  # trajectories whose arrays stay in the processor's cache
+CHUNK = 256  # trajectories whose arrays stay in the processor's cache
+_FEW = 64  # and their products
 _LEAST = 1e-3  # keeps the equations of a flat patch solvable: it then stays where it is
-_AFFINE = slice(2, 6)
+_AFFINE = [0, 1, 3, 4]
 
 
-def register(
-    image: Float32Array,
-    seen: Float32Array,
-    xy: FloatArray,
-    affine: FloatArray,
-    start: Float32Array,
-    window: Window,
-    options: TrackOptions,
-) -> tuple[FloatArray, FloatArray]:
-    """Refine where patches are by their appearance at the start, by inverse compositional Lucas-Kanade.
+class Starts(NamedTuple):
+    """What is known of N patches from their start.
 
-    Minimises, over the position x, the affine map A, the gain g and the brightness b,
-
-        sum over offsets d of weight(d) rho(I(x + A d) - (1 + g) T(d) - b),
-
-    with the start's patch T. In every iteration the change of x and A is sought on the side of T,
-    whose derivatives stay the same (Baker and Matthews, IJCV 2004, section 3.2; gain and brightness: linear
-    appearance variation, Baker, Gross and Matthews, CMU-RI-TR-03-35, 2003):
-
-        (sum w s s^T + P) q = sum w s r,    r = I(x + A d) - T(d),
-        s = (Tx, Ty, dx Tx, dy Tx, dx Ty, dy Ty, T, 1),
-
-    and A <- A (1 + B)^-1, x <- x - A t with the t and B in q. rho is the Lorentzian of scale
-    `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2), r less its mean, so what
-    is hidden or belongs to another object counts less. P holds A where the patch does not tell:
-    `anchor_stiffness` on the diagonal at B.
-
-    Parameters
+    Attributes
     ----------
-    image : (2H, 2W) float32
-        The frame I, `doubled`.
-    seen : (N, P) float32
-        What it shows at the first guess.
-    xy : (N, 2) float64
-        First guess of x, in pixels.
-    affine : (N, 2, 2) float64
-        First guess of A.
-    start : (N, 3, P) float32
-        T, its x- and its y-derivative.
-    window : Window
-        Offsets d and their weights.
-    options : TrackOptions
-        `anchor` (no iteration moves farther), `anchor_iterations`, `anchor_scale`, `anchor_stiffness`.
-
-    Returns
-    -------
-    xy : (N, 2) float64
-        Wherever the iterations have led, which can be far off.
-    affine : (N, 2, 2) float64
+    patch : (N, 3, P) float32
+        T less its weighted mean, its x- and its y-derivative.
+    variance : (N,) float32
+        Weighted mean of T^2.
+    inverse : (N, 6, 8) float32
+        Takes the right side of the equations to the change of place; see `correction`.
     """
-    xy, affine = xy.copy(), affine.copy()
-    for first in range(0, len(xy), _CHUNK):
-        part = slice(first, first + _CHUNK)
-        slopes = _slopes(start[part], window)
-        for iteration in range(options.anchor_iterations):
-            now = window.look(image, xy[part], affine[part]) if iteration else seen[part]
-            rest = now - start[part, 0]
-            q = _solve(slopes, rest, window, options)
-            affine[part] = affine[part] @ _inverse(q[:, _AFFINE].reshape(-1, 2, 2))
-            move = (affine[part] @ q[:, :2, None])[..., 0]
-            xy[part] -= np.clip(move, -options.anchor, options.anchor)
-    return xy, affine
+
+    patch: Float32Array
+    variance: Float32Array
+    inverse: Float32Array
+
+    def at(self, rows: npt.NDArray[np.intp]) -> Starts:
+        """Return some of them."""
+        return Starts(*(field[rows] for field in self))
+
+    def and_then(self, others: Starts) -> Starts:
+        """Return these and the others."""
+        return Starts(*(np.concatenate(fields) for fields in zip(self, others, strict=True)))
 
 
-def _slopes(start: Float32Array, window: Window) -> Float32Array:
-    """How the residual changes with each of the eight parameters, (N, 8, P)."""
-    value, dx, dy = start.swapaxes(0, 1)
-    x, y = window.offset
-    value = value - value.mean(axis=1, keepdims=True)
-    return np.stack([dx, dy, dx * x, dx * y, dy * x, dy * y, value, np.ones_like(dx)], axis=1)
-
-
-def _solve(slopes: Float32Array, rest: Float32Array, window: Window, options: TrackOptions) -> FloatArray:
-    centred = rest - (rest @ window.weight)[:, None]
-    weighted = slopes * (window.weight / (1 + (centred / options.anchor_scale) ** 2))[:, None]
-    normal = (weighted @ slopes.swapaxes(1, 2)).astype(np.float64)
-    right = (weighted @ rest[..., None]).astype(np.float64)
+def remember(patch: Float32Array, window: Window, options: TrackOptions) -> Starts:
+    """Make ready for registration what `Window.start` has seen, (N, 3, P)."""
+    patch[:, 0] = window.centred(patch[:, 0])
+    parts = [_normal(patch[first : first + _FEW], window) for first in range(0, len(patch), _FEW)]
+    normal = np.concatenate([np.zeros((0, 8, 8)), *parts])
+    variance = normal[:, 6, 6].astype(np.float32)
     diagonal = np.einsum("nii->ni", normal)
     diagonal *= 1 + 1e-4
     diagonal += _LEAST
     diagonal[:, _AFFINE] += options.anchor_stiffness
-    return cast(FloatArray, np.linalg.solve(normal, right)[..., 0])
+    return Starts(patch, variance, np.linalg.inv(normal)[:, :6].astype(np.float32))
 
 
-def _inverse(change: FloatArray) -> FloatArray:
-    """(1 + B)^-1, or 1 where B turns the patch over or shrinks it to nothing."""
-    matrix = np.eye(2) + change
-    matrix[np.linalg.det(matrix) < 0.25] = np.eye(2)
-    return cast(FloatArray, np.linalg.inv(matrix))
+def _normal(patch: Float32Array, window: Window) -> FloatArray:
+    """H, (N, 8, 8), from the moments over the window of T, Tx, Ty and of their products."""
+    count, pixels = len(patch), len(window.weight)
+    weighted = window.lattice * window.weight
+    second = (window.lattice[:, None] * weighted).reshape(9, pixels).T
+    products = (patch[:, :, None] * patch[:, None]).reshape(-1, pixels)
+    pairs = (products @ second).reshape(count, 3, 3, 3, 3)
+    singles = (patch.reshape(-1, pixels) @ weighted.T).reshape(count, 3, 3)
+    out = np.empty((count, 8, 8))
+    out[:, :6, :6] = pairs[:, 1:, 1:].swapaxes(2, 3).reshape(count, 6, 6)
+    out[:, 6, :6] = out[:, :6, 6] = pairs[:, 0, 1:, 2].reshape(count, 6)
+    out[:, 7, :6] = out[:, :6, 7] = singles[:, 1:].reshape(count, 6)
+    out[:, 6:, 6:] = [[0, 0], [0, 1]]
+    out[:, 6, 6] = pairs[:, 0, 0, 2, 2]
+    return out
+
+
+def correction(rest: Float32Array, start: Starts, window: Window, options: TrackOptions) -> Float32Array:
+    """Where patches lie beside their start's appearance: a step of inverse compositional Lucas-Kanade.
+
+    Minimised, over the position x, the affine map A, the gain g and the brightness b, is
+
+        sum over offsets d of weight(d) rho(r(d)),    r(d) = I(A d + x) - (1 + g) T(d) - b,
+
+    with the start's patch T. The change of place is sought on the side of T, whose derivatives stay the same
+    (Baker and Matthews, IJCV 2004, section 3.2; gain and brightness: linear appearance variation, Baker,
+    Gross and Matthews, CMU-RI-TR-03-35, 2003):
+
+        (H + P) q = sum of w s r / sum of w,    H = sum of weight s s^T,
+        s = (dx Tx, dy Tx, Tx, dx Ty, dy Ty, Ty, T, 1),
+
+    and [A x] <- [A x] - A [B t] with the first six of q, row by row, as [B t]. rho is the Lorentzian of scale
+    `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2), so what is hidden or
+    belongs to another object counts less. That H is the one without rho, known from the start, changes the
+    length of the step, not where it ends. P holds A where the patch does not tell: `anchor_stiffness` on the
+    diagonal at B.
+
+    Parameters
+    ----------
+    rest : (N, P) float32
+        r for g = 0, less its weighted mean.
+    start : Starts
+        T and the first six rows of (H + P)^-1.
+    window : Window
+        Offsets d and their weights.
+    options : TrackOptions
+        `anchor_scale`.
+
+    Returns
+    -------
+    (N, 2, 3) float32
+        [B t], in pixels.
+    """
+    weight = window.weight / (1 + (rest / options.anchor_scale) ** 2)
+    pull = weight * rest
+    weighted = (start.patch * pull[:, None]).reshape(-1, len(window.weight))
+    moment = (weighted @ window.lattice.T).reshape(-1, 3, 3)
+    right = np.concatenate(
+        [moment[:, 1:].reshape(-1, 6), moment[:, 0, 2:], pull.sum(axis=1, keepdims=True)], axis=1
+    )
+    q = (start.inverse @ right[..., None])[..., 0] / weight.sum(axis=1, keepdims=True)
+    return cast(Float32Array, q.reshape(-1, 2, 3))

@@ -30,7 +30,8 @@ def uncovered(cells: FloatArray, live: FloatArray, radius: float) -> FloatArray:
     """
     if not len(live) or not len(cells):
         return cells
-    nearest, _ = cKDTree(np.trunc(live)).query(cells, distance_upper_bound=radius + 1)
+    tree = cKDTree(np.trunc(live), compact_nodes=False, balanced_tree=False)
+    nearest, _ = tree.query(cells, distance_upper_bound=radius + 1)
     return cells[nearest >= radius]
 
 
@@ -51,6 +52,6 @@ def new_seeds(frame: ByteArray, live: FloatArray, options: TrackOptions) -> Floa
     (S, 2) float64
     """
     height, width = frame.shape
-    cells = uncovered(grid(height, width, options), live, options.coverage)
+    cells = grid(height, width, options)
     column, row = cells.astype(np.intp).T
-    return np.asarray(cells[structured(frame, options)[row, column]])
+    return uncovered(cells[structured(frame, options)[row, column]], live, options.coverage)

@@ -10,7 +10,7 @@ import numpy as np
 
 from kt3dmoseg.flow.smoothing import smooth
 from kt3dmoseg.tracks.options import TrackOptions
-from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray
+from kt3dmoseg.types import BoolArray, ByteArray, Float32Array
 
 _CENTRAL = np.array([-0.5, 0.0, 0.5], dtype=np.float32)
 _ONE = np.ones(1, dtype=np.float32)
@@ -35,8 +35,7 @@ def smaller_eigenvalue(frame: ByteArray, presmoothing: float, integration: float
     dx = cv2.sepFilter2D(image, cv2.CV_32F, _CENTRAL, _ONE, borderType=cv2.BORDER_REFLECT)
     dy = cv2.sepFilter2D(image, cv2.CV_32F, _ONE, _CENTRAL, borderType=cv2.BORDER_REFLECT)
     xx, xy, yy = (smooth(product, integration) for product in (dx * dx, dx * dy, dy * dy))
-    half = (xx - yy) / 2
-    return cast(Float32Array, (xx + yy) / 2 - np.sqrt(half * half + xy * xy))
+    return cast(Float32Array, (xx + yy) / 2 - cv2.magnitude((xx - yy) / 2, xy))
 
 
 def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
@@ -52,12 +51,12 @@ def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
     """
     eigenvalue = smaller_eigenvalue(frame, options.presmoothing, options.integration)
     fraction = _fraction(*frame.shape, options.structure, options.border_gain, options.border_decay)
-    return cast(BoolArray, eigenvalue >= fraction * eigenvalue.mean(dtype=np.float64))
+    return eigenvalue >= fraction * float(eigenvalue.mean(dtype=np.float64))
 
 
 @lru_cache(maxsize=1)  # the same for all frames of a clip
-def _fraction(height: int, width: int, structure: float, gain: float, decay: float) -> FloatArray:
+def _fraction(height: int, width: int, structure: float, gain: float, decay: float) -> Float32Array:
     across = np.minimum(np.arange(width), np.arange(width)[::-1])
     down = np.minimum(np.arange(height), np.arange(height)[::-1])
     distance = np.minimum(down[:, None], across[None, :])
-    return structure + gain * np.exp(-decay * distance)
+    return (structure + gain * np.exp(-decay * distance)).astype(np.float32)

@@ -20,6 +20,7 @@ from kt3dmoseg.build import FrameFolder, build_dataset, dataset
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import hdf5, load
+from kt3dmoseg.tracks import RELIABLE
 
 FLOW = ["--flow", "dis_medium"]
 
@@ -49,6 +50,20 @@ def test_one_file_per_clip_then_nothing_to_do(frames, tmp_path):
     assert sorted(before) == ["a.h5", "b.h5", "c.h5"]
     assert statuses(build(frames, tmp_path / "out")) == dict.fromkeys("abc", "up to date")
     assert contents(tmp_path / "out") == before
+
+
+def test_one_word_counts_as_the_options_it_stands_for(frames, tmp_path, capsys):
+    out = tmp_path / "out"
+    build(frames, out)
+    command = ["build", "--frames", str(frames), "-o", str(out), "--flow", "dis_medium", "--workers", "1"]
+    assert main([*command, "--reliable"]) == 0
+    assert "anchor was 0.0, now 1.0" in capsys.readouterr().out
+    assert statuses(build(frames, out, **RELIABLE)) == dict.fromkeys("abc", "up to date")
+    assert statuses(build(frames, out, reliable=True)) == dict.fromkeys("abc", "up to date")
+    changed = build(frames, out, reliable=True, appearance=0.5)
+    assert {outcome.reason for outcome in changed} == {
+        f"options appearance was {RELIABLE['appearance']}, now 0.5"
+    }
 
 
 def test_any_number_of_workers_gives_the_same_bytes(frames, tmp_path):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from kt3dmoseg.tracks import TrackOptions, track
+from kt3dmoseg.tracks import RELIABLE, TrackOptions, track
 from kt3dmoseg.tracks.appearance import Appearance
 
 OPTIONS = TrackOptions(appearance=0.8)
@@ -94,11 +94,11 @@ def test_the_tracker_does_not_drift_when_anchored(picture):
 
 
 def test_tracks_to_rely_on_by_one_name(picture):
-    from kt3dmoseg.tracks import RELIABLE
-
-    options = TrackOptions(**RELIABLE)
-    assert options.anchor > 0
-    assert options.appearance > 0
     seeds = np.c_[POINTS, [0, 0]]
-    assert track(clip(picture, 3), constant, seeds, **RELIABLE).visible.all()
-    assert track(clip(picture, 0), constant, seeds, **RELIABLE).lengths.max() < 4
+    right, wrong = clip(picture, 3), clip(picture, 0)
+    assert track(right, drifting, seeds, reliable=True, consistency_floor=0.3).visible.all()
+    assert track(wrong, constant, seeds, reliable=True).lengths.max() < 4
+    assert track(wrong, constant, seeds, reliable=True, anchor=0, appearance=0).visible.all()
+    assert track(wrong, constant, seeds, reliable=False).visible.all()
+    by_word, by_values = track(right, drifting, reliable=True), track(right, drifting, **RELIABLE)
+    np.testing.assert_array_equal(by_word.xy, by_values.xy)

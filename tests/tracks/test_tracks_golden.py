@@ -94,6 +94,18 @@ def test_the_clip_says_where_it_comes_from(folder, tmp_path):
     assert provenance["track_options"]["spacing"] == 8
 
 
+def test_one_word_asks_for_tracks_to_rely_on(folder, tmp_path):
+    flow = kt3dmoseg.flow.create("dis_medium")
+    command = ["track", str(folder), "--flow", "dis_medium", "--reliable"]
+    assert cli.main([*command, "-o", str(tmp_path / "a.h5")]) == 0
+    assert cli.main([*command, "-o", str(tmp_path / "b.h5"), "--anchor", "0", "--min-length", "3"]) == 0
+    first, second = (kt3dmoseg.load(tmp_path / name) for name in ("a.h5", "b.h5"))
+    np.testing.assert_allclose(first.dense.xy, kt3dmoseg.track(folder, flow, reliable=True).xy, atol=1e-4)
+    told = first.provenance["track_options"]
+    assert {name: told[name] for name in RELIABLE} == dict(RELIABLE)
+    assert second.provenance["track_options"] == {**told, "anchor": 0, "min_length": 3}
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
