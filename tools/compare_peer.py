@@ -9,11 +9,9 @@ helpers. The speed of this machine's core is printed as the rate of a matrix pro
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,10 @@ from scipy.sparse import csr_array
 from threadpoolctl import threadpool_limits
 
 from kt3dmoseg.io import load
+from kt3dmoseg.types import Clip
 from mseg.affinity import sparsify, view_kernel
+from mseg.benchmark.data import find_clips
+from mseg.evaluation import load_protocol
 from mseg.evaluation.layout import TextTable
 from mseg.methods.subset import Subset
 from mseg.sampling import sample_hypotheses
@@ -43,9 +44,7 @@ REPEATS = 5
 
 
 def main(arguments: list[str]) -> None:
-    root = Path(os.environ.get("KT3DMOSEG_DATA", "../shared/data"))
-    path = arguments[0] if arguments else root / "kt3dmoseg" / "release" / "Seq005_Clip01_Tracks.mat"
-    clip = load(path)
+    clip = load(arguments[0] if arguments else find_clips(load_protocol("kt3dmoseg"))[0]["Seq005_Clip01"])
     with threadpool_limits(limits=1, user_api="blas"):
         rate, products = product_rate(), product_seconds(clip)
         seconds = times(clip)
@@ -71,7 +70,7 @@ def main(arguments: list[str]) -> None:
     print(TextTable(f"{clip.name}, {shape}: CPU seconds", columns, rows, notes).text())
 
 
-def times(clip: Any) -> dict[str, float]:  # noqa: ANN401
+def times(clip: Clip) -> dict[str, float]:
     """CPU seconds of every step."""
     points, method = clip.evaluated_trajectories, Subset()
     seconds, kernels = {}, []
@@ -103,7 +102,7 @@ def best(work: Callable[[], Any]) -> tuple[Any, float]:
     return found, least
 
 
-def product_seconds(clip: Any) -> float:  # noqa: ANN401
+def product_seconds(clip: Clip) -> float:
     """CPU seconds of the products that one view's kernel cannot do without."""
     points = clip.evaluated_trajectories
     sizes = [len(points.pair(f, f + 1)[0]) for f in range(clip.n_frames - 1)]
