@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.io import dataset_paths
+from kt3dmoseg.io import dataset_paths, load
+from kt3dmoseg.io.clip_frames import frames_place, paths_of_frames
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, frame_paths
 from kt3dmoseg.io.text import clip_name
@@ -52,7 +53,8 @@ def find_clips(
     annotations : path
         Folder of the annotations, one ``<clip>.json`` each.
     frames : path, optional
-        Folder with a sub-folder of frames per clip, or the frames themselves, for clip files.
+        Folder with a sub-folder of frames per clip, the frames themselves, or the KITTI raw root that the
+        clips were built from, for clip files.
     tracks : path, optional
         Folder of clip files, or one, with trajectories for folders of frames.
 
@@ -77,7 +79,11 @@ def find_clips(
     return {
         name: ClipSource(
             name,
-            tuple(frame_paths(folders[name] if name in folders else _frames_of(name, given, frames))),
+            tuple(
+                frame_paths(folders[name])
+                if name in folders
+                else _frames_of(name, files[name], given, frames)
+            ),
             files.get(name),
             notes / f"{name}.json",
         )
@@ -101,14 +107,16 @@ def _files(path: Path) -> dict[str, Path]:
     return {}
 
 
-def _frames_of(name: str, path: Path, frames: str | os.PathLike[str] | None) -> Path:
+def _frames_of(name: str, file: Path, path: Path, frames: str | os.PathLike[str] | None) -> list[Path]:
     beside = path if path.is_dir() else path.parent
     roots = [Path(frames)] if frames is not None else [beside, beside.parent / "frames"]
     for root in roots:
         if _has_pictures(root / name):
-            return root / name
+            return frame_paths(root / name)
         if frames is not None and _has_pictures(root):
-            return root
+            return frame_paths(root)
+    if frames is not None and (place := frames_place(clip := load(file), frames)) != Path(frames):
+        return paths_of_frames(clip, place)
     raise InputFileError(
         f"frames of {name}",
         expected=f"a folder of pictures {' or '.join(str(root / name) for root in roots)}",

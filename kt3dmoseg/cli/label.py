@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--frames",
         type=Path,
         metavar="FOLDER",
-        help="frames of a clip file, or a folder with those of all clips",
+        help="frames of a clip file, a folder with those of all clips, or a KITTI raw root",
     )
     parser.add_argument(
         "--tracks", type=Path, metavar="PATH", help="clip file or folder of them with trajectories to show"

@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", metavar="PATH", help="where to write (default: CLIP's name, a folder)"
     )
     parser.add_argument(
-        "--frames", metavar="FOLDER", help="frames, or a folder with FOLDER/CLIP; else on black"
+        "--frames", metavar="FOLDER", help="frames, a folder with FOLDER/CLIP, or a KITTI raw root"
     )
     parser.add_argument(
         "--by",
@@ -101,12 +101,9 @@ def _painting(clip: Clip, arguments: argparse.Namespace) -> Painting:
 
 def _pictures(clip: Clip, folder: str | None) -> list[ByteArray]:
     """Gray frames of the clip; none when no folder is given."""
-    from kt3dmoseg.io.clip_frames import frames_of
+    from kt3dmoseg.io.clip_frames import frames_of, frames_place
 
-    if folder is None:
-        return []
-    inner = Path(folder) / clip.name
-    return frames_of(clip, inner if inner.is_dir() else folder)
+    return [] if folder is None else frames_of(clip, frames_place(clip, folder))
 
 
 def _write(clip: Clip, output: Path, arguments: argparse.Namespace, drawn: Callable[[int], ByteArray]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import weakref
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,11 +13,16 @@ from build_scenes import FRAMES, HEIGHT, WIDTH, on_patch, scene, write_clip, wri
 
 from kt3dmoseg import catalog
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, save_annotation
+from kt3dmoseg.annotate.workspace import find_clips
 from kt3dmoseg.build import build_clip, find_sources, kitti_sources, label_by_masks
 from kt3dmoseg.build.masks import by_frame, read_mask
 from kt3dmoseg.build.shot import Shot
+from kt3dmoseg.cli import main
 from kt3dmoseg.entries import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
+from kt3dmoseg.io import save
+from kt3dmoseg.io.clip_frames import frames_of, frames_place
+from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
 
 
@@ -160,6 +166,34 @@ def test_a_range_of_a_kitti_drive_is_taken_by_frame_number(tmp_path):
     for number in range(42, 48):
         shutil.copy(source.drive.frame_path(number), tmp_path / "cut" / f"{number}.png")
     np.testing.assert_array_equal(clip.dense.xy, build_clip(tmp_path / "cut").dense.xy)
+
+
+def test_a_clip_of_a_kitti_drive_is_shown_on_its_frames(tmp_path, capsys):
+    root = _drive(tmp_path / "kitti", range(40, 50))
+    source = kitti_sources(root, drive=5, frames="42-47")[0]
+    clip = build_clip(source)
+    data = source.drive.frame_path(42).parent
+    assert frames_place(clip, root) == data
+    for folder in (frames_place(clip, root), data):
+        frames = frames_of(clip, folder)
+        assert len(frames) == 6
+        np.testing.assert_array_equal(frames[0], read_frame(source.drive.frame_path(42)))
+    save(clip, tmp_path / "a.h5")
+    for frames in (root, data):
+        assert (
+            main(["show", str(tmp_path / "a.h5"), "--frames", str(frames), "-o", str(tmp_path / "shown")])
+            == 0
+        )
+    labelled = find_clips(tmp_path / "a.h5", annotations=tmp_path, frames=root)["a"]
+    assert list(labelled.frames) == [source.drive.frame_path(number) for number in range(42, 48)]
+    (data / f"{44:010d}.png").unlink()
+    assert main(["show", str(tmp_path / "a.h5"), "--frames", str(root)]) == 2
+    assert "expected frames numbered 40 to 49 without a gap" in capsys.readouterr().err
+    # What a file says of its source is not trusted with the way to a folder.
+    hostile = {"kind": "kitti", "drive": "2011_09_26_drive_0005", "camera": "0/../../secret"}
+    (root / "2011_09_26/2011_09_26_drive_0005_sync/secret/data").mkdir(parents=True)
+    assert frames_place(replace(clip, provenance={"fingerprint": {"source": hostile}}), root) == root
+    assert frames_place(replace(clip, provenance={"fingerprint": [1]}), root) == root
 
 
 def test_a_kitti_root_is_found_by_itself(tmp_path):

@@ -130,10 +130,10 @@ def _controls(clip: Clip, seeds: list[int]) -> str:
 
 def _pictures(folder: Path, clip: Clip) -> list[ByteArray]:
     """Read the frames of a clip, (H, W) gray; none when the folder has no such clip."""
-    from kt3dmoseg.io.clip_frames import frames_of
+    from kt3dmoseg.io.clip_frames import frames_of, frames_place
 
-    place = folder / clip.name
-    return frames_of(clip, place) if place.is_dir() else []
+    place = frames_place(clip, folder)
+    return frames_of(clip, place) if place != folder else []
 
 
 def _jpeg(picture: ByteArray) -> str:
