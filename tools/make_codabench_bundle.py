@@ -118,20 +118,6 @@ def scoring_program(benchmark: str) -> dict[str, bytes]:
 
 def competition_yaml(title: str, image: str) -> str:
     """Describe the competition, version 2; JSON values are YAML values."""
-    metrics = all_metrics()
-    columns = []
-    for index, key in enumerate(_COLUMNS):
-        metric = metrics.get(key.removesuffix("_median"))
-        lower = metric is None or metric.better == "lower"
-        columns.append(
-            {
-                "title": {"error": "mean error %", "error_median": "median error %"}.get(key, key),
-                "key": key,
-                "index": index,
-                "sorting": "asc" if lower else "desc",
-                "precision": 2,
-            }
-        )
     fields = {
         "version": 2,
         "title": title,
@@ -160,10 +146,25 @@ def competition_yaml(title: str, image: str) -> str:
             }
         ],
         "leaderboards": [
-            {"title": "Results", "key": "main", "submission_rule": "Force_Last", "columns": columns}
+            {"title": "Results", "key": "main", "submission_rule": "Force_Last", "columns": columns()}
         ],
     }
     return "".join(f"{key}: {json.dumps(value)}\n" for key, value in fields.items())
+
+
+def columns() -> list[dict[str, str | int]]:
+    """Describe the columns of the competition's leaderboard, sorted by the first."""
+    titles = {"error": "mean error %", "error_median": "median error %"}
+    metrics = all_metrics()
+
+    def order(key: str) -> str:
+        metric = metrics.get(key.removesuffix("_median"))
+        return "asc" if metric is None or metric.better == "lower" else "desc"
+
+    return [
+        {"title": titles.get(key, key), "key": key, "index": index, "sorting": order(key), "precision": 2}
+        for index, key in enumerate(_COLUMNS)
+    ]
 
 
 def logo() -> bytes:

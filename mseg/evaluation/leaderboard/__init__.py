@@ -21,7 +21,9 @@ from mseg.evaluation.results import ScoreTable
 
 _VERSION = 1
 _WAIT_SECONDS = 60.0
-_SCHEMA = """
+# What makes two submissions the same.
+_SAME = ("benchmark", "dataset_sha256", "submission_sha256", "toolkit_version")
+_SCHEMA = f"""
 CREATE TABLE entries (
     id INTEGER PRIMARY KEY,
     added TEXT NOT NULL,
@@ -38,7 +40,7 @@ CREATE TABLE entries (
     mean REAL NOT NULL,
     median REAL NOT NULL,
     scores TEXT NOT NULL,
-    UNIQUE (benchmark, dataset_sha256, submission_sha256, toolkit_version)
+    UNIQUE ({", ".join(_SAME)})
 )
 """
 _COLUMNS = [field.name for field in fields(Entry)]
@@ -86,40 +88,12 @@ class Leaderboard:
             False when the very same submission was there already, scored on the same data by the
             same version of the toolkit.
         """
-        source, summary = scores.provenance, scores.summary()
-        values = (
-            datetime.now(UTC).isoformat(timespec="seconds"),
-            scores.benchmark.name,
-            scores.meta.method,
-            source.dataset_version,
-            source.dataset_sha256,
-            source.submission_sha256,
-            source.toolkit_version,
-            len(scores.names),
-            scores.benchmark.n_clips,
-            len(scores.failures),
-            len(scores.seeds),
-            summary.mean,
-            summary.median,
-            json.dumps(to_json(scores)),
-        )
-        names = ", ".join([*_COLUMNS[1:], "scores"])
+        row = _row(scores)
+        insert = f"INSERT OR IGNORE INTO entries ({', '.join(row)}) VALUES (:{', :'.join(row)})"
+        same = "SELECT id FROM entries WHERE " + " AND ".join(f"{name} = :{name}" for name in _SAME)
         with self._transaction() as connection:
-            marks = ", ".join("?" * len(values))
-            cursor = connection.execute(f"INSERT OR IGNORE INTO entries ({names}) VALUES ({marks})", values)
-            if cursor.rowcount:
-                return int(cursor.lastrowid or 0), True
-            same = connection.execute(
-                "SELECT id FROM entries WHERE benchmark = ? AND dataset_sha256 = ?"
-                " AND submission_sha256 = ? AND toolkit_version = ?",
-                (
-                    scores.benchmark.name,
-                    source.dataset_sha256,
-                    source.submission_sha256,
-                    source.toolkit_version,
-                ),
-            ).fetchone()
-            return int(same[0]), False
+            new = connection.execute(insert, row).rowcount > 0
+            return int(connection.execute(same, row).fetchone()[0]), new
 
     def entries(self) -> list[Entry]:
         """Everything that is kept, oldest first."""
@@ -205,6 +179,27 @@ class Leaderboard:
         finally:
             if connection is not None:
                 connection.close()  # rolls back what was not committed
+
+
+def _row(scores: ScoreTable) -> dict[str, str | int | float]:
+    """Everything that is kept of a submission's scores, by column."""
+    source, summary = scores.provenance, scores.summary()
+    return {
+        "added": datetime.now(UTC).isoformat(timespec="seconds"),
+        "benchmark": scores.benchmark.name,
+        "method": scores.meta.method,
+        "dataset_version": source.dataset_version,
+        "dataset_sha256": source.dataset_sha256,
+        "submission_sha256": source.submission_sha256,
+        "toolkit_version": source.toolkit_version,
+        "clips": len(scores.names),
+        "clips_in_full": scores.benchmark.n_clips,
+        "failed": len(scores.failures),
+        "seeds": len(scores.seeds),
+        "mean": summary.mean,
+        "median": summary.median,
+        "scores": json.dumps(to_json(scores)),
+    }
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:
