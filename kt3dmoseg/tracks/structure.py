@@ -14,6 +14,7 @@ from kt3dmoseg.types import BoolArray, ByteArray, Float32Array
 
 _CENTRAL = np.array([-0.5, 0.0, 0.5], dtype=np.float32)
 _ONE = np.ones(1, dtype=np.float32)
+_ROUNDING = np.float32(1e-6)  # gray values squared; a single pixel that is one brighter gives 1e-3
 
 
 def smaller_eigenvalue(frame: ByteArray, presmoothing: float, integration: float) -> Float32Array:
@@ -51,7 +52,9 @@ def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
     """
     eigenvalue = smaller_eigenvalue(frame, options.presmoothing, options.integration)
     fraction = _fraction(*frame.shape, options.structure, options.border_gain, options.border_decay)
-    return eigenvalue >= fraction * float(eigenvalue.mean(dtype=np.float64))
+    # The floor: of an even frame, what rounding leaves would be its mean, and every pixel structured.
+    least = np.maximum(fraction * float(eigenvalue.mean(dtype=np.float64)), _ROUNDING)
+    return cast(BoolArray, eigenvalue >= least)
 
 
 @lru_cache(maxsize=1)  # the same for all frames of a clip

@@ -74,6 +74,14 @@ def test_flat_frames_have_nothing_to_start_on(rng):
     assert (seeds[:, 0] > 56).all()
 
 
+@pytest.mark.parametrize("value", [0, 7, 100, 255])
+def test_an_even_frame_has_no_structure(value):
+    frame = np.full((96, 128), value, np.uint8)
+    assert not structured(frame, DEFAULT).any()
+    frame[40, 60] = value ^ 1  # the least that a frame can hold
+    assert structured(frame, DEFAULT)[36:45, 56:65].any()
+
+
 def test_the_border_asks_for_more_structure(rng):
     frame = cv2.GaussianBlur(rng.integers(0, 255, (96, 128), dtype=np.uint8), (0, 0), 1.5)
     with_border = structured(frame, DEFAULT)
