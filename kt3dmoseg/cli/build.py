@@ -145,4 +145,5 @@ class _Bars:
             self.clips.write(f"kt3dmoseg: {outcome.name} failed: {outcome.reason}", file=sys.stderr)
         else:
             self.clips.write(f"{line}: {numbers}" if numbers else line)
+            sys.stdout.flush()  # a log file shall tell how far a long build is
         self.clips.update()

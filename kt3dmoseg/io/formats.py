@@ -170,10 +170,17 @@ def recognise(file: Path) -> Format:
     )
 
 
+def check_regular(path: Path) -> None:
+    """Refuse a pipe or device: reading it might wait for ever."""
+    if not path.is_file():
+        raise InputFileError(f"{path}", expected="a file", found="a pipe or device")
+
+
 def _single_file(path: Path) -> Path:
     if not path.exists():
         raise InputFileError(f"{path}", expected="a clip", found="no such file")
     if not path.is_dir():
+        check_regular(path)
         return path
     files = clip_files(path)
     if len(files) != 1:

@@ -13,7 +13,7 @@ import numpy as np
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.dataset import dataset_paths
-from kt3dmoseg.io.formats import clip_files, load, recognise
+from kt3dmoseg.io.formats import check_regular, clip_files, load, recognise
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import Clip, Trajectories
@@ -49,6 +49,7 @@ def info(path: str | os.PathLike[str]) -> str:
         raise InputFileError(f"{place}", expected="a file or folder", found="nothing")
     if place.is_dir():
         return _folder(place)
+    check_regular(place)
     with open(place, "rb") as stream:
         head = stream.read(8)
     if head[:4] == _FLOW_STARTS[0] or head[:6] == _FLOW_STARTS[1]:

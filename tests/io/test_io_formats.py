@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import time
 
@@ -14,6 +15,7 @@ import kt3dmoseg
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io import load, save
 from kt3dmoseg.io.formats import FORMATS
+from kt3dmoseg.io.info import info
 
 SUFFIXES = [f.suffix for f in FORMATS]
 LOSSLESS = [".h5", ".npz"]
@@ -109,6 +111,14 @@ def test_other_files_are_named_for_what_they_are(content, words, tmp_path):
 def test_a_missing_file_is_said_to_be_missing(tmp_path):
     with pytest.raises(InputFileError, match="no such file"):
         load(tmp_path / "nothing.h5")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+@pytest.mark.parametrize("read", [load, info])
+def test_a_pipe_is_not_waited_for(read, tmp_path):
+    os.mkfifo(tmp_path / "a.h5")
+    with pytest.raises(InputFileError, match=r"a\.h5: expected a file, found a pipe or device"):
+        read(tmp_path / "a.h5")
 
 
 def test_an_unreadable_file_is_one_line(tmp_path):
