@@ -26,7 +26,7 @@ class Starts(NamedTuple):
         T less its weighted mean, its x- and its y-derivative.
     variance : (N,) float32
         Weighted mean of T^2.
-    inverse : (N, 6, 8) float32
+    inverse : (N, 6, 6) float32
         Takes the right side of the equations to the change of place; see `correction`.
     """
 
@@ -53,7 +53,7 @@ def remember(patch: Float32Array, window: Window, options: TrackOptions) -> Star
     diagonal *= 1 + 1e-4
     diagonal += _LEAST
     diagonal[:, _AFFINE] += options.anchor_stiffness
-    return Starts(patch, variance, np.linalg.inv(normal)[:, :6].astype(np.float32))
+    return Starts(patch, variance, np.linalg.inv(normal)[:, :6, :6].astype(np.float32))
 
 
 def _normal(patch: Float32Array, window: Window) -> FloatArray:
@@ -87,18 +87,19 @@ def correction(rest: Float32Array, start: Starts, window: Window, options: Track
         (H + P) q = sum of w s r / sum of w,    H = sum of weight s s^T,
         s = (dx Tx, dy Tx, Tx, dx Ty, dy Ty, Ty, T, 1),
 
-    and [A x] <- [A x] - A [B t] with the first six of q, row by row, as [B t]. rho is the Lorentzian of scale
-    `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2), so what is hidden or
-    belongs to another object counts less. That H is the one without rho, known from the start, changes the
-    length of the step, not where it ends. P holds A where the patch does not tell: `anchor_stiffness` on the
-    diagonal at B.
+    and [A x] <- [A x] - A [B t] with the first six of q, row by row, as [B t]; g and b, which fit r best, are
+    taken out of it before, so the last two of the right side are 0. rho is the Lorentzian of scale
+    `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2) with the r of g = 0, so
+    what is hidden or belongs to another object counts less. That H is the one without rho, known from the
+    start, changes the length of the step, not where it ends. P holds A where the patch does not tell:
+    `anchor_stiffness` on the diagonal at B.
 
     Parameters
     ----------
     rest : (N, P) float32
         r for g = 0, less its weighted mean.
     start : Starts
-        T and the first six rows of (H + P)^-1.
+        T, and the six rows and columns of (H + P)^-1 that belong to the place.
     window : Window
         Offsets d and their weights.
     options : TrackOptions
@@ -110,11 +111,14 @@ def correction(rest: Float32Array, start: Starts, window: Window, options: Track
         [B t], in pixels.
     """
     weight = window.weight / (1 + (rest / options.anchor_scale) ** 2)
-    pull = weight * rest
-    weighted = (start.patch * pull[:, None]).reshape(-1, len(window.weight))
-    moment = (weighted @ window.lattice.T).reshape(-1, 3, 3)
-    right = np.concatenate(
-        [moment[:, 1:].reshape(-1, 6), moment[:, 0, 2:], pull.sum(axis=1, keepdims=True)], axis=1
-    )
-    q = (start.inverse @ right[..., None])[..., 0] / weight.sum(axis=1, keepdims=True)
-    return cast(Float32Array, q.reshape(-1, 2, 3))
+    total, texture, pull = weight.sum(axis=1), weight * start.patch[:, 0], weight * rest
+    gain = _dot(texture, rest) / (_dot(texture, start.patch[:, 0]) + _LEAST)
+    pull -= gain[:, None] * texture
+    pull -= (pull.sum(axis=1) / total)[:, None] * weight
+    weighted = (start.patch[:, 1:] * pull[:, None]).reshape(-1, len(window.weight))
+    right = (weighted @ window.lattice.T).reshape(-1, 6, 1)
+    return cast(Float32Array, (start.inverse @ right).reshape(-1, 2, 3) / total[:, None, None])
+
+
+def _dot(a: Float32Array, b: Float32Array) -> Float32Array:
+    return cast(Float32Array, np.einsum("np,np->n", a, b))
