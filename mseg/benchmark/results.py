@@ -12,7 +12,7 @@ from kt3dmoseg.types import FloatArray
 from mseg.benchmark.tasks import Configuration
 from mseg.evaluation import Group, Protocol
 from mseg.evaluation.layout import TextTable, count
-from mseg.evaluation.problems import brief
+from mseg.evaluation.problems import first_few
 from mseg.evaluation.statistics import standard_deviation
 
 _LISTED = 12  # clips named in a note
@@ -152,7 +152,7 @@ class BenchmarkResult:
             if len(rows) < group.n_clips:
                 notes.append(f"{group.title}: {_missing(group, [self.clips[r] for r in rows])}.")
         if self.others:
-            notes.append(f"Not counted: {brief(self.others, _LISTED)}.")
+            notes.append(f"Not counted: {first_few(self.others, _LISTED)}.")
         notes += [
             f"Counted as fully wrong: {c.title} on {clip}, seed {seed}: {reason}."
             for c, clip, seed, reason in self.failures
@@ -188,7 +188,7 @@ def _missing(group: Group, present: list[str]) -> str:
     absent = [name for name in group.clips if name not in present]
     if group.unknown:
         return "which clips it holds was never published"
-    what = f" ({brief(absent, _LISTED)})" if absent else ""
+    what = f" ({first_few(absent, _LISTED)})" if absent else ""
     return f"{group.n_clips - len(present)} of {group.n_clips} clips are missing{what}"
 
 

@@ -16,8 +16,8 @@ from kt3dmoseg.lazy import lazy
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import compare as compare
     from mseg.evaluation.example import example_submission as example_submission
+    from mseg.evaluation.label_vectors import read_label_files as read_label_files
     from mseg.evaluation.leaderboard import Leaderboard as Leaderboard
-    from mseg.evaluation.predictions_of_others import read_label_files as read_label_files
     from mseg.evaluation.protocol import Group as Group
     from mseg.evaluation.protocol import Protocol as Protocol
     from mseg.evaluation.protocol import list_protocols as list_protocols
@@ -42,7 +42,7 @@ _PUBLIC = {
     "compare": "comparison",
     "example_submission": "example",
     "Leaderboard": "leaderboard",
-    "read_label_files": "predictions_of_others",
+    "read_label_files": "label_vectors",
     "write_report": "report",
     "Group": "protocol",
     "Protocol": "protocol",

@@ -13,7 +13,7 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
-from mseg.evaluation.predictions_of_others import read_label_files
+from mseg.evaluation.label_vectors import read_label_files
 from mseg.evaluation.protocol import Protocol
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, fingerprint, write_submission
 from mseg.evaluation.validate import choose_protocol, load_clips
@@ -89,7 +89,7 @@ def from_label_files(
     benchmark: str = "",
     format: FileFormat = "csv",
 ) -> Written:
-    """Turn label files into a submission; see `mseg.evaluation.predictions_of_others`."""
+    """Turn label files into a submission; see `mseg.evaluation.label_vectors`."""
     if data is None:
         raise InvalidValueError(
             "data", expected="the folder of clips that the labels are for", found="nothing"

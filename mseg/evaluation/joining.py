@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kt3dmoseg.types import Clip, IntArray
-from mseg.evaluation.problems import Problem, brief
+from mseg.evaluation.problems import Problem, first_few
 
 _SAME = 0.5
 
@@ -41,7 +41,7 @@ def join_labels(
                 file,
                 clip.name,
                 "each trajectory once",
-                f"{len(twice)} given more than once (track {brief(twice)})",
+                f"{len(twice)} given more than once (track {first_few(twice)})",
                 "keep one row per trajectory",
             )
         )
@@ -94,8 +94,8 @@ def _difference(ids: IntArray, wanted: IntArray) -> tuple[str, str, str]:
     """Say which ids are missing and which do not belong: code, what was found, repair."""
     missing, extra = np.setdiff1d(wanted, ids), np.setdiff1d(ids, wanted)
     parts = [
-        f"{len(missing)} missing (track {brief(missing.tolist())})" if len(missing) else "",
-        f"{len(extra)} that are not evaluated (track {brief(extra.tolist())})" if len(extra) else "",
+        f"{len(missing)} missing (track {first_few(missing.tolist())})" if len(missing) else "",
+        f"{len(extra)} that are not evaluated (track {first_few(extra.tolist())})" if len(extra) else "",
     ]
     found = " and ".join(part for part in parts if part)
     if len(missing) > _SAME * len(wanted):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kt3dmoseg.types import Clip, IntArray
-from mseg.evaluation.problems import Problem, brief
+from mseg.evaluation.problems import Problem, first_few
 from mseg.evaluation.submission import SubmissionMeta
 
 
@@ -58,6 +58,6 @@ def _zero_label(groups: IntArray, file: str, clip: str) -> Problem:
         file,
         clip,
         "motions 1, 2, ...",
-        f"labels {brief(groups.tolist())}" + (", which look 0-based" if based else ""),
+        f"labels {first_few(groups.tolist())}" + (", which look 0-based" if based else ""),
         "add 1 to every label; if 0 is meant as outlier: outliers = true in meta.toml",
     )

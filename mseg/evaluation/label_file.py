@@ -43,7 +43,7 @@ def read_label_file(path: str | os.PathLike[str], clip: Any) -> IntArray:  # noq
         )
     file = Path(path)
     if file.suffix.lower() == ".txt":
-        from mseg.evaluation.predictions_of_others import fit_to_clip, read_label_text
+        from mseg.evaluation.label_vectors import fit_to_clip, read_label_text
 
         return fit_to_clip(read_label_text(file), clip, f"{file}")
     parsed = parse_prediction(read_bytes(file, MAX_FILE_BYTES), file.name.lower(), clip.name)

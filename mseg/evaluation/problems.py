@@ -51,7 +51,7 @@ def numbered(problems: Sequence[Problem]) -> str:
     return "\n".join(f"{i:>{width}}. {problem}" for i, problem in enumerate(problems, start=1))
 
 
-def brief(items: Sequence[object], limit: int = 5) -> str:
+def first_few(items: Sequence[object], limit: int = 5) -> str:
     """Name the first few items and the number of the others."""
     shown = ", ".join(str(item) for item in items[:limit])
     return shown if len(items) <= limit else f"{shown} and {len(items) - limit} more"

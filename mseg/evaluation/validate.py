@@ -11,7 +11,7 @@ from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.joining import join_labels
 from mseg.evaluation.label_checks import label_problems
 from mseg.evaluation.layout import count
-from mseg.evaluation.problems import Problem, brief, numbered
+from mseg.evaluation.problems import Problem, first_few, numbered
 from mseg.evaluation.protocol import (
     Protocol,
     guess_protocol,
@@ -182,7 +182,7 @@ class _Checker:
                 Problem(
                     "no-data",
                     expected=f"labelled clips of {self.protocol.title}",
-                    found=brief(list(self.given)) or "none",
+                    found=first_few(list(self.given)) or "none",
                     fix="give the data that the submission is for, or another --benchmark",
                 )
             )
@@ -265,4 +265,4 @@ def _extra_clip(file: str, name: str, known: list[str]) -> Problem:
     stem = name.removesuffix("_Tracks").removesuffix("_truth")
     meant = stem if stem in known else nearest(name, known)
     fix = f"did you mean {meant}?" if meant else "remove it"
-    return Problem("extra-clip", file, name, f"one of {brief(known)}", name, fix)
+    return Problem("extra-clip", file, name, f"one of {first_few(known)}", name, fix)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import KT3DMoSegError
-from mseg.evaluation.problems import brief
+from mseg.evaluation.problems import first_few
 
 NAMES = ("track", "label")
 MAX_ROWS = 1_000_000
@@ -113,7 +113,7 @@ def _check_names(present: list[str], out: Columns) -> None:
     missing = [name for name in NAMES if name not in present]
     if missing:
         wanted = " and ".join(f"'{name}'" for name in missing)
-        out.bad("missing-array", f"arrays named {wanted}", brief(present) or "no array", _FIX)
+        out.bad("missing-array", f"arrays named {wanted}", first_few(present) or "no array", _FIX)
 
 
 def _shape_is_fine(shape: tuple[int, ...], name: str, out: Columns) -> bool:

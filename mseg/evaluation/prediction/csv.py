@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mseg.evaluation.prediction.arrays import Columns
-from mseg.evaluation.problems import brief
+from mseg.evaluation.problems import first_few
 
 HEADER = ["track", "label"]
 _MAX_CELL = 64
@@ -70,7 +70,9 @@ def _headless(out: Columns, rows: list[list[str]], head: list[str]) -> None:
 def _columns(out: Columns, rows: list[list[str]], names: list[str]) -> None:
     ragged = [i for i, row in enumerate(rows, start=2) if len(row) != 2]
     if ragged:
-        out.bad("ragged", "two values in every line", f"another number in line {brief(ragged)}", _FIX_HEADER)
+        out.bad(
+            "ragged", "two values in every line", f"another number in line {first_few(ragged)}", _FIX_HEADER
+        )
         return
     if not rows:
         out.bad("empty-file", "one row per trajectory", "only a header", _FIX_HEADER)
@@ -83,7 +85,7 @@ def _columns(out: Columns, rows: list[list[str]], names: list[str]) -> None:
         out.bad(
             "not-a-number",
             "whole numbers",
-            f"{cell.strip()[:40]!r} (line {brief(bad)})",
+            f"{cell.strip()[:40]!r} (line {first_few(bad)})",
             "write the motion's number, not its name",
         )
         return

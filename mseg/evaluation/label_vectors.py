@@ -14,7 +14,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError,
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.contingency import label_vector
-from mseg.evaluation.problems import brief
+from mseg.evaluation.problems import first_few
 
 CELLS = "ClusterIdx"
 _LIMIT = 256 << 20
@@ -83,7 +83,7 @@ def read_cluster_idx(path: str | os.PathLike[str]) -> list[npt.NDArray[Any]]:
     """
     content = _guarded(Path(path), _read_mat73 if _is_hdf5(path) else _read_mat5)
     if CELLS not in content:
-        raise FileFormatError(f"{path}", expected=f"the variable {CELLS}", found=brief(list(content)))
+        raise FileFormatError(f"{path}", expected=f"the variable {CELLS}", found=first_few(list(content)))
     cells = content[CELLS]
     vectors = list(cells.ravel()) if cells.dtype == object else [cells]
     return [np.asarray(v).ravel() for v in vectors]
@@ -157,7 +157,7 @@ def _single_vector(path: Path) -> npt.NDArray[Any]:
     long = {k: v for k, v in vectors.items() if v.size > 1}
     if len(long) != 1:
         raise FileFormatError(
-            f"{path}", expected="one vector of labels", found=f"the vectors {brief(list(long)) or 'none'}"
+            f"{path}", expected="one vector of labels", found=f"the vectors {first_few(list(long)) or 'none'}"
         )
     return next(iter(long.values()))
 
