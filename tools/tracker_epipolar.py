@@ -23,7 +23,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from tqdm import tqdm
-from tracker_fidelity import FAST, NO_STOPS, alive_after, starts, table
+from tracker_aims import table
+from tracker_release import FAST, NO_STOPS
+from tracker_truth import alive_after, starts
 
 from kt3dmoseg import load
 from kt3dmoseg.files import write_text
