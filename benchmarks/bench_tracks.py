@@ -13,7 +13,7 @@ import pytest
 
 from kt3dmoseg import flow
 from kt3dmoseg.synthetic import SceneOptions, make_scene
-from kt3dmoseg.tracks import RELIABLE, track
+from kt3dmoseg.tracks import track
 from kt3dmoseg.tracks.store import TrackStore
 
 
@@ -28,7 +28,7 @@ def test_flow_pair(benchmark, pair):
     benchmark.pedantic(flow.flow_pair, args=(flow.create("dis"), *pair), rounds=5, warmup_rounds=1)
 
 
-@pytest.mark.parametrize("options", [{}, RELIABLE], ids=["default", "reliable"])
+@pytest.mark.parametrize("options", [{}, {"reliable": True}], ids=["default", "reliable"])
 def test_ten_pairs(benchmark, pair, options):
     there, back = flow.flow_pair(flow.create("dis"), *pair)
 
