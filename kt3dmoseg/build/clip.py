@@ -219,5 +219,5 @@ def _choose(labels: Labels | None, count: int, settings: Settings, name: str) ->
         return np.arange(count), Labels(np.zeros(count, dtype=np.int64))
     # The clip's name takes part, so that a clip's draw does not depend on the others.
     rng = np.random.default_rng([settings.build.seed, *name.encode()])
-    rows = subsample_background(labels, rng, settings.build.fraction)
+    rows = subsample_background(labels, rng, settings.build.fraction, settings.build.smallest)
     return rows, Labels(labels.label[rows], labels.background, labels.names)

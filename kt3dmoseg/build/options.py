@@ -17,6 +17,9 @@ class BuildOptions:
     flow: str = option("dis", "optical flow backend, a name of kt3dmoseg.flow.list()", metavar="NAME")
     fraction: float = option(0.1, "share of the background that is drawn for evaluation", low=0, high=1)
     seed: int = option(0, "seed of that draw; each clip draws by its own name", low=0)
+    smallest: int = option(
+        1, "moving objects with fewer trajectories are not evaluated (the 2018 release: 16)", low=1
+    )
     colour: Literal["refuse", "luma"] = option("refuse", "colour frames: refuse them, or take their luma")
 
 

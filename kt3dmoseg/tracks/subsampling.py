@@ -8,14 +8,16 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import IntArray, Labels
 
 
-def subsample_background(labels: Labels, rng: np.random.Generator, fraction: float = 0.1) -> IntArray:
+def subsample_background(
+    labels: Labels, rng: np.random.Generator, fraction: float = 0.1, smallest: int = 1
+) -> IntArray:
     """Choose the trajectories that are evaluated.
 
-    Every labelled foreground trajectory is kept. Of the B background trajectories, round(fraction * B)
-    are drawn uniformly *with* replacement and duplicates are dropped, so at the default about 9.5 % of
-    them are kept: this is the rule that the 2018 release is consistent with (its kept share is 9.65 %
-    pooled, independent of a trajectory's length and position). Unlabelled trajectories (label 0) are
-    never evaluated.
+    Every labelled foreground trajectory is kept, of motions that have `smallest` of them. Of the B
+    background trajectories, round(fraction * B) are drawn uniformly *with* replacement and duplicates
+    are dropped, so at the default about 9.5 % of them are kept: this is the rule that the 2018 release
+    is consistent with (its kept share is 9.65 % pooled, independent of a trajectory's length and
+    position). Unlabelled trajectories (label 0) are never evaluated.
 
     Parameters
     ----------
@@ -26,6 +28,8 @@ def subsample_background(labels: Labels, rng: np.random.Generator, fraction: flo
     fraction : float
         Share of the background that is drawn, 0 to 1; a background that exists keeps at least one
         trajectory as long as the fraction is not 0.
+    smallest : int
+        Moving objects with fewer trajectories are not evaluated, neither as a motion nor as background.
 
     Returns
     -------
@@ -43,7 +47,9 @@ def subsample_background(labels: Labels, rng: np.random.Generator, fraction: flo
         raise InvalidValueError(
             "labels.background", expected="the label of the static scene", found="none", fix="set it"
         )
-    foreground = np.flatnonzero((labels.label != 0) & (labels.label != labels.background))
+    motions, size = np.unique(labels.label, return_counts=True)
+    large = np.isin(labels.label, motions[size >= smallest])
+    foreground = np.flatnonzero(large & (labels.label != 0) & (labels.label != labels.background))
     background = np.flatnonzero((labels.label != 0) & (labels.label == labels.background))
     count = round(fraction * len(background))
     if fraction > 0 and len(background):

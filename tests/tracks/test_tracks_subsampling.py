@@ -31,6 +31,14 @@ def test_what_always_holds(label, seed, fraction):
     np.testing.assert_array_equal(rows, again)
 
 
+def test_small_motions_are_left_out_and_the_draw_stays(rng):
+    labels = Labels(np.repeat([1, 2, 3, 0], [500, 4, 5, 20]), background=1)
+    seeds = [np.random.default_rng(3) for _ in range(2)]
+    every, large = (subsample_background(labels, r, smallest=k) for r, k in zip(seeds, (1, 5), strict=True))
+    assert (labels.label[every] == 2).sum() == 4
+    np.testing.assert_array_equal(large, every[labels.label[every] != 2])
+
+
 def test_share_is_that_of_a_draw_with_replacement(rng):
     labels = Labels(np.full(200_000, 3), background=3)
     share = len(subsample_background(labels, rng)) / len(labels)
