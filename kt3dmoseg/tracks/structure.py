@@ -36,7 +36,12 @@ def smaller_eigenvalue(frame: ByteArray, presmoothing: float, integration: float
     dx = cv2.sepFilter2D(image, cv2.CV_32F, _CENTRAL, _ONE, borderType=cv2.BORDER_REFLECT)
     dy = cv2.sepFilter2D(image, cv2.CV_32F, _ONE, _CENTRAL, borderType=cv2.BORDER_REFLECT)
     xx, xy, yy = (smooth(product, integration) for product in (dx * dx, dx * dy, dy * dy))
-    return cast(Float32Array, (xx + yy) / 2 - cv2.magnitude((xx - yy) / 2, xy))
+    twice = xx + yy  # from here in place: to fetch memory can take longer than to compute
+    xx -= yy
+    xy *= 2
+    twice -= cv2.magnitude(xx, xy)
+    twice /= 2
+    return twice
 
 
 def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
