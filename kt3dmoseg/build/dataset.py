@@ -143,7 +143,7 @@ def build_task(task: Task, progress: FrameProgress) -> Outcome:
     target = task.output / f"{name}.h5"
     try:
         job = prepare(task.source, label_source(name, task.annotations, task.masks), task.settings)
-        reason = why_build(target, job.fingerprint) or ("asked for" if task.force else "")
+        reason = why_build(target, job.fingerprint, force=task.force)
         if not reason:
             return Outcome(name, "up to date", "", target, {})
         clip = job.build(cache=task.cache, progress=lambda done, total: progress(name, done, total))

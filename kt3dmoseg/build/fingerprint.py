@@ -15,7 +15,7 @@ import cv2
 import kt3dmoseg
 from kt3dmoseg.build.options import Settings
 from kt3dmoseg.build.shot import Shot
-from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 from kt3dmoseg.files import sha256_file
 from kt3dmoseg.flow import Flow
 from kt3dmoseg.flow.cache import backend_identity
@@ -55,8 +55,23 @@ def fingerprint(
     }
 
 
-def why_build(target: Path, wanted: Mapping[str, Any]) -> str:
-    """Say why a clip's file must be written; empty when it is up to date."""
+def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -> str:
+    """Say why a clip's file must be written; empty when it is up to date.
+
+    Parameters
+    ----------
+    target : Path
+        The file, whether it exists or not.
+    wanted : mapping
+        The `fingerprint` that it should have.
+    force : bool
+        It is written in any case.
+
+    Raises
+    ------
+    InputFileError
+        For a sound clip that no build has made, unless forced: it may be the only copy.
+    """
     if not target.exists():
         return "new"
     try:
@@ -64,10 +79,19 @@ def why_build(target: Path, wanted: Mapping[str, Any]) -> str:
     except KT3DMoSegError as error:
         return f"the file there is no sound clip ({error})"
     if not isinstance(found, dict):
-        return "the file there was not built from frames"
+        if force:
+            return "asked for"
+        raise InputFileError(
+            f"{target}",
+            expected="no file, or a clip that was built from frames",
+            found="another clip",
+            fix="give another output folder, or --force to write over it",
+        )
     if wanted["flow"] is None:
         return "this flow backend does not tell what its fields depend on"
     changes = list(_differences(found, dict(wanted), ""))
+    if force and not changes:
+        return "asked for"
     return "; ".join(changes[:3]) + (f"; {len(changes) - 3} more changes" if len(changes) > 3 else "")
 
 

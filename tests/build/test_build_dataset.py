@@ -97,6 +97,24 @@ def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
     assert {o.reason for o in build(frames, out, spacing=6)} == {"code changed"}
 
 
+def test_a_clip_that_no_build_made_stays(frames, tmp_path):
+    out = tmp_path / "out"
+    build(frames / "a", out)
+    clip = load(out / "a.h5")
+    hdf5.write(dataclasses.replace(clip, provenance={"format": "by hand"}), out / "b.h5")
+    before = contents(out)["b.h5"]
+    outcomes = {o.name: o for o in build(frames, out)}
+    assert (outcomes["a"].status, outcomes["b"].status, outcomes["c"].status) == (
+        "up to date",
+        "failed",
+        "built",
+    )
+    assert "--force" in outcomes["b"].reason
+    assert contents(out)["b.h5"] == before
+    assert {o.status for o in build(frames, out, force=True)} == {"built"}
+    assert contents(out)["b.h5"] != before
+
+
 def test_a_bad_clip_does_not_stop_the_others(frames, tmp_path, capsys):
     (frames / "b/000003.png").unlink()
     command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW]
