@@ -5,8 +5,8 @@ Rules, the same for all of them:
 * Trajectories seen in fewer than two frames say nothing about motion. They take no part; at the end
   they join the largest motion, the best guess without evidence.
 * Frames in which no other trajectory is seen are left out.
-* Gaps are filled by low-rank completion in pixels, or refused, by the option ``completion``; with "rpca"
-  gross errors of seen positions are repaired as well.
+* Gaps are filled in pixels, or refused, by the option ``completion``: from one subspace, from similar
+  trajectories, or by robust principal components, which repair gross errors of seen positions as well.
 * Fewer trajectories than motions, fewer than two frames, or trajectories that all coincide are an error.
 """
 
@@ -21,13 +21,18 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
-from mseg.completion import Completion, complete, robust_pca
+from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.trajectory_matrix import normalised, normalising_matrix, trajectory_matrix
 from mseg.methods.leftover import join_largest
 from mseg.methods.motion_count import told
 from mseg.types import Segmentation
 
+Completing = Literal["chen", "local", "rpca", "none"]
+COMPLETION_HELP = (
+    "how gaps are filled: 'chen' (fixed rank), 'local' (similar trajectories), 'rpca' (repairs gross errors "
+    "too), 'none' to refuse"
+)
 _FEWEST_FRAMES = 2
 
 
@@ -63,20 +68,18 @@ class CompleteData:
         return np.vstack([self.normalised, np.ones(self.n_points)])
 
 
-def complete_data(
-    clip: Clip, completion: Literal["chen", "rpca", "none"] = "chen", rank: int = 5
-) -> CompleteData:
+def complete_data(clip: Clip, completion: Completing = "chen", rank: int = 5) -> CompleteData:
     """Trajectory matrices of the evaluated trajectories, without gaps.
 
     Parameters
     ----------
     clip : Clip
         The sequence.
-    completion : {"chen", "rpca", "none"}
-        Fill gaps by `mseg.completion.complete`; take the low-rank part of `mseg.completion.robust_pca`,
-        gaps or not; or refuse gaps.
+    completion : {"chen", "local", "rpca", "none"}
+        Fill gaps by `mseg.completion.complete` or `mseg.completion.complete_locally`; take the low-rank part
+        of `mseg.completion.robust_pca`, gaps or not; or refuse gaps.
     rank : int
-        Rank of the completion "chen".
+        Rank of the completion "chen", with which "local" starts.
 
     Raises
     ------
@@ -101,7 +104,7 @@ def complete_data(
             fix="use completion='chen'",
         )  # fmt: skip
     matrix = trajectory_matrix(kept.xy[:, frames])
-    filled = _repaired(matrix) if completion == "rpca" else complete(matrix, rank)
+    filled = _filled(matrix, completion, rank)
     _check_distinct(filled.matrix, clip.name)
     whole = _as_trajectories(filled.matrix, trajectories)
     normalising = normalising_matrix(trajectories, clip.camera)
@@ -121,11 +124,8 @@ class CompleteDataMethod(ABC):
     finds_n_motions: ClassVar[bool] = False
     """Whether `n_motions` may be None."""
 
-    completion: Literal["chen", "rpca", "none"] = option(
-        "chen",
-        "how gaps are filled: 'chen' (fixed rank), 'rpca' (repairs gross errors too), 'none' to refuse",
-    )
-    completion_rank: int = option(5, "rank of the completion of gaps", low=1)
+    completion: Literal["chen", "local", "rpca", "none"] = option("chen", COMPLETION_HELP)
+    completion_rank: int = option(5, "rank of the completion of gaps, or of its start", low=1)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Complete the evaluated trajectories of `clip` and group them.
@@ -152,6 +152,12 @@ class CompleteDataMethod(ABC):
 def _check_distinct(matrix: FloatArray, name: str) -> None:
     if np.ptp(matrix, axis=1).max() <= np.finfo(np.float64).eps * np.abs(matrix).max():
         raise SegmentationError(name, expected="trajectories that differ", found="one, repeated")
+
+
+def _filled(matrix: FloatArray, completion: Completing, rank: int) -> Completion:
+    if completion == "rpca":
+        return _repaired(matrix)
+    return complete_locally(matrix, rank) if completion == "local" else complete(matrix, rank)
 
 
 def _repaired(matrix: FloatArray) -> Completion:
