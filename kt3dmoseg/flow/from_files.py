@@ -91,6 +91,9 @@ class FlowFiles:
         value: str = getattr(self, which)
         if not value:
             raise InvalidValueError(
-                f"flow files: {which}", expected="a folder", found="none", fix=f"give {which}="
+                f"flow files: {which}",
+                expected="a folder",
+                found="none",
+                fix=f"give {which}=FOLDER, on the command line -p {which}=FOLDER",
             )
         return value

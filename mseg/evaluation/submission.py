@@ -35,7 +35,7 @@ FAILED = ".failed"
 FileFormat: TypeAlias = Literal["csv", "npz", "h5"]
 FORMATS: tuple[FileFormat, ...] = ("csv", "npz", "h5")
 SEED_FOLDER = re.compile(r"seed-(\d{1,18})")
-_CLIP_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,127}")
+_CLIP_NAME = re.compile(r"\w[\w .-]{0,127}")
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,12 @@ def _place(folder: str | os.PathLike[str], clip: str, seed: int | None) -> Path:
 
 def _safe(name: str) -> str:
     if not _CLIP_NAME.fullmatch(name) or ".." in name:
-        raise InvalidValueError("clip name", expected="a plain file name", found=repr(name))
+        raise InvalidValueError(
+            "clip name",
+            expected="a plain file name: letters, digits, space, '.', '_', '-'",
+            found=repr(name),
+            fix="rename the clip",
+        )
     return name
 
 

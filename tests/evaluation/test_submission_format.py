@@ -12,6 +12,7 @@ from mseg.evaluation import (
     write_failure,
     write_meta,
     write_prediction,
+    write_submission,
 )
 
 
@@ -105,6 +106,15 @@ def test_a_clip_name_is_no_way_out_of_the_folder(tmp_path, name):
     with pytest.raises(InvalidValueError, match="plain file name"):
         write_prediction(tmp_path / "s", named, named.labels.label)
     assert not list(tmp_path.rglob("*.csv"))
+
+
+def test_a_clip_name_may_be_in_any_language(tmp_path):
+    clip = CLIPS["example_two"]
+    named = Clip("Straße 2", clip.dense, clip.evaluated, clip.labels)
+    folder = write_submission(tmp_path / "s", [named], {"Straße 2": clip.labels.label}, META)
+    for place in (folder, zip_folder(folder, tmp_path / "s.zip")):
+        checked = validate_submission(place, {"Straße 2": named})
+        assert checked.ok, str(checked)
 
 
 def test_fingerprint_tells_data_apart_but_not_precision_or_order():
