@@ -109,6 +109,24 @@ def test_frames_are_inside(submission, tmp_path):
         write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "g", lacking=1))
 
 
+def test_frames_of_a_clip_from_kitti_are_found_in_the_drive(submission, tmp_path):
+    folder = tmp_path / "kitti/2011_09_26/2011_09_26_drive_0005_sync/image_00/data"
+    folder.mkdir(parents=True)
+    for i in range(30):
+        cv2.imwrite(str(folder / f"{i:010}.png"), np.full((240, 320), 8 * i, np.uint8))
+    source = {"kind": "kitti", "drive": "2011_09_26_drive_0005", "camera": 0}
+    clips = {
+        name: replace(
+            clip,
+            frame_numbers=np.arange(clip.n_frames) + 12,
+            provenance={"fingerprint": {"source": source}} if name == "example_two" else {},
+        )
+        for name, clip in CLIPS.items()
+    }
+    (path,) = write_report(submission, clips, tmp_path / "r.html", frames=tmp_path / "kitti")
+    assert [len(p["frames"]) for p in payloads(path.read_text())] == [10, 0]
+
+
 def test_failed_clip_is_shown(tmp_path):
     folder = perfect(tmp_path / "s")
     (folder / "example_two.csv").unlink()
