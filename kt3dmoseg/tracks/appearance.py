@@ -42,10 +42,19 @@ class Appearance:
 
     def add(self, xy: FloatArray) -> None:
         """Remember how new trajectories (N, 2) look; they come after all that are alive."""
-        new = remember(self.window.start(self._image, xy), self.window, self.options)
-        self._starts = self._starts.at(self._row).and_then(new)
-        self._row = np.arange(len(self._row) + len(xy))
+        rows = self._free_rows(len(xy))
+        self._starts.put(rows, remember(self.window.start(self._image, xy), self.window, self.options))
+        self._row = np.concatenate([self._row, rows])
         self._affine = np.concatenate([self._affine, np.broadcast_to(np.eye(2), (len(xy), 2, 2))])
+
+    def _free_rows(self, count: int) -> npt.NDArray[np.intp]:
+        """Rows of `_starts` that no live trajectory has, of which more are made where there are too few."""
+        free = np.ones(len(self._starts.variance), dtype=np.bool_)
+        free[self._row] = False
+        if free.sum() < count:
+            self._starts = self._starts.and_more(count)
+            free = np.concatenate([free, np.ones(count, dtype=np.bool_)])
+        return np.flatnonzero(free)[:count]
 
     def keep(self, alive: BoolArray) -> None:
         """Forget the trajectories (L,) that are not alive."""

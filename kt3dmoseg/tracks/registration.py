@@ -38,9 +38,14 @@ class Starts(NamedTuple):
         """Return some of them."""
         return Starts(*(field[rows] for field in self))
 
-    def and_then(self, others: Starts) -> Starts:
-        """Return these and the others."""
-        return Starts(*(np.concatenate(fields) for fields in zip(self, others, strict=True)))
+    def put(self, rows: npt.NDArray[np.intp], others: Starts) -> None:
+        """Put others in the place of some of them."""
+        for field, values in zip(self, others, strict=True):
+            field[rows] = values
+
+    def and_more(self, count: int) -> Starts:
+        """Return these and place for so many others."""
+        return Starts(*(np.concatenate([f, np.zeros((count, *f.shape[1:]), f.dtype)]) for f in self))
 
 
 def remember(patch: Float32Array, window: Window, options: TrackOptions) -> Starts:
