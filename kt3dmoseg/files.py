@@ -8,7 +8,7 @@ import io
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -168,6 +168,11 @@ def sha256_file(path: str | os.PathLike[str]) -> str:
     except OSError as error:
         raise InputFileError(f"{os.fspath(path)}: {error.strerror or error}") from error
     return digest.hexdigest()
+
+
+def sha256_files(paths: Iterable[str | os.PathLike[str]]) -> str:
+    """Hexadecimal SHA-256 over the SHA-256 of each file, in order; names do not count."""
+    return hashlib.sha256("\n".join(map(sha256_file, paths)).encode()).hexdigest()
 
 
 def sha256_arrays(*arrays: npt.NDArray[Any]) -> str:

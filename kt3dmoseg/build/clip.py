@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -18,7 +17,7 @@ from kt3dmoseg.build.options import Settings
 from kt3dmoseg.build.shot import Shot, Source
 from kt3dmoseg.build.sources import find_sources
 from kt3dmoseg.errors import InputFileError, InvalidValueError
-from kt3dmoseg.files import sha256_file
+from kt3dmoseg.files import sha256_file, sha256_files
 from kt3dmoseg.flow import Flow, create
 from kt3dmoseg.tracks import Progress, subsample_background, track
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
@@ -44,8 +43,7 @@ class LabelSource:
         if self.annotation is not None:
             return {"annotation": sha256_file(self.annotation)}
         if self.masks:
-            listing = "\n".join(map(sha256_file, self.masks))
-            return {"masks": hashlib.sha256(listing.encode()).hexdigest()}
+            return {"masks": sha256_files(self.masks)}
         return {}
 
     def label(self, trajectories: Trajectories, numbers: IntArray, name: str) -> Labels | None:

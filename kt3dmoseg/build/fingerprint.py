@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -16,7 +15,7 @@ import kt3dmoseg
 from kt3dmoseg.build.options import Settings
 from kt3dmoseg.build.shot import Shot
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
-from kt3dmoseg.files import sha256_file
+from kt3dmoseg.files import sha256_files
 from kt3dmoseg.flow import Flow
 from kt3dmoseg.flow.cache import backend_identity
 from kt3dmoseg.io.hdf5 import provenance
@@ -121,4 +120,4 @@ def _code() -> str:
     """Hash of the packages that a built clip passes through; flow backends have their own."""
     root = Path(kt3dmoseg.__file__).parent
     files = [path for package in _CODE for path in sorted((root / package).glob("*.py"))]
-    return hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest()
+    return sha256_files(files)

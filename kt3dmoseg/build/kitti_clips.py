@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg import catalog
-from kt3dmoseg.build.shot import Shot, Source, sha256_of
+from kt3dmoseg.build.shot import Shot, Source
 from kt3dmoseg.entries import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.files import sha256_files
 from kt3dmoseg.io.images import Colour, read_frames
 from kt3dmoseg.kitti import Drive, RawDrive
 from kt3dmoseg.kitti.store import LOCATED
@@ -48,7 +49,7 @@ class KittiClip:
         numbers = self._numbers()
         return Shot(
             numbers=numbers,
-            sha256=sha256_of([self.drive.frame_path(n) for n in numbers]),
+            sha256=sha256_files([self.drive.frame_path(n) for n in numbers]),
             description={
                 "kind": "kitti",
                 "drive": self.drive.drive.name,

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
-from kt3dmoseg.files import sha256_file
 from kt3dmoseg.io.images import Colour
 from kt3dmoseg.types import ByteArray, Camera, FloatArray
 
@@ -58,8 +55,3 @@ class Source(Protocol):
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Give gray frames one after the other."""
         ...
-
-
-def sha256_of(paths: Sequence[Path]) -> str:
-    """SHA-256 over the SHA-256 of each file, in order."""
-    return hashlib.sha256("\n".join(map(sha256_file, paths)).encode()).hexdigest()

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.build.kitti_clips import DRIVE_FOLDERS, kitti_sources, located_sources
-from kt3dmoseg.build.shot import Shot, Source, sha256_of
+from kt3dmoseg.build.shot import Shot, Source
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import sha256_file
+from kt3dmoseg.files import sha256_file, sha256_files
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, Colour, frame_number, frame_paths, gray, read_frames
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import ByteArray
@@ -39,7 +39,7 @@ class FrameFolder:
         paths = frame_paths(self.folder)
         return Shot(
             numbers=[frame_number(path) for path in paths],
-            sha256=sha256_of(paths),
+            sha256=sha256_files(paths),
             description={
                 "kind": "frames",
                 "first": paths[0].name,

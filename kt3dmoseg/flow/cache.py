@@ -20,7 +20,7 @@ import numpy as np
 
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.files import read_bytes, sha256_arrays, sha256_file, write_bytes
+from kt3dmoseg.files import read_bytes, sha256_arrays, sha256_file, sha256_files, write_bytes
 from kt3dmoseg.flow.base import Flow
 from kt3dmoseg.types import ByteArray, Float32Array
 
@@ -117,7 +117,7 @@ def _source(module: str) -> str:
     """Hash of the backend's module and of this package: a changed algorithm makes new entries."""
     own = getattr(sys.modules.get(module), "__file__", None)
     files = sorted(Path(__file__).parent.glob("*.py")) + ([Path(own)] if own else [])
-    return hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest()
+    return sha256_files(files)
 
 
 @cache
