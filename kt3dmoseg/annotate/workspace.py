@@ -10,7 +10,7 @@ from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.clip_frames import frames_place, paths_of_frames
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
-from kt3dmoseg.io.images import IMAGE_SUFFIXES, frame_paths
+from kt3dmoseg.io.images import frame_paths, has_pictures
 from kt3dmoseg.io.text import clip_name
 
 
@@ -92,11 +92,11 @@ def find_clips(
 
 
 def _folders(path: Path) -> dict[str, Path]:
-    if _has_pictures(path):
+    if has_pictures(path):
         return {path.resolve().name: path}
     if not path.is_dir():
         return {}
-    return {sub.name: sub for sub in sorted(path.iterdir()) if _has_pictures(sub)}
+    return {sub.name: sub for sub in sorted(path.iterdir()) if has_pictures(sub)}
 
 
 def _files(path: Path) -> dict[str, Path]:
@@ -111,9 +111,9 @@ def _frames_of(name: str, file: Path, path: Path, frames: str | os.PathLike[str]
     beside = path if path.is_dir() else path.parent
     roots = [Path(frames)] if frames is not None else [beside, beside.parent / "frames"]
     for root in roots:
-        if _has_pictures(root / name):
+        if has_pictures(root / name):
             return frame_paths(root / name)
-        if frames is not None and _has_pictures(root):
+        if frames is not None and has_pictures(root):
             return frame_paths(root)
     if frames is not None and (place := frames_place(clip := load(file), frames)) != Path(frames):
         return paths_of_frames(clip, place)
@@ -123,7 +123,3 @@ def _frames_of(name: str, file: Path, path: Path, frames: str | os.PathLike[str]
         found="none",
         fix="say where they are with --frames",
     )
-
-
-def _has_pictures(path: Path) -> bool:
-    return path.is_dir() and any(entry.suffix.lower() in IMAGE_SUFFIXES for entry in path.iterdir())

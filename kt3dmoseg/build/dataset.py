@@ -17,7 +17,7 @@ from kt3dmoseg.build.shot import Source
 from kt3dmoseg.build.sources import find_sources
 from kt3dmoseg.build.workers import in_processes
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
-from kt3dmoseg.files import hold_folder
+from kt3dmoseg.files import check_writable, hold_folder
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.text import check_name
 
@@ -169,18 +169,11 @@ def _sole_writer(output: Path) -> Iterator[Path]:
 
     with hold_folder(output, busy=refuse) as folder:
         try:
-            _check_writable(folder)
+            check_writable(folder)
             yield folder
         finally:
             with suppress(OSError):
                 folder.rmdir()  # succeeds only when it is empty
-
-
-def _check_writable(output: Path) -> None:
-    if not os.access(output, os.W_OK | os.X_OK):
-        raise InputFileError(
-            f"{output}: cannot write", found="a read-only folder", fix="give another output folder"
-        )
 
 
 def _remove_leftovers(target: Path) -> None:

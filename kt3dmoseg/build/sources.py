@@ -13,7 +13,7 @@ from kt3dmoseg.build.kitti_clips import DRIVE_FOLDERS, kitti_sources, located_so
 from kt3dmoseg.build.shot import Shot, Source
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import sha256_file, sha256_files
-from kt3dmoseg.io.images import IMAGE_SUFFIXES, Colour, frame_number, frame_paths, gray, read_frames
+from kt3dmoseg.io.images import Colour, frame_number, frame_paths, gray, has_pictures, read_frames
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import ByteArray
 
@@ -108,7 +108,7 @@ def find_sources(path: str | os.PathLike[str]) -> list[Source]:
     if not root.is_dir():
         raise InputFileError(f"{root}", expected="frames, a video or a KITTI raw root", found="no such path")
     entries = [entry for entry in sorted(root.iterdir()) if not entry.name.startswith(".")]
-    if any(entry.suffix.lower() in IMAGE_SUFFIXES for entry in entries):
+    if has_pictures(root):
         return [FrameFolder(root)]
     found: list[Source] = []
     if any(root.glob(DRIVE_FOLDERS)):

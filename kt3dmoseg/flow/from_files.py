@@ -10,12 +10,10 @@ from typing import ClassVar
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.flow.base import check_pair
-from kt3dmoseg.io.flow_files import read_flow
+from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow
 from kt3dmoseg.io.images import frame_paths, read_frame
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
-
-_SUFFIXES = {".flo", ".png", ".npy", ".npz"}
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,9 @@ class FlowFiles:
     def _fields(self, which: str) -> list[Path]:
         folder = Path(self._folder(which))
         paths = (
-            sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES) if folder.is_dir() else []
+            sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOW_SUFFIXES)
+            if folder.is_dir()
+            else []
         )
         wanted = len(self._digests) - 1
         if len(paths) != wanted:

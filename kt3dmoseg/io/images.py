@@ -60,6 +60,11 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
     return list(pictures.values())
 
 
+def has_pictures(folder: Path) -> bool:
+    """Whether a path is a folder with pictures in it."""
+    return folder.is_dir() and any(entry.suffix.lower() in IMAGE_SUFFIXES for entry in folder.iterdir())
+
+
 def numbered_pictures(folder: Path) -> dict[int, Path]:
     """Return the pictures of a folder by number, in order; there may be gaps.
 

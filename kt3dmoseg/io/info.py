@@ -14,7 +14,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.dataset import dataset_paths
 from kt3dmoseg.io.formats import check_regular, clip_files, load, recognise
-from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths
+from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import Clip, Trajectories
 
@@ -129,18 +129,14 @@ def _clips(paths: dict[str, Path]) -> str:
 
 
 def _folder(folder: Path) -> str:
-    if _has_pictures(folder):
+    if has_pictures(folder):
         return _frames([folder])
     subfolders = [sub for sub in sorted(folder.iterdir()) if sub.is_dir() and not sub.name.startswith(".")]
     if not clip_files(folder):
-        with_pictures = [sub for sub in subfolders if _has_pictures(sub)]
+        with_pictures = [sub for sub in subfolders if has_pictures(sub)]
         if with_pictures:
             return _frames(with_pictures)
     return _clips(dataset_paths(folder))
-
-
-def _has_pictures(folder: Path) -> bool:
-    return any(entry.suffix.lower() in IMAGE_SUFFIXES for entry in folder.iterdir())
 
 
 def _frames(folders: Sequence[Path]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import importlib.util
 import os
 import shutil
@@ -264,9 +265,13 @@ def test_a_file_where_the_output_folder_should_be(frames, tmp_path, capsys):
 
 
 def test_a_read_only_output_folder(frames, tmp_path, monkeypatch):
-    monkeypatch.setattr(dataset.os, "access", lambda *_: False)  # root may write anywhere
-    with pytest.raises(InputFileError, match="out: cannot write: found a read-only folder; give another"):
+    def refuse(**_):  # root may write anywhere
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    with pytest.raises(InputFileError, match="out: cannot write: Read-only file system; "):
         build(frames, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 _FULL_DISK = """
