@@ -6,10 +6,10 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, Protocol, TypeVar
 
@@ -19,7 +19,15 @@ from kt3dmoseg.errors import KT3DMoSegError
 
 TaskT = TypeVar("TaskT", contravariant=True)
 ResultT = TypeVar("ResultT", covariant=True)
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ENVIRONMENT = {  # read once: by a library when it is loaded, by glibc when the process starts
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    # Freed arrays of a frame's size stay with the process: to give them back and fetch them anew costs
+    # a worker an eighth of its time.
+    "MALLOC_MMAP_THRESHOLD_": f"{1 << 25}",
+    "MALLOC_TRIM_THRESHOLD_": f"{1 << 27}",
+}
 _said: Connection | None = None
 
 
@@ -55,8 +63,6 @@ def in_processes(
         cv2.setNumThreads(1)
         yield from (work(task, tell) for task in tasks)
         return
-    for name in _ONE_THREAD:  # inherited; a library reads them once, when it is loaded
-        os.environ.setdefault(name, "1")
     context = multiprocessing.get_context("spawn")
     # Pipes, no locks or events: a worker that dies holding a lock would block everyone else.
     heard, said = context.Pipe(duplex=False)
@@ -65,7 +71,9 @@ def in_processes(
     listener.start()
     pool = ProcessPoolExecutor(workers, context, _start, (said, held))
     try:
-        for future in as_completed([pool.submit(_call, work, task) for task in tasks]):
+        with _inherited(_ENVIRONMENT):  # the processes start with their first tasks
+            futures = [pool.submit(_call, work, task) for task in tasks]
+        for future in as_completed(futures):
             result: ResultT = future.result()
             yield result
         pool.shutdown()
@@ -79,6 +87,18 @@ def in_processes(
         pool.shutdown(cancel_futures=True)
         said.send(None)
         listener.join()
+
+
+@contextmanager
+def _inherited(values: Mapping[str, str]) -> Iterator[None]:
+    """Give processes that start in the block these variables, where they are not set already."""
+    added = values.keys() - os.environ.keys()
+    os.environ.update({name: values[name] for name in added})
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
 
 
 def _call(work: Work[Any, Any], task: object) -> Any:  # noqa: ANN401  # whatever `work` returns

@@ -18,6 +18,7 @@ import pytest
 from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip, write_masks
 
 from kt3dmoseg.build import FrameFolder, build_dataset, dataset
+from kt3dmoseg.build.workers import in_processes
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import hdf5, load
@@ -73,6 +74,19 @@ def test_any_number_of_workers_gives_the_same_bytes(frames, tmp_path):
     build(frames, tmp_path / "two", workers=2, progress=lambda *message: seen.append(message))
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
     assert sorted(seen) == [(clip, k, FRAMES) for clip in "abc" for k in range(1, FRAMES + 1)]
+
+
+def environment(names, _progress):
+    return {name: os.environ.get(name) for name in names}
+
+
+def test_workers_compute_with_one_thread_and_the_caller_keeps_its_environment(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setenv("MKL_NUM_THREADS", "3")
+    before = dict(os.environ)
+    found = list(in_processes(environment, [("OMP_NUM_THREADS", "MKL_NUM_THREADS")] * 3, 2, None))
+    assert found == [{"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "3"}] * 3
+    assert dict(os.environ) == before
 
 
 def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
