@@ -10,7 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from kt3dmoseg.build import build_dataset, find_sources
+from kt3dmoseg.pipeline import build_dataset, find_sources
 
 
 def seconds(sources, workers: int) -> float:

@@ -13,10 +13,9 @@ import pytest
 
 from kt3dmoseg.io import load
 from kt3dmoseg.types import Clip, Labels, Trajectories
-from mseg.affinity import sparsify, view_kernel
 from mseg.clustering import GraphLaplacian, constrain_subsets, coregularise, kmeans, smallest_eigenvectors
+from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 from mseg.methods import segment
-from mseg.sampling import sample_hypotheses
 
 KINDS = ("affine", "homography", "fundamental")
 MOTIONS = 3

@@ -9,15 +9,16 @@ from kt3dmoseg.lazy import lazy
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from kt3dmoseg import build as build
     from kt3dmoseg import flow as flow
     from kt3dmoseg import kitti as kitti
+    from kt3dmoseg import pipeline as pipeline
+    from kt3dmoseg import tracking as tracking
     from kt3dmoseg.annotate import label_tracks as label_tracks
     from kt3dmoseg.annotate import load_annotation as load_annotation
     from kt3dmoseg.io import load as load
     from kt3dmoseg.io import load_dataset as load_dataset
     from kt3dmoseg.io import save as save
-    from kt3dmoseg.tracks import track as track
+    from kt3dmoseg.tracking import track as track
     from kt3dmoseg.types import Camera as Camera
     from kt3dmoseg.types import Clip as Clip
     from kt3dmoseg.types import Labels as Labels
@@ -28,7 +29,7 @@ _PUBLIC = {
     "load": "io",
     "load_dataset": "io",
     "save": "io",
-    "track": "tracks",
+    "track": "tracking",
     "load_annotation": "annotate",
     "label_tracks": "annotate",
     "Trajectories": "types",
@@ -36,8 +37,14 @@ _PUBLIC = {
     "Camera": "types",
     "Clip": "types",
 }
-_MODULES = ("build", "flow", "kitti", "errors", "types", "synthetic", "catalog")
+_MODULES = ("pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog")
 
 __all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
 
-__getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)
+_FORMER = {"build": "pipeline", "tracks": "tracking"}  # names of 0.1.0
+
+_load, __dir__ = lazy(__name__, _PUBLIC, _MODULES)
+
+
+def __getattr__(name: str) -> object:
+    return _load(_FORMER.get(name, name))

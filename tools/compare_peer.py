@@ -21,12 +21,11 @@ from threadpoolctl import threadpool_limits
 
 from kt3dmoseg.io import load
 from kt3dmoseg.types import Clip
-from mseg.affinity import sparsify, view_kernel
 from mseg.benchmark.data import find_clips
 from mseg.evaluation import load_protocol
 from mseg.evaluation.layout import TextTable
+from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 from mseg.methods.subset import Subset
-from mseg.sampling import sample_hypotheses
 from mseg.types import ModelKind
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")

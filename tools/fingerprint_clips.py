@@ -1,4 +1,4 @@
-"""Make kt3dmoseg/catalog.toml: fingerprints of the 22 clips' frames; digests only, no picture.
+"""Make kt3dmoseg/catalog/catalog.toml: fingerprints of the 22 clips' frames; digests only, no picture.
 
 Usage: python tools/fingerprint_clips.py FRAMES [-o CATALOG], where FRAMES holds one folder per clip.
 The frame numbers inside the drives were never published; `kt3dmoseg locate` finds them.
@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 
 from kt3dmoseg import catalog
-from kt3dmoseg.entries import Drive, Entry
+from kt3dmoseg.catalog.entries import Drive, Entry
 from kt3dmoseg.kitti.frames import fingerprint_folder
 
 # The day of each drive that KT3DMoSeg uses; drive numbers are in the clips' names.

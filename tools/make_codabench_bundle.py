@@ -28,7 +28,7 @@ from mseg.evaluation.validate import choose_protocol
 # What the scoring program imports; the other sub-packages (methods, trackers, servers) stay out.
 _PARTS = {
     kt3dmoseg: ("*.py", "io/**/*"),
-    mseg: ("*.py", "evaluation/**/*", "benchmarks/*.toml"),
+    mseg: ("*.py", "evaluation/**/*", "protocols/*.toml"),
 }
 _COLUMNS = ("error", "error_median", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f", "failed")
 

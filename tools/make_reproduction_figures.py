@@ -19,10 +19,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kt3dmoseg.types import Trajectories
-from mseg.affinity import sparsify, view_kernel
 from mseg.clustering import spectral_clustering
 from mseg.evaluation import load_protocol
-from mseg.sampling import sample_hypotheses
+from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 
 mpl.use("svg")
 import matplotlib.pyplot as plt

@@ -29,7 +29,7 @@ from tracker_truth import alive_after, starts
 
 from kt3dmoseg import load
 from kt3dmoseg.files import write_text
-from kt3dmoseg.tracks import RELIABLE, track
+from kt3dmoseg.tracking import RELIABLE, track
 from kt3dmoseg.types import Clip
 
 LEAST_POINTS = 50

@@ -12,7 +12,7 @@ import numpy as np
 from tracker_truth import alive_after, starts
 
 from kt3dmoseg.flow import Flow
-from kt3dmoseg.tracks import track
+from kt3dmoseg.tracking import track
 from kt3dmoseg.types import Clip, Trajectories
 
 AFTER = (1, 5, 10)

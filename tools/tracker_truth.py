@@ -11,7 +11,7 @@ import numpy as np
 
 from kt3dmoseg.flow import Flow
 from kt3dmoseg.synthetic import Scene
-from kt3dmoseg.tracks import track
+from kt3dmoseg.tracking import track
 from kt3dmoseg.types import Trajectories
 
 AFTER = 10

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from kt3dmoseg.build import Outcome, Source
+    from kt3dmoseg.pipeline import Outcome, Source
 
 _ANNOTATIONS = "annotations"
 _FAILED = 2
@@ -22,9 +22,9 @@ _FAILED = 2
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    from kt3dmoseg.build.options import BuildOptions
     from kt3dmoseg.options import add_arguments, add_parameters
-    from kt3dmoseg.tracks.options import TrackOptions
+    from kt3dmoseg.pipeline.options import BuildOptions
+    from kt3dmoseg.tracking.options import TrackOptions
 
     parser.add_argument(
         "--frames", required=True, metavar="PATH", help="clips, one clip, a video or a KITTI raw root"
@@ -54,9 +54,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Build and report clip by clip."""
-    from kt3dmoseg.build import BuildOptions, build_dataset
     from kt3dmoseg.options import option_names, parse_assignments
-    from kt3dmoseg.tracks import TrackOptions
+    from kt3dmoseg.pipeline import BuildOptions, build_dataset
+    from kt3dmoseg.tracking import TrackOptions
 
     names = [*option_names(BuildOptions), *option_names(TrackOptions)]
     sources = _sources(arguments)
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _sources(arguments: argparse.Namespace) -> list[Source]:
-    from kt3dmoseg.build import find_sources, kitti_sources
+    from kt3dmoseg.pipeline import find_sources, kitti_sources
 
     chosen = (arguments.date, arguments.drive, arguments.range, arguments.camera or None, arguments.name)
     if not any(chosen):

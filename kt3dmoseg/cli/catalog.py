@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 from kt3dmoseg import catalog
-from kt3dmoseg.entries import Drive, Entry, Fingerprint, check_camera, format_numbers, parse_numbers
+from kt3dmoseg.catalog.entries import Drive, Entry, Fingerprint, check_camera, format_numbers, parse_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 
 

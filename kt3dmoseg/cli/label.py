@@ -113,7 +113,7 @@ def _read_once(desk: Desk) -> None:
 
 def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]:
     def work(frames: Iterator[ByteArray], progress: Callable[[int, int | None], None]) -> Trajectories:
-        from kt3dmoseg.tracks import track
+        from kt3dmoseg.tracking import track
 
         return track(frames, flow=flow, progress=progress)
 

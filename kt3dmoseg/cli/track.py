@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from kt3dmoseg.tracks import Progress
+    from kt3dmoseg.tracking import Progress
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     from kt3dmoseg.options import add_arguments, add_parameters
-    from kt3dmoseg.tracks.options import TrackOptions
+    from kt3dmoseg.tracking.options import TrackOptions
 
     parser.add_argument("frames", metavar="FRAMES", help="folder of frames")
     parser.add_argument("-o", "--output", metavar="FILE", required=True, help="file to write")
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> None:
     from kt3dmoseg.io import save
     from kt3dmoseg.io.formats import written_as
     from kt3dmoseg.options import from_namespace, parse_assignments
-    from kt3dmoseg.tracks import TrackOptions, track_clip
+    from kt3dmoseg.tracking import TrackOptions, track_clip
 
     options = asdict(from_namespace(TrackOptions, arguments))
     flow = create(arguments.flow, **parse_assignments(arguments.parameter))

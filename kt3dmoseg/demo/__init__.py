@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.annotate import save_annotation
-from kt3dmoseg.build import build_dataset, find_sources
 from kt3dmoseg.demo.outlines import annotation_of
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import write_text
 from kt3dmoseg.io import load
 from kt3dmoseg.options import option
+from kt3dmoseg.pipeline import build_dataset, find_sources
 from kt3dmoseg.synthetic import Scene, SceneOptions, make_scene, track_errors, write_drive
 from kt3dmoseg.types import Clip
 

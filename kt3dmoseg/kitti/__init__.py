@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kt3dmoseg.entries import Drive
+from kt3dmoseg.catalog.entries import Drive
 from kt3dmoseg.kitti.calibration import Calibration
 from kt3dmoseg.kitti.raw import RawDrive
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox

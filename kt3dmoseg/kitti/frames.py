@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kt3dmoseg.entries import Fingerprint, fingerprint
+from kt3dmoseg.catalog.entries import Fingerprint, fingerprint
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.types import ByteArray

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import PurePosixPath
 
-from kt3dmoseg.entries import Drive, check_camera, whole
+from kt3dmoseg.catalog.entries import Drive, check_camera, whole
 
 CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
 TRACKLET_FILE = "tracklet_labels.xml"

@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from kt3dmoseg import catalog
-from kt3dmoseg.entries import CAMERAS, Drive, Entry, format_numbers
+from kt3dmoseg.catalog.entries import CAMERAS, Drive, Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
 from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.kitti import layout

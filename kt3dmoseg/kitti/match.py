@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from kt3dmoseg.entries import format_numbers
+from kt3dmoseg.catalog.entries import format_numbers
 from kt3dmoseg.types import ByteArray, Float32Array, FloatArray
 
 _WIDTH = 320

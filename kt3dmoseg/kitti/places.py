@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
-from kt3dmoseg.entries import Drive
+from kt3dmoseg.catalog.entries import Drive
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.kitti import layout

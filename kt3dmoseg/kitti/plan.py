@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kt3dmoseg.entries import Drive, Entry, format_numbers
+from kt3dmoseg.catalog.entries import Drive, Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
 from kt3dmoseg.kitti import layout
 from kt3dmoseg.kitti.locating import (

@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from kt3dmoseg import catalog
-from kt3dmoseg.entries import Entry
+from kt3dmoseg.catalog.entries import Entry
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.kitti.member import DamagedError

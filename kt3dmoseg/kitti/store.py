@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from kt3dmoseg import catalog
-from kt3dmoseg.entries import Entry
+from kt3dmoseg.catalog.entries import Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import hold_folder, read_bytes, write_bytes, write_text
 

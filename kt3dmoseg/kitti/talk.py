@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kt3dmoseg.entries import format_numbers
+from kt3dmoseg.catalog.entries import format_numbers
 from kt3dmoseg.kitti.plan import Task
 
 LICENCE = """\

@@ -20,12 +20,11 @@ from mseg.source import foreign_hash, source_hash
 from mseg.types import Method
 
 _CODE = (
-    "affinity",
     "clustering",
     "completion",
     "geometry",
     "methods",
-    "sampling",
+    "kernels",
     "types.py",
     "iteration.py",
 )

@@ -12,7 +12,7 @@ from typing import Any
 
 from kt3dmoseg.registry import unknown_name
 
-_FOLDER = "benchmarks"
+_FOLDER = "protocols"
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import Clip, Float32Array, FloatArray, Trajectories
-from mseg.affinity import GUARD, covisible_frames
 from mseg.clustering import smallest_eigenvectors, unit_rows
 from mseg.clustering.coefficient_affinity import keep_largest
 from mseg.clustering.consistent import consistent_affinity
+from mseg.kernels import GUARD, covisible_frames
 from mseg.methods.views import KINDS, ViewMethod
 from mseg.types import Segmentation
 

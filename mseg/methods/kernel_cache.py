@@ -20,7 +20,7 @@ from mseg.source import source_hash
 # A fusion of three views at three gaps; at 1,000 points 4 MB each.
 _KEPT = 9
 # What the values of a kernel depend on.
-_CODE = ("affinity", "geometry", "sampling", "methods/views.py")
+_CODE = ("kernels", "geometry", "methods/views.py")
 _Entry: TypeAlias = tuple[Float32Array, float]
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import Clip, Float32Array, Trajectories
-from mseg.affinity import GUARD, covisible_frames
 from mseg.clustering import smallest_eigenvectors, unit_rows
+from mseg.kernels import GUARD, covisible_frames
 from mseg.methods.views import ViewMethod
 from mseg.types import Segmentation
 
@@ -23,7 +23,7 @@ class MSSC(ViewMethod):
     2. Correlations are summed over all frame pairs. The sum is not divided by the number of frames in which
        both are seen, as the paper of 2018 does: long common histories weigh more.
     3. A trajectory keeps the neighbours whose share of the row's distances has a logarithm under the row's
-       mean (negative entropy), after correlations are raised to the power alpha (`mseg.affinity.sparsify`).
+       mean (negative entropy), after correlations are raised to the power alpha (`mseg.kernels.sparsify`).
     4. Spectral clustering.
 
     Source: Lai, Wang, Yan, Chin, Zhao, "Motion segmentation via a sparsity constraint", IEEE T-ITS 18(4),

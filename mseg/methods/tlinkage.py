@@ -15,8 +15,8 @@ from mseg.clustering.preference import preference_matrix
 from mseg.geometry.flats import flat_distances
 from mseg.geometry.trajectory_matrix import project
 from mseg.iteration import Convergence
+from mseg.kernels.localised import draw_near_subsets
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
-from mseg.sampling.localised import draw_near_subsets
 
 FLAT_DIMENSION = 3
 _SAMPLE = FLAT_DIMENSION + 1

@@ -23,14 +23,13 @@ from scipy.sparse import csr_array
 from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, Trajectories
-from mseg.affinity import sparsify, view_kernel
 from mseg.clustering import GraphLaplacian, kmeans
 from mseg.errors import TooFewPointsError
 from mseg.geometry import MODELS
+from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 from mseg.methods.kernel_cache import remembered
 from mseg.methods.leftover import join_largest
 from mseg.methods.motion_count import told
-from mseg.sampling import sample_hypotheses
 from mseg.types import ModelKind, Segmentation
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")

@@ -18,11 +18,11 @@ from mseg.errors import SegmentationError
 from mseg.geometry import fundamental
 from mseg.geometry.flats import best_flat_distances, flat_distances
 from mseg.geometry.trajectory_matrix import trajectory_matrix
+from mseg.kernels.localised import draw_near_subsets
 from mseg.methods.alc import elect, sparsity_preserving_dimension
 from mseg.methods.complete_data import complete_data
 from mseg.methods.tlinkage import count_large
 from mseg.methods.tpv import epipolar_views
-from mseg.sampling.localised import draw_near_subsets
 
 
 def agree(labels, truth):

@@ -15,7 +15,7 @@ from kitti_server import FaultyServer
 from kitti_world import CALIB, QUICK, SYNC, TRACKLETS, faults
 
 from kt3dmoseg import catalog
-from kt3dmoseg.entries import fingerprint
+from kt3dmoseg.catalog.entries import fingerprint
 from kt3dmoseg.kitti import RawDrive, locate, pull
 from kt3dmoseg.kitti.frames import read_frame
 from kt3dmoseg.kitti.network import Traffic

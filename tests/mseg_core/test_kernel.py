@@ -9,17 +9,18 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from kt3dmoseg.types import Trajectories
-from mseg.affinity import (
+from mseg.geometry import change_frame, hartley, residuals
+from mseg.kernels import (
     GUARD,
     covisible_frames,
+    draw_subsets,
     neighbourhood_mask,
     ordered_residual_kernel,
     preferences,
+    sample_hypotheses,
     sparsify,
     view_kernel,
 )
-from mseg.geometry import change_frame, hartley, residuals
-from mseg.sampling import draw_subsets, sample_hypotheses
 from mseg.types import Hypotheses
 
 

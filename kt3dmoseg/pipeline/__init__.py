@@ -1,0 +1,40 @@
+"""From frames to dataset files: track, label, subsample, one HDF5 file per clip."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kt3dmoseg.lazy import lazy
+from kt3dmoseg.pipeline.options import BuildOptions
+
+if TYPE_CHECKING:
+    from kt3dmoseg.pipeline.clip import build_clip as build_clip
+    from kt3dmoseg.pipeline.dataset import Outcome as Outcome
+    from kt3dmoseg.pipeline.dataset import build_dataset as build_dataset
+    from kt3dmoseg.pipeline.kitti_clips import KittiClip as KittiClip
+    from kt3dmoseg.pipeline.kitti_clips import kitti_sources as kitti_sources
+    from kt3dmoseg.pipeline.kitti_clips import located_sources as located_sources
+    from kt3dmoseg.pipeline.masks import label_by_masks as label_by_masks
+    from kt3dmoseg.pipeline.shot import Source as Source
+    from kt3dmoseg.pipeline.sources import FrameFolder as FrameFolder
+    from kt3dmoseg.pipeline.sources import VideoFile as VideoFile
+    from kt3dmoseg.pipeline.sources import find_sources as find_sources
+
+# Imported on first use: `kt3dmoseg build --help` reads the options without loading OpenCV.
+_PUBLIC = {
+    "build_clip": "clip",
+    "build_dataset": "dataset",
+    "Outcome": "dataset",
+    "find_sources": "sources",
+    "kitti_sources": "kitti_clips",
+    "located_sources": "kitti_clips",
+    "label_by_masks": "masks",
+    "FrameFolder": "sources",
+    "VideoFile": "sources",
+    "KittiClip": "kitti_clips",
+    "Source": "shot",
+}
+
+__all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604
+
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)

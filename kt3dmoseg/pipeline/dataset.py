@@ -1,0 +1,221 @@
+"""A dataset: one HDF5 file per clip, in parallel, resumable, up to date or rebuilt with a reason."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
+from kt3dmoseg.files import check_writable, hold_folder
+from kt3dmoseg.io import hdf5
+from kt3dmoseg.io.text import check_name
+from kt3dmoseg.pipeline.clip import check_usage, label_source, prepare
+from kt3dmoseg.pipeline.fingerprint import why_build
+from kt3dmoseg.pipeline.masks import has_masks
+from kt3dmoseg.pipeline.options import Settings
+from kt3dmoseg.pipeline.shot import Source
+from kt3dmoseg.pipeline.sources import find_sources
+from kt3dmoseg.pipeline.workers import in_processes
+
+# Told after each frame: clip, frames done, frames in all or None.
+FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a worker is sent: one clip of a build."""
+
+    source: Source
+    output: Path
+    annotations: Path | None
+    masks: Path | None
+    settings: Settings
+    cache: Path | None
+    force: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one clip.
+
+    Parameters
+    ----------
+    name : str
+        The clip.
+    status : {"built", "up to date", "failed"}
+        What happened.
+    reason : str
+        Why it was built, or why it failed, in one line.
+    path : Path
+        Its file.
+    counts : mapping of str to int
+        Frames, trajectories, evaluated and motions of a clip that was built.
+    """
+
+    name: str
+    status: Literal["built", "up to date", "failed"]
+    reason: str
+    path: Path
+    counts: Mapping[str, int]
+
+
+def build_dataset(
+    frames: str | os.PathLike[str] | Sequence[Source],
+    output: str | os.PathLike[str],
+    *,
+    annotations: str | os.PathLike[str] | None = None,
+    masks: str | os.PathLike[str] | None = None,
+    workers: int | None = None,
+    force: bool = False,
+    flow_parameters: Mapping[str, Any] | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    progress: FrameProgress | None = None,
+    report: Callable[[Outcome], None] | None = None,
+    **options: Any,  # noqa: ANN401
+) -> list[Outcome]:
+    """Build every clip of a folder into one HDF5 file each.
+
+    A clip whose file carries the same fingerprint (sources, options, versions, code) is left alone.
+    Files are written atomically; after an interruption the same call finishes the work, and gives
+    the same bytes whatever the number of workers. A clip that fails does not stop the others.
+
+    Parameters
+    ----------
+    frames : path or sequence of Source
+        What `find_sources` understands: a folder of clips, one clip, a video, a KITTI raw root.
+    output : path
+        Folder of the files ``<clip>.h5``.
+    annotations, masks : path, optional
+        Folders that labels come from, ``<clip>.json`` or ``<clip>/*.png``; a clip without stays
+        unlabelled.
+    workers : int, optional
+        Number of processes; by default one per core. Each computes with one thread.
+    force : bool
+        Build also what is up to date.
+    flow_parameters, cache
+        As in `build_clip`.
+    progress : callable, optional
+        Called with (clip, frames done, frames in all or None).
+    report : callable, optional
+        Called with each clip's outcome as it comes.
+    **options
+        Fields of `BuildOptions` and of `kt3dmoseg.tracking.TrackOptions`.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of the clips' names.
+
+    Raises
+    ------
+    InputFileError
+        When `frames` holds nothing, `annotations` do not exist, `masks` hold none of any clip, or
+        `output` cannot be written or is being built by another process.
+    InvalidValueError, UnknownNameError
+        For a bad option.
+    MissingDependencyError
+        When the flow backend needs a package that is not installed.
+    """
+    settings = Settings.of(options, dict(flow_parameters or {}))
+    sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
+    _check_names(sources)
+    check_usage(settings, annotations, masks)
+    _check_masks(sources, _path(masks))
+    count = _worker_count(workers, len(sources))
+    with _sole_writer(Path(output)) as folder:
+        shared = (folder, _path(annotations), _path(masks), settings, _path(cache), force)
+        tasks = [Task(source, *shared) for source in sources]
+        outcomes = []
+        for outcome in in_processes(build_task, tasks, count, progress):
+            outcomes.append(outcome)
+            if report is not None:
+                report(outcome)
+    return sorted(outcomes, key=lambda outcome: outcome.name)
+
+
+def build_task(task: Task, progress: FrameProgress) -> Outcome:
+    """Build one clip unless its file is up to date; an error becomes a failed outcome."""
+    name = task.source.name
+    target = task.output / f"{name}.h5"
+    try:
+        job = prepare(task.source, label_source(name, task.annotations, task.masks), task.settings)
+        reason = why_build(target, job.fingerprint, force=task.force)
+        if not reason:
+            return Outcome(name, "up to date", "", target, {})
+        clip = job.build(cache=task.cache, progress=lambda done, total: progress(name, done, total))
+        _remove_leftovers(target)
+        hdf5.write(clip, target)
+    except MissingDependencyError:  # the same for every clip
+        raise
+    except KT3DMoSegError as error:
+        return Outcome(name, "failed", str(error), target, {})
+    sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
+    counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
+    return Outcome(name, "built", reason, target, counts)
+
+
+@contextmanager
+def _sole_writer(output: Path) -> Iterator[Path]:
+    """Make the folder and hold it for this process; leave none where nothing came of it."""
+
+    def refuse() -> None:
+        raise InputFileError(
+            f"{output}", expected="no other build", found="one at work in this folder", fix="wait for it"
+        )
+
+    with hold_folder(output, busy=refuse) as folder:
+        try:
+            check_writable(folder)
+            yield folder
+        finally:
+            with suppress(OSError):
+                folder.rmdir()  # succeeds only when it is empty
+
+
+def _remove_leftovers(target: Path) -> None:
+    """Remove what a killed process left of this very file; no other build is at work here."""
+    for leftover in target.parent.glob(f".{target.name}.*.part"):
+        leftover.unlink(missing_ok=True)
+
+
+def _check_names(sources: Sequence[Source]) -> None:
+    names = [source.name for source in sources]
+    for name in names:
+        check_name(name, "name")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        places = " and ".join(source.where for source in sources if source.name == twice[0])
+        raise InvalidValueError(
+            f"clip {twice[0]}", expected="one source", found=places, fix="rename or remove one"
+        )
+
+
+def _check_masks(sources: Sequence[Source], masks: Path | None) -> None:
+    """See that masks belong to clips by name: one clip's must not label them all, nor a wrong folder none."""
+    if masks is None:
+        return
+    if len(sources) > 1 and has_masks(masks):
+        raise InvalidValueError(
+            f"{masks}",
+            expected=f"one folder of masks per clip, as {masks / sources[0].name}",
+            found=f"masks, and {len(sources)} clips",
+            fix="build their clip alone, or move them into a folder of its name",
+        )
+    if not any(has_masks(place) for place in (masks, *(masks / source.name for source in sources))):
+        raise InputFileError(
+            f"{masks}", expected=f"masks (.png) there, or in {masks / sources[0].name}", found="none"
+        )
+
+
+def _worker_count(workers: int | None, clips: int) -> int:
+    if workers is not None and workers < 1:
+        raise InvalidValueError("workers", expected="at least 1", found=str(workers))
+    return min(workers or len(os.sched_getaffinity(0)), max(1, clips))
+
+
+def _path(path: str | os.PathLike[str] | None) -> Path | None:
+    return None if path is None else Path(path)

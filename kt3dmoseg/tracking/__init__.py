@@ -1,0 +1,26 @@
+"""Dense point trajectories: structure, seeding, linking, pruning, subsampling."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from kt3dmoseg.lazy import lazy
+from kt3dmoseg.tracking.options import RELIABLE, TrackOptions
+
+if TYPE_CHECKING:
+    from kt3dmoseg.tracking.clip import track_clip as track_clip
+    from kt3dmoseg.tracking.subsampling import subsample_background as subsample_background
+    from kt3dmoseg.tracking.tracker import Progress as Progress
+    from kt3dmoseg.tracking.tracker import track as track
+
+# Imported on first use: `kt3dmoseg track --help` reads the options without loading OpenCV.
+_PUBLIC = {
+    "track": "tracker",
+    "Progress": "tracker",
+    "track_clip": "clip",
+    "subsample_background": "subsampling",
+}
+
+__all__ = ["RELIABLE", "TrackOptions", *_PUBLIC]  # noqa: PLE0604
+
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)

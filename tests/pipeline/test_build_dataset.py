@@ -1,0 +1,372 @@
+"""A folder of clips: up to date or why not, failures, interruptions, bad input at the command line."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import importlib.util
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip, write_masks
+
+from kt3dmoseg.cli import main
+from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.io import hdf5, load
+from kt3dmoseg.pipeline import FrameFolder, build_dataset, dataset
+from kt3dmoseg.pipeline.workers import in_processes
+from kt3dmoseg.tracking import RELIABLE
+
+FLOW = ["--flow", "dis_medium"]
+
+
+@pytest.fixture
+def frames(tmp_path):
+    for seed, name in enumerate(("a", "b", "c")):
+        write_clip(tmp_path / "frames" / name, seed)
+    return tmp_path / "frames"
+
+
+def build(frames, output, **options):
+    return build_dataset(frames, output, flow="dis_medium", workers=options.pop("workers", 1), **options)
+
+
+def statuses(outcomes):
+    return {outcome.name: outcome.status for outcome in outcomes}
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_one_file_per_clip_then_nothing_to_do(frames, tmp_path):
+    assert statuses(build(frames, tmp_path / "out")) == dict.fromkeys("abc", "built")
+    before = contents(tmp_path / "out")
+    assert sorted(before) == ["a.h5", "b.h5", "c.h5"]
+    assert statuses(build(frames, tmp_path / "out")) == dict.fromkeys("abc", "up to date")
+    assert contents(tmp_path / "out") == before
+
+
+def test_one_word_counts_as_the_options_it_stands_for(frames, tmp_path, capsys):
+    out = tmp_path / "out"
+    build(frames, out)
+    command = ["build", "--frames", str(frames), "-o", str(out), "--flow", "dis_medium", "--workers", "1"]
+    assert main([*command, "--reliable"]) == 0
+    assert "anchor was 0.0, now 1.0" in capsys.readouterr().out
+    assert statuses(build(frames, out, **RELIABLE)) == dict.fromkeys("abc", "up to date")
+    assert statuses(build(frames, out, reliable=True)) == dict.fromkeys("abc", "up to date")
+    changed = build(frames, out, reliable=True, appearance=0.5)
+    assert {outcome.reason for outcome in changed} == {
+        f"options appearance was {RELIABLE['appearance']}, now 0.5"
+    }
+
+
+def test_any_number_of_workers_gives_the_same_bytes(frames, tmp_path):
+    seen = []
+    build(frames, tmp_path / "one")
+    build(frames, tmp_path / "two", workers=2, progress=lambda *message: seen.append(message))
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    assert sorted(seen) == [(clip, k, FRAMES) for clip in "abc" for k in range(1, FRAMES + 1)]
+
+
+def environment(names, _progress):
+    return {name: os.environ.get(name) for name in names}
+
+
+def test_workers_compute_with_one_thread_and_the_caller_keeps_its_environment(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setenv("MKL_NUM_THREADS", "3")
+    before = dict(os.environ)
+    found = list(in_processes(environment, [("OMP_NUM_THREADS", "MKL_NUM_THREADS")] * 3, 2, None))
+    assert found == [{"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "3"}] * 3
+    assert dict(os.environ) == before
+
+
+def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    assert {o.reason for o in build(frames, out)} == {"new"}
+    assert {o.reason for o in build(frames, out, spacing=6)} == {"options spacing was 8, now 6"}
+    shutil.copy(frames / "b/000002.png", frames / "a/000003.png")
+    outcomes = {o.name: o for o in build(frames, out, spacing=6)}
+    assert outcomes["a"].reason == "source sha256 changed"
+    assert outcomes["b"].status == "up to date"
+    write_masks(tmp_path / "masks/b")
+    outcomes = {o.name: o for o in build(frames, out, spacing=6, masks=tmp_path / "masks")}
+    assert outcomes["b"].reason == "labels masks added"
+    assert outcomes["b"].counts["motions"] == 2
+    assert outcomes["a"].status == "up to date"
+    (out / "c.h5").write_bytes(b"half a file")
+    outcomes = {o.name: o for o in build(frames, out, spacing=6)}
+    assert "no sound clip" in outcomes["c"].reason
+    assert {o.reason for o in build(frames, out, spacing=6, force=True)} == {"asked for"}
+    from kt3dmoseg.pipeline import fingerprint
+
+    monkeypatch.setattr(fingerprint, "_code", lambda: "other")
+    assert {o.reason for o in build(frames, out, spacing=6)} == {"code changed"}
+
+
+def test_a_clip_that_no_build_made_stays(frames, tmp_path):
+    out = tmp_path / "out"
+    build(frames / "a", out)
+    clip = load(out / "a.h5")
+    hdf5.write(dataclasses.replace(clip, provenance={"format": "by hand"}), out / "b.h5")
+    before = contents(out)["b.h5"]
+    outcomes = {o.name: o for o in build(frames, out)}
+    assert (outcomes["a"].status, outcomes["b"].status, outcomes["c"].status) == (
+        "up to date",
+        "failed",
+        "built",
+    )
+    assert "--force" in outcomes["b"].reason
+    assert contents(out)["b.h5"] == before
+    assert {o.status for o in build(frames, out, force=True)} == {"built"}
+    assert contents(out)["b.h5"] != before
+
+
+def test_a_bad_clip_does_not_stop_the_others(frames, tmp_path, capsys):
+    (frames / "b/000003.png").unlink()
+    command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW]
+    assert main([*command, "--workers", "1"]) == 2
+    told = capsys.readouterr()
+    assert sorted(contents(tmp_path / "out")) == ["a.h5", "c.h5"]
+    assert told.err.count("\n") == 1
+    assert "b failed" in told.err
+    assert "frame 3" in told.err
+    assert "2 built, 0 up to date, 1 failed" in told.out
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (["--flow", "dsi"], "unknown flow 'dsi'"),
+        (["--set", "alfa=3"], "alfa"),
+        (["--annotations", "nowhere"], "nowhere: expected annotations"),
+        (["--masks", "nowhere"], "nowhere: expected masks"),
+    ],
+)
+def test_what_is_wrong_for_all_clips_is_told_once_before_the_first(wrong, words, frames, tmp_path, capsys):
+    assert main(["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW, *wrong]) == 2
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    assert words in told.err
+    assert "failed" not in told.err + told.out
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("", "expected one folder of masks per clip, as {masks}/a, found masks, and 3 clips"),
+        ("d", "expected masks (.png) there, or in {masks}/a, found none"),
+    ],
+)
+def test_masks_belong_to_a_clip_by_name(place, words, frames, tmp_path, capsys):
+    masks = tmp_path / "masks"
+    write_masks(masks / place)
+    command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), "--masks", str(masks), *FLOW]
+    assert main(command) == 2
+    assert words.format(masks=masks) in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@dataclasses.dataclass(frozen=True)
+class Named(FrameFolder):
+    name: str = "../elsewhere"
+
+
+def test_a_name_does_not_lead_out_of_the_folder(frames, tmp_path):
+    with pytest.raises(InvalidValueError, match=r"name: expected a clip's name.*found '../elsewhere'"):
+        build([Named(frames / "a")], tmp_path / "out")
+    assert not (tmp_path / "elsewhere.h5").exists()
+
+
+def test_two_clips_of_one_name_are_both_named(frames, tmp_path):
+    with pytest.raises(InvalidValueError, match=r"clip x: expected one source, found .*a and .*b; rename"):
+        build([Named(frames / "a", "x"), Named(frames / "b", "x")], tmp_path / "out")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_missing_package_is_told_once(workers, frames, tmp_path):
+    if importlib.util.find_spec("torch"):
+        pytest.skip("torch is installed")
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        build_dataset(frames, tmp_path / "out", flow="raft", workers=workers)
+    assert not (tmp_path / "out").exists()
+
+
+def test_clips_without_a_trajectory_are_told_in_the_summary(tmp_path, capsys):
+    for name, count in (("long", FRAMES), ("short", 4), ("shorter", 3)):
+        write_clip(tmp_path / "frames" / name, frames=count)
+    command = ["build", "--frames", str(tmp_path / "frames"), "-o", str(tmp_path / "out"), *FLOW]
+    assert main([*command, "--workers", "1"]) == 0
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    assert "no trajectories in short (4 frames), shorter (3 frames); " in told.err
+    assert "--min-length 5 frames" in told.err
+    assert main([*command, "--workers", "1", "--min-length", "3"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def _colour(folder):
+    picture = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    picture[..., 2] = 90
+    cv2.imwrite(str(folder / "000002.png"), picture)
+
+
+def _rewrite(folder, picture):
+    cv2.imwrite(str(folder / "000002.png"), picture)
+
+
+def _cut_short(folder):
+    file = folder / "000002.png"
+    file.write_bytes(file.read_bytes()[:-200])
+
+
+BAD = {
+    "empty folder": (lambda f: [p.unlink() for p in f.iterdir()], "empty folder"),
+    "one frame": (lambda f: [p.unlink() for p in sorted(f.iterdir())[1:]], "only 000001.png"),
+    "two sizes": (lambda f: _rewrite(f, np.zeros((80, 90), np.uint8)), "expected 96x64 px.*found 90x80"),
+    "colour": (_colour, "expected a gray picture, found colour; convert"),
+    "16 bit": (lambda f: _rewrite(f, np.zeros((HEIGHT, WIDTH), np.uint16)), "8-bit picture, found 16 bits"),
+    "corrupt": (_cut_short, "expected a sound PNG, found a file cut short"),
+    "gap": (lambda f: (f / "000003.png").unlink(), "frame 3: .*without a gap"),
+    "too thin": (lambda f: [_thin(p) for p in f.iterdir()], "at least 32"),
+}
+
+
+def _thin(path):
+    cv2.imwrite(str(path), np.zeros((16, 64), np.uint8))
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_frames_are_one_line_and_leave_nothing(name, tmp_path, capfd):
+    import re
+
+    spoil, words = BAD[name]
+    folder = write_clip(tmp_path / "clip")
+    spoil(folder)
+    code = main(["build", "--frames", str(folder), "-o", str(tmp_path / "out"), *FLOW])
+    told = capfd.readouterr().err
+    assert code == 2
+    assert told.count("\n") == 1
+    assert re.search(words, told), told
+    assert str(folder) in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_colour_is_built_when_its_luma_is_asked_for(tmp_path):
+    folder = write_clip(tmp_path / "clip")
+    for path in folder.iterdir():
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), np.dstack([picture, picture, 255 - picture]))
+    build(folder, tmp_path / "out", colour="luma")
+    assert len(load(tmp_path / "out/clip.h5").dense) > 0
+
+
+def test_a_file_where_the_output_folder_should_be(frames, tmp_path, capsys):
+    (tmp_path / "out").write_text("in the way")
+    assert main(["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "cannot write" in told
+
+
+def test_a_read_only_output_folder(frames, tmp_path, monkeypatch):
+    def refuse(**_):  # root may write anywhere
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    with pytest.raises(InputFileError, match="out: cannot write: Read-only file system; "):
+        build(frames, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+_FULL_DISK = """
+import resource, signal, sys
+from kt3dmoseg.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_full_disk(frames, tmp_path):
+    command = ["build", "--frames", str(frames / "a"), "-o", str(tmp_path / "out"), *FLOW, "--workers", "1"]
+    done = subprocess.run(
+        [sys.executable, "-c", _FULL_DISK, *command], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "cannot write" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_builds_do_not_share_a_folder(frames, tmp_path):
+    with dataset._sole_writer(tmp_path / "out"), pytest.raises(InputFileError, match="one at work"):
+        build(frames, tmp_path / "out")
+
+
+def test_bad_numbers_of_workers(frames, tmp_path):
+    with pytest.raises(InvalidValueError, match="workers: expected at least 1"):
+        build(frames, tmp_path / "out", workers=0)
+
+
+def _start(frames, output):
+    command = ["build", "--frames", str(frames), "-o", str(output), "--workers", "2"]
+    # Its own session, so that signals reach it and its workers as from a terminal.
+    return subprocess.Popen(
+        [sys.executable, "-m", "kt3dmoseg.cli", *command],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def _wait_for_a_clip(process, output):
+    while not list(output.glob("*.h5")):
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.01)
+
+
+def _wait_for_the_end(group):
+    """Wait until no process of the group is left: workers end with their parent."""
+    while True:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
+    for seed in range(6):
+        write_clip(tmp_path / "frames" / f"clip{seed}", seed)
+    process = _start(tmp_path / "frames", tmp_path / "out")
+    _wait_for_a_clip(process, tmp_path / "out")
+    if how == signal.SIGINT:
+        os.killpg(process.pid, how)
+    else:
+        process.send_signal(how)
+    told = process.communicate()[1]
+    _wait_for_the_end(process.pid)
+    assert process.returncode == (130 if how == signal.SIGINT else -how)
+    if how == signal.SIGINT:
+        assert told == "kt3dmoseg: interrupted; what was finished is kept\n"
+    finished = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.h5")}
+    assert 1 <= len(finished) < 6
+    for name in finished:
+        hdf5.read(tmp_path / "out" / name)
+    (tmp_path / "out/.clip5.h5.leftover.part").write_bytes(b"half")
+    outcomes = build_dataset(tmp_path / "frames", tmp_path / "out", workers=1)
+    assert {f"{o.name}.h5" for o in outcomes if o.status == "up to date"} == set(finished)
+    build_dataset(tmp_path / "frames", tmp_path / "fresh", workers=1)
+    assert contents(tmp_path / "out") == contents(tmp_path / "fresh")
