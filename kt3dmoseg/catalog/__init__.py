@@ -44,7 +44,7 @@ from kt3dmoseg.registry import unknown_name
 
 __all__ = ["BUILT_IN", "Drive", "Entry", "Fingerprint", "add", "load", "parse", "save", "select"]
 
-BUILT_IN = Path(__file__).with_suffix(".toml")
+BUILT_IN = Path(__file__).with_name("catalog.toml")
 _LARGEST = 16 << 20
 # Python's parser takes time quadratic in the length of a dotted name.
 _DEEP = re.compile(r"""(?:\.[\s\w"'-]*){33}""")
