@@ -1,4 +1,4 @@
-"""Atomic writes, locks and content hashes: what every reader and writer of files shares."""
+"""Atomic writes, locks, checksums, zip files: what every reader and writer of files shares."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import errno
 import hashlib
 import io
 import os
+import stat
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.errors import FileFormatError, InputFileError
 
 try:
     import fcntl
@@ -29,6 +32,9 @@ _REMEDIES = {
     errno.EEXIST: "a file is where a folder should be; remove it, or write somewhere else",
     errno.ENOTDIR: "a file is where a folder should be; remove it, or write somewhere else",
 }
+# What zipfile raises on damaged or hostile bytes.
+_ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError)
+_ENCRYPTED = 0x1
 
 
 @contextmanager
@@ -156,6 +162,174 @@ def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
             info.external_attr = 0o644 << 16
             archive.writestr(info, content, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class ZipLimits:
+    """What `SafeZip` accepts.
+
+    Parameters
+    ----------
+    files : int
+        Number of files in the archive.
+    file_bytes, total_bytes : int
+        Unpacked bytes of one file and of all wanted ones; the archive itself may have `total_bytes` too.
+    ratio, free_bytes : int
+        A file may unpack to `free_bytes`, or to `ratio` times its packed bytes.
+    depth : int
+        Parts of a path: folders and the name.
+    """
+
+    files: int
+    file_bytes: int
+    total_bytes: int
+    ratio: int = 200
+    free_bytes: int = 1 << 20
+    depth: int = 8
+
+
+class ZipFault(NamedTuple):
+    """Why a zip archive, or one file in it, is not read.
+
+    `code` is one of not-a-zip, too-large, unsafe-path, symlink, duplicate-name, encrypted; `file` is empty
+    when the whole archive is refused.
+    """
+
+    code: str
+    file: str
+    expected: str
+    found: str
+    fix: str = ""
+
+
+class SafeZip:
+    """A stranger's zip archive: names and claimed sizes are checked, then files are read within bounds.
+
+    Parameters
+    ----------
+    source : path or bytes
+        The archive, or its content.
+    limits : ZipLimits
+        What is accepted.
+    where : str
+        Its name, for messages.
+    wanted : callable, optional
+        Whether a file of that name counts; the others are passed over unchecked.
+    faults : list of ZipFault, optional
+        Takes up what is wrong; the files concerned are left out. Without it, the first fault is raised.
+
+    Raises
+    ------
+    FileFormatError
+        For the first fault, when there is no list to take it up.
+    InputFileError
+        When the file cannot be opened.
+    """
+
+    def __init__(
+        self,
+        source: str | os.PathLike[str] | bytes,
+        limits: ZipLimits,
+        where: str,
+        wanted: Callable[[str], bool] = lambda name: True,
+        faults: list[ZipFault] | None = None,
+    ) -> None:
+        self.where, self._limits, self._faults = where, limits, faults
+        self._files: dict[str, zipfile.ZipInfo] = {}
+        self._archive: zipfile.ZipFile | None = None
+        self._list(source, wanted)
+
+    def __enter__(self) -> SafeZip:
+        """Return the archive itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the archive."""
+        if self._archive is not None:
+            self._archive.close()
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Name and size, as claimed and within the limits, of every file that may be read; sorted by name."""
+        return {name: info.file_size for name, info in sorted(self._files.items())}
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[IO[bytes]]:
+        """Open one file to read a part of it; damage that shows in the block becomes a FileFormatError."""
+        info = self._files[name]
+        try:
+            with self._archive.open(info) as stream:  # type: ignore[union-attr]  # it has files
+                yield stream
+        except FileFormatError:
+            raise
+        except _ZIP_DAMAGE as error:
+            where = f"{self.where}: {name}"
+            raise FileFormatError(where, expected="an intact file in the zip", found=str(error)) from None
+
+    def read(self, name: str) -> bytes:
+        """Return the content of one file; FileFormatError when it is damaged or its size is a lie."""
+        size = self._files[name].file_size
+        with self.open(name) as stream:
+            content = stream.read(size + 1)
+        if len(content) != size:
+            where = f"{self.where}: {name}"
+            raise FileFormatError(where, expected=f"{size} bytes as declared", found=f"{len(content)}")
+        return content
+
+    def _list(self, source: str | os.PathLike[str] | bytes, wanted: Callable[[str], bool]) -> None:
+        limits, infos = self._limits, []
+        try:
+            packed = len(source) if isinstance(source, bytes) else Path(source).stat().st_size
+            if packed <= limits.total_bytes:
+                self._archive = zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source)
+                infos = self._archive.infolist()
+        except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
+            raise InputFileError(f"{self.where}: {error.strerror}") from None
+        except _ZIP_DAMAGE as error:
+            found = f"a file that is none, or damaged ({str(error) or type(error).__name__})"
+            return self._refuse("not-a-zip", "", "a zip archive", found)
+        chosen = [info for info in infos if not info.is_dir() and wanted(info.filename)]
+        size = sum(info.file_size for info in chosen) if infos else packed
+        if len(infos) > limits.files or size > limits.total_bytes:
+            most = f"at most {limits.files} files and {limits.total_bytes >> 20} MiB"
+            return self._refuse("too-large", "", most, f"{len(infos)} files, {size >> 20} MiB")
+        for info in chosen:
+            self._accept(info, str(PurePosixPath(info.filename)), min(info.compress_size, packed))
+        return None
+
+    def _accept(self, info: zipfile.ZipInfo, name: str, packed: int) -> None:
+        limits = self._limits
+        most = min(limits.file_bytes, max(limits.free_bytes, limits.ratio * packed))
+        if not _stays_inside(info.orig_filename, limits.depth) or not _stays_inside(name, limits.depth):
+            found = "'..', an absolute path, a drive, a backslash or too many folders"
+            fix = "zip the content of the folder with relative names"
+            self._refuse("unsafe-path", repr(info.filename)[1:-1], "a path inside the archive", found, fix)
+        elif stat.S_ISLNK(info.external_attr >> 16):
+            fix = "put the file itself there (zip follows links by default; cp -L does too)"
+            self._refuse("symlink", name, "a plain file", "a symbolic link", fix)
+        elif name in self._files:
+            self._refuse("duplicate-name", name, "each file once", "it twice", "keep one of them")
+        elif info.file_size > most:
+            expected = f"at most {limits.file_bytes} bytes, packed at most {limits.ratio} to 1"
+            self._refuse("too-large", name, expected, f"{info.file_size} bytes unpacked")
+        elif info.flag_bits & _ENCRYPTED:
+            self._refuse("encrypted", name, "no password", "an encrypted file", "zip it without")
+        else:
+            self._files[name] = info
+
+    def _refuse(self, code: str, file: str, expected: str, found: str, fix: str = "") -> None:
+        if self._faults is None:
+            where = f"{self.where}: {file}" if file else self.where
+            raise FileFormatError(where, expected=expected, found=found, fix=fix)
+        self._faults.append(ZipFault(code, file, expected, found, fix))
+
+
+def _stays_inside(name: str, depth: int) -> bool:
+    """Whether a name is a plain relative path on every system."""
+    parts = PurePosixPath(name).parts
+    absolute = name.startswith("/") or name[1:2] == ":"
+    plain = name.isprintable() and "\\" not in name and not absolute
+    return plain and ".." not in parts and 0 < len(parts) <= depth
 
 
 def sha256_file(path: str | os.PathLike[str]) -> str:
