@@ -39,7 +39,7 @@ SESSION = {
     "kt3dmoseg info folder": "kt3dmoseg info built",
     "kt3dmoseg info mistake": "kt3dmoseg info {frames}/street/000001.png",
     "kt3dmoseg show": "kt3dmoseg show built/street.h5 --frames {frames}/street -o pictures",
-    "kt3dmoseg show mistake": "kt3dmoseg show built/street.h5 --at 99 -o picture.png --frames {frames}/street",
+    "kt3dmoseg show mistake": "kt3dmoseg show built/street.h5 --at 99 -o a.png --frames {frames}/street",
     "kt3dmoseg convert": "kt3dmoseg convert built/street.h5 street_Tracks.mat",
     "kt3dmoseg convert mistake": "kt3dmoseg convert built/street.h5 street.xls",
     "kt3dmoseg label mistake": "kt3dmoseg label nowhere --no-browser",
@@ -189,7 +189,9 @@ def plain(text: str) -> str:
     """Replace what differs from run to run: paths, times, checksums, versions of libraries."""
     text = text.replace(str(HERE), "HERE").replace(str(Path.cwd()), "CWD")
     text = re.sub(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?(\.\d+)?(Z|\+00:00)?", "TIME", text)
-    text = re.sub(r"\b[0-9a-f]{10,64}\b", "CHECKSUM", text)
+    text = re.sub(r"\d{4}-\d\d-\d\d", "DATE", text)
+    text = re.sub(r"\b0\.0\d\b", "0.0", text)  # seconds of CPU
+    text = re.sub(r"\b[0-9a-f]{8,64}\b", "CHECKSUM", text)
     text = re.sub(r'("?seconds"?[^\d\n]{0,12})\d+(\.\d+)?(e-?\d+)?', r"\1SECONDS", text)
     text = re.sub(r"\b\d+(\.\d+)? (s|ms)\b", "SECONDS", text)
     text = re.sub(r"\b\d+\.\d+\.\d+(\.\d+)?\b", "VERSION", text)
