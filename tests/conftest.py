@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import settings
 
 _HERE = Path(__file__).parent
+sys.path.insert(0, str(_HERE.parent / "tools"))
 
 # No test depends on how fast the machine is.
 settings.register_profile("kt3dmoseg", deadline=None)
@@ -29,6 +31,21 @@ def data_root() -> Path:
     if named:
         pytest.fail(f"KT3DMOSEG_DATA={named}: no such folder")
     pytest.skip("real data not here; set KT3DMOSEG_DATA to run this test")
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium or Chrome; its tests are skipped where there is none, but never in CI."""
+    from browser import find
+
+    path = find()
+    if not path:
+        missing = "no Chromium or Chrome here: python3 tools/start.py test finds or installs one"
+        pytest.fail(missing) if os.environ.get("CI") else pytest.skip(missing)
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        yield playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
 
 
 @pytest.fixture

@@ -7,14 +7,22 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
+import threading
+import time
 import venv
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+import browser
 
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv"
 JOBS = {"demo": "all", "test": "test,lint"}
+_EVERY = 0.5 if sys.stderr.isatty() else 5.0  # seconds between two signs of life
 
 
 def main(arguments: list[str]) -> int:
@@ -34,10 +42,19 @@ def main(arguments: list[str]) -> int:
         )
         return 2
     if job == "demo":
-        command = [python, "-m", "kt3dmoseg.cli", "demo", *rest]
-    else:
-        command = [python, "-m", "pytest", "-n", str(os.cpu_count() or 1), *rest]
-    return subprocess.call([str(part) for part in command], cwd=ROOT)
+        return subprocess.call([str(python), "-m", "kt3dmoseg.cli", "demo", *rest], cwd=ROOT)
+    return _test(python, rest)
+
+
+def _test(python: Path, rest: list[str]) -> int:
+    """Run the tests. Those of the pages need a browser; without one they are skipped, but never in CI."""
+    found = browser.find() or browser.install(python)
+    environment = os.environ | ({browser.VARIABLE: found} if found else {})
+    command = [str(python), "-m", "pytest", "-n", str(os.cpu_count() or 1), *rest]
+    code = subprocess.call(command, cwd=ROOT, env=environment)
+    if not found:
+        print("The tests in a browser did not run: no Chromium or Chrome was found, none could be installed.")
+    return code
 
 
 def _environment(extras: str) -> Path:
@@ -45,22 +62,46 @@ def _environment(extras: str) -> Path:
     folder = "Scripts" if os.name == "nt" else "bin"
     python = ENVIRONMENT / folder / ("python.exe" if os.name == "nt" else "python")
     if not _has_pip(python):
-        print(f"creating {ENVIRONMENT}", flush=True)
-        venv.create(ENVIRONMENT, with_pip=True)
+        with _busy(f"creating {ENVIRONMENT}"):
+            venv.create(ENVIRONMENT, with_pip=True)
     stamp = ENVIRONMENT / f".installed-{extras.replace(',', '-')}"
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
     if not stamp.exists() or stamp.read_text() != wanted:
-        print(f"installing kt3dmoseg[{extras}]", flush=True)
         target = f"{ROOT}[{extras}]"
-        subprocess.check_call([str(python), "-m", "pip", "install", "--quiet", "--editable", target])
+        with _busy(f"installing kt3dmoseg[{extras}]"):
+            subprocess.check_call([str(python), "-m", "pip", "install", "--quiet", "--editable", target])
         stamp.write_text(wanted)
     return python
 
 
 def _has_pip(python: Path) -> bool:
-    """Whether the environment is whole: making it may have been interrupted."""
+    """Whether the environment is complete: making it may have been interrupted."""
     command = [str(python), "-m", "pip", "--version"]
     return python.exists() and subprocess.call(command, stdout=subprocess.DEVNULL) == 0
+
+
+@contextmanager
+def _busy(title: str) -> Iterator[None]:
+    """Show what is done, for how long, and how many packages are there, until the block ends."""
+    done, started = threading.Event(), time.monotonic()
+
+    def show() -> None:
+        while not done.wait(_EVERY):
+            packages = len(list(ENVIRONMENT.glob("[Ll]ib/**/site-packages/*.dist-info")))
+            line = f"{title}: {time.monotonic() - started:.0f} s, {packages} packages installed"
+            end = "\r" if sys.stderr.isatty() else "\n"
+            print(line[: shutil.get_terminal_size().columns - 1], end=end, file=sys.stderr, flush=True)
+
+    print(title, flush=True)
+    thread = threading.Thread(target=show, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        if sys.stderr.isatty():
+            print("\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -7,17 +7,7 @@ import signal
 
 import pytest
 from annotation_scenes import write_clip
-from labeller_page import CHROMIUM, LIMIT, Page, Server
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if not CHROMIUM:
-        pytest.fail("Chromium is not installed; .ci/run installs it")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        yield playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+from labeller_page import LIMIT, Page, Server
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +11,6 @@ import time
 
 from kt3dmoseg.annotate import load_annotation
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LIMIT = 60.0
 CORNERS = [(60, 70), (140, 70), (140, 130), (60, 130)]
 

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 import tempfile
 from pathlib import Path
 
 from annotation_scenes import write_clip
-from labeller_page import CHROMIUM, CORNERS, Page, Server
+from labeller_page import CORNERS, Page, Server
 from playwright.sync_api import sync_playwright
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+import browser as browsers
 
 PICTURE = """() => {
   const loaded = performance.getEntriesByType('resource').find((e) => e.name.endsWith('/frames/0'));
@@ -63,7 +67,7 @@ def measure(count: int) -> dict[str, object]:
         folder = Path(name)
         write_clip(folder, "one", size=(1242, 375), frames=20, tracks=count)
         server = Server(folder, folder / "notes")
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=browsers.find(), args=["--no-sandbox"])
         try:
             out: dict[str, object] = {"trajectories": count}
             for kind in ("cold", "warm"):

@@ -207,33 +207,31 @@ def test_command(submission, tmp_path, capsys):
 
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1440, 390])
-def test_in_chromium(submission, tmp_path, width):
-    playwright = pytest.importorskip("playwright.sync_api")
+def test_in_chromium(submission, tmp_path, browser, width):
+    expect = pytest.importorskip("playwright.sync_api").expect
     (path,) = write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "f"))
-    with playwright.sync_playwright() as run:
-        browser = run.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
-        page = browser.new_context(viewport={"width": width, "height": 800}, offline=True).new_page()
-        said = []
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.goto(path.as_uri())
-        viewer = page.locator(".viewer").first
-        viewer.scroll_into_view_if_needed()
-        slider = viewer.locator("input[type=range]")
-        playwright.expect(viewer.locator("output")).to_have_text("frame 5")
-        slider.focus()
-        page.keyboard.press("ArrowRight")
-        playwright.expect(viewer.locator("output")).to_have_text("frame 6")
-        canvas = viewer.locator("canvas").nth(1)
-        before = canvas.evaluate("c => c.toDataURL()")
-        viewer.locator("select").select_option("seed 1")
-        assert canvas.evaluate("c => c.toDataURL()") != before  # other labels, errors ringed
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        page.set_viewport_size({"width": width, "height": 200})
-        page.goto(path.as_uri())
-        unseen = page.locator("canvas").last
-        before = unseen.evaluate("c => c.toDataURL()")
-        page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        assert unseen.evaluate("c => c.toDataURL()") != before  # printed, though never in view
-        assert said == []
-        browser.close()
+    page = browser.new_context(viewport={"width": width, "height": 800}, offline=True).new_page()
+    messages = []
+    page.on("console", lambda message: messages.append(message.text))
+    page.on("pageerror", lambda error: messages.append(str(error)))
+    page.goto(path.as_uri())
+    viewer = page.locator(".viewer").first
+    viewer.scroll_into_view_if_needed()
+    slider = viewer.locator("input[type=range]")
+    expect(viewer.locator("output")).to_have_text("frame 5")
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    expect(viewer.locator("output")).to_have_text("frame 6")
+    canvas = viewer.locator("canvas").nth(1)
+    before = canvas.evaluate("c => c.toDataURL()")
+    viewer.locator("select").select_option("seed 1")
+    assert canvas.evaluate("c => c.toDataURL()") != before  # other labels, errors ringed
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    page.set_viewport_size({"width": width, "height": 200})
+    page.goto(path.as_uri())
+    unseen = page.locator("canvas").last
+    before = unseen.evaluate("c => c.toDataURL()")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert unseen.evaluate("c => c.toDataURL()") != before  # printed, though never in view
+    assert messages == []
+    page.context.close()

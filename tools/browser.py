@@ -1,0 +1,69 @@
+"""Find a browser for the tests of the pages, or install one. Needs Python's own library only."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+VARIABLE = "KT3DMOSEG_BROWSER"
+_COMMANDS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_APPLICATIONS = (
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+    "/Applications/Chromium.app/Contents/MacOS/Chromium",
+    "C:/Program Files/Google/Chrome/Application/chrome.exe",
+)
+_SECONDS = 600  # one installation
+
+
+def find() -> str:
+    """Return the path of a Chromium or Chrome, the one that KT3DMOSEG_BROWSER names first; '' for none."""
+    if named := os.environ.get(VARIABLE):
+        return named
+    commands = [path for path in map(shutil.which, _COMMANDS) if path]
+    applications = [path for path in _APPLICATIONS if Path(path).is_file()]
+    return next(iter([*commands, *applications, *_of_playwright()]), "")
+
+
+def install(python: Path) -> str:
+    """Install one, playwright's or else the system's package when we are root; return its path, or ''."""
+    for command in ([str(python), "-m", "playwright", "install", "chromium"], *_system_packages()):
+        print(f"looking for a browser for the page tests: {' '.join(command)}", flush=True)
+        environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+        try:
+            subprocess.run(command, env=environment, timeout=_SECONDS, capture_output=True)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            print(f"  {error}", flush=True)
+        if found := find():
+            return found
+    return ""
+
+
+def _of_playwright() -> list[str]:
+    """List the browsers that playwright has downloaded, the newest first."""
+    home = Path.home()
+    caches = [
+        os.environ.get("PLAYWRIGHT_BROWSERS_PATH", ""),
+        home / ".cache/ms-playwright",
+        home / "Library/Caches/ms-playwright",
+        home / "AppData/Local/ms-playwright",
+    ]
+    names = ("chrome", "chrome.exe", "Chromium", "Google Chrome for Testing")
+    found = [
+        path
+        for cache in caches
+        if cache and Path(cache).is_dir()
+        for name in names
+        for path in sorted(Path(cache).glob(f"chromium-*/**/{name}"), reverse=True)
+        if path.is_file() and os.access(path, os.X_OK)
+    ]
+    return [str(path) for path in found]
+
+
+def _system_packages() -> list[list[str]]:
+    root = sys.platform.startswith("linux") and os.geteuid() == 0
+    if not (root and shutil.which("apt-get")):
+        return []
+    return [["apt-get", "update"], ["apt-get", "install", "-y", "--no-install-recommends", "chromium"]]
