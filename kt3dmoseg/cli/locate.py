@@ -11,7 +11,8 @@ from __future__ import annotations
 import argparse
 
 from kt3dmoseg.cli import clips_of_kitti
-from kt3dmoseg.kitti.locating import LocateOptions, locate
+from kt3dmoseg.kitti.locating import locate
+from kt3dmoseg.kitti.options import LocateOptions
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

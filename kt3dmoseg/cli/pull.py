@@ -10,7 +10,8 @@ from __future__ import annotations
 import argparse
 
 from kt3dmoseg.cli import clips_of_kitti
-from kt3dmoseg.kitti.pulling import PullOptions, pull
+from kt3dmoseg.kitti.options import PullOptions
+from kt3dmoseg.kitti.pulling import pull
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kt3dmoseg.catalog.entries import Drive
-from kt3dmoseg.kitti.calibration import Calibration
-from kt3dmoseg.kitti.raw import RawDrive
-from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox
 from kt3dmoseg.lazy import lazy
 
 if TYPE_CHECKING:
+    from kt3dmoseg.catalog.entries import Drive as Drive
+    from kt3dmoseg.kitti.calibration import Calibration as Calibration
     from kt3dmoseg.kitti.locating import locate as locate
     from kt3dmoseg.kitti.pulling import pull as pull
+    from kt3dmoseg.kitti.raw import RawDrive as RawDrive
     from kt3dmoseg.kitti.releases import fetch_release as fetch_release
+    from kt3dmoseg.kitti.tracklets import Tracklet as Tracklet
+    from kt3dmoseg.kitti.tracklets import TrackletBox as TrackletBox
 
-# What needs the network stack is imported on first use.
-_LAZY = {
+# Imported on first use: `kt3dmoseg pull --help` reads the options without numpy and the network stack.
+_PUBLIC = {
+    "Calibration": "calibration",
+    "Drive": "raw",
+    "RawDrive": "raw",
+    "Tracklet": "tracklets",
+    "TrackletBox": "tracklets",
     "fetch_release": "releases",
     "locate": "locating",
     "pull": "pulling",
 }
 
-__all__ = ["Calibration", "Drive", "RawDrive", "Tracklet", "TrackletBox", *_LAZY]  # noqa: PLE0604
+__all__ = [*_PUBLIC]  # noqa: PLE0604
 
-__getattr__, __dir__ = lazy(__name__, _LAZY)
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)

@@ -18,12 +18,12 @@ from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependenc
 from kt3dmoseg.kitti.network import (
     AbsentError,
     ChangedError,
-    Network,
     Patience,
     RangesIgnoredError,
     Traffic,
     TransientError,
 )
+from kt3dmoseg.kitti.options import Network
 
 if TYPE_CHECKING:
     import requests

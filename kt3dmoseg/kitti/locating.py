@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,10 @@ from kt3dmoseg.kitti import layout
 from kt3dmoseg.kitti.frames import decode, frame_paths, read_frame
 from kt3dmoseg.kitti.match import Verdict, descriptor, match_exact, match_graded
 from kt3dmoseg.kitti.network import AbsentError, RangesIgnoredError, Traffic
-from kt3dmoseg.kitti.places import Holding, Origin, Place, open_place
+from kt3dmoseg.kitti.options import LocateOptions
+from kt3dmoseg.kitti.places import Holding, Place, open_place
 from kt3dmoseg.kitti.store import Store
-from kt3dmoseg.options import from_mapping, option
+from kt3dmoseg.options import from_mapping
 from kt3dmoseg.types import Float32Array
 
 CHECKSUM, PIXELS, CORRELATION = "crc32", "pixels", "correlation"
@@ -29,20 +30,6 @@ CHECKSUM, PIXELS, CORRELATION = "crc32", "pixels", "correlation"
 
 class NotLocatedError(KT3DMoSegError, LookupError):
     """A clip's frames are not in a drive, or at several places of it."""
-
-
-@dataclass(frozen=True)
-class LocateOptions(Origin):
-    """How to look for a clip in a drive."""
-
-    frames: str | None = option(
-        None,
-        "folder with the clip's own frames (or with one folder per clip), needed for correlation",
-        metavar="FOLDER",
-    )
-    pixels: bool = option(
-        True, "read the drive's frames when checksums do not decide (a whole camera: some 40-300 MB)"
-    )
 
 
 def locate(

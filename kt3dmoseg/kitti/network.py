@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from tqdm import tqdm
 
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.options import option
+from kt3dmoseg.kitti.options import Network
 
 _LONGEST_WAIT = 30.0
 _PROGRESS = 1 << 14  # an attempt that brings this much is not counted against the server
@@ -31,18 +31,6 @@ class RangesIgnoredError(InputFileError):
 
 class ChangedError(InputFileError):
     """The file on the server is not the one that was read before."""
-
-
-@dataclass(frozen=True)
-class Network:
-    """How patient to be with the network."""
-
-    retries: int = option(8, "how often a request that brings nothing is repeated", low=0, high=100)
-    timeout: float = option(30.0, "seconds of silence after which a connection is given up", low=0.05)
-    wait: float = option(0.5, "seconds before the first repeat; doubles each time, up to 30 s", low=0.0)
-    slowest: float = option(
-        1000.0, "bytes per second below which, over one timeout, a connection is given up", low=0.0
-    )
 
 
 @dataclass

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Protocol
@@ -17,26 +16,10 @@ from kt3dmoseg.kitti import layout
 from kt3dmoseg.kitti.archive import Archive
 from kt3dmoseg.kitti.http import Client
 from kt3dmoseg.kitti.member import LARGEST_MEMBER
-from kt3dmoseg.kitti.network import AbsentError, Network, RangesIgnoredError, Traffic
+from kt3dmoseg.kitti.network import AbsentError, RangesIgnoredError, Traffic
+from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.source import FileSource, HttpSource
 from kt3dmoseg.kitti.store import Directory, Store, crc32_file
-from kt3dmoseg.options import option
-
-KITTI_RAW = "https://s3.eu-central-1.amazonaws.com/avg-kitti/raw_data/"
-
-
-@dataclass(frozen=True)
-class Origin(Network):
-    """Where the data come from, and how patient to be with it."""
-
-    mirror: str = option(
-        KITTI_RAW, "address of KITTI's raw_data folder or of a copy with the same layout", metavar="URL"
-    )
-    local: str | None = option(
-        None,
-        "folder with _sync.zip files or extracted drives already on disk; nothing is downloaded",
-        metavar="FOLDER",
-    )
 
 
 class Holding(Protocol):

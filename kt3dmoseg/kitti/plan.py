@@ -12,12 +12,12 @@ from kt3dmoseg.kitti import layout
 from kt3dmoseg.kitti.locating import (
     CORRELATION,
     PIXELS,
-    LocateOptions,
     NotLocatedError,
     drive_frames,
     locate_entry,
 )
 from kt3dmoseg.kitti.network import AbsentError, RangesIgnoredError
+from kt3dmoseg.kitti.options import LocateOptions
 from kt3dmoseg.kitti.places import Holding, Place
 from kt3dmoseg.kitti.store import Store, holds
 

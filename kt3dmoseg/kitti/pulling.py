@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,26 +16,14 @@ from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.kitti.member import DamagedError
 from kt3dmoseg.kitti.network import ChangedError, RangesIgnoredError, Traffic
-from kt3dmoseg.kitti.places import Origin, Place, open_place
+from kt3dmoseg.kitti.options import PullOptions
+from kt3dmoseg.kitti.places import Place, open_place
 from kt3dmoseg.kitti.plan import Task, make_tasks, open_task
 from kt3dmoseg.kitti.store import Store, holds
 from kt3dmoseg.kitti.talk import LICENCE, PullReport, megabytes, plan_lines
-from kt3dmoseg.options import from_mapping, option
+from kt3dmoseg.options import from_mapping
 
 _RESERVE = 16 << 20
-
-
-@dataclass(frozen=True)
-class PullOptions(Origin):
-    """What to bring, and how."""
-
-    accept_license: bool = option(
-        False, "acknowledge the licence that is shown; remembered in the target folder"
-    )
-    dry_run: bool = option(False, "print the plan and stop")
-    verify: bool = option(False, "re-check all bytes on disk; nothing is fetched")
-    calibration: bool = option(True, "bring the calibration of the day")
-    tracklets: bool = option(True, "bring the tracklets of drives that have them")
 
 
 def pull(

@@ -18,7 +18,8 @@ from kitti_world import CALIB, HIDDEN, SYNC, World, faults
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.kitti.http import Client
-from kt3dmoseg.kitti.network import Network, Traffic
+from kt3dmoseg.kitti.network import Traffic
+from kt3dmoseg.kitti.options import Network
 
 SHORT = {"timeout": 0.6}
 

@@ -1,0 +1,62 @@
+"""Options of `pull` and `locate`; a module of its own, so that ``--help`` loads nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kt3dmoseg.options import option
+
+KITTI_RAW = "https://s3.eu-central-1.amazonaws.com/avg-kitti/raw_data/"
+
+
+@dataclass(frozen=True)
+class Network:
+    """How patient to be with the network."""
+
+    retries: int = option(8, "how often a request that brings nothing is repeated", low=0, high=100)
+    timeout: float = option(30.0, "seconds of silence after which a connection is given up", low=0.05)
+    wait: float = option(0.5, "seconds before the first repeat; doubles each time, up to 30 s", low=0.0)
+    slowest: float = option(
+        1000.0, "bytes per second below which, over one timeout, a connection is given up", low=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Origin(Network):
+    """Where the data come from, and how patient to be with it."""
+
+    mirror: str = option(
+        KITTI_RAW, "address of KITTI's raw_data folder or of a copy with the same layout", metavar="URL"
+    )
+    local: str | None = option(
+        None,
+        "folder with _sync.zip files or extracted drives already on disk; nothing is downloaded",
+        metavar="FOLDER",
+    )
+
+
+@dataclass(frozen=True)
+class PullOptions(Origin):
+    """What to bring, and how."""
+
+    accept_license: bool = option(
+        False, "acknowledge the licence that is shown; remembered in the target folder"
+    )
+    dry_run: bool = option(False, "print the plan and stop")
+    verify: bool = option(False, "re-check all bytes on disk; nothing is fetched")
+    calibration: bool = option(True, "bring the calibration of the day")
+    tracklets: bool = option(True, "bring the tracklets of drives that have them")
+
+
+@dataclass(frozen=True)
+class LocateOptions(Origin):
+    """How to look for a clip in a drive."""
+
+    frames: str | None = option(
+        None,
+        "folder with the clip's own frames (or with one folder per clip), needed for correlation",
+        metavar="FOLDER",
+    )
+    pixels: bool = option(
+        True, "read the drive's frames when checksums do not decide (a whole camera: some 40-300 MB)"
+    )
