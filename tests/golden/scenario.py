@@ -187,7 +187,9 @@ def run_session(folder: Path) -> dict[str, str]:
 
 def plain(text: str) -> str:
     """Replace what differs from run to run: paths, times, checksums, versions of libraries."""
-    text = text.replace(str(HERE), "HERE").replace(str(Path.cwd()), "CWD")
+    text = (
+        text.replace(str(HERE), "HERE").replace(str(HERE.parents[1]), "ROOT").replace(str(Path.cwd()), "CWD")
+    )
     text = re.sub(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?(\.\d+)?(Z|\+00:00)?", "TIME", text)
     text = re.sub(r"\d{4}-\d\d-\d\d", "DATE", text)
     text = re.sub(r"\b0\.0\d\b", "0.0", text)  # seconds of CPU
