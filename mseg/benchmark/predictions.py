@@ -15,7 +15,7 @@ from kt3dmoseg.files import check_writable, write_text
 from kt3dmoseg.types import Clip
 from mseg.benchmark.execution import execute
 from mseg.benchmark.runner import Progress, configure
-from mseg.benchmark.store import code_hash, key
+from mseg.benchmark.store import algorithm_version, key
 from mseg.benchmark.tasks import Configuration, Outcome, Task, seed_numbers
 from mseg.evaluation import SubmissionMeta, fingerprint, write_failure, write_meta, write_prediction
 from mseg.evaluation.submission import FAILED
@@ -109,7 +109,7 @@ def _open_record(
     wanted = {
         "method": configuration.method,
         "parameters": {k: repr(v) for k, v in _parameters(configuration).items()},
-        "code": code_hash(create(configuration.method, **configuration.parameters)),
+        "code": algorithm_version(create(configuration.method, **configuration.parameters)),
         "n_motions": n_motions,
         "layout": layout,
     }

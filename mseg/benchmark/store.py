@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict
+from importlib.metadata import packages_distributions, version
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +16,14 @@ from kt3dmoseg import __version__
 from kt3dmoseg.files import atomic_path, sha256_arrays
 from kt3dmoseg.types import Clip
 from mseg.benchmark.tasks import Configuration, Outcome
-from mseg.methods import create
-from mseg.source import foreign_hash, source_hash
+from mseg.methods import ALGORITHM_VERSION, create
 from mseg.types import Method
-
-_CODE = (
-    "clustering",
-    "completion",
-    "geometry",
-    "methods",
-    "kernels",
-    "types.py",
-    "iteration.py",
-)
 
 
 def key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: int) -> str:
     """Hash of method, all its parameters, the clip's content, number of motions, seed and versions.
 
-    The versions are those of this package, numpy and scipy, and a hash of the code of the methods,
+    The versions are those of this package, numpy and scipy, and the `algorithm_version` of the method,
     so results of a method that was changed are never taken for those of the new one. All seeds of a
     method that draws nothing have one key.
     """
@@ -46,7 +36,7 @@ def key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: i
         "content": clip_hash(clip),
         "n_motions": n_motions,
         "seed": 0 if getattr(method, "deterministic", False) else seed,
-        "versions": [__version__, np.__version__, scipy.__version__, code_hash(method)],
+        "versions": [__version__, np.__version__, scipy.__version__, algorithm_version(method)],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()[:40]
 
@@ -58,9 +48,21 @@ def clip_hash(clip: Clip) -> str:
     return sha256_arrays(clip.dense.xy, clip.dense.visible, clip.evaluated, size, intrinsics)
 
 
-def code_hash(method: Method) -> str:
-    """Hash of the source files that methods are made of, and of the package of a third party's method."""
-    return source_hash(*_CODE) + foreign_hash(type(method).__module__)
+def algorithm_version(method: Method) -> str:
+    """Version of the numbers that a method gives.
+
+    `mseg.methods.ALGORITHM_VERSION` for our own. For a third party's method the attribute
+    ``algorithm_version`` of its class; without one, the version of the package that it is installed from,
+    which is empty for a loose file.
+    """
+    package = type(method).__module__.partition(".")[0]
+    if package == __name__.partition(".")[0]:
+        return str(ALGORITHM_VERSION)
+    own = getattr(method, "algorithm_version", None)
+    if own is not None:
+        return f"{package} {own}"
+    installed = packages_distributions().get(package, [])
+    return " ".join([package, *sorted(f"{name} {version(name)}" for name in set(installed))])
 
 
 class Store:

@@ -8,7 +8,11 @@ from mseg.kernels.sparsify import neighbourhood_mask, sparsify
 from mseg.kernels.subsets import draw_subsets
 from mseg.kernels.view import GUARD, covisible_frames, view_kernel
 
+ALGORITHM_VERSION: int = 1
+"""Part of the identity of kept kernels; raised by hand whenever the values of a kernel change."""
+
 __all__ = [
+    "ALGORITHM_VERSION",
     "GUARD",
     "covisible_frames",
     "draw_subsets",

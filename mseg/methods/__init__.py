@@ -15,6 +15,9 @@ from kt3dmoseg.types import Clip
 from mseg.errors import SegmentationError
 from mseg.types import Method, Segmentation
 
+ALGORITHM_VERSION: int = 1
+"""Part of the identity of stored results; raised by hand whenever the labels of a method change."""
+
 METHODS = Registry(
     "method",
     {

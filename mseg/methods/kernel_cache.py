@@ -13,14 +13,13 @@ from typing import TypeAlias
 
 import numpy as np
 
+from kt3dmoseg import __version__
 from kt3dmoseg.files import atomic_path
 from kt3dmoseg.types import Float32Array
-from mseg.source import source_hash
+from mseg import kernels
 
 # A fusion of three views at three gaps; at 1,000 points 4 MB each.
 _KEPT = 9
-# What the values of a kernel depend on.
-_CODE = ("kernels", "geometry", "methods/views.py")
 _Entry: TypeAlias = tuple[Float32Array, float]
 
 
@@ -102,12 +101,12 @@ def remembered(parts: tuple[object, ...], make: Callable[[], Float32Array]) -> F
     Parameters
     ----------
     parts : tuple
-        Everything the kernel depends on, by its `repr`, but the code, which is added here.
+        Everything the kernel depends on, by its `repr`, but the version of its making, which is added here.
     make : callable
         Makes the kernel.
     """
     cache = _current.get()
     if cache is None:
         return make()
-    of = repr((source_hash(*_CODE), *parts))
+    of = repr((__version__, kernels.ALGORITHM_VERSION, *parts))
     return cache.get(hashlib.sha256(of.encode()).hexdigest()[:40], make)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import multiprocessing
 import os
@@ -17,12 +18,11 @@ from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, Labels
 from mseg.benchmark import Configuration, execution, find_clips, predict, run
 from mseg.benchmark import runner as runner_module
-from mseg.benchmark.store import Store, key
+from mseg.benchmark.store import Store, algorithm_version, key
 from mseg.benchmark.tasks import Outcome, Task, run_task
 from mseg.cli import main
 from mseg.evaluation import load_protocol
 from mseg.methods import METHODS, create
-from mseg.source import foreign_hash
 
 CLIPS = ("Seq005_Clip01", "Seq009_Clip02", "Seq011_Clip01")
 
@@ -164,30 +164,31 @@ def test_keys_tell_everything_apart(make_clip):
     assert key(Configuration("affine", {"alpha": 8.0}), clip, 2, 0) == keys[0]
 
 
-_THEIRS = """
-from dataclasses import dataclass
-import numpy as np
-from mseg import Segmentation
-
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Theirs:
     def segment(self, clip, *, n_motions, rng):
-        return Segmentation(np.ones(len(clip.evaluated), dtype=int))
-"""
+        return mseg.Segmentation(np.ones(len(clip.evaluated), dtype=int))
 
 
-def test_a_method_of_another_package_is_known_by_its_code(make_clip, tmp_path, monkeypatch):
-    file = tmp_path / "their_method.py"
-    file.write_text(_THEIRS)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(METHODS.table, "theirs", "their_method:Theirs")
+def test_a_method_of_another_package_is_known_by_its_version(make_clip, monkeypatch):
+    monkeypatch.setattr(METHODS, "load", lambda name: Theirs)
     clip, keys = make_clip(), []
-    for code in (_THEIRS, _THEIRS.replace("np.ones", "1 + np.ones"), _THEIRS):
-        file.write_text(code)
-        foreign_hash.cache_clear()
+    for package, declared in (("loose_file", None), ("pytest", None), ("pytest", 2), ("pytest", 3)):
+        monkeypatch.setattr(Theirs, "__module__", f"{package}.velocity")
+        monkeypatch.setattr(Theirs, "algorithm_version", declared, raising=False)
         keys.append(key(Configuration("theirs"), clip, 2, 0))
+    assert len(set(keys)) == len(keys)
+    assert algorithm_version(Theirs()) == "pytest 3"
+    monkeypatch.setattr(Theirs, "algorithm_version", None)
+    assert algorithm_version(Theirs()) == f"pytest pytest {pytest.__version__}"
+
+
+def test_our_methods_are_known_by_the_version_of_the_algorithms(make_clip, monkeypatch):
+    clip, keys = make_clip(), []
+    for version in (1, 2, 1):
+        monkeypatch.setattr("mseg.benchmark.store.ALGORITHM_VERSION", version)
+        keys.append(key(Configuration("subset"), clip, 2, 0))
     assert keys[0] == keys[2] != keys[1]
-    assert foreign_hash("mseg.methods.keradd") == ""
 
 
 def test_store_keeps_failures_but_not_deaths(tmp_path):

@@ -140,10 +140,10 @@ def test_sweeps_do_not_sample_again(make_clip, tmp_path):
     assert len(list(tmp_path.glob("*.npz"))) == 6
 
 
-def test_kernels_of_other_code_are_not_taken(make_clip, tmp_path, monkeypatch):
+def test_kernels_of_another_algorithm_version_are_not_taken(make_clip, tmp_path, monkeypatch):
     clip = make_clip(points=20)
-    for source in ("the code of today", "a changed residual", "a changed residual"):
-        monkeypatch.setattr("mseg.methods.kernel_cache.source_hash", lambda *_, source=source: source)
+    for version in (1, 2, 2):
+        monkeypatch.setattr("mseg.kernels.ALGORITHM_VERSION", version)
         with kernel_cache(tmp_path):
             mseg.segment(clip, "affine", n_motions=2)
     assert len(list(tmp_path.glob("*.npz"))) == 2
