@@ -9,17 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+import cv2
+
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import check_writable, hold_folder
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.text import check_name
+from kt3dmoseg.parallel import Progress, run_tasks
 from kt3dmoseg.pipeline.clip import check_usage, label_source, prepare
 from kt3dmoseg.pipeline.fingerprint import why_build
 from kt3dmoseg.pipeline.masks import has_masks
 from kt3dmoseg.pipeline.options import Settings
 from kt3dmoseg.pipeline.shot import Source
 from kt3dmoseg.pipeline.sources import find_sources
-from kt3dmoseg.pipeline.workers import in_processes
 
 # Told after each frame: clip, frames done, frames in all or None.
 FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
@@ -36,6 +38,11 @@ class Task:
     settings: Settings
     cache: Path | None
     force: bool
+
+    @property
+    def target(self) -> Path:
+        """The clip's file."""
+        return self.output / f"{self.source.name}.h5"
 
 
 @dataclass(frozen=True)
@@ -130,17 +137,17 @@ def build_dataset(
         shared = (folder, _path(annotations), _path(masks), settings, _path(cache), force)
         tasks = [Task(source, *shared) for source in sources]
         outcomes = []
-        for outcome in in_processes(build_task, tasks, count, progress):
+        for _, outcome in run_tasks(build_task, tasks, lost=_lost, workers=count, progress=progress):
             outcomes.append(outcome)
             if report is not None:
                 report(outcome)
     return sorted(outcomes, key=lambda outcome: outcome.name)
 
 
-def build_task(task: Task, progress: FrameProgress) -> Outcome:
+def build_task(task: Task, progress: Progress) -> Outcome:
     """Build one clip unless its file is up to date; an error becomes a failed outcome."""
-    name = task.source.name
-    target = task.output / f"{name}.h5"
+    cv2.setNumThreads(1)  # also with one worker, which is the calling process
+    name, target = task.source.name, task.target
     try:
         job = prepare(task.source, label_source(name, task.annotations, task.masks), task.settings)
         reason = why_build(target, job.fingerprint, force=task.force)
@@ -156,6 +163,11 @@ def build_task(task: Task, progress: FrameProgress) -> Outcome:
     sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
     counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
     return Outcome(name, "built", reason, target, counts)
+
+
+def _lost(task: Task, reason: str) -> Outcome:
+    advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
+    return Outcome(task.source.name, "failed", f"{reason}; {advice}", task.target, {})
 
 
 @contextmanager

@@ -21,7 +21,6 @@ from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import hdf5, load
 from kt3dmoseg.pipeline import FrameFolder, build_dataset, dataset
-from kt3dmoseg.pipeline.workers import in_processes
 from kt3dmoseg.tracking import RELIABLE
 
 FLOW = ["--flow", "dis_medium"]
@@ -74,19 +73,6 @@ def test_any_number_of_workers_gives_the_same_bytes(frames, tmp_path):
     build(frames, tmp_path / "two", workers=2, progress=lambda *message: seen.append(message))
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
     assert sorted(seen) == [(clip, k, FRAMES) for clip in "abc" for k in range(1, FRAMES + 1)]
-
-
-def environment(names, _progress):
-    return {name: os.environ.get(name) for name in names}
-
-
-def test_workers_compute_with_one_thread_and_the_caller_keeps_its_environment(monkeypatch):
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    monkeypatch.setenv("MKL_NUM_THREADS", "3")
-    before = dict(os.environ)
-    found = list(in_processes(environment, [("OMP_NUM_THREADS", "MKL_NUM_THREADS")] * 3, 2, None))
-    assert found == [{"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "3"}] * 3
-    assert dict(os.environ) == before
 
 
 def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
@@ -370,3 +356,18 @@ def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
     assert {f"{o.name}.h5" for o in outcomes if o.status == "up to date"} == set(finished)
     build_dataset(tmp_path / "frames", tmp_path / "fresh", workers=1)
     assert contents(tmp_path / "out") == contents(tmp_path / "fresh")
+
+
+@dataclasses.dataclass(frozen=True)
+class Deadly(FrameFolder):
+    """Frames whose reading ends the process, as when memory runs out."""
+
+    def frames(self, colour):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_clip_that_kills_its_workers_fails_alone(frames, tmp_path):
+    sources = [FrameFolder(frames / "a"), Deadly(frames / "b"), FrameFolder(frames / "c")]
+    outcomes = {outcome.name: outcome for outcome in build(sources, tmp_path / "out", workers=2)}
+    assert statuses(outcomes.values()) == {"a": "built", "b": "failed", "c": "built"}
+    assert "died 3 times; perhaps memory ran out: run again with fewer --workers" in outcomes["b"].reason

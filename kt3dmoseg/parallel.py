@@ -1,0 +1,345 @@
+"""The one pool of processes and the one cache of arrays that building and benchmarks share.
+
+>>> for task, result in run_tasks(work, tasks, lost=failed, workers=4):  # doctest: +SKIP
+...     print(task, result)
+>>> cache = Cache("flows")  # doctest: +SKIP
+>>> arrays = cache.get(key := cache_key({"frames": checksum, "version": 1}))  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import traceback
+import zipfile
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, Generic, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import InputFileError, KT3DMoSegError, MissingDependencyError
+from kt3dmoseg.files import atomic_path, sha256_arrays
+
+TaskT = TypeVar("TaskT")
+ResultT = TypeVar("ResultT")
+Progress: TypeAlias = Callable[..., None]
+
+_MAX_DEATHS = 3
+_CONNECT_SECONDS = 20
+_ENVIRONMENT = {  # read once: by a library when it is loaded, by glibc when the process starts
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OPENCV_FOR_THREADS_NUM": "1",
+    # Freed arrays of a frame's size stay with the process: to return and fetch them costs a worker an
+    # eighth of its time.
+    "MALLOC_MMAP_THRESHOLD_": f"{1 << 25}",
+    "MALLOC_TRIM_THRESHOLD_": f"{1 << 27}",
+}
+
+
+def run_tasks(
+    work: Callable[[TaskT, Progress], ResultT],
+    tasks: Sequence[TaskT],
+    *,
+    lost: Callable[[TaskT, str], ResultT],
+    workers: int = 1,
+    dask: str = "",
+    progress: Progress | None = None,
+) -> Iterator[tuple[TaskT, ResultT]]:
+    """Run tasks here, in processes or on a Dask cluster, and yield each with its result as it finishes.
+
+    A worker process computes with one thread and ends with this process, however that ends. When one dies,
+    only its task is run again; an exception in a task ends the run and is raised here.
+
+    Parameters
+    ----------
+    work : callable
+        A function of a module, called as ``work(task, progress)``.
+    tasks : sequence
+        What to do; pickled when it leaves this process.
+    lost : callable
+        Called in this process as ``lost(task, reason)``, for the result of a task whose workers died three
+        times.
+    workers : int
+        Number of processes; with 1, or for a single task, this process does the work.
+    dask : str
+        Address of a Dask scheduler, ``"tcp://host:8786"``; replaces `workers`.
+    progress : callable, optional
+        Called in this process with what tasks here or in worker processes hand to their `progress`. Dask
+        workers report none.
+
+    Raises
+    ------
+    KT3DMoSegError
+        When worker processes cannot start.
+    MissingDependencyError
+        When `dask` is given and ``distributed`` is not installed.
+    InputFileError
+        When no scheduler answers at that address.
+    """
+    report = progress or _ignore
+    if dask:
+        yield from _on_cluster(work, tasks, dask, lost)
+    elif workers > 1 and len(tasks) > 1:
+        yield from _Pool(work, tasks, workers, report, lost).results()
+    else:
+        yield from ((task, work(task, report)) for task in tasks)
+
+
+class _Pool(Generic[TaskT, ResultT]):
+    """Worker processes, each with a pipe of its own: no lock that a dying worker could leave closed."""
+
+    def __init__(
+        self,
+        work: Callable[[TaskT, Progress], ResultT],
+        tasks: Sequence[TaskT],
+        workers: int,
+        progress: Progress,
+        lost: Callable[[TaskT, str], ResultT],
+    ) -> None:
+        self.work, self.tasks, self.workers, self.progress, self.lost = work, tasks, workers, progress, lost
+        self.waiting, self.deaths = deque(range(len(tasks))), [0] * len(tasks)
+        self.running: dict[Connection, int] = {}
+        self.processes: dict[Connection, BaseProcess] = {}
+        self.retired: list[BaseProcess] = []
+
+    def results(self) -> Iterator[tuple[TaskT, ResultT]]:
+        try:
+            while self.waiting or self.running:
+                while len(self.processes) < min(self.workers, len(self.waiting) + len(self.running)):
+                    self._start()
+                for connection in wait(list(self.processes)):
+                    assert isinstance(connection, Connection)
+                    yield from self._receive(connection)
+        finally:
+            for process in self.processes.values():
+                process.kill()
+            for process in (*self.processes.values(), *self.retired):
+                process.join()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs, self.work))
+        with _inherited(_ENVIRONMENT):
+            process.start()
+        theirs.close()  # so that the end of the process ends what can be read
+        self.processes[ours] = process
+
+    def _receive(self, connection: Connection) -> Iterator[tuple[TaskT, ResultT]]:
+        try:
+            kind, value = connection.recv()
+        except (EOFError, OSError):
+            yield from self._dead(connection)
+            return
+        if kind == "progress":
+            self.progress(*value)
+            return
+        if kind == "error":
+            raise value
+        if kind == "result":
+            yield self.tasks[self.running.pop(connection)], value
+        self._next_task(connection)
+
+    def _next_task(self, connection: Connection) -> None:
+        if not self.waiting:
+            self.retired.append(self.processes.pop(connection))
+            connection.close()
+            return
+        index = self.running[connection] = self.waiting.popleft()
+        with suppress(OSError):  # of a worker that just died: the next look at the pipe finds it
+            connection.send(self.tasks[index])
+
+    def _dead(self, connection: Connection) -> Iterator[tuple[TaskT, ResultT]]:
+        connection.close()
+        self.retired.append(self.processes.pop(connection))
+        index = self.running.pop(connection, None)
+        if index is None:
+            raise KT3DMoSegError(
+                "worker processes end before their first task",
+                fix="in a script, start the work under: if __name__ == '__main__'; or use one worker",
+            )
+        self.deaths[index] += 1
+        if self.deaths[index] < _MAX_DEATHS:
+            self.waiting.appendleft(index)
+        else:
+            task = self.tasks[index]
+            yield task, self.lost(task, f"its worker processes died {_MAX_DEATHS} times")
+
+
+def _serve(connection: Connection, work: Callable[[Any, Progress], Any]) -> None:
+    """Do one task after the other, in a worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too, and ends its workers
+    tasks: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_take_tasks, args=(connection, tasks), daemon=True).start()
+
+    def attempt(task: object) -> tuple[str, Any]:
+        try:
+            return "result", work(task, lambda *values: connection.send(("progress", values)))
+        except Exception as error:
+            error.add_note(traceback.format_exc())  # of this process, which the parent's does not show
+            return "error", error
+
+    message: tuple[str, Any] = ("ready", None)
+    with suppress(BrokenPipeError):  # the parent has ended
+        while True:
+            connection.send(message)
+            message = attempt(tasks.get())
+
+
+def _take_tasks(connection: Connection, tasks: SimpleQueue[Any]) -> None:
+    """Take tasks until the other end closes: by the parent, or by the system when the parent is gone."""
+    with suppress(EOFError, OSError):
+        while True:
+            tasks.put(connection.recv())
+    os._exit(1)
+
+
+@contextmanager
+def _inherited(values: Mapping[str, str]) -> Iterator[None]:
+    """Give a process that starts in the block these variables, where they are not set already."""
+    added = values.keys() - os.environ.keys()
+    os.environ.update({name: values[name] for name in added})
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+
+
+def _ignore(*_: object) -> None:
+    """Take progress that nobody asked for."""
+
+
+def _on_cluster(
+    work: Callable[[TaskT, Progress], ResultT],
+    tasks: Sequence[TaskT],
+    address: str,
+    lost: Callable[[TaskT, str], ResultT],
+) -> Iterator[tuple[TaskT, ResultT]]:
+    distributed = _distributed()
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_SECONDS)
+    except (OSError, ValueError) as error:
+        raise InputFileError(
+            address, expected="a Dask scheduler", found=str(error) or "no answer", fix="is it running?"
+        ) from error
+    with client:
+        # Impure: a task is run, never looked up by its arguments. Dask runs it again elsewhere when its
+        # worker dies.
+        futures = {
+            client.submit(work, task, _ignore, pure=False, retries=_MAX_DEATHS): task for task in tasks
+        }
+        for future in distributed.as_completed(futures):
+            task = futures[future]
+            try:
+                result = future.result()
+            except distributed.scheduler.KilledWorker:
+                result = lost(task, "its Dask workers died, one after the other")
+            yield task, result
+
+
+def _distributed() -> Any:  # noqa: ANN401  # it has no types
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingDependencyError(
+            "--dask needs distributed", fix="pip install 'kt3dmoseg[dask]'"
+        ) from error
+    return distributed
+
+
+class Cache:
+    """Arrays on disk by key, one ``.npz`` file each, written atomically.
+
+    Several processes may share a folder. What is damaged, or has got under another key's name, counts as
+    absent. Whatever the arrays depend on belongs into the key, so nothing here can be out of date.
+
+    Parameters
+    ----------
+    folder : path or None
+        Where; made when something is put there. None keeps nothing.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str] | None) -> None:
+        self.folder = None if folder is None else Path(folder)
+
+    def get(self, key: str) -> dict[str, npt.NDArray[Any]] | None:
+        """Return the arrays of a key, by name; None when they are not there."""
+        if self.folder is None:
+            return None
+        try:
+            # Not np.load of the file: that checks no checksum where it reads less than was written.
+            with zipfile.ZipFile(self._path(key)) as archive:
+                arrays = {
+                    name.removesuffix(".npy"): np.load(io.BytesIO(archive.read(name)), allow_pickle=False)
+                    for name in archive.namelist()
+                }
+        except Exception:  # each kind of damage raises a class of its own
+            return None
+        return arrays if str(arrays.pop("key", "")) == _contents(key, arrays) else None
+
+    def put(self, key: str, arrays: Mapping[str, npt.ArrayLike]) -> None:
+        """Keep arrays by name; none may be called ``key`` or hold objects.
+
+        Raises
+        ------
+        InputFileError
+            When the folder cannot be written.
+        """
+        if self.folder is None:
+            return
+        with atomic_path(self._path(key)) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, key=_contents(key, arrays), **dict(arrays))  # type: ignore[arg-type]  # numpy 2.1 has a flag
+
+    def _path(self, key: str) -> Path:
+        assert self.folder is not None
+        return self.folder / key[:2] / f"{key}.npz"
+
+
+def _contents(key: str, names: Iterable[str]) -> str:
+    return " ".join([key, *sorted(names)])
+
+
+def cache_key(description: Mapping[str, object]) -> str:
+    """Hexadecimal SHA-256 of everything that a result depends on.
+
+    Parameters
+    ----------
+    description : mapping
+        JSON values, arrays (by dtype, shape and content), and anything else whose ``repr`` says all.
+    """
+    return hashlib.sha256(json.dumps(description, sort_keys=True, default=_described).encode()).hexdigest()
+
+
+def _described(value: object) -> str:
+    return sha256_arrays(value) if isinstance(value, np.ndarray) else repr(value)
+
+
+def algorithm_version(cls: type) -> str | None:
+    """Version of the code that a class computes with; None when it states none, and so must not be cached.
+
+    That is the nearest ``ALGORITHM_VERSION``, of the class, its module or a package around it, which is
+    raised by hand when results change, and the ``__version__`` of the outermost package.
+    """
+    names = cls.__module__.split(".")
+    modules = [sys.modules.get(".".join(names[:count])) for count in range(len(names), 0, -1)]
+    stated = [getattr(place, "ALGORITHM_VERSION", None) for place in (cls, *modules)]
+    algorithm = next((str(version) for version in stated if version is not None), None)
+    package = getattr(modules[-1], "__version__", None)
+    parts = [str(part) for part in (algorithm, package) if part is not None]
+    return "/".join(parts) if parts else None
