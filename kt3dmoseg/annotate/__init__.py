@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from kt3dmoseg.annotate.document import load_annotation, save_annotation
 from kt3dmoseg.annotate.labelling import (
     LabelledTracks,
     LabelRule,
     label_tracks,
     label_tracks_detailed,
 )
-from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Mark
+from kt3dmoseg.annotate.model import (
+    AnnotatedObject,
+    Annotation,
+    KeyFrame,
+    Mark,
+    load_annotation,
+    save_annotation,
+)
 from kt3dmoseg.annotate.motion import FlowMotion, ImageMotion, TrackMotion
 from kt3dmoseg.annotate.regions import Region, propagate
 from kt3dmoseg.annotate.session import AnnotationSession

@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from kt3dmoseg.annotate.checks import Motion
-from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject
+from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Motion
 from kt3dmoseg.annotate.motion import fit_similarities
 from kt3dmoseg.annotate.polygons import bounds, signed_distance
 from kt3dmoseg.annotate.regions import Region

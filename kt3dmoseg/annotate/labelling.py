@@ -20,9 +20,8 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.checks import REJECT, Motion
 from kt3dmoseg.annotate.halo import HaloRule, decide_by_motion
-from kt3dmoseg.annotate.model import BACKGROUND, Annotation
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, Motion
 from kt3dmoseg.annotate.motion import ImageMotion, TrackMotion
 from kt3dmoseg.annotate.polygons import bounds, inside, signed_distance
 from kt3dmoseg.annotate.regions import Region, propagate

@@ -1,46 +1,114 @@
-"""The annotation of a clip: objects whose regions are drawn on key frames, and single marks.
+"""The annotation of a clip: objects whose regions are drawn on key frames, and single marks; as JSON.
 
 Everything is immutable and hashable, so that one edit shares all that it did not touch with the
-annotation before it, and undo is nothing but remembering the former value.
+annotation before it. pydantic checks the fields, wherever they come from; the bounds are those of what a
+person draws, and keep a hostile file from costing memory or time. annotations/SCHEMA.json is `json_schema`.
+Writing is deterministic, one polygon a line, so that a revision reads well in a diff.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from functools import wraps
 from itertools import pairwise
-from typing import Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, dataclass_transform, get_args
 
-from kt3dmoseg.annotate.checks import (
-    MAX_FRAMES,
-    MAX_OBJECTS,
-    MAX_SIDE,
-    REJECT,
-    Motion,
-    Polygon,
-    check_motion,
-    polygon_from,
-    polygons_from,
-    text,
-    whole,
-    within,
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    FailFast,
+    Field,
+    TypeAdapter,
+    ValidationError,
 )
-from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.registry import unknown_name
+from pydantic.dataclasses import dataclass
+from pydantic_core import ErrorDetails
+
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import read_bytes, write_text
+from kt3dmoseg.registry import nearest, unknown_name
+
+T = TypeVar("T")
 
 FORMAT = "kt3dmoseg-annotation"
 VERSION = 1
 PROTOCOL = 1
+BACKGROUND = 0
+REJECT: Literal["reject"] = "reject"
+
+MAX_FRAMES = 100_000
+MAX_OBJECTS = 1_000
+MAX_POLYGONS = 200
+MAX_POINTS = 5_000
+MAX_SIDE = 100_000
+_MAX_BYTES = 32 << 20
+_DECIMALS = 2
+
+
+def _check_motion(value: object) -> object:
+    if value != REJECT and (type(value) is not int or not 0 <= value <= MAX_OBJECTS):
+        raise InvalidValueError(
+            "", expected=f"a whole number in 0..{MAX_OBJECTS} or 'reject'", found=repr(value)
+        )
+    return value
+
+
+def _in_order(keys: tuple[KeyFrame, ...]) -> tuple[KeyFrame, ...]:
+    ordered = tuple(sorted(keys, key=lambda key: key.frame))
+    for before, after in pairwise(ordered):
+        if before.frame == after.frame:
+            raise InvalidValueError("", expected="different frames", found=f"frame {after.frame} twice")
+    return ordered
+
 
 Visibility: TypeAlias = Literal["visible", "occluded", "outside"]
+Kind: TypeAlias = Literal[
+    "car", "van", "truck", "bus", "tram", "motorcycle", "cyclist", "pedestrian", "animal", "other"
+]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+Motion: TypeAlias = Annotated[
+    Annotated[int, Field(ge=0, le=MAX_OBJECTS)] | Literal["reject"], BeforeValidator(_check_motion)
+]
+Coordinate: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_SIDE, le=MAX_SIDE, allow_inf_nan=False)]
+Point: TypeAlias = tuple[Coordinate, Coordinate]
+Polygon: TypeAlias = Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_POINTS), FailFast()]
+_Frame: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAMES)]
+_Count: TypeAlias = Annotated[int, Field(strict=True, ge=1, le=MAX_FRAMES)]
+_Side: TypeAlias = Annotated[int, Field(strict=True, ge=1, le=MAX_SIDE)]
+_Text: TypeAlias = Annotated[str, Field(strict=True, max_length=500)]
+_Name: TypeAlias = Annotated[_Text, Field(min_length=1, pattern=r"\S")]
 
-BACKGROUND = 0
-VISIBILITIES: tuple[str, ...] = get_args(Visibility)
-KINDS = ("car", "van", "truck", "bus", "tram", "motorcycle", "cyclist", "pedestrian", "animal", "other")
+
+@dataclass_transform(frozen_default=True)
+def _checked(cls: type[T]) -> type[T]:
+    """Make a frozen dataclass whose fields pydantic checks, with errors of this package."""
+
+    def shorten(schema: dict[str, Any]) -> None:
+        schema["description"] = schema["description"].partition("\n\nRaises\n")[0]
+        for field in schema["properties"].values():
+            field.pop("title", None)
+
+    config = ConfigDict(extra="forbid", regex_engine="python-re", json_schema_extra=shorten)
+    made: Any = dataclass(frozen=True, config=config)(cls)
+    plain = made.__init__
+
+    @wraps(plain)
+    def init(self: object, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401  # whatever is to be checked
+        with _errors_of_this_package():
+            plain(self, *args, **kwargs)
+
+    made.__init__ = init
+    return made  # type: ignore[no-any-return]
 
 
-@dataclass(frozen=True)
+@_checked
 class KeyFrame:
-    """What a person said about one object in one frame; it holds until the next key frame.
+    """What a person drew of one object in one frame; it holds until the next key frame.
 
     Parameters
     ----------
@@ -50,7 +118,7 @@ class KeyFrame:
         Whether the object is seen there, is hidden by something else, or is not in the picture.
     polygons : sequence of sequences of (x, y)
         The region in pixels, the union of the polygons; at least one where visible, none outside.
-        In an occluded frame it may tell where the hidden object is.
+        In an occluded frame it may show where the hidden object is.
 
     Raises
     ------
@@ -58,23 +126,18 @@ class KeyFrame:
         The message names the field.
     """
 
-    frame: int
+    frame: _Frame
     visibility: Visibility = "visible"
-    polygons: tuple[Polygon, ...] = ()
+    polygons: Annotated[tuple[Polygon, ...], Field(max_length=MAX_POLYGONS), FailFast()] = ()
 
     def __post_init__(self) -> None:
-        whole("frame", self.frame, 0, MAX_FRAMES)
-        if self.visibility not in VISIBILITIES:
-            expected = f"one of {', '.join(VISIBILITIES)}"
-            raise InvalidValueError("visibility", expected=expected, found=repr(self.visibility))
-        object.__setattr__(self, "polygons", polygons_from(self.polygons))
         if self.visibility == "visible" and not self.polygons:
             raise InvalidValueError("polygons", expected="at least one where visible", found="none")
         if self.visibility == "outside" and self.polygons:
             raise InvalidValueError("polygons", expected="none where outside", found=f"{len(self.polygons)}")
 
 
-@dataclass(frozen=True)
+@_checked
 class AnnotatedObject:
     """One object of a clip.
 
@@ -95,35 +158,24 @@ class AnnotatedObject:
         Why, when it is not obvious.
     """
 
-    id: int
-    name: str
-    kind: str
+    id: Annotated[int, Field(strict=True, ge=1, le=1_000_000_000)]
+    name: _Name
+    kind: Kind
     motion: Motion
-    key_frames: tuple[KeyFrame, ...]
-    note: str = ""
-
-    def __post_init__(self) -> None:
-        whole("id", self.id, 1, 1_000_000_000)
-        text("name", self.name)
-        text("note", self.note, empty=True)
-        if self.kind not in KINDS:
-            raise InvalidValueError(str(unknown_name("kind", self.kind, KINDS, where="kind")))
-        check_motion(self.motion)
-        keys = tuple(sorted(self.key_frames, key=lambda key: key.frame))
-        if not keys:
-            raise InvalidValueError("key_frames", expected="at least one", found="none")
-        for before, after in pairwise(keys):
-            if before.frame == after.frame:
-                found = f"frame {after.frame} twice"
-                raise InvalidValueError("key_frames", expected="different frames", found=found)
-        object.__setattr__(self, "key_frames", keys)
+    key_frames: Annotated[
+        tuple[KeyFrame, ...],
+        Field(min_length=1, max_length=MAX_FRAMES),
+        FailFast(),
+        AfterValidator(_in_order),
+    ]
+    note: _Text = ""
 
     def key_at(self, frame: int) -> KeyFrame | None:
         """Return the key frame at `frame`, or None."""
         return next((key for key in self.key_frames if key.frame == frame), None)
 
 
-@dataclass(frozen=True)
+@_checked
 class Mark:
     """A lasso: every trajectory inside the polygon in that one frame has this motion.
 
@@ -137,26 +189,21 @@ class Mark:
         In pixels.
     """
 
-    frame: int
+    frame: _Frame
     motion: Motion
     polygon: Polygon
 
-    def __post_init__(self) -> None:
-        whole("frame", self.frame, 0, MAX_FRAMES)
-        check_motion(self.motion)
-        object.__setattr__(self, "polygon", polygon_from(self.polygon, "polygon"))
 
-
-@dataclass(frozen=True)
+@_checked
 class Annotation:
-    """What a person says about the motions of a clip, in pixels, independent of any tracker.
+    """What a person drew of the motions of a clip, in pixels, independent of any tracker.
 
     Parameters
     ----------
     clip : str
         Name of the clip.
     image_size : (W, H)
-        Of the frames, in pixels.
+        Of the frames, in pixels: x right, y down, (0, 0) is the centre of the top-left pixel.
     n_frames : int
         Number of frames of the clip.
     objects : sequence of AnnotatedObject
@@ -176,37 +223,36 @@ class Annotation:
         The message names the field.
     """
 
-    clip: str
-    image_size: tuple[int, int]
-    n_frames: int
-    objects: tuple[AnnotatedObject, ...] = ()
-    marks: tuple[Mark, ...] = ()
-    annotator: str = ""
-    protocol: int = PROTOCOL
-    revision: int = 0
+    clip: _Name
+    image_size: tuple[_Side, _Side]
+    n_frames: _Count
+    objects: Annotated[tuple[AnnotatedObject, ...], Field(max_length=MAX_OBJECTS), FailFast()] = ()
+    marks: Annotated[tuple[Mark, ...], FailFast()] = ()
+    annotator: _Text = ""
+    protocol: _Count = PROTOCOL
+    revision: Annotated[int, Field(strict=True, ge=0, le=2**53)] = 0
 
     def __post_init__(self) -> None:
-        text("clip", self.clip)
-        text("annotator", self.annotator, empty=True)
-        whole("n_frames", self.n_frames, 1, MAX_FRAMES)
-        whole("protocol", self.protocol, 1, MAX_FRAMES)
-        whole("revision", self.revision, 0, 2**53)
-        width, height = self.image_size
-        whole("image_size[0]", width, 1, MAX_SIDE)
-        whole("image_size[1]", height, 1, MAX_SIDE)
-        object.__setattr__(self, "image_size", (width, height))
-        object.__setattr__(self, "objects", tuple(self.objects))
-        object.__setattr__(self, "marks", tuple(self.marks))
-        _check_objects(self)
+        seen: set[int] = set()
+        for i, item in enumerate(self.objects):
+            if item.id in seen:
+                raise InvalidValueError(f"objects[{i}].id", expected="unique ids", found=f"{item.id} twice")
+            seen.add(item.id)
+            for k, key in enumerate(item.key_frames):
+                self._check_frame(key.frame, f"objects[{i}].key_frames[{k}].frame")
         for i, mark in enumerate(self.marks):
-            with within(f"marks[{i}]"):
-                whole("frame", mark.frame, 0, self.n_frames - 1)
+            self._check_frame(mark.frame, f"marks[{i}].frame")
+
+    def _check_frame(self, frame: int, where: str) -> None:
+        if frame >= self.n_frames:
+            expected = f"a whole number in 0..{self.n_frames - 1}"
+            raise InvalidValueError(where, expected=expected, found=str(frame))
 
     @property
     def motions(self) -> list[int]:
         """The motion numbers (>= 1) in use, ascending."""
-        used = [item.motion for item in self.objects] + [mark.motion for mark in self.marks]
-        return sorted({m for m in used if m != REJECT and m >= 1})
+        used = {item.motion for item in self.objects} | {mark.motion for mark in self.marks}
+        return sorted(m for m in used if m != REJECT and m >= 1)
 
     def object(self, object_id: int) -> AnnotatedObject:
         """Return the object of that id.
@@ -226,22 +272,195 @@ class Annotation:
         """Return the annotation of the same clip without objects and marks."""
         return replace(self, objects=(), marks=())
 
-    def with_object(self, changed: AnnotatedObject) -> Annotation:
-        """Return the annotation with `changed` in place of the object of the same id."""
-        self.object(changed.id)
-        return replace(self, objects=tuple(changed if o.id == changed.id else o for o in self.objects))
+
+def load_annotation(path: str | os.PathLike[str]) -> Annotation:
+    """Read the annotation of a clip.
+
+    Parameters
+    ----------
+    path : path
+        A JSON file as written by `save_annotation`.
+
+    Raises
+    ------
+    InputFileError
+        When it cannot be read, or is larger than 32 MiB.
+    FileFormatError
+        When it is not an annotation; the message names the field.
+    """
+    name = os.fspath(path)
+    content = read_bytes(path, _MAX_BYTES)
+    try:
+        return from_json(json.loads(content))
+    except InvalidValueError as error:
+        where = f"{name}: {error.where}"
+        raise FileFormatError(where, expected=error.expected, found=error.found, fix=error.fix) from error
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(name, expected="an annotation in JSON", found=str(error)[:100]) from error
 
 
-def _check_objects(annotation: Annotation) -> None:
-    if len(annotation.objects) > MAX_OBJECTS:
-        found = str(len(annotation.objects))
-        raise InvalidValueError("objects", expected=f"at most {MAX_OBJECTS}", found=found)
-    seen: set[int] = set()
-    for i, item in enumerate(annotation.objects):
-        with within(f"objects[{i}]"):
-            if item.id in seen:
-                raise InvalidValueError("id", expected="unique ids", found=f"{item.id} twice")
-            seen.add(item.id)
-            for k, key in enumerate(item.key_frames):
-                with within(f"key_frames[{k}]"):
-                    whole("frame", key.frame, 0, annotation.n_frames - 1)
+def save_annotation(path: str | os.PathLike[str], annotation: Annotation) -> None:
+    """Write an annotation atomically.
+
+    Raises
+    ------
+    InputFileError
+        When the file cannot be written.
+    """
+    write_text(path, dumps(annotation))
+
+
+def dumps(annotation: Annotation) -> str:
+    """Return the JSON text of an annotation, one polygon a line."""
+    return _indented(to_json(annotation), 0) + "\n"
+
+
+def to_json(annotation: Annotation) -> dict[str, Any]:
+    """Return an annotation as JSON-able values; coordinates rounded to 1/100 pixel."""
+    marks = [{"frame": m.frame, "motion": m.motion, "polygon": _rounded(m.polygon)} for m in annotation.marks]
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "clip": annotation.clip,
+        "revision": annotation.revision,
+        "protocol": annotation.protocol,
+        "annotator": annotation.annotator,
+        "image_size": list(annotation.image_size),
+        "n_frames": annotation.n_frames,
+        "objects": [_object_to_json(item) for item in annotation.objects],
+        "marks": marks,
+    }
+
+
+def from_json(data: object) -> Annotation:
+    """Build an annotation from parsed JSON.
+
+    Raises
+    ------
+    InvalidValueError
+        When a field is missing, unknown, or of a wrong type or value; the message names it.
+    """
+    if not isinstance(data, Mapping):
+        raise InvalidValueError("annotation", expected="a JSON object", found=repr(data)[:80])
+    rest = dict(data)
+    for name in _REQUIRED:
+        if name not in rest:
+            raise InvalidValueError(name, expected="this field", found="nothing")
+    for name, expected in (("format", FORMAT), ("version", VERSION)):
+        found, fix = rest.pop(name), "" if name == "format" else "read it with a newer kt3dmoseg"
+        if found != expected:
+            raise InvalidValueError(name, expected=repr(expected), found=repr(found)[:80], fix=fix)
+    with _errors_of_this_package():
+        return _ANNOTATION.validate_python(rest)
+
+
+def polygon_from(points: Sequence[Sequence[float]], where: str) -> Polygon:
+    """Check one polygon and return it as a tuple of pairs of floats; `where` names it in the error."""
+    with within(where), _errors_of_this_package():
+        return _POLYGON.validate_python(points)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of annotation files, which annotations/SCHEMA.json holds."""
+    schema = _ANNOTATION.json_schema()
+    constants = {"format": {"const": FORMAT}, "version": {"const": VERSION}}
+    beyond = "Beyond this schema, key frames of an object have different frames below n_frames."
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": f"KT3DMoSeg annotation of one clip, version {VERSION}",
+        "description": f"{schema['description']}\n\n{beyond}",
+        "properties": constants | schema["properties"],
+        "required": _REQUIRED,
+    }
+
+
+@contextmanager
+def within(path: str) -> Iterator[None]:
+    """Put `path` before the field that a validation error names."""
+    try:
+        yield
+    except InvalidValueError as error:
+        where = f"{path}.{error.where}" if error.where else path
+        raise InvalidValueError(
+            where.replace(".[", "["), expected=error.expected, found=error.found, fix=error.fix
+        ) from None
+
+
+_REQUIRED = ["format", "version", *(field.name for field in fields(Annotation) if field.name != "marks")]
+_ANNOTATION = TypeAdapter(Annotation)
+_POLYGON: TypeAdapter[Polygon] = TypeAdapter(Polygon)
+_MODELS = {"objects": AnnotatedObject, "key_frames": KeyFrame, "marks": Mark}
+_EXPECTED = {
+    "missing": "a value",
+    "dataclass_type": "a JSON object",
+    "tuple_type": "a list",
+    "too_short": "at least {min_length}",
+    "too_long": "at most {max_length}",
+    "string_type": "a text",
+    "string_unicode": "whole characters",
+    "string_too_short": "a text of at least {min_length} character",
+    "string_too_long": "a text of at most {max_length} characters",
+    "string_pattern_mismatch": "a text that is not blank",
+}
+
+
+@contextmanager
+def _errors_of_this_package() -> Iterator[None]:
+    """Raise the first thing that pydantic objects to as InvalidValueError, which names the field."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    else:
+        return
+    path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
+    raise _refusal(first, path.removeprefix("."))
+
+
+def _refusal(detail: ErrorDetails, where: str) -> InvalidValueError:
+    context = detail.get("ctx", {})
+    cause = context.get("error")
+    if isinstance(cause, InvalidValueError):
+        where = f"{where}.{cause.where}".strip(".")
+        return InvalidValueError(where, expected=cause.expected, found=cause.found, fix=cause.fix)
+    if detail["type"] == "unexpected_keyword_argument":
+        model = next((_MODELS[p] for p in reversed(detail["loc"][:-1]) if p in _MODELS), Annotation)
+        known = [field.name for field in fields(model)] + ["format", "version"] * (model is Annotation)
+        return InvalidValueError(str(unknown_name("field", detail["loc"][-1], known, where=where)))
+    expected = _EXPECTED.get(detail["type"], detail["msg"].removeprefix("Input should be ")).format(**context)
+    found = str(context.get("actual_length") or repr(detail["input"])[:80])
+    meant = nearest(str(detail["input"]), get_args(Kind)) if detail["type"] == "literal_error" else ""
+    found = "nothing" if detail["type"] == "missing" else found
+    return InvalidValueError(where, expected=expected, found=found, fix=meant and f"did you mean {meant!r}?")
+
+
+def _indented(value: Any, depth: int) -> str:  # noqa: ANN401  # whatever JSON holds
+    """Lay JSON out one item a line, but lists of numbers and of points on one line each."""
+    inner, outer = "\n" + " " * (depth + 1), "\n" + " " * depth
+    if isinstance(value, dict) and value:
+        items = [f"{json.dumps(key)}: {_indented(item, depth + 1)}" for key, item in value.items()]
+        return "{" + inner + f",{inner}".join(items) + outer + "}"
+    if isinstance(value, list) and value and not _is_flat(value):
+        return "[" + inner + f",{inner}".join(_indented(item, depth + 1) for item in value) + outer + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _is_flat(value: list[Any]) -> bool:
+    first = value[0]
+    return isinstance(first, (int, float)) or (isinstance(first, list) and not isinstance(first[0], list))
+
+
+def _object_to_json(item: AnnotatedObject) -> dict[str, Any]:
+    out: dict[str, Any] = {"id": item.id, "name": item.name, "kind": item.kind, "motion": item.motion}
+    if item.note:
+        out["note"] = item.note
+    out["key_frames"] = [
+        {"frame": key.frame, "visibility": key.visibility, "polygons": [_rounded(p) for p in key.polygons]}
+        for key in item.key_frames
+    ]
+    return out
+
+
+def _rounded(polygon: Polygon) -> list[list[float]]:
+    return [[round(x, _DECIMALS), round(y, _DECIMALS)] for x, y in polygon]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kt3dmoseg.annotate.checks import Polygon
+from kt3dmoseg.annotate.model import Polygon
 from kt3dmoseg.types import BoolArray, FloatArray
 
 _BLOCK = 1 << 20

@@ -1,6 +1,4 @@
-"""Editing an annotation: every edit can be undone, without limit.
-
-An edit makes a new immutable annotation; the session remembers the ones before it.
+"""Editing and saving an annotation: every edit can be undone, and no save overwrites a newer one.
 
 >>> session = AnnotationSession.new("clip", image_size=(1242, 375), n_frames=20)
 >>> van = session.add_object("van", 0, [[(10, 10), (60, 10), (60, 40)]], kind="van", motion=1)
@@ -16,21 +14,77 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
 
-from kt3dmoseg.annotate.checks import Motion
-from kt3dmoseg.annotate.document import load_annotation
-from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Mark, Visibility
-from kt3dmoseg.annotate.motion import ImageMotion
-from kt3dmoseg.annotate.regions import propagate_keys
-from kt3dmoseg.annotate.store import save_revision
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.annotate.model import (
+    AnnotatedObject,
+    Annotation,
+    KeyFrame,
+    Kind,
+    Mark,
+    Motion,
+    Polygon,
+    Visibility,
+    load_annotation,
+    save_annotation,
+)
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.files import hold_folder
 
 Drawn = Sequence[Sequence[Sequence[float]]]
 
 
+class StaleRevisionError(KT3DMoSegError):
+    """The file was saved by somebody else since it was read."""
+
+    def __init__(self, path: Path, current: Annotation, mine: int) -> None:
+        super().__init__(
+            f"{path}",
+            expected=f"revision {mine}",
+            found=f"revision {current.revision}",
+            fix="read it again and merge the edits",
+        )
+        self.current = current
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Cross process boundaries intact."""
+        return StaleRevisionError, (Path(self.where), self.current, int(self.expected.split()[-1]))
+
+
+def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annotation:
+    """Write `annotation` as the next revision of a file, if it was made from the present one.
+
+    Parameters
+    ----------
+    path : path
+        The annotation file; one that does not exist, or no longer, is written whatever the revision.
+    annotation : Annotation
+        With the revision that it was made from.
+
+    Returns
+    -------
+    Annotation
+        What was written, with its new revision.
+
+    Raises
+    ------
+    StaleRevisionError
+        When the file holds another revision.
+    InputFileError, FileFormatError
+        When the file cannot be written, or what is there is no annotation.
+    """
+    target = Path(path)
+    with hold_folder(target.parent):
+        current = load_annotation(target) if target.exists() else None
+        if current is not None and current.revision != annotation.revision:
+            raise StaleRevisionError(target, current, annotation.revision)
+        saved = replace(annotation, revision=annotation.revision + 1)
+        save_annotation(target, saved)
+    return saved
+
+
 class AnnotationSession:
-    """An annotation being edited.
+    """An annotation being edited; an edit that is refused leaves it as it was.
 
     Parameters
     ----------
@@ -61,74 +115,35 @@ class AnnotationSession:
         return self._now
 
     def add_object(
-        self,
-        name: str,
-        frame: int,
-        polygons: Drawn,
-        *,
-        motion: Motion,
-        kind: str = "car",
-        note: str = "",
+        self, name: str, frame: int, polygons: Drawn, *, motion: Motion, kind: Kind = "car", note: str = ""
     ) -> int:
         """Add an object with its first key frame and return its id.
 
         Raises
         ------
         InvalidValueError
-            The message names the field; the annotation stays as it was. This holds for every edit.
+            The message names the field, as for every edit.
         """
         number = max((item.id for item in self._now.objects), default=0) + 1
-        item = AnnotatedObject(number, name, kind, motion, (_key(frame, polygons),), note)
+        key = KeyFrame(frame, polygons=_polygons(polygons))
+        item = AnnotatedObject(number, name, kind, motion, (key,), note)
         self.replace(replace(self._now, objects=(*self._now.objects, item)))
         return number
-
-    def update_object(self, object_id: int, **fields: Any) -> None:  # noqa: ANN401
-        """Change the `name`, `kind`, `motion` or `note` of an object."""
-        unknown = set(fields) - {"name", "kind", "motion", "note"}
-        if unknown:
-            raise InvalidValueError("update_object", expected="name, kind, motion, note", found=min(unknown))
-        self.replace(self._now.with_object(replace(self._now.object(object_id), **fields)))
-
-    def remove_object(self, object_id: int) -> None:
-        """Remove an object from the whole clip."""
-        gone = self._now.object(object_id)
-        self.replace(replace(self._now, objects=tuple(o for o in self._now.objects if o is not gone)))
 
     def set_key_frame(
         self, object_id: int, frame: int, polygons: Drawn = (), visibility: Visibility = "visible"
     ) -> None:
-        """Draw an object in one frame, or say that it is occluded or outside from there on."""
+        """Draw an object in one frame, or make it occluded or outside from there on."""
         item = self._now.object(object_id)
-        others = tuple(key for key in item.key_frames if key.frame != frame)
-        changed = replace(item, key_frames=(*others, _key(frame, polygons, visibility)))
-        self.replace(self._now.with_object(changed))
-
-    def remove_key_frame(self, object_id: int, frame: int) -> None:
-        """Forget what was said about an object in one frame; its only key frame cannot be removed."""
-        item = self._now.object(object_id)
-        if item.key_at(frame) is None:
-            raise InvalidValueError(f"key frame {frame} of {item.name}", expected="a key frame", found="none")
-        kept = tuple(key for key in item.key_frames if key.frame != frame)
-        self.replace(self._now.with_object(replace(item, key_frames=kept)))
-
-    def pin(self, object_id: int, frame: int, motion: ImageMotion) -> None:
-        """Make the propagated region of a frame a key frame: copy by motion."""
-        item = self._now.object(object_id)
-        region = propagate_keys(item.key_frames, self._now.n_frames, motion)[frame]
-        self.set_key_frame(object_id, frame, [p.tolist() for p in region.polygons], region.visibility)
+        others = (key for key in item.key_frames if key.frame != frame)
+        changed = replace(item, key_frames=(*others, KeyFrame(frame, visibility, _polygons(polygons))))
+        objects = tuple(changed if other is item else other for other in self._now.objects)
+        self.replace(replace(self._now, objects=objects))
 
     def add_mark(self, frame: int, polygon: Sequence[Sequence[float]], *, motion: Motion) -> None:
         """Lasso the trajectories that lie inside the polygon in that frame; see `Mark`."""
-        mark = Mark(frame, motion, tuple((x, y) for x, y in polygon))
-        self.replace(replace(self._now, marks=(*self._now.marks, mark)))
-
-    def remove_mark(self, index: int) -> None:
-        """Remove the mark at an index of ``annotation.marks``."""
-        if not 0 <= index < len(self._now.marks):
-            found = f"{index} of {len(self._now.marks)}"
-            raise InvalidValueError("mark", expected="the index of a mark", found=found)
-        marks = self._now.marks
-        self.replace(replace(self._now, marks=marks[:index] + marks[index + 1 :]))
+        (checked,) = _polygons([polygon])
+        self.replace(replace(self._now, marks=(*self._now.marks, Mark(frame, motion, checked))))
 
     def replace(self, annotation: Annotation) -> None:
         """Make any annotation the present one, as one edit."""
@@ -166,5 +181,5 @@ class AnnotationSession:
         return True
 
 
-def _key(frame: int, polygons: Drawn, visibility: Visibility = "visible") -> KeyFrame:
-    return KeyFrame(frame, visibility, tuple(tuple((p[0], p[1]) for p in polygon) for polygon in polygons))
+def _polygons(drawn: Drawn) -> tuple[Polygon, ...]:
+    return tuple(tuple((point[0], point[1]) for point in polygon) for polygon in drawn)

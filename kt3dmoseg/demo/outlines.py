@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame
-from kt3dmoseg.annotate.checks import Polygon
+from kt3dmoseg.annotate.model import Polygon
 from kt3dmoseg.synthetic import Scene
 from kt3dmoseg.types import ByteArray
 

@@ -10,9 +10,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, Mark, formats
-from kt3dmoseg.annotate.checks import REJECT
 from kt3dmoseg.annotate.formats.masks import label_image
-from kt3dmoseg.annotate.model import KINDS
+from kt3dmoseg.annotate.model import KINDS, REJECT
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
 SIZE = (96, 64)

@@ -13,9 +13,9 @@ import pytest
 from annotation_scenes import FRAMES, SIZE, motions, scene, zipped
 
 from kt3dmoseg.annotate import formats
-from kt3dmoseg.annotate.checks import REJECT
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.masks import mask_of
+from kt3dmoseg.annotate.model import REJECT
 
 EMPTY = replace(scene(), objects=(), marks=())
 DECODES = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools

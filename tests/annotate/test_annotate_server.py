@@ -13,7 +13,7 @@ from annotation_scenes import write_clip
 from asgi_client import Client
 
 from kt3dmoseg.annotate import AnnotatedObject, AnnotationSession, KeyFrame, label_tracks, load_annotation
-from kt3dmoseg.annotate.document import from_json, to_json
+from kt3dmoseg.annotate.model import from_json, to_json
 from kt3dmoseg.annotate.server import guard
 from kt3dmoseg.annotate.server.app import create_app
 from kt3dmoseg.annotate.server.desk import Desk

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
+from dataclasses import replace
 
-import numpy as np
 import pytest
 from annotation_scenes import FRAMES, SIZE, box, scene
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from kt3dmoseg.annotate import AnnotationSession, TrackMotion, load_annotation
-from kt3dmoseg.annotate.store import StaleRevisionError, save_revision
+from kt3dmoseg.annotate import AnnotationSession, load_annotation
+from kt3dmoseg.annotate.session import StaleRevisionError, save_revision
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import Trajectories
 
 
 class Editing(RuleBasedStateMachine):
@@ -54,13 +53,17 @@ class Editing(RuleBasedStateMachine):
     @rule(data=st.data(), name=st.text(min_size=1, max_size=5).filter(str.strip))
     def rename(self, data, name):
         if chosen := self.pick(data):
-            self.session.update_object(chosen, name=name)
+            now = self.session.annotation
+            objects = tuple(replace(o, name=name) if o.id == chosen else o for o in now.objects)
+            self.session.replace(replace(now, objects=objects))
             self.did()
 
     @rule(data=st.data())
     def remove(self, data):
         if chosen := self.pick(data):
-            self.session.remove_object(chosen)
+            now = self.session.annotation
+            kept = tuple(o for o in now.objects if o.id != chosen)
+            self.session.replace(replace(now, objects=kept))
             self.did()
 
     @rule(frame=st.integers(0, FRAMES - 1))
@@ -92,25 +95,16 @@ def test_a_refused_edit_changes_nothing():
     for attempt in (
         lambda: session.set_key_frame(1, FRAMES, [box(0, 0)]),
         lambda: session.set_key_frame(1, 0, [[(0, 0), (1, 1)]]),
-        lambda: session.update_object(1, kind="spaceship"),
-        lambda: session.update_object(1, id=5),
-        lambda: session.remove_object(99),
-        lambda: session.remove_key_frame(3, 1),
-        lambda: session.remove_mark(4),
+        lambda: session.set_key_frame(99, 0, [box(0, 0)]),
+        lambda: session.add_object("thing", 0, [box(0, 0)], motion=1, kind="spaceship"),
+        lambda: session.add_object(" ", 0, [box(0, 0)], motion=1),
+        lambda: session.add_mark(FRAMES, box(0, 0), motion=1),
+        lambda: session.add_mark(0, box(0, 0), motion=-1),
     ):
         with pytest.raises(InvalidValueError):
             attempt()
     assert session.annotation == scene()
     assert not session.undo()
-
-
-def test_pin_copies_the_region_by_motion():
-    session = AnnotationSession.new("scene", image_size=SIZE, n_frames=FRAMES)
-    thing = session.add_object("thing", 0, [box(10, 10)], motion=1)
-    starts = np.stack(np.meshgrid(np.arange(11, 30, 3.0), np.arange(11, 26, 3.0)), -1).reshape(-1, 1, 2)
-    xy = starts + np.arange(FRAMES)[None, :, None] * (5.0, 2.0)
-    session.pin(thing, 3, TrackMotion(Trajectories(xy, np.ones(xy.shape[:2], bool))))
-    assert np.allclose(session.annotation.object(thing).key_at(3).polygons[0], box(25, 16), atol=0.01)
 
 
 def test_saving_counts_revisions_and_undo_does_not(tmp_path):
@@ -154,7 +148,7 @@ def test_of_many_processes_exactly_one_saves_a_revision(tmp_path):
     workers = [context.Process(target=_save, args=(path, start, results)) for _ in range(6)]
     for worker in workers:
         worker.start()
-    told = [results.get(timeout=60) for _ in workers]
+    answers = [results.get(timeout=60) for _ in workers]
     for worker in workers:
         worker.join()
-    assert sorted(told, key=str) == [2, *[None] * 5]
+    assert sorted(answers, key=str) == [2, *[None] * 5]

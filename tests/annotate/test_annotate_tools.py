@@ -156,7 +156,7 @@ session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
 session.add_object("thing", 0, [[(k, k * k % 97) for k in range(2000)]], motion=1)
 while True:
     print(session.save(sys.argv[1]), flush=True)
-    session.update_object(1, note=str(session.annotation.revision))
+    session.add_mark(0, [(0, 0), (9, 0), (9, 9)], motion=1)
 """
 
 

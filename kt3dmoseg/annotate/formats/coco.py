@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from kt3dmoseg.annotate.checks import MAX_OBJECTS
 from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.archive import frame_indices
 from kt3dmoseg.annotate.formats.corner import from_corner
 from kt3dmoseg.annotate.formats.instances import Instances
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, mask_of
 from kt3dmoseg.annotate.formats.objects import own_motions
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
+from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from kt3dmoseg.annotate.checks import Polygon, polygon_from
+from kt3dmoseg.annotate.model import Polygon, polygon_from
 from kt3dmoseg.types import FloatArray
 
 _HALF = 0.5

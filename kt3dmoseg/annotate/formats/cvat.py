@@ -16,13 +16,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from xml.etree import ElementTree as ET
 
-from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, within
 from kt3dmoseg.annotate.formats import safe_xml
 from kt3dmoseg.annotate.formats.archive import only_entry
 from kt3dmoseg.annotate.formats.corner import from_corner, to_corner
 from kt3dmoseg.annotate.formats.masks import check_frame
 from kt3dmoseg.annotate.formats.objects import known_kind, own_motions
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, KeyFrame, Visibility
+from kt3dmoseg.annotate.model import (
+    KINDS,
+    REJECT,
+    AnnotatedObject,
+    Annotation,
+    KeyFrame,
+    Motion,
+    Polygon,
+    Visibility,
+    within,
+)
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import FloatArray

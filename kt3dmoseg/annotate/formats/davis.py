@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from kt3dmoseg.annotate.checks import REJECT, Motion
 from kt3dmoseg.annotate.formats.instances import from_images
 from kt3dmoseg.annotate.formats.masks import label_image
-from kt3dmoseg.annotate.model import Annotation
+from kt3dmoseg.annotate.model import REJECT, Annotation, Motion
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import zip_bytes

@@ -14,11 +14,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Any
 
-from kt3dmoseg.annotate.checks import REJECT, Motion, Polygon, within
 from kt3dmoseg.annotate.formats.archive import unpack
 from kt3dmoseg.annotate.formats.corner import from_corner, to_corner
 from kt3dmoseg.annotate.formats.objects import key_frames_of, known_kind, own_motions
-from kt3dmoseg.annotate.model import AnnotatedObject, Annotation, KeyFrame, Visibility
+from kt3dmoseg.annotate.model import (
+    REJECT,
+    AnnotatedObject,
+    Annotation,
+    KeyFrame,
+    Kind,
+    Motion,
+    Polygon,
+    Visibility,
+    within,
+)
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
@@ -32,7 +41,7 @@ class _Found:
     """What the frames read so far tell about one object."""
 
     name: str
-    kind: str
+    kind: Kind
     motion: Motion | None
     shapes: dict[int, list[Polygon]] = field(default_factory=dict)
     occluded: set[int] = field(default_factory=set)

@@ -12,8 +12,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from kt3dmoseg.annotate.checks import MAX_POINTS, MAX_POLYGONS, REJECT, Polygon
-from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Annotation
+from kt3dmoseg.annotate.model import (
+    BACKGROUND,
+    MAX_POINTS,
+    MAX_POLYGONS,
+    REJECT,
+    AnnotatedObject,
+    Annotation,
+    Polygon,
+)
 from kt3dmoseg.annotate.polygons import area, bounds, inside
 from kt3dmoseg.annotate.regions import Region
 from kt3dmoseg.errors import FileFormatError

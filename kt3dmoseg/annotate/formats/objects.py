@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from kt3dmoseg.annotate.checks import Motion
-from kt3dmoseg.annotate.model import KINDS, KeyFrame
+from kt3dmoseg.annotate.model import KINDS, KeyFrame, Kind, Motion
 
 
-def known_kind(name: str) -> str:
+def known_kind(name: str) -> Kind:
     """Return the kind of that name, ``"other"`` where we have none."""
-    return name if name in KINDS else "other"
+    return next((kind for kind in KINDS if kind == name), "other")
 
 
 def own_motions(told: Iterable[Motion | None]) -> list[Motion]:

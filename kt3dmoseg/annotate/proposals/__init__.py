@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kt3dmoseg.annotate.checks import Motion
-from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Annotation
+from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Annotation, Motion
 from kt3dmoseg.annotate.proposals.outlines import objects_from_labels
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import Labels, Trajectories

@@ -5,9 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.checks import Polygon
 from kt3dmoseg.annotate.formats.masks import polygons_of
-from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame
+from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame, Polygon
 from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, Labels, Trajectories
 
 # Seeds lie 8 pixels apart where there is texture; smooth parts of a car leave gaps of some 30 pixels.

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 
 from kt3dmoseg import catalog
-from kt3dmoseg.annotate.checks import Polygon
 from kt3dmoseg.annotate.formats.objects import key_frames_of, known_kind
-from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame
+from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame, Polygon
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.kitti import RawDrive, Tracklet
 from kt3dmoseg.types import FloatArray

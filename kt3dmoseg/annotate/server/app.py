@@ -13,10 +13,10 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from kt3dmoseg.annotate.document import to_json
+from kt3dmoseg.annotate.model import to_json
 from kt3dmoseg.annotate.server.guard import TOO_LARGE, BodyTooLargeError, Guard, refuse
 from kt3dmoseg.annotate.server.routes import Routes
-from kt3dmoseg.annotate.store import StaleRevisionError
+from kt3dmoseg.annotate.session import StaleRevisionError
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}

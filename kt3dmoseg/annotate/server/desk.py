@@ -11,9 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from kt3dmoseg import io
-from kt3dmoseg.annotate.document import load_annotation
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
-from kt3dmoseg.annotate.model import Annotation, KeyFrame
+from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation
 from kt3dmoseg.annotate.motion import TrackMotion
 from kt3dmoseg.annotate.regions import Region, propagate_keys
 from kt3dmoseg.annotate.workspace import ClipSource

@@ -33,12 +33,11 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from kt3dmoseg.annotate import formats, proposals
-from kt3dmoseg.annotate.document import from_json, load_annotation, to_json
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, from_json, load_annotation, to_json
 from kt3dmoseg.annotate.server.compare import comparison
 from kt3dmoseg.annotate.server.desk import Desk, Progress, outcome, shown
 from kt3dmoseg.annotate.server.survey import Survey
-from kt3dmoseg.annotate.store import save_revision
+from kt3dmoseg.annotate.session import save_revision
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
