@@ -16,8 +16,7 @@ from kt3dmoseg.annotate.model import (
     load_annotation,
     save_annotation,
 )
-from kt3dmoseg.annotate.motion import FlowMotion, ImageMotion, TrackMotion
-from kt3dmoseg.annotate.regions import Region, propagate
+from kt3dmoseg.annotate.propagation import FlowMotion, ImageMotion, Region, TrackMotion, propagate
 from kt3dmoseg.annotate.session import AnnotationSession
 
 __all__ = [

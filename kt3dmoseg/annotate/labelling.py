@@ -8,7 +8,8 @@ region (motion 0) lies in front of moving ones and a rejected one in front of al
 different motions, or in the region of an occluded object, it abstains. The trajectory gets the motion
 with at least `min_share` of its votes, when they weigh at least `min_votes`; otherwise it stays
 unlabelled, with the reason. A trajectory along an outline is then decided by its motion, where
-that tells (`kt3dmoseg.annotate.halo`). A mark overrules all else for the trajectories it encloses.
+that is clear (`kt3dmoseg.annotate.boundary_refinement`). A mark overrules all else for the trajectories
+that it encloses.
 """
 
 from __future__ import annotations
@@ -18,13 +19,11 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
-import numpy.typing as npt
 
-from kt3dmoseg.annotate.halo import HaloRule, decide_by_motion
+from kt3dmoseg.annotate.boundary_refinement import decide_by_motion
+from kt3dmoseg.annotate.geometry import bounds, inside, signed_distance
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, Motion
-from kt3dmoseg.annotate.motion import ImageMotion, TrackMotion
-from kt3dmoseg.annotate.polygons import bounds, inside, signed_distance
-from kt3dmoseg.annotate.regions import Region, propagate
+from kt3dmoseg.annotate.propagation import ImageMotion, Region, TrackMotion, propagate
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import from_mapping, option
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
@@ -102,7 +101,7 @@ def label_tracks(
     Returns
     -------
     Labels
-        1 = background, m + 1 = motion m, 0 = unlabelled: rejected, in conflict, or too short to tell.
+        1 = background, m + 1 = motion m, 0 = unlabelled: rejected, in conflict, or too short.
 
     Raises
     ------
@@ -123,7 +122,7 @@ def label_tracks_detailed(
     regions: Mapping[int, list[Region]] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> LabelledTracks:
-    """Label trajectories and tell why; other parameters and errors as for `label_tracks`.
+    """Label trajectories, with reasons; other parameters and errors as for `label_tracks`.
 
     Parameters
     ----------
@@ -149,13 +148,25 @@ def label_tracks_detailed(
         votes[rows] += weight
         contested[rows] |= torn
     choice, reason = _decide(votes, contested, trajectories.lengths > 0, rule)
-    halo = HaloRule(rule.halo, rule.margin, rule.ratio, rule.least_gap)
-    for row, winner in decide_by_motion(trajectories, annotation.objects, regions, halo).items():
+    decided = decide_by_motion(
+        trajectories,
+        annotation.objects,
+        regions,
+        halo=rule.halo,
+        margin=rule.margin,
+        ratio=rule.ratio,
+        least_gap=rule.least_gap,
+    )
+    for row, winner in decided.items():
         choice[row], reason[row] = candidates.index(winner), _LABELLED
-    _apply_marks(trajectories, annotation, candidates, choice, reason)
-    label = np.where(reason == _LABELLED, _label_of(candidates)[choice], 0)
-    names = _names(annotation)
-    return LabelledTracks(Labels(label, BACKGROUND + 1, names), reason, votes, candidates, regions)
+    for mark in annotation.marks:
+        rows = np.flatnonzero(trajectories.visible[:, mark.frame])
+        held = rows[inside(trajectories.xy[rows, mark.frame], np.array(mark.polygon))]
+        choice[held] = candidates.index(mark.motion)
+        reason[held] = _REJECTED if mark.motion == REJECT else _LABELLED
+    number = np.array([0 if motion == REJECT else motion + 1 for motion in candidates], dtype=np.int64)
+    labels = Labels(np.where(reason == _LABELLED, number[choice], 0), BACKGROUND + 1, _names(annotation))
+    return LabelledTracks(labels, reason, votes, candidates, regions)
 
 
 def _votes(
@@ -211,24 +222,6 @@ def _decide(
     reason[few] = np.where(contested[few], _CONFLICT, _SHORT)
     reason[~seen] = _UNSEEN
     return choice.astype(np.int64), reason.astype(np.int64)
-
-
-def _apply_marks(
-    trajectories: Trajectories,
-    annotation: Annotation,
-    candidates: Sequence[Motion],
-    choice: IntArray,
-    reason: IntArray,
-) -> None:
-    for mark in annotation.marks:
-        rows = np.flatnonzero(trajectories.visible[:, mark.frame])
-        held = rows[inside(trajectories.xy[rows, mark.frame], np.array(mark.polygon))]
-        choice[held] = candidates.index(mark.motion)
-        reason[held] = _REJECTED if mark.motion == REJECT else _LABELLED
-
-
-def _label_of(candidates: Sequence[Motion]) -> npt.NDArray[np.int64]:
-    return np.array([0 if motion == REJECT else motion + 1 for motion in candidates], dtype=np.int64)
 
 
 def _names(annotation: Annotation) -> dict[int, str]:

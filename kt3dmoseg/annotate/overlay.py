@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from kt3dmoseg.annotate.geometry import bounds
 from kt3dmoseg.annotate.model import AnnotatedObject, Motion
-from kt3dmoseg.annotate.polygons import bounds
-from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.types import ByteArray, FloatArray
 
 Colour = tuple[int, int, int]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, FlowMotion, KeyFrame, TrackMotion, propagate
-from kt3dmoseg.annotate.motion import NoMotion, apply, fit_similarity
-from kt3dmoseg.annotate.polygons import area, blend, inside, resample, signed_distance
+from kt3dmoseg.annotate.geometry import area, blend, inside, resample, signed_distance
+from kt3dmoseg.annotate.propagation import NoMotion, apply, fit_similarity
 from kt3dmoseg.types import Trajectories
 
 FRAMES = 9

@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from kt3dmoseg.annotate.model import Annotation
-from kt3dmoseg.annotate.motion import NoMotion, TrackMotion
-from kt3dmoseg.annotate.regions import Region, propagate
+from kt3dmoseg.annotate.propagation import NoMotion, Region, TrackMotion, propagate
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import Trajectories
 

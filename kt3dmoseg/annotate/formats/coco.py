@@ -21,7 +21,7 @@ from kt3dmoseg.annotate.formats.instances import Instances
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, mask_of
 from kt3dmoseg.annotate.formats.objects import own_motions
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation
-from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray
 

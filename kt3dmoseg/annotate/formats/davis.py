@@ -13,7 +13,7 @@ import numpy as np
 from kt3dmoseg.annotate.formats.instances import from_images
 from kt3dmoseg.annotate.formats.masks import label_image
 from kt3dmoseg.annotate.model import REJECT, Annotation, Motion
-from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.io.index_images import encode_indices

@@ -28,7 +28,7 @@ from kt3dmoseg.annotate.model import (
     Visibility,
     within,
 )
-from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
 

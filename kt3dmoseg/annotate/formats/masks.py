@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from kt3dmoseg.annotate.geometry import area, bounds, inside
 from kt3dmoseg.annotate.model import (
     BACKGROUND,
     MAX_POINTS,
@@ -21,8 +22,7 @@ from kt3dmoseg.annotate.model import (
     Annotation,
     Polygon,
 )
-from kt3dmoseg.annotate.polygons import area, bounds, inside
-from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.types import BoolArray, FloatArray
 

@@ -20,7 +20,7 @@ from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.instances import Instances, from_images
 from kt3dmoseg.annotate.formats.masks import check_frame, check_shape, label_image
 from kt3dmoseg.annotate.model import MAX_OBJECTS, REJECT, AnnotatedObject, Annotation, Motion
-from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.types import BoolArray

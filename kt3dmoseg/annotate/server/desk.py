@@ -13,8 +13,7 @@ import numpy as np
 from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
 from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation
-from kt3dmoseg.annotate.motion import TrackMotion
-from kt3dmoseg.annotate.regions import Region, propagate_keys
+from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate_keys
 from kt3dmoseg.annotate.workspace import ClipSource
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io.images import read_frame

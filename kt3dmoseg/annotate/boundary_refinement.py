@@ -1,4 +1,4 @@
-"""Trajectories along an outline: which side they belong to is told by how they move.
+"""Trajectories along an outline: their motion decides which side they belong to.
 
 Optical flow is smooth over a few pixels, so a trajectory a little outside an outline often rides on
 the object, and one a little inside sometimes on what lies behind. Where the drawing cannot tell, the
@@ -15,36 +15,28 @@ pixels, or one side has too few clear trajectories, the outline decides.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Motion
-from kt3dmoseg.annotate.motion import fit_similarities
-from kt3dmoseg.annotate.polygons import bounds, signed_distance
-from kt3dmoseg.annotate.regions import Region
+from kt3dmoseg.annotate.geometry import bounds, signed_distance
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Motion
+from kt3dmoseg.annotate.propagation import Region, fit_similarities
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
 
 _NEIGHBOURS = 16
 _MIN_STEPS = 3
 
 
-@dataclass(frozen=True)
-class HaloRule:
-    """Constants of the rule; lengths in pixels."""
-
-    halo: float
-    margin: float
-    ratio: float
-    least_gap: float
-
-
 def decide_by_motion(
     trajectories: Trajectories,
     objects: Sequence[AnnotatedObject],
     regions: Mapping[int, list[Region]],
-    rule: HaloRule,
+    *,
+    halo: float,
+    margin: float,
+    ratio: float,
+    least_gap: float,
 ) -> dict[int, Motion]:
     """Decide the trajectories along outlines by their motion.
 
@@ -56,25 +48,32 @@ def decide_by_motion(
         Its objects; only those with a motion of their own take part.
     regions : mapping of int to list of Region
         The objects' regions in every frame.
-    rule : HaloRule
-        Constants.
+    halo, margin, ratio, least_gap : float
+        Constants of the rule; lengths in pixels.
 
     Returns
     -------
     dict of int to int
         Row to motion (0 = background), for the rows that the motion decides.
     """
-    moving = [item for item in objects if isinstance(item.motion, int) and item.motion != BACKGROUND]
-    depths = {item.id: _depths(trajectories, regions[item.id], rule.halo) for item in objects}
-    behind = _clear_background(trajectories, list(depths.values()), rule.halo)
+    depths = {item.id: _depths(trajectories, regions[item.id], halo) for item in objects}
+    behind = trajectories.visible.copy()
+    for depth in depths.values():
+        behind &= np.isneginf(depth)
     decided: dict[int, Motion] = {}
-    for item in moving:
+    for item in objects:
+        if item.motion in (BACKGROUND, REJECT):
+            continue
         depth = depths[item.id]
-        clear = np.nan_to_num(depth, nan=-np.inf) > rule.margin
-        rows = _along(depth, rule.halo, rule.margin)
-        for row, with_object in zip(rows, _winners(trajectories, rows, clear, behind, rule), strict=True):
+        clear = np.nan_to_num(depth, nan=-np.inf) > margin
+        rows = _along(depth, halo, margin)
+        errors = np.array(
+            [_errors(trajectories, rows, clear, behind, f) for f in range(trajectories.n_frames - 1)]
+        ).reshape(trajectories.n_frames - 1, len(rows), 3)
+        for k, row in enumerate(rows.tolist()):
+            with_object = _winner(errors[~np.isnan(errors[:, k, 0]), k], ratio, least_gap)
             if with_object is not None:
-                decided[int(row)] = item.motion if with_object else BACKGROUND
+                decided[row] = item.motion if with_object else BACKGROUND
     return decided
 
 
@@ -93,14 +92,6 @@ def _depths(trajectories: Trajectories, regions: Sequence[Region], halo: float) 
     return depth
 
 
-def _clear_background(trajectories: Trajectories, depths: Sequence[FloatArray], halo: float) -> BoolArray:
-    """Mask (N, F): seen, and farther than `halo` from every region."""
-    clear = trajectories.visible.copy()
-    for depth in depths:
-        clear &= np.isneginf(depth)
-    return np.asarray(clear)
-
-
 def _along(depth: FloatArray, halo: float, margin: float) -> IntArray:
     """Rows that keep to the outline: within `halo` outside and about as near inside, in most frames."""
     seen = ~np.isnan(depth)
@@ -109,24 +100,16 @@ def _along(depth: FloatArray, halo: float, margin: float) -> IntArray:
     return np.flatnonzero((close.sum(axis=1) * 2 > seen.sum(axis=1)) & seen.any(axis=1))
 
 
-def _winners(
-    trajectories: Trajectories, rows: IntArray, clear: BoolArray, behind: BoolArray, rule: HaloRule
-) -> list[bool | None]:
-    """Tell of each row whether it moves with the object, with the background (False), or cannot be told."""
-    steps = [_errors(trajectories, rows, clear, behind, f) for f in range(trajectories.n_frames - 1)]
-    errors = np.array(steps).reshape(len(steps), len(rows), 3)
-    return [_winner(errors[~np.isnan(errors[:, k, 0]), k], rule) for k in range(len(rows))]
-
-
-def _winner(errors: FloatArray, rule: HaloRule) -> bool | None:
+def _winner(errors: FloatArray, ratio: float, least_gap: float) -> bool | None:
+    """Whether a row moves with the object, with the background (False), or neither is clear (None)."""
     if len(errors) < _MIN_STEPS:
         return None
     of_object, of_background, gap = np.median(errors, axis=0)
-    if gap < rule.least_gap:
+    if gap < least_gap:
         return None
-    if of_object * rule.ratio <= of_background:
+    if of_object * ratio <= of_background:
         return True
-    return False if of_background * rule.ratio <= of_object else None
+    return False if of_background * ratio <= of_object else None
 
 
 def _errors(
@@ -142,9 +125,9 @@ def _errors(
     step = trajectories.xy[asked, frame + 1] - trajectories.xy[asked, frame]
     of_object, object_ok = _predict(trajectories, clear[:, frame] & both, asked, frame)
     of_background, background_ok = _predict(trajectories, behind[:, frame] & both, asked, frame)
-    told = object_ok & background_ok
+    known = object_ok & background_ok
     vectors = (step - of_object, step - of_background, of_object - of_background)
-    out[here[told]] = np.stack([np.hypot(*vector[told].T) for vector in vectors], axis=1)
+    out[here[known]] = np.stack([np.hypot(*vector[known].T) for vector in vectors], axis=1)
     return out
 
 

@@ -1,29 +1,96 @@
-"""How the image moves inside a region from one frame to the next."""
+"""Regions in every frame: exact on key frames, following the image motion between them.
+
+The rule. A key frame holds until the next key frame; the first one also holds before itself. So an
+object *enters* by an "outside" key frame followed by a visible one, *leaves* by an "outside" one,
+and is *occluded* from one key frame to the next. Between two visible key frames the region is
+carried forwards from the earlier and backwards from the later one, frame by frame, by a robust
+similarity fitted to the image motion inside it; the two are blended in proportion to the
+distance in time. Outside the outermost key frames there is only one side to come from. A step with too few
+correspondences takes the straight step between the two key frames, else the step before it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.polygons import bounds, signed_distance
+from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, signed_distance
+from kt3dmoseg.annotate.model import Annotation, KeyFrame, Visibility
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
+# A region that grows or shrinks by more than this factor in one frame was fitted to something else.
+_MAX_GROWTH = 1.35
 # Correspondences below which a similarity is not worth fitting: it has four unknowns.
 _ENOUGH = 4
 _ROUNDS = 12
 # Residuals smaller than this many pixels are tracking noise, not another motion.
 _NOISE = 0.3
-# Strength of the prior "no turn, no growth", in square pixels of spread: a few close points tell
+# Strength of the prior "no turn, no growth", in square pixels of spread: a few close points show
 # the translation of a region but not its scale.
 _PRIOR = 100.0
 # Changes of the model below this no longer matter.
 _STILL = 1e-5
 _TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """One object in one frame.
+
+    Parameters
+    ----------
+    visibility : {"visible", "occluded", "outside"}
+        That of the key frame that holds there.
+    polygons : tuple of (P, 2) float64
+        The region in pixels; empty when outside, or occluded at an unknown place.
+    key : bool
+        Whether a person drew it in this very frame.
+    """
+
+    visibility: Visibility
+    polygons: tuple[FloatArray, ...] = ()
+    key: bool = False
+
+
+def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict[int, list[Region]]:
+    """Return every object's region in every frame.
+
+    Parameters
+    ----------
+    annotation : Annotation
+        The key frames.
+    motion : ImageMotion, optional
+        `TrackMotion` or `FlowMotion`; without it regions are interpolated in straight lines.
+
+    Returns
+    -------
+    dict of int to list of Region
+        Object id to its regions, one per frame of the clip.
+    """
+    image = motion or NoMotion()
+    return {
+        item.id: propagate_keys(item.key_frames, annotation.n_frames, image) for item in annotation.objects
+    }
+
+
+def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion) -> list[Region]:
+    """Return the region in every frame of an object with these key frames; see `propagate`."""
+    regions: list[Region] = []
+    first = keys[0]
+    if first.frame:
+        carried = _carry(first, 0, None, motion)
+        regions += [Region(first.visibility, tuple(polygons)) for polygons in reversed(carried[1:])]
+    for key, after in zip(keys, (*keys[1:], None), strict=True):
+        regions.append(Region(key.visibility, tuple(arrays(key.polygons)), key=True))
+        end = after.frame if after else n_frames
+        regions += [Region(key.visibility, tuple(polygons)) for polygons in _between(key, after, end, motion)]
+    return regions
 
 
 class ImageMotion(Protocol):
@@ -48,7 +115,7 @@ class ImageMotion(Protocol):
 
 
 class TrackMotion:
-    """The image motion as told by trajectories inside the region."""
+    """The image motion of the trajectories inside the region."""
 
     def __init__(self, trajectories: Trajectories) -> None:
         self.trajectories = trajectories
@@ -64,7 +131,7 @@ class TrackMotion:
 
 
 class FlowMotion:
-    """The image motion as told by optical flow.
+    """The image motion of an optical flow.
 
     Parameters
     ----------
@@ -187,3 +254,56 @@ def _median(values: FloatArray, known: BoolArray) -> FloatArray:
     low, high = ordered[rows, np.maximum(count - 1, 0) // 2], ordered[rows, np.minimum(count // 2, count - 1)]
     with np.errstate(invalid="ignore"):
         return np.where(count > 0, (low + high) / 2, 0.0)
+
+
+def _between(key: KeyFrame, after: KeyFrame | None, end: int, motion: ImageMotion) -> list[list[FloatArray]]:
+    """Polygons of the frames strictly between `key` and `end`."""
+    span = end - key.frame
+    if span <= 1:
+        return []
+    if not key.polygons:
+        return [[] for _ in range(span - 1)]
+    both = after is not None and after.visibility == key.visibility and bool(after.polygons)
+    target = after if both else None
+    forward = _carry(key, end if both else end - 1, target, motion)
+    if target is None:
+        return forward[1:]
+    backward = _carry(target, key.frame, key, motion)[::-1]
+    return [blend(forward[k], backward[k], k / span) for k in range(1, span)]
+
+
+def _carry(key: KeyFrame, stop: int, target: KeyFrame | None, motion: ImageMotion) -> list[list[FloatArray]]:
+    """Polygons of the frames from `key` to `stop`, in that order; straight steps lead to `target`."""
+    # What hides an occluded object is not the object: its motion must not carry the region along.
+    image = motion if key.visibility == "visible" else NoMotion()
+    chain = [arrays(key.polygons)]
+    direction = 1 if stop >= key.frame else -1
+    last = np.eye(2, 3)
+    for frame in range(key.frame, stop, direction):
+        step = _step(chain[-1], frame, frame + direction, image)
+        if step is None and target is not None:
+            gap = _centre(arrays(target.polygons)) - _centre(chain[0])
+            step = np.column_stack([np.eye(2), gap / abs(target.frame - key.frame)])
+        elif step is None and chain[-1]:
+            # Of the step before, only the shift of the centre: not its turn and growth.
+            centre = _centre(chain[-1])
+            step = np.column_stack([np.eye(2), apply(last, centre[None])[0] - centre])
+        last = last if step is None else step
+        chain.append([apply(last, polygon) for polygon in chain[-1]])
+    return chain
+
+
+def _step(region: Sequence[FloatArray], i: int, j: int, motion: ImageMotion) -> FloatArray | None:
+    if not region:
+        return None
+    model = fit_similarity(*motion.matches(region, i, j))
+    if model is None:
+        return None
+    growth = float(np.hypot(model[0, 0], model[1, 0]))
+    return model if 1 / _MAX_GROWTH <= growth <= _MAX_GROWTH else None
+
+
+def _centre(polygons: Sequence[FloatArray]) -> FloatArray:
+    weights = np.array([abs(area(polygon)) + 1.0 for polygon in polygons])
+    centres = np.array([polygon.mean(axis=0) for polygon in polygons])
+    return np.asarray((weights[:, None] * centres).sum(axis=0) / weights.sum())
