@@ -1,254 +1,230 @@
-// Everything a person can do, by key, button or pointer: edits here, the rest in navigation.js. Each is a
-// function of the app.
+// What a person can do to the annotation, by key, button or pointer.
 
-import * as edits from "./edits.js";
-import { distance, inside, rounded, simplify } from "./geometry.js";
-import { goTo } from "./navigation.js";
-import { editableRegion, regionOf } from "./region.js";
-import { chosen, say, selectedObject } from "./selection.js";
+import * as annotation from "./annotation.js";
+import { clamp, distance, inside, rounded, simplify } from "./geometry.js";
+import { chosen, edit, cancel, say, select, selectedObject, set, state } from "./state.js";
+import { rowsWhere } from "./tracks.js";
+import { goTo, inSight } from "./view.js";
 
-export * from "./navigation.js";
-export { say, selectedObject } from "./selection.js";
+// Blended outlines have more points than a person wants to drag.
+const TOLERANCE = 0.4;
 
-const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+/** The region of an object in a frame, as it is drawn. */
+export const regionOf = (item, frame) => annotation.regionIn(item, frame, state.regions);
+
+/** The same, thinned out where the first edit will make it a key frame. */
+export function editableRegion(item, frame) {
+  const region = regionOf(item, frame);
+  if (region.key) return region;
+  return { ...region, polygons: region.polygons.map((polygon) => rounded(simplify(polygon, TOLERANCE))) };
+}
 
 /** The selected object's region here, ready to be edited. */
-export const regionHere = (app) => editableRegion(app.state, selectedObject(app), app.state.frame);
+export const regionHere = () => editableRegion(selectedObject(), state.frame);
+
+const editObject = (change, ...values) => edit(change(state.doc, state.selected, ...values));
+
+/** Make the selected object's region here a key frame. */
+export const draw = (polygons, visibility = "visible") => editObject(annotation.setKey, state.frame, polygons, visibility);
+
+export const update = (fields) => editObject(annotation.update, fields);
+
+// Drawing
+
+export function setTool(tool, mode = "object") {
+  const pending = tool === "select" ? null : { points: [], mode, freehand: false };
+  set({ tool, pending, lassoed: null, vertex: null, cross: state.keyboard ? state.cross : null });
+}
+
+export const redraw = (mode) => chosen() && setTool("draw", mode);
+
+/** End the outline being drawn: a new object, the region of one, or a lasso. */
+export function finish() {
+  const { pending, tool, frame } = state;
+  if (!pending || pending.points.length < 3) return say("An outline needs at least three points");
+  const tolerance = pending.freehand ? 0.8 / Math.sqrt(state.view.scale) : 0;
+  const polygon = rounded(tolerance ? simplify(pending.points, tolerance) : pending.points);
+  if (tool === "lasso") return catchTracks(polygon);
+  let selected = state.selected;
+  if (pending.mode === "object" || !selectedObject()) {
+    edit(annotation.addObject(state.doc, { key_frames: [{ frame, visibility: "visible", polygons: [polygon] }] }));
+    selected = state.doc.objects.at(-1).id;
+  } else draw(pending.mode === "part" ? [...regionHere().polygons, polygon] : [polygon]);
+  setTool("select");
+  set({ selected });
+  if (pending.mode === "object") say("Press 1 to 9 for its motion, x to reject; name it on the right");
+}
+
+function catchTracks(polygon) {
+  const { frame } = state;
+  const rows = rowsWhere(frame, (point) => inside(point, polygon));
+  setTool("select");
+  set({ lassoed: { frame, polygon, rows } });
+  say(`${rows.length} trajectories: press 1 to 9, 0 for background, x to reject, Esc to let go`);
+}
+
+export function addPoint(point) {
+  const { pending } = state;
+  const last = pending.points.at(-1);
+  if (last && distance(last, point) * state.view.scale < 2) return;
+  set({ pending: { ...pending, points: [...pending.points, point] } });
+}
+
+export const takeBackPoint = () => set({ pending: { ...state.pending, points: state.pending.points.slice(0, -1) } });
+
+/** Enter: a point under the cross while drawing, or the end when the cross is on the last one. */
+export function enter() {
+  const { pending, cross } = state;
+  if (!pending) return cross && select(objectUnder(cross)?.id ?? null);
+  const last = pending.points.at(-1);
+  return cross && !(last && distance(last, cross) < 0.5) ? addPoint([...cross]) : finish();
+}
+
+export function escape() {
+  if (state.dragging) cancel();
+  else if (state.pending) setTool("select");
+  else if (state.lassoed) set({ lassoed: null });
+  else if (state.vertex) set({ vertex: null });
+  else if (state.cross) set({ cross: null });
+  else if (state.review) set({ proposals: null, review: null });
+  else if (state.compared) set({ compared: null });
+  else set({ selected: null });
+}
 
 // Objects
 
-export function select(app, id) {
-  if (id !== app.state.selected) app.state.set({ selected: id, vertex: null });
+export function cycleObject(by) {
+  const ids = state.doc.objects.map((item) => item.id);
+  if (!ids.length) return say("No objects yet: press N and click around one");
+  const at = ids.indexOf(state.selected);
+  select(ids[(at + by + ids.length + (at < 0 && by < 0 ? 1 : 0)) % ids.length]);
 }
 
-export function cycleObject(app, by) {
-  const ids = app.state.doc.objects.map((item) => item.id);
-  if (!ids.length) return say(app, "No objects yet: press N and click around one");
-  const at = ids.indexOf(app.state.selected);
-  select(app, ids[(at + by + ids.length + (at < 0 && by < 0 ? 1 : 0)) % ids.length]);
-}
-
-export function setTool(app, tool, mode = "object") {
-  const pending = tool === "select" ? null : { points: [], mode, freehand: false };
-  app.state.set({ tool, pending, lassoed: null, vertex: null, cross: app.keyboard ? app.state.cross : null });
-}
-
-export function redraw(app, mode) {
-  if (chosen(app)) setTool(app, "draw", mode);
-}
-
-/** End the outline being drawn: a new object, the region of one, or a lasso. */
-export function finish(app) {
-  const { pending, tool, frame } = app.state;
-  if (!pending || pending.points.length < 3) {
-    say(app, "An outline needs at least three points");
-    return;
-  }
-  const tolerance = pending.freehand ? 0.8 / Math.sqrt(app.state.view.scale) : 0;
-  const polygon = rounded(tolerance ? simplify(pending.points, tolerance) : pending.points);
-  if (tool === "lasso") return catchTracks(app, polygon);
-  const { doc } = app.state;
-  let changed;
-  let id = app.state.selected;
-  if (pending.mode === "object" || !selectedObject(app)) {
-    changed = edits.addObject(doc, frame, polygon);
-    id = changed.objects.at(-1).id;
-  } else {
-    const others = pending.mode === "part" ? regionHere(app).polygons : [];
-    changed = edits.setKey(doc, id, edits.visible(frame, [...others, polygon]));
-  }
-  app.history.edit(changed);
-  setTool(app, "select");
-  app.state.set({ selected: id });
-  if (pending.mode === "object") say(app, "Press 1 to 9 for its motion, x to reject; name it on the right");
-}
-
-function catchTracks(app, polygon) {
-  const { frame } = app.state;
-  const rows = app.tracks.rowsWhere(frame, (point) => inside(point, polygon));
-  setTool(app, "select");
-  app.state.set({ lassoed: { frame, polygon, rows } });
-  say(app, `${rows.length} trajectories: press 1 to 9, 0 for background, x to reject, Esc to let go`);
-}
-
-export function addPoint(app, point) {
-  const { pending } = app.state;
-  const last = pending.points.at(-1);
-  if (last && distance(last, point) * app.state.view.scale < 2) return;
-  app.state.set({ pending: { ...pending, points: [...pending.points, point] } });
-}
-
-export function takeBackPoint(app) {
-  const { pending } = app.state;
-  app.state.set({ pending: { ...pending, points: pending.points.slice(0, -1) } });
-}
-
-/** Enter: a point under the cross while drawing, or the end when the cross stands on the last one. */
-export function enter(app) {
-  const { pending, cross } = app.state;
-  if (!pending) {
-    if (cross) select(app, objectUnder(app, cross)?.id ?? null);
-    return;
-  }
-  const last = pending.points.at(-1);
-  if (cross && !(last && distance(last, cross) < 0.5)) addPoint(app, [...cross]);
-  else finish(app);
-}
-
-export function escape(app) {
-  const { pending, lassoed, vertex, cross } = app.state;
-  if (app.state.dragging) app.history.cancel();
-  else if (pending) setTool(app, "select");
-  else if (lassoed) app.state.set({ lassoed: null });
-  else if (vertex) app.state.set({ vertex: null });
-  else if (cross) app.state.set({ cross: null });
-  else if (app.state.review) app.state.set({ proposals: null, review: null });
-  else if (app.state.compared) app.state.set({ compared: null });
-  else app.state.set({ selected: null });
-}
-
-/** One key, one label: of the lassoed trajectories, else of the selected object. */
-export function setMotion(app, motion) {
-  const { lassoed, doc } = app.state;
-  if (lassoed) {
-    app.history.edit(edits.addMark(doc, lassoed.frame, motion, lassoed.polygon));
-    app.state.set({ lassoed: null });
-    say(app, `${lassoed.rows.length} trajectories marked`);
-    return;
-  }
-  const item = chosen(app);
-  if (item && item.motion !== motion) app.history.edit(edits.update(doc, item.id, { motion }));
-}
-
-export function removeMarksHere(app) {
-  const { doc, frame } = app.state;
-  const marks = (doc.marks ?? []).filter((mark) => mark.frame !== frame);
-  if (marks.length !== (doc.marks ?? []).length) app.history.edit({ ...doc, marks });
-}
-
-export function copyToNext(app) {
-  const item = chosen(app);
-  const { frame, clip, doc, regions } = app.state;
-  if (!item || frame + 1 >= clip.n_frames) return;
-  if (!regions) say(app, "No trajectories yet: copied without motion");
-  const region = editableRegion(app.state, item, frame + 1);
-  if (region.visibility !== "visible" || !region.polygons.length) return say(app, "It is not visible there");
-  if (!region.key) app.history.edit(edits.setKey(doc, item.id, edits.visible(frame + 1, region.polygons)));
-  goTo(app, frame + 1);
-}
-
-export function setVisibility(app, visibility) {
-  const item = chosen(app);
-  if (!item) return;
-  const { doc, frame } = app.state;
-  const region = regionHere(app);
-  let polygons = region.polygons;
-  if (!polygons.length) polygons = nearestPolygons(item, frame);
-  if (visibility === "visible" && !polygons.length) return say(app, "Draw it here first: press R");
-  const key = { frame, visibility, polygons: visibility === "outside" ? [] : polygons };
-  app.history.edit(edits.setKey(doc, item.id, key));
-}
-
-export function toggleVisibility(app, visibility) {
-  const item = chosen(app);
-  if (item) setVisibility(app, regionHere(app).visibility === visibility ? "visible" : visibility);
-}
-
-export function enterHere(app) {
-  const item = chosen(app);
-  if (!item) return;
-  const { polygons, visibility } = regionHere(app);
-  if (visibility !== "visible") return say(app, "It is not visible here");
-  app.history.edit(edits.enterHere(app.state.doc, item.id, app.state.frame, polygons));
-}
-
-export function deleteHere(app) {
-  const item = chosen(app);
-  if (!item) return;
-  const { doc, frame, clip } = app.state;
-  const after = frame + 1 < clip.n_frames ? regionOf(app.state, item, frame + 1) : null;
-  app.history.edit(edits.deleteHere(doc, item.id, frame, after));
-  say(app, `${item.name} is not in this frame; Shift+Delete removes it from the whole clip`);
-}
-
-export function deleteObject(app) {
-  const item = chosen(app);
-  if (!item) return;
-  app.history.edit(edits.removeObject(app.state.doc, item.id));
-  app.state.set({ selected: null, vertex: null });
-  say(app, `${item.name} deleted from the whole clip; Ctrl+Z brings it back`);
-}
-
-export function forgetKey(app) {
-  const item = chosen(app);
-  if (!item || !edits.keyAt(item, app.state.frame)) return;
-  if (item.key_frames.length === 1) return say(app, "This is its only key frame; Shift+Delete deletes the object");
-  app.history.edit(edits.removeKey(app.state.doc, item.id, app.state.frame));
-}
-
-function nearestPolygons(item, frame) {
-  const drawn = item.key_frames.filter((key) => key.polygons?.length);
-  drawn.sort((a, b) => Math.abs(a.frame - frame) - Math.abs(b.frame - frame));
-  return drawn[0]?.polygons ?? [];
-}
-
-export function objectUnder(app, point) {
-  const { doc, frame } = app.state;
-  return [...doc.objects].reverse().find((item) => {
-    const region = regionOf(app.state, item, frame);
+export function objectUnder(point) {
+  return [...state.doc.objects].reverse().find((item) => {
+    const region = regionOf(item, state.frame);
     return region.visibility !== "outside" && region.polygons.some((polygon) => inside(point, polygon));
   });
 }
 
+/** One key, one label: of the lassoed trajectories, else of the selected object. */
+export function setMotion(motion) {
+  const { lassoed } = state;
+  if (lassoed) {
+    edit(annotation.addMark(state.doc, { frame: lassoed.frame, motion, polygon: lassoed.polygon }));
+    set({ lassoed: null });
+    say(`${lassoed.rows.length} trajectories marked`);
+    return;
+  }
+  const item = chosen();
+  if (item && item.motion !== motion) update({ motion });
+}
+
+export function removeMarksHere() {
+  const before = state.doc.marks ?? [];
+  const marks = before.filter((mark) => mark.frame !== state.frame);
+  if (marks.length !== before.length) edit({ ...state.doc, marks });
+}
+
+export function copyToNext() {
+  const item = chosen();
+  const next = state.frame + 1;
+  if (!item || next >= state.clip.n_frames) return;
+  if (!state.regions) say("No trajectories yet: copied without motion");
+  const region = editableRegion(item, next);
+  if (region.visibility !== "visible" || !region.polygons.length) return say("It is not visible there");
+  if (!region.key) editObject(annotation.setKey, next, region.polygons);
+  goTo(next);
+}
+
+export function setVisibility(visibility) {
+  const item = chosen();
+  if (!item) return;
+  let { polygons } = regionHere();
+  if (!polygons.length) polygons = nearestPolygons(item);
+  if (visibility === "visible" && !polygons.length) return say("Draw it here first: press R");
+  draw(visibility === "outside" ? [] : polygons, visibility);
+}
+
+export function toggleVisibility(visibility) {
+  if (chosen()) setVisibility(regionHere().visibility === visibility ? "visible" : visibility);
+}
+
+function nearestPolygons(item) {
+  const far = (key) => Math.abs(key.frame - state.frame);
+  const drawn = item.key_frames.filter((key) => key.polygons?.length).sort((a, b) => far(a) - far(b));
+  return drawn[0]?.polygons ?? [];
+}
+
+export function enterHere() {
+  if (!chosen()) return;
+  const { polygons, visibility } = regionHere();
+  if (visibility !== "visible") return say("It is not visible here");
+  editObject(annotation.enterHere, state.frame, polygons);
+}
+
+export function deleteHere() {
+  const item = chosen();
+  if (!item) return;
+  const next = state.frame + 1;
+  editObject(annotation.deleteHere, state.frame, next < state.clip.n_frames ? regionOf(item, next) : null);
+  say(`${item.name} is not in this frame; Shift+Delete removes it from the whole clip`);
+}
+
+export function deleteObject() {
+  const item = chosen();
+  if (!item) return;
+  editObject(annotation.removeObject);
+  set({ selected: null, vertex: null });
+  say(`${item.name} deleted from the whole clip; Ctrl+Z brings it back`);
+}
+
+export function forgetKey() {
+  const item = chosen();
+  if (!item || !annotation.keyAt(item, state.frame)) return;
+  if (item.key_frames.length === 1) return say("This is its only key frame; Shift+Delete deletes the object");
+  editObject(annotation.removeKey, state.frame);
+}
+
 // Points
 
-export function cycleVertex(app, by) {
-  if (!chosen(app)) return;
-  const { polygons } = regionHere(app);
-  const all = polygons.flatMap((polygon, part) => polygon.map((_, index) => ({ part, index })));
+export function cycleVertex(by) {
+  if (!chosen()) return;
+  const all = regionHere().polygons.flatMap((polygon, part) => polygon.map((_, index) => ({ part, index })));
   if (!all.length) return;
-  const { vertex } = app.state;
+  const { vertex } = state;
   const at = vertex ? all.findIndex((v) => v.part === vertex.part && v.index === vertex.index) : by > 0 ? -1 : 0;
-  app.state.set({ vertex: all[(at + by + all.length) % all.length], cross: null });
+  set({ vertex: all[(at + by + all.length) % all.length], cross: null });
 }
 
 /** Move the selected point, or else the keyboard's cross, by whole pixels. */
-export function nudge(app, dx, dy) {
-  const { vertex, doc, frame, cross } = app.state;
-  const item = selectedObject(app);
-  if (vertex && item) {
-    const { polygons } = regionHere(app);
+export function nudge(dx, dy) {
+  const { vertex, cross } = state;
+  if (vertex && selectedObject()) {
+    const { polygons } = regionHere();
     const [x, y] = polygons[vertex.part][vertex.index];
-    const moved = edits.replacePoint(polygons, vertex.part, vertex.index, [x + dx, y + dy]);
-    app.history.edit(edits.setKey(doc, item.id, edits.visible(frame, moved)));
-    return;
+    return draw(annotation.replacePoint(polygons, vertex.part, vertex.index, [x + dx, y + dy]));
   }
-  app.keyboard = true;
-  const [width, height] = app.state.clip.image_size;
-  const [x, y] = cross ?? app.middle().map(Math.round);
-  app.state.set({ cross: cross ? [clamp(x + dx, 0, width - 1), clamp(y + dy, 0, height - 1)] : [x, y] });
+  const [width, height] = state.clip.image_size;
+  const next = cross ? [clamp(cross[0] + dx, 0, width - 1), clamp(cross[1] + dy, 0, height - 1)] : inSight().map(Math.round);
+  return set({ keyboard: true, cross: next });
 }
 
-export function insertVertex(app) {
-  const { vertex, doc, frame } = app.state;
-  const item = chosen(app);
-  if (!item || !vertex) return say(app, "Choose a point first: press V");
-  const { polygons } = regionHere(app);
-  const polygon = polygons[vertex.part];
-  const [a, b] = [polygon[vertex.index], polygon[(vertex.index + 1) % polygon.length]];
+export function insertVertex() {
+  const { vertex } = state;
+  if (!chosen() || !vertex) return say("Choose a point first: press V");
+  const { part, index } = vertex;
+  const { polygons } = regionHere();
+  const [a, b] = [polygons[part][index], polygons[part][(index + 1) % polygons[part].length]];
   const middle = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
-  const changed = edits.insertPoint(polygons, vertex.part, vertex.index + 1, middle);
-  app.history.edit(edits.setKey(doc, item.id, edits.visible(frame, rounded2(changed))));
-  app.state.set({ vertex: { part: vertex.part, index: vertex.index + 1 } });
+  draw(annotation.insertPoint(polygons, part, index + 1, middle).map(rounded));
+  set({ vertex: { part, index: index + 1 } });
 }
 
-export function deleteVertex(app, which = app.state.vertex) {
-  const item = chosen(app);
-  if (!item || !which) return say(app, "Choose a point first: press V");
-  const changed = edits.removePoint(regionHere(app).polygons, which.part, which.index);
-  if (!changed.length) return say(app, "An outline needs three points; Delete takes the object out of this frame");
-  app.history.edit(edits.setKey(app.state.doc, item.id, edits.visible(app.state.frame, changed)));
-  app.state.set({ vertex: null });
+export function deleteVertex(which = state.vertex) {
+  if (!chosen() || !which) return say("Choose a point first: press V");
+  const changed = annotation.removePoint(regionHere().polygons, which.part, which.index);
+  if (!changed.length) return say("An outline needs three points; Delete takes the object out of this frame");
+  draw(changed);
+  set({ vertex: null });
 }
-
-const rounded2 = (polygons) => polygons.map(rounded);

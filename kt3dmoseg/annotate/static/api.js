@@ -1,4 +1,4 @@
-// Talking to the server. Every failure is an ApiError with the server's own sentence.
+// Requests to the server. Every failure is an ApiError with the server's own sentence.
 
 export class ApiError extends Error {
   constructor(message, status, body) {
@@ -28,32 +28,25 @@ async function request(path, options = {}) {
 
 const json = (path, options) => request(path, options).then((response) => response.json());
 const clip = (name) => `/api/clips/${encodeURIComponent(name)}`;
-const post = (body, extra = {}) => ({
+const send = (body, { headers = {}, ...extra } = {}) => ({
   method: "POST",
-  body: typeof body === "object" && !(body instanceof Blob) ? JSON.stringify(body) : body,
-  headers: { "content-type": "application/json" },
+  body: body instanceof Blob ? body : JSON.stringify(body),
+  headers: { "content-type": "application/json", ...headers },
   ...extra,
 });
 
 export const listClips = () => json("/api/clips").then((answer) => answer.clips);
 export const getClip = (name) => json(clip(name));
-export const getAnnotation = (name) => json(`${clip(name)}/annotation`, { cache: "no-store" });
 export const frameAddress = (name, frame) => `${clip(name)}/frames/${frame}`;
-export const regions = (name, doc, signal) => json(`${clip(name)}/regions`, post(doc, { signal }));
-export const labels = (name, doc, signal) => json(`${clip(name)}/labels`, post(doc, { signal }));
-export const propose = (name, proposer, doc) => json(`${clip(name)}/proposals/${proposer}`, post(doc));
-export const compare = (name, doc) => json(`${clip(name)}/compare`, post(doc));
+export const regions = (name, doc, signal) => json(`${clip(name)}/regions`, send(doc, { signal }));
+export const labels = (name, doc, signal) => json(`${clip(name)}/labels`, send(doc, { signal }));
+export const propose = (name, proposer, doc) => json(`${clip(name)}/proposals/${proposer}`, send(doc));
+export const compare = (name, doc) => json(`${clip(name)}/compare`, send(doc));
 export const exportAs = (name, format, doc) =>
-  request(`${clip(name)}/export/${format}`, post(doc)).then((response) => response.blob());
-export const importFrom = (name, format, file) => json(`${clip(name)}/import/${format}`, post(file));
-
-export async function putAnnotation(name, doc, revision) {
-  return json(`${clip(name)}/annotation`, {
-    method: "PUT",
-    body: JSON.stringify(doc),
-    headers: { "content-type": "application/json", "if-match": `"${revision}"` },
-  });
-}
+  request(`${clip(name)}/export/${format}`, send(doc)).then((response) => response.blob());
+export const importFrom = (name, format, file) => json(`${clip(name)}/import/${format}`, send(file));
+export const putAnnotation = (name, doc, revision) =>
+  json(`${clip(name)}/annotation`, send(doc, { method: "PUT", headers: { "if-match": `"${revision}"` } }));
 
 /** Trajectories as { xy: Float32Array, count, frames }, or { done, total } while they are computed. */
 export async function getTracks(name) {

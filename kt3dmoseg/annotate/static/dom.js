@@ -1,4 +1,6 @@
-// Making elements.
+// Elements, canvases in CSS pixels, and the one dialog of the page.
+
+export const byId = (id) => document.getElementById(id);
 
 /** element("button", { className: "x", onclick: f, "aria-label": "y" }, "text", child) */
 export function element(name, attributes = {}, ...children) {
@@ -8,8 +10,66 @@ export function element(name, attributes = {}, ...children) {
     else if (key in made) made[key] = value;
     else made.setAttribute(key, value);
   }
-  made.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  made.append(...children.flat());
   return made;
 }
 
 export const fill = (parent, ...children) => parent.replaceChildren(...children.flat());
+
+export const button = (text, onclick, className = "") => element("button", { onclick, className }, text);
+
+export const row = (...content) => element("div", { className: "row" }, ...content);
+
+export const faint = (text) => element("span", { className: "faint" }, text);
+
+export const line = (cells, name = "td") => element("tr", {}, cells.map((cell) => element(name, {}, cell)));
+
+/** A table that scrolls; its buttons are walked with the arrow keys. */
+export const table = (heads, rows) => element("div", { className: "scroll" },
+  element("table", {}, line(heads, "th"), rows.map((cells) => line(cells))));
+
+export function resize(canvas, width, height) {
+  const ratio = devicePixelRatio || 1;
+  canvas.width = Math.round(width * ratio);
+  canvas.height = Math.round(height * ratio);
+}
+
+/** Clear a canvas, and give its context in CSS pixels. */
+export function begin(canvas) {
+  const ratio = devicePixelRatio || 1;
+  const context = canvas.getContext("2d");
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  return context;
+}
+
+const dialog = byId("dialog");
+
+dialog.addEventListener("keydown", (event) => {
+  const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+  const buttons = [...dialog.querySelectorAll(".scroll button")];
+  if (!by || !buttons.length) return;
+  const at = buttons.indexOf(document.activeElement);
+  buttons[Math.min(buttons.length - 1, Math.max(0, at + by))].focus();
+  event.preventDefault();
+});
+
+/** Open the dialog; closing it gives the focus back to the stage. */
+export function open(title, ...content) {
+  fill(dialog, element("h2", {}, title), ...content);
+  if (!dialog.open) dialog.showModal();
+  else dialog.querySelector("button:enabled")?.focus();
+  dialog.onclose = () => byId("stage").focus();
+  dialog.oncancel = null;
+}
+
+export const close = () => dialog.open && dialog.close();
+
+/** A dialog that must be answered: Escape does not close it. */
+export function ask(title, ...content) {
+  open(title, ...content);
+  dialog.oncancel = (event) => event.preventDefault();
+}
+
+export const inform = (title, text) => open(title, element("p", {}, text), row(button("Close", close)));

@@ -13,31 +13,29 @@ export function inside([x, y], polygon) {
 
 export const distance = ([ax, ay], [bx, by]) => Math.hypot(ax - bx, ay - by);
 
+export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+
 /** The point of segment ab nearest to p. */
-export function nearestOnSegment(p, a, b) {
-  const dx = b[0] - a[0];
-  const dy = b[1] - a[1];
+function nearestOnSegment(p, a, b) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
   const share = ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / (dx * dx + dy * dy || 1);
-  const t = Math.min(1, Math.max(0, share));
+  const t = clamp(share, 0, 1);
   return [a[0] + t * dx, a[1] + t * dy];
 }
 
-export function nearestVertex(p, polygons, reach) {
-  let best = null;
-  polygons.forEach((polygon, part) => polygon.forEach((vertex, index) => {
-    const gap = distance(p, vertex);
-    if (gap <= (best?.gap ?? reach)) best = { part, index, gap };
-  }));
-  return best;
-}
+export const nearestVertex = (p, polygons, reach) =>
+  nearest(p, polygons, reach, (vertex, _, index) => ({ point: vertex, index }));
 
 /** The edge near p, as the index at which a new vertex would go. */
-export function nearestEdge(p, polygons, reach) {
+export const nearestEdge = (p, polygons, reach) =>
+  nearest(p, polygons, reach, (vertex, next, index) => ({ point: nearestOnSegment(p, vertex, next), index: index + 1 }));
+
+function nearest(p, polygons, reach, candidate) {
   let best = null;
   polygons.forEach((polygon, part) => polygon.forEach((vertex, i) => {
-    const point = nearestOnSegment(p, vertex, polygon[(i + 1) % polygon.length]);
+    const { point, index } = candidate(vertex, polygon[(i + 1) % polygon.length], i);
     const gap = distance(p, point);
-    if (gap <= (best?.gap ?? reach)) best = { part, index: i + 1, gap, point };
+    if (gap <= (best?.gap ?? reach)) best = { part, index, gap, point };
   }));
   return best;
 }
@@ -54,9 +52,8 @@ export function boundsOf(polygons) {
 export function simplify(polygon, tolerance) {
   if (polygon.length < 8) return polygon;
   const closed = [...polygon, polygon[0]];
-  const kept = new Set([0]);
   const middle = farthest(closed, 0, closed.length - 1, () => closed[0]).index;
-  kept.add(middle);
+  const kept = new Set([0, middle]);
   const stack = [[0, middle], [middle, closed.length - 1]];
   while (stack.length) {
     const [first, last] = stack.pop();

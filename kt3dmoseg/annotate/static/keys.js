@@ -1,125 +1,129 @@
 // The keys, and from the same table their help.
 
 import * as actions from "./actions.js";
-import { clips } from "./clips.js";
-import { compare, nextDifference } from "./compare.js";
-import { exchange } from "./exchange.js";
-import { help } from "./help.js";
-import { propose } from "./propose.js";
+import { clips, openNext } from "./clips.js";
+import { button, close, element, open, row } from "./dom.js";
+import { compare, exchange, nextDifference } from "./exchange.js";
+import { propose } from "./proposals.js";
+import { flush } from "./saving.js";
+import { attempt, redo, state, undo } from "./state.js";
+import * as view from "./view.js";
 
-const key = (keys, shown, text, run) => ({ keys: keys.split(" "), shown, text, run });
+const DIRECTIONS = {
+  i: [0, -1], k: [0, 1], j: [-1, 0], l: [1, 0],
+  "Shift+I": [0, -10], "Shift+K": [0, 10], "Shift+J": [-10, 0], "Shift+L": [10, 0],
+  "Ctrl+ArrowLeft": [80, 0], "Ctrl+ArrowRight": [-80, 0], "Ctrl+ArrowUp": [0, 80], "Ctrl+ArrowDown": [0, -80],
+};
+
+/** A line of the help; `run` gets the name of the key that was pressed. */
+const key = (names, shown, text, run) => ({ names: names.split(" "), shown, text, run });
 
 export const KEYS = {
   "Frames": [
-    key("ArrowLeft", "←", "previous frame (Shift: 5)", (app) => actions.step(app, -1)),
-    key("ArrowRight", "→", "next frame (Shift: 5)", (app) => actions.step(app, 1)),
-    key("Shift+ArrowLeft", "", "", (app) => actions.step(app, -5)),
-    key("Shift+ArrowRight", "", "", (app) => actions.step(app, 5)),
-    key("Home", "Home", "first frame", (app) => actions.goTo(app, 0)),
-    key("End", "End", "last frame", (app) => actions.goTo(app, Infinity)),
-    key("Space", "Space", "play, stop", actions.play),
-    key("f", "F", "flicker this frame and the next", actions.flicker),
-    key(",", ",", "previous key frame of the object", (app) => actions.toKeyFrame(app, -1)),
-    key(".", ".", "next key frame", (app) => actions.toKeyFrame(app, 1)),
+    key("ArrowLeft Shift+ArrowLeft", "←", "previous frame (Shift: 5)", (name) => view.step(name === "ArrowLeft" ? -1 : -5)),
+    key("ArrowRight Shift+ArrowRight", "→", "next frame (Shift: 5)", (name) => view.step(name === "ArrowRight" ? 1 : 5)),
+    key("Home", "Home", "first frame", () => view.goTo(0)),
+    key("End", "End", "last frame", () => view.goTo(Infinity)),
+    key("Space", "Space", "play, stop", view.play),
+    key("f", "F", "flicker this frame and the next", view.flicker),
+    key(",", ",", "previous key frame of the object", () => view.toKeyFrame(-1)),
+    key(".", ".", "next key frame", () => view.toKeyFrame(1)),
   ],
   "Labels": [
-    ...[1, 2, 3, 4, 5, 6, 7, 8, 9].map((n) =>
-      key(String(n), n === 1 ? "1 – 9" : "", "motion of the object or the lasso", (app) => actions.setMotion(app, n))),
-    key("0", "0", "background: static, in front of a motion", (app) => actions.setMotion(app, 0)),
-    key("x", "X", "reject: ambiguous", (app) => actions.setMotion(app, "reject")),
-    key("q", "Q", "lasso trajectories, then a label", (app) => actions.setTool(app, "lasso")),
+    key("1 2 3 4 5 6 7 8 9", "1 – 9", "motion of the object or the lasso", (name) => actions.setMotion(Number(name))),
+    key("0", "0", "background: static, in front of a motion", () => actions.setMotion(0)),
+    key("x", "X", "reject: ambiguous", () => actions.setMotion("reject")),
+    key("q", "Q", "lasso trajectories, then a label", () => actions.setTool("lasso")),
     key("Shift+Q", "Shift+Q", "remove the lassos of this frame", actions.removeMarksHere),
   ],
   "Objects": [
-    key("n", "N", "outline a new object", (app) => actions.setTool(app, "draw", "object")),
-    key("r", "R", "outline it anew in this frame", (app) => actions.redraw(app, "region")),
-    key("p", "P", "outline another part of it", (app) => actions.redraw(app, "part")),
-    key("]", "]", "next object", (app) => actions.cycleObject(app, 1)),
-    key("[", "[", "previous object", (app) => actions.cycleObject(app, -1)),
+    key("n", "N", "outline a new object", () => actions.setTool("draw")),
+    key("r", "R", "outline it again in this frame", () => actions.redraw("region")),
+    key("p", "P", "outline another part of it", () => actions.redraw("part")),
+    key("]", "]", "next object", () => actions.cycleObject(1)),
+    key("[", "[", "previous object", () => actions.cycleObject(-1)),
     key("c", "C", "copy to the next frame by motion", actions.copyToNext),
-    key("o", "O", "occluded from here on", (app) => actions.toggleVisibility(app, "occluded")),
-    key("e", "E", "leaves: outside from here on", (app) => actions.toggleVisibility(app, "outside")),
+    key("o", "O", "occluded from here on", () => actions.toggleVisibility("occluded")),
+    key("e", "E", "leaves: outside from here on", () => actions.toggleVisibility("outside")),
     key("Shift+E", "Shift+E", "enters here: outside before", actions.enterHere),
-    key("Backspace", "Backspace", "forget this key frame (while drawing: last point)", (app) =>
-      app.state.pending ? actions.takeBackPoint(app) : actions.forgetKey(app)),
+    key("Backspace", "Backspace", "forget this key frame (while drawing: last point)",
+      () => (state.pending ? actions.takeBackPoint() : actions.forgetKey())),
     key("Delete", "Delete", "not in this frame", actions.deleteHere),
     key("Shift+Delete", "Shift+Delete", "delete the object from the clip", actions.deleteObject),
   ],
   "Points": [
-    key("v", "V", "next point (Shift: previous)", (app) => actions.cycleVertex(app, 1)),
-    key("Shift+V", "", "", (app) => actions.cycleVertex(app, -1)),
-    key("i", "I J K L", "move the point, or the cross to draw with", (app) => actions.nudge(app, 0, -1)),
-    key("k", "", "", (app) => actions.nudge(app, 0, 1)),
-    key("j", "", "", (app) => actions.nudge(app, -1, 0)),
-    key("l", "", "", (app) => actions.nudge(app, 1, 0)),
-    key("Shift+I", "Shift", "10 pixels at once", (app) => actions.nudge(app, 0, -10)),
-    key("Shift+K", "", "", (app) => actions.nudge(app, 0, 10)),
-    key("Shift+J", "", "", (app) => actions.nudge(app, -10, 0)),
-    key("Shift+L", "", "", (app) => actions.nudge(app, 10, 0)),
+    key("v Shift+V", "V", "next point (Shift: previous)", (name) => actions.cycleVertex(name === "v" ? 1 : -1)),
+    key("i k j l", "I J K L", "move the point, or the cross to draw with", (name) => actions.nudge(...DIRECTIONS[name])),
+    key("Shift+I Shift+K Shift+J Shift+L", "Shift", "10 pixels at once", (name) => actions.nudge(...DIRECTIONS[name])),
     key("Enter", "Enter", "point at the cross; again: done", actions.enter),
     key("Escape", "Esc", "let go, step by step", actions.escape),
     key("w", "W", "insert a point after this one", actions.insertVertex),
-    key("d", "D", "delete the point (or right click)", (app) => actions.deleteVertex(app)),
+    key("d", "D", "delete the point (or right click)", () => actions.deleteVertex()),
   ],
   "View": [
-    key("+ = Shift++", "+", "zoom in at the cursor (wheel)", (app) => actions.zoom(app, 1.4)),
-    key("-", "−", "zoom out", (app) => actions.zoom(app, 1 / 1.4)),
-    key("z", "Z", "zoom to the object", actions.fitObject),
-    key("Shift+Z", "Shift+Z", "whole frame", actions.fitAll),
-    key("Ctrl+ArrowLeft", "Ctrl+arrows", "pan (drag the ground)", (app) => actions.pan(app, 80, 0)),
-    key("Ctrl+ArrowRight", "", "", (app) => actions.pan(app, -80, 0)),
-    key("Ctrl+ArrowUp", "", "", (app) => actions.pan(app, 0, 80)),
-    key("Ctrl+ArrowDown", "", "", (app) => actions.pan(app, 0, -80)),
-    key("t", "T", "trails", (app) => actions.toggle(app, "trails")),
-    key("y", "Y", "colour by label, by length, none", actions.cycleColouring),
-    key("u", "U", "only unlabelled and conflicts", (app) => actions.toggle(app, "problems")),
-    key("g", "G", "go to the next of them", actions.nextProblem),
-    key("h", "H", "hide the regions", (app) => actions.toggle(app, "hidden")),
-    key("b", "B", "brighter picture", actions.brighten),
+    key("+ = Shift++", "+", "zoom in at the cursor (wheel)", () => view.zoom(1.4)),
+    key("-", "−", "zoom out", () => view.zoom(1 / 1.4)),
+    key("z", "Z", "zoom to the object", view.fitObject),
+    key("Shift+Z", "Shift+Z", "whole frame", view.fitAll),
+    key("Ctrl+ArrowLeft Ctrl+ArrowRight Ctrl+ArrowUp Ctrl+ArrowDown", "Ctrl+arrows", "pan (drag the ground)",
+      (name) => view.pan(...DIRECTIONS[name])),
+    key("t", "T", "trails", () => view.toggle("trails")),
+    key("y", "Y", "colour by label, by length, none", view.cycleColouring),
+    key("u", "U", "only unlabelled and conflicts", () => view.toggle("problems")),
+    key("g", "G", "go to the next of them", view.nextProblem),
+    key("h", "H", "hide the regions", () => view.toggle("hidden")),
+    key("b", "B", "brighter picture", view.brighten),
   ],
   "Work": [
-    key("Ctrl+z", "Ctrl+Z", "undo, without end", (app) => app.undo()),
-    key("Ctrl+Shift+Z Ctrl+y", "Ctrl+Shift+Z", "redo", (app) => app.redo()),
-    key("Ctrl+s", "Ctrl+S", "save now (it saves by itself)", (app) => app.saver.flush()),
+    key("Ctrl+z", "Ctrl+Z", "undo, without end", undo),
+    key("Ctrl+Shift+Z Ctrl+y", "Ctrl+Shift+Z", "redo", redo),
+    key("Ctrl+s", "Ctrl+S", "save now (it saves by itself)", flush),
     key("s", "S", "propose regions", propose),
     key("m", "M", "compare with the other annotator", compare),
     key("Shift+G", "Shift+G", "next difference from the other", nextDifference),
     key("Ctrl+e", "Ctrl+E", "import and export", exchange),
-    key("PageDown", "PageDown", "next clip", (app) => app.openNext(1)),
-    key("PageUp", "PageUp", "previous clip", (app) => app.openNext(-1)),
+    key("PageDown", "PageDown", "next clip", () => openNext(1)),
+    key("PageUp", "PageUp", "previous clip", () => openNext(-1)),
     key("F2", "F2", "all clips and their progress", clips),
     key("? Shift+?", "?", "these keys", help),
   ],
 };
 
-const TABLE = new Map(Object.values(KEYS).flat().flatMap((entry) => entry.keys.map((name) => [name, entry])));
+const TABLE = new Map(Object.values(KEYS).flat().flatMap((entry) => entry.names.map((name) => [name, entry])));
+
+function help() {
+  const sections = Object.entries(KEYS).map(([title, lines]) => element("section", {}, element("h3", {}, title),
+    element("dl", {}, lines.flatMap(({ shown, text }) =>
+      [element("dt", {}, element("kbd", {}, shown)), element("dd", {}, text)]))));
+  const mouse = "Mouse: click a region to select it, drag its points, edges or inside; double click an edge to add a point, "
+    + "right click a point to delete it; while drawing, click points or draw freehand, and click the first point to close.";
+  open("Keys", element("div", { className: "help" }, sections), element("p", { className: "faint" }, mouse),
+    row(button("Close", close)));
+}
 
 function nameOf(event) {
   const pressed = event.key === " " ? "Space" : event.key;
   const shifted = event.shiftKey && (pressed.length > 1 || pressed.toUpperCase() !== pressed.toLowerCase() || pressed === "+");
-  const ctrl = event.ctrlKey || event.metaKey;
-  const letter = pressed.length === 1 && !event.shiftKey ? pressed.toLowerCase() : pressed;
-  return `${ctrl ? "Ctrl+" : ""}${shifted ? "Shift+" : ""}${shifted && letter.length === 1 ? letter.toUpperCase() : letter}`;
+  const letter = pressed.length === 1 ? (shifted ? pressed.toUpperCase() : pressed.toLowerCase()) : pressed;
+  return `${event.ctrlKey || event.metaKey ? "Ctrl+" : ""}${shifted ? "Shift+" : ""}${letter}`;
 }
 
 /** Run what a key stands for; true when it stands for something. */
-export function press(app, event) {
-  const entry = TABLE.get(nameOf(event));
-  if (!entry || event.altKey || !app.state.doc) return false;
-  app.attempt(entry.run);
+export function press(name) {
+  const entry = TABLE.get(name);
+  if (!entry || !state.doc) return false;
+  attempt(() => entry.run(name));
   return true;
 }
 
-export function listen(app) {
-  addEventListener("keydown", (event) => {
-    const { target } = event;
-    if (document.querySelector("dialog[open]")) return;
-    if (target.matches("input, select, textarea")) {
-      if (event.key === "Escape" || (event.key === "Enter" && target.matches("input"))) target.blur();
-      if (!(event.ctrlKey && "sz".includes(event.key.toLowerCase()))) return;
-      target.blur();
-    }
-    if (target.matches("button") && (event.key === "Enter" || event.key === " ")) return;
-    if (press(app, event)) event.preventDefault();
-  });
-}
+addEventListener("keydown", (event) => {
+  const { target } = event;
+  if (document.querySelector("dialog[open]")) return;
+  if (target.matches("input, select, textarea")) {
+    if (event.key === "Escape" || (event.key === "Enter" && target.matches("input"))) target.blur();
+    if (!(event.ctrlKey && "sz".includes(event.key.toLowerCase()))) return;
+    target.blur();
+  }
+  if (target.matches("button") && (event.key === "Enter" || event.key === " ")) return;
+  if (!event.altKey && press(nameOf(event))) event.preventDefault();
+});

@@ -1,42 +1,123 @@
-// The page's state: plain values and listeners.
+// The page's state: plain values, their listeners, undo and redo.
 
-export class State {
-  #listeners = [];
-  #changed = new Set();
+import { objectOf } from "./annotation.js";
 
-  constructor(values) {
-    Object.assign(this, values);
+// What every clip begins with.
+const FRESH = {
+  doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
+  pointer: null, hovered: null, tracks: null, labels: null, regions: null, view: null, conflict: null,
+  computing: "loading", proposals: null, review: null, compared: null, dragging: false, flickered: null,
+  playing: false, hint: "", scrolled: 0,
+};
+
+export const state = {
+  ...FRESH, clip: null, saving: { kind: "saved", revision: 0 }, trails: true, hidden: false, problems: false,
+  colouring: "label", brightness: 0, keyboard: false, resized: 0, summaries: null,
+};
+
+const listeners = [];
+const changed = new Set();
+
+/** Call `listener` in the next animation frame after any of `keys` changed: for drawing. */
+export const on = (keys, listener) => listeners.push({ keys, listener, now: false });
+
+/** Call `listener` at once when any of `keys` changes: for what must not wait for a picture. */
+export const now = (keys, listener) => listeners.push({ keys, listener, now: true });
+
+/** Change values and call the listeners. */
+export function set(changes) {
+  const fresh = Object.keys(changes).filter((key) => state[key] !== changes[key]);
+  Object.assign(state, changes);
+  if (!changed.size && fresh.length) requestAnimationFrame(draw);
+  fresh.forEach((key) => changed.add(key));
+  call(fresh, true);
+}
+
+function draw() {
+  const keys = [...changed];
+  changed.clear();
+  call(keys, false);
+}
+
+function call(keys, immediately) {
+  for (const { keys: wanted, listener, now: immediate } of listeners) {
+    if (immediate === immediately && wanted.some((key) => keys.includes(key))) listener();
   }
+}
 
-  /** Call `listener(state)` in the next animation frame after any of `keys` changed: for drawing. */
-  on(keys, listener) {
-    this.#listeners.push({ keys, listener, now: false });
-  }
+// Documents are never changed in place, so keeping all of them costs nothing.
+const done = [];
+const undone = [];
+let start = null;
 
-  /** Call `listener(state)` at once when any of `keys` changes: for what must not wait for a picture. */
-  now(keys, listener) {
-    this.#listeners.push({ keys, listener, now: true });
-  }
+/** Forget the clip at hand and begin with another. */
+export function begin(clip, values) {
+  done.length = undone.length = 0;
+  start = null;
+  set({ ...FRESH, clip, ...values });
+}
 
-  /** Change values and wake the listeners. */
-  set(changes) {
-    const waiting = this.#changed.size > 0;
-    const fresh = Object.keys(changes).filter((key) => this[key] !== changes[key]);
-    Object.assign(this, changes);
-    fresh.forEach((key) => this.#changed.add(key));
-    if (!waiting && this.#changed.size) requestAnimationFrame(() => this.#draw());
-    this.#call(fresh, true);
+/** Make `doc` the present document, as one edit. */
+export function edit(doc) {
+  const before = start ?? state.doc;
+  start = null;
+  if (doc !== before) {
+    done.push(before);
+    undone.length = 0;
   }
+  set({ doc, dragging: false });
+}
 
-  #draw() {
-    const changed = [...this.#changed];
-    this.#changed.clear();
-    this.#call(changed, false);
-  }
+/** Show a document while something is being dragged; `edit` or `cancel` ends it. */
+export function preview(doc) {
+  start ??= state.doc;
+  set({ doc, dragging: true });
+}
 
-  #call(changed, now) {
-    for (const entry of this.#listeners) {
-      if (entry.now === now && entry.keys.some((key) => changed.includes(key))) entry.listener(this);
-    }
+export function cancel() {
+  if (start) set({ doc: start, dragging: false });
+  start = null;
+}
+
+export const undo = () => travel(done, undone, "Nothing to undo");
+
+export const redo = () => travel(undone, done, "Nothing to redo");
+
+function travel(source, target, nothing) {
+  if (source.length && !state.dragging) {
+    target.push(state.doc);
+    set({ doc: source.pop() });
+  } else say(nothing);
+  set({ vertex: null });
+  if (!selectedObject()) set({ selected: null });
+}
+
+let hintTimer = 0;
+
+export function say(hint) {
+  set({ hint });
+  clearTimeout(hintTimer);
+  hintTimer = setTimeout(() => set({ hint: "" }), 4000);
+}
+
+/** Run an action; one that fails, for instance because the server is away, says so. */
+export async function attempt(action) {
+  try {
+    await action();
+  } catch (error) {
+    say(error.message);
   }
+}
+
+export const selectedObject = () => state.doc && objectOf(state.doc, state.selected);
+
+/** The selected object, or a hint that there is none. */
+export function chosen() {
+  const item = selectedObject();
+  if (!item) say("Select an object first: click it, or press ]");
+  return item;
+}
+
+export function select(id) {
+  if (id !== state.selected) set({ selected: id, vertex: null });
 }

@@ -1,39 +1,151 @@
-// Where the frame lies on the screen: (x, y) is the image position of the stage's top left corner.
+// Moving through the frames and over the picture; nothing here changes the document. The view is the image
+// position { x, y } of the stage's top left corner, and the scale.
 
+import { regionIn } from "./annotation.js";
+import { byId } from "./dom.js";
+import { boundsOf, clamp } from "./geometry.js";
+import { chosen, say, set, state } from "./state.js";
+
+const FRAME_TIME = 110;
+const FLICKER_TIME = 220;
 const CLOSEST = 40;
 // So many pixels of the screen always show a part of the frame.
 const KEPT = 60;
 
-/** The view, moved back where next to nothing of the frame was left in sight. */
-export function held(view, [width, height], stage) {
-  const within = (at, size, room) => Math.min(size - KEPT / view.scale, Math.max(at, (KEPT - room) / view.scale));
-  return { ...view, x: within(view.x, width, stage.width), y: within(view.y, height, stage.height) };
+// Frames
+
+export function goTo(frame) {
+  set({ frame: clamp(frame, 0, state.clip.n_frames - 1), vertex: null, lassoed: null });
 }
 
-export function fit([width, height], stage) {
-  const scale = Math.min(stage.width / width, stage.height / height);
-  return centred((width - 1) / 2, (height - 1) / 2, scale, stage);
+export const step = (by) => goTo(state.frame + by);
+
+let timer = 0;
+
+/** Stop playing and flickering. */
+export function stop() {
+  clearInterval(timer);
+  set({ playing: false, flickered: null });
 }
 
-export function centred(x, y, scale, stage) {
-  return { x: x - stage.width / scale / 2, y: y - stage.height / scale / 2, scale };
+export function play() {
+  const { playing } = state;
+  stop();
+  if (playing) return;
+  set({ playing: true });
+  timer = setInterval(() => goTo((state.frame + 1) % state.clip.n_frames), FRAME_TIME);
 }
 
-export const toScreen = (view, [x, y]) => [(x - view.x) * view.scale, (y - view.y) * view.scale];
-
-export const toImage = (view, [x, y]) => [x / view.scale + view.x, y / view.scale + view.y];
-
-/** Zoom by a factor; what is under the screen point stays there. */
-export function zoomed(view, factor, [sx, sy], farthest) {
-  const scale = Math.min(CLOSEST, Math.max(farthest, view.scale * factor));
-  const [x, y] = toImage(view, [sx, sy]);
-  return { x: x - sx / scale, y: y - sy / scale, scale };
+export function flicker() {
+  const flickering = state.flickered !== null;
+  stop();
+  if (flickering) return;
+  const other = () => {
+    const { frame, clip, flickered } = state;
+    const next = frame + 1 < clip.n_frames ? frame + 1 : frame - 1;
+    set({ flickered: flickered === null || flickered === frame ? next : frame });
+  };
+  other();
+  timer = setInterval(other, FLICKER_TIME);
 }
 
-export const panned = (view, dx, dy) => ({ ...view, x: view.x - dx / view.scale, y: view.y - dy / view.scale });
+export function toKeyFrame(direction) {
+  const frames = chosen()?.key_frames.map((key) => key.frame).filter((f) => (f - state.frame) * direction > 0) ?? [];
+  if (frames.length) goTo(direction > 0 ? Math.min(...frames) : Math.max(...frames));
+}
+
+// View
+
+export const toScreen = ([x, y]) => [(x - state.view.x) * state.view.scale, (y - state.view.y) * state.view.scale];
+
+export const toImage = ([x, y]) => [x / state.view.scale + state.view.x, y / state.view.scale + state.view.y];
+
+const stage = () => ({ width: byId("stage").clientWidth, height: byId("stage").clientHeight });
+
+const middle = () => [stage().width / 2, stage().height / 2];
+
+/** The middle of what is in sight, on the image. */
+export const inSight = () => toImage(middle());
+
+function centred(x, y, scale) {
+  const { width, height } = stage();
+  return { x: x - width / scale / 2, y: y - height / scale / 2, scale };
+}
+
+/** The view of the whole frame. */
+export function fit([width, height]) {
+  const scale = Math.min(stage().width / width, stage().height / height);
+  return centred((width - 1) / 2, (height - 1) / 2, scale);
+}
+
+export const fitAll = () => set({ view: fit(state.clip.image_size) });
 
 /** Show a box with some surroundings. */
-export function around([left, top, right, bottom], stage) {
-  const scale = Math.min(CLOSEST / 2, (0.6 * stage.width) / (right - left + 8), (0.6 * stage.height) / (bottom - top + 8));
-  return centred((left + right) / 2, (top + bottom) / 2, scale, stage);
+export function showBox([left, top, right, bottom]) {
+  const { width, height } = stage();
+  const scale = Math.min(CLOSEST / 2, (0.6 * width) / (right - left + 8), (0.6 * height) / (bottom - top + 8));
+  set({ view: centred((left + right) / 2, (top + bottom) / 2, scale) });
+}
+
+export function fitObject() {
+  const item = chosen();
+  if (!item) return;
+  const box = boundsOf(regionIn(item, state.frame, state.regions).polygons);
+  if (box) showBox(box);
+  else say(`${item.name} is not in this frame`);
+}
+
+/** Zoom by a factor; what is under the screen point stays there. */
+export function zoom(factor, at = null) {
+  const { view, pointer, cross, clip } = state;
+  const focus = at ?? (cross || pointer ? toScreen(cross ?? pointer) : middle());
+  const scale = clamp(view.scale * factor, fit(clip.image_size).scale * 0.5, CLOSEST);
+  const [x, y] = toImage(focus);
+  set({ view: { x: x - focus[0] / scale, y: y - focus[1] / scale, scale } });
+}
+
+/** Pan, but not until next to nothing of the frame is left in sight. */
+export function pan(dx, dy) {
+  const { view: { x, y, scale }, clip } = state;
+  const [width, height] = clip.image_size;
+  const held = (at, size, room) => Math.min(size - KEPT / scale, Math.max(at, (KEPT - room) / scale));
+  const view = { x: held(x - dx / scale, width, stage().width), y: held(y - dy / scale, height, stage().height), scale };
+  set({ view });
+}
+
+// What is shown
+
+export const toggle = (name) => set({ [name]: !state[name] });
+
+export const brighten = () => set({ brightness: (state.brightness + 1) % 3 });
+
+export function cycleColouring() {
+  const order = ["label", "length", "none"];
+  const colouring = order[(order.indexOf(state.colouring) + 1) % order.length];
+  set({ colouring });
+  say({ label: "Trajectories by label", length: "Trajectories by length", none: "No trajectories" }[colouring]);
+}
+
+let problem = -1;
+
+/** Go to the next trajectory that is unlabelled or in conflict. */
+export function nextProblem() {
+  const { labels, tracks } = state;
+  const rows = labels ? [...labels.reason.keys()].filter((row) => [2, 3].includes(labels.reason[row])) : [];
+  if (!rows.length) return say("No trajectory is unlabelled or in conflict");
+  problem = (problem + 1) % rows.length;
+  const row = rows[problem];
+  const seen = [...Array(tracks.frames).keys()].filter((f) => !Number.isNaN(tracks.xy[2 * (row * tracks.frames + f)]));
+  showTrack(row, seen[Math.floor(seen.length / 2)]);
+  const reason = labels.reason[row] === 3 ? "in conflict" : "too short to tell";
+  say(`trajectory ${row} is ${reason} (${problem + 1} of ${rows.length}); lasso it with Q`);
+}
+
+/** Show one trajectory in one frame. */
+export function showTrack(row, frame) {
+  const { xy, frames } = state.tracks;
+  const at = 2 * (row * frames + frame);
+  const cross = [xy[at], xy[at + 1]];
+  goTo(frame);
+  set({ cross, view: centred(...cross, Math.max(state.view.scale, 4)) });
 }

@@ -1,0 +1,169 @@
+// Autosave: every edit is kept in this browser at once and sent soon; the server's answer is the truth.
+
+import * as api from "./api.js";
+import { merge } from "./annotation.js";
+import { ask, button, byId, close, element, faint, line, row } from "./dom.js";
+import { edit, now, on, say, set, state } from "./state.js";
+
+const SOON = 350;
+const RETRY = [1000, 2000, 4000, 8000];
+const TEXT = {
+  saved: ({ revision }) => (revision ? `✓ saved · rev ${revision}` : "no edits yet · rev 0"),
+  unsaved: () => "• edited",
+  busy: () => "saving…",
+  offline: ({ message }) => `⚠ ${message || "server away"}: edits kept in this browser`,
+  conflict: () => "⚠ saved elsewhere: choose",
+  failed: ({ message }) => `⚠ not saved: ${message}`,
+};
+
+/** What the server has of the clip at hand. */
+export const saver = {
+  clip: null,
+  base: undefined,
+  revision: 0,
+  get pending() {
+    return this.base !== undefined && state.doc !== this.base;
+  },
+};
+
+let timer = 0;
+let sending = null;
+let failures = 0;
+
+/** Start from what the server has, and bring back edits that did not reach it before the page was closed. */
+export async function startFrom(clip, doc) {
+  clearTimeout(timer);
+  Object.assign(saver, { clip, base: doc, revision: doc.revision });
+  show("saved");
+  for (const draft of await recover(clip)) {
+    edit(draft.base.revision === doc.revision ? draft.doc : merge(draft.base, draft.doc, state.doc));
+    say("Edits from before, which had not reached the server, are back");
+  }
+}
+
+/** Save now. */
+export async function flush() {
+  clearTimeout(timer);
+  if (!saver.pending || state.saving.kind === "conflict") return sending;
+  sending ??= send().finally(() => (sending = null));
+  return sending;
+}
+
+function schedule(delay) {
+  clearTimeout(timer);
+  timer = setTimeout(flush, delay);
+}
+
+const show = (kind, message = "") => set({ saving: { kind, revision: saver.revision, message } });
+
+function documentChanged() {
+  if (saver.base === undefined || state.dragging) return;
+  const { kind } = state.saving;
+  if (!saver.pending) {
+    dropDraft(saver.clip);
+    if (kind !== "conflict") show("saved");
+    return;
+  }
+  keepDraft(saver.clip, saver.base, state.doc);
+  if (kind === "conflict") return;
+  if (kind !== "offline") show("unsaved");
+  schedule(SOON);
+}
+
+async function send() {
+  const { clip, revision } = saver;
+  const { doc } = state;
+  if (state.saving.kind !== "offline") show("busy");
+  try {
+    const answer = await api.putAnnotation(clip, doc, revision);
+    if (clip !== saver.clip) return;
+    failures = 0;
+    Object.assign(saver, { base: doc, revision: answer.revision });
+    if (saver.pending) schedule(SOON);
+    else dropDraft(clip);
+    show(saver.pending ? "unsaved" : "saved");
+  } catch (error) {
+    if (clip === saver.clip) failed(error);
+  }
+}
+
+function failed(error) {
+  if (error.status === 412) {
+    show("conflict");
+    set({ conflict: error.body.annotation });
+  } else if (error.offline || error.status >= 500) {
+    show("offline", error.offline ? "" : error.message);
+    schedule(RETRY[Math.min(failures++, RETRY.length - 1)]);
+  } else {
+    show("failed", error.message);
+  }
+}
+
+/** Somebody else saved in between: nothing is overwritten before a person chose. */
+function settleConflict() {
+  const theirs = state.conflict;
+  if (!theirs) return;
+  const settle = (doc) => {
+    close();
+    set({ conflict: null });
+    Object.assign(saver, { base: theirs, revision: theirs.revision });
+    show("unsaved");
+    edit(doc);
+    flush();
+  };
+  const mine = state.doc;
+  const first = button("Merge both", () => settle(merge(saver.base, mine, theirs)), "primary");
+  ask("Saved elsewhere in the meantime",
+    element("p", {}, `Another tab or person saved revision ${theirs.revision} of ${theirs.clip} after this page read `
+      + `revision ${saver.revision}. Your edits are still here. What shall revision ${theirs.revision + 1} be?`),
+    element("table", {},
+      line([first, "objects changed on one side come from there; changed on both, you get both"]),
+      line([button("Keep mine", () => settle({ ...mine })), "what you see now replaces the other revision"]),
+      line([button("Take theirs", () => settle(theirs)), "the other revision; Ctrl+Z brings yours back"])),
+    row(faint("Each is one edit: Ctrl+Z undoes it.")));
+  first.focus();
+}
+
+// Drafts: edits that the server does not have yet, so that closing the browser loses nothing. Each tab has
+// its own draft, and holds a lock while it lives, so that others leave its draft alone.
+
+const tab = (sessionStorage.tab ??= crypto.randomUUID());
+const keyOf = (clip, owner) => `draft:${clip}:${owner}`;
+
+navigator.locks?.request(`tab:${tab}`, { ifAvailable: true }, () => new Promise(() => {}));
+
+function keepDraft(clip, base, doc) {
+  try {
+    localStorage.setItem(keyOf(clip, tab), JSON.stringify({ base, doc }));
+  } catch {
+    // The browser's storage is full or forbidden: the edits stay in the page.
+  }
+}
+
+const dropDraft = (clip) => localStorage.removeItem(keyOf(clip, tab));
+
+/** Drafts of this clip by this tab, and by tabs that are gone; each is handed out once. */
+async function recover(clip) {
+  const locks = (await navigator.locks?.query())?.held?.map((lock) => lock.name) ?? [];
+  const start = keyOf(clip, "");
+  const found = [];
+  for (const key of Object.keys(localStorage)) {
+    const owner = key.startsWith(start) ? key.slice(start.length) : null;
+    if (owner && (owner === tab || !locks.includes(`tab:${owner}`))) {
+      found.push(JSON.parse(localStorage.getItem(key)));
+      localStorage.removeItem(key);
+    }
+  }
+  return found;
+}
+
+now(["doc", "dragging"], documentChanged);
+on(["conflict"], settleConflict);
+on(["saving"], () => {
+  const { kind, message } = state.saving;
+  Object.assign(byId("saved"), { textContent: TEXT[kind](state.saving), className: kind, title: message ?? "" });
+});
+addEventListener("online", flush);
+addEventListener("beforeunload", (event) => {
+  if (saver.pending) event.preventDefault();
+});
