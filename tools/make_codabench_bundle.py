@@ -20,7 +20,7 @@ import mseg
 from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.files import write_bytes, zip_bytes
 from kt3dmoseg.io import dataset_paths
-from kt3dmoseg.io.index_images import encode_indices
+from kt3dmoseg.io.images import encode_indices
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import load_protocol
 from mseg.evaluation.validate import choose_protocol

@@ -1,11 +1,12 @@
-"""Frames on disk: numbered pictures of one folder, read as 8-bit gray."""
+"""Pictures: numbered frames of a folder as 8-bit gray, and PNGs whose pixels are numbers."""
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -13,11 +14,11 @@ from typing import Any, Literal, TypeAlias
 import cv2
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io import jpeg, png
-from kt3dmoseg.types import ByteArray
+from kt3dmoseg.types import ByteArray, IntArray
 
 Colour: TypeAlias = Literal["refuse", "luma"]
 
@@ -25,6 +26,16 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tif
 _NUMBER = re.compile(r"(\d{1,18})\D*$")
 _MAX_FILE = 1 << 28
 _MIN_FRAMES = 2
+MAX_PIXELS = 1 << 26
+_FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")  # none that runs another program
+_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_PLAIN_MODES = ("L", "RGB", "RGBA", "I;16", "I;16B", "I", "F")
+_CONVERSIONS = {"1": "L", "LA": "RGBA", "PA": "RGBA"}
+_DEEP = re.compile(r";16|^\('RGB', \d+\)$")  # the latter is PPM with a largest value other than 255
+_BITS = re.compile(r";(\d+)")
+# A marker before a segment, or the end; not the stuffed zeros and restarts within pixel data.
+_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
+_END_OF_IMAGE = 0xD9
 _SILENT = 0  # OpenCV's LOG_LEVEL_SILENT
 
 
@@ -151,25 +162,127 @@ def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refus
 
 
 def decode(content: bytes, where: str) -> npt.NDArray[Any]:
-    """Decode a picture as it is stored: (H, W) or (H, W, C), in OpenCV's BGR order."""
-    picture = None
-    if png.is_png(content):
-        content = png.sound(content, where)
-    jpeg.check(content, where)
-    if content:
-        with quiet_opencv(), jpeg.watched(content, where), suppress(cv2.error):
-            picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None:
+    """Decode a picture as it is stored: (H, W) or (H, W, C), in OpenCV's BGR order.
+
+    Raises
+    ------
+    FileFormatError
+        When it is no picture, is cut short or damaged as far as its format shows that, or is huge.
+    """
+    with _opened(content, where) as (image, stored):
+        if image.mode[0] != "I" and _DEEP.search(stored):  # of 16-bit colours, Pillow keeps 8 bits
+            image.load()
+            with quiet_opencv():
+                picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+            if picture is None:
+                raise ValueError("a depth that OpenCV does not decode")
+            return np.asarray(picture)
+        if image.mode not in _PLAIN_MODES:
+            image = image.convert(_CONVERSIONS.get(image.mode, "RGB"))
+        pixels = np.asarray(image)
+    return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
+
+
+def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
+    """Decode a PNG to its numbers, whatever colours its palette gives them.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+    where : str
+        Its name, for messages.
+
+    Returns
+    -------
+    indices : (H, W) int64
+        The numbers.
+    bits : int
+        Bits per pixel in the file: 1, 2, 4, 8 or 16.
+
+    Raises
+    ------
+    FileFormatError
+        When it is no PNG of one channel, or damaged.
+    """
+    if not content.startswith(_PNG):
+        raise FileFormatError(where, expected="an indexed or gray PNG", found="another file")
+    with _opened(content, where) as (image, stored):
+        channels = len(image.getbands())
+        if channels != 1:
+            raise FileFormatError(
+                where,
+                expected="one channel of numbers",
+                found=f"{channels} channels",
+                fix="write it as indexed PNG, not as colours",
+            )
+        found = _BITS.search(stored)
+        bits = int(found[1]) if found else 1 if image.mode == "1" else 8
+        # Pillow stretches gray of 2 and 4 bits to 0..255.
+        stretch = 255 // ((1 << bits) - 1) if image.mode == "L" else 1
+        return np.asarray(image).astype(np.int64) // stretch, bits
+
+
+def encode_indices(indices: ByteArray, palette: ByteArray) -> bytes:
+    """Encode indices as a PNG with a palette.
+
+    Parameters
+    ----------
+    indices : (H, W) uint8
+        The numbers.
+    palette : (256, 3) uint8
+        Red, green and blue of each number.
+    """
+    image = Image.fromarray(indices)
+    image.putpalette(palette.tobytes())
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+@contextmanager
+def _opened(content: bytes, where: str) -> Iterator[tuple[Image.Image, str]]:
+    """Give a checked picture and how it is stored, as Pillow says; what Pillow raises becomes one line."""
+    fix = "the file is damaged; fetch it again"
+    if content.startswith(_JPEG) and not _has_end(content):
+        found = f"a file cut short at {len(content)} bytes"
+        raise FileFormatError(where, expected="a complete JPEG", found=found, fix=fix)
+    try:
+        with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise Image.DecompressionBombError(f"({image.width}x{image.height})")
+            if image.format == "PNG":
+                image.verify()  # the checksums, which decoding passes over
+        with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
+            yield image, str(image.tile[0].args) if image.tile else ""
+    except FileFormatError:
+        raise
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        found = str(error).partition("(")[2].partition(")")[0]
+        raise FileFormatError(where, expected=f"at most {MAX_PIXELS} pixels", found=found) from None
+    except UnidentifiedImageError:
         found = f"{len(content)} bytes that are not" if content else "an empty file"
-        raise FileFormatError(
-            where, expected="a picture", found=found, fix="the file is damaged; fetch it again"
-        )
-    return np.asarray(picture)
+        raise FileFormatError(where, expected="a picture", found=found, fix=fix) from None
+    except Exception as error:  # Pillow's readers raise anything on damaged files
+        raise FileFormatError(where, expected="an intact picture", found=str(error), fix=fix) from None
+
+
+def _has_end(content: bytes) -> bool:
+    """Whether a JPEG's picture ends (ITU-T T.81, B.1); previews within segments are skipped.
+
+    Of the zeros of an unfinished download, libjpeg makes gray and says nothing.
+    """
+    at = len(_JPEG)
+    while found := _MARKER.search(content, at):
+        if content[found.start() + 1] == _END_OF_IMAGE:
+            return True
+        at = found.end() + int.from_bytes(content[found.end() : found.end() + 2], "big")
+    return False
 
 
 @contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """Keep OpenCV from writing to standard error: a damaged file is our one line to tell."""
+    """Keep OpenCV from writing to standard error: a damaged file is reported in one line of ours."""
     logging = getattr(cv2.utils, "logging", cv2)  # where it lies depends on OpenCV's release
     level = logging.setLogLevel(_SILENT)
     try:

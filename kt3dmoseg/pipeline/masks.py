@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.images import frame_number, numbered_pictures
-from kt3dmoseg.io.index_images import decode_indices
+from kt3dmoseg.io.images import decode_indices, frame_number, numbered_pictures
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
 BACKGROUND = 1

@@ -17,7 +17,7 @@ from kt3dmoseg.annotate.formats import rle
 from kt3dmoseg.annotate.formats.davis import davis_palette
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of, simplify
 from kt3dmoseg.errors import KT3DMoSegError
-from kt3dmoseg.io.index_images import decode_indices, encode_indices
+from kt3dmoseg.io.images import decode_indices, encode_indices
 
 ALL = formats.FORMATS.names()
 EMPTY = replace(scene(), objects=(), marks=())

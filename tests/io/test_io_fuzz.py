@@ -15,8 +15,7 @@ from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.io import load, save
 from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow, write_flow
 from kt3dmoseg.io.formats import FORMATS
-from kt3dmoseg.io.images import read_frame
-from kt3dmoseg.io.index_images import decode_indices
+from kt3dmoseg.io.images import decode_indices, read_frame
 from kt3dmoseg.io.info import info
 from kt3dmoseg.io.predictions import read_prediction
 

@@ -66,7 +66,7 @@ def test_absent_frame_names_those_on_disk(drive: RawDrive, number: int) -> None:
 
 def test_broken_frame_is_an_error_not_none(root: Path, drive: RawDrive) -> None:
     drive.frame_path(4).write_bytes(drive.frame_path(4).read_bytes()[:30])
-    with pytest.raises(FileFormatError, match=r"0000000004\.png.*expected a sound PNG"):
+    with pytest.raises(FileFormatError, match=r"0000000004\.png.*expected a picture"):
         drive.frame(4)
 
 

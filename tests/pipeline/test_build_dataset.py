@@ -221,7 +221,7 @@ BAD = {
     "two sizes": (lambda f: _rewrite(f, np.zeros((80, 90), np.uint8)), "expected 96x64 px.*found 90x80"),
     "colour": (_colour, "expected a gray picture, found colour; convert"),
     "16 bit": (lambda f: _rewrite(f, np.zeros((HEIGHT, WIDTH), np.uint16)), "8-bit picture, found 16 bits"),
-    "corrupt": (_cut_short, "expected a sound PNG, found a file cut short"),
+    "corrupt": (_cut_short, "expected an intact picture"),
     "gap": (lambda f: (f / "000003.png").unlink(), "frame 3: .*without a gap"),
     "too thin": (lambda f: [_thin(p) for p in f.iterdir()], "at least 32"),
 }

@@ -16,7 +16,7 @@ from kt3dmoseg.annotate.model import REJECT, Annotation, Motion
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import zip_bytes
-from kt3dmoseg.io.index_images import encode_indices
+from kt3dmoseg.io.images import encode_indices
 from kt3dmoseg.types import ByteArray
 
 _VOID = 254

@@ -12,7 +12,7 @@ from kt3dmoseg.annotate.formats.masks import check_shape, polygons_of
 from kt3dmoseg.annotate.formats.objects import key_frames_of, known_kind
 from kt3dmoseg.annotate.model import MAX_OBJECTS, AnnotatedObject, Annotation, KeyFrame, Motion, Polygon
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.io.index_images import decode_indices
+from kt3dmoseg.io.images import decode_indices
 from kt3dmoseg.types import BoolArray
 
 
