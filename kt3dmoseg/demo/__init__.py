@@ -12,18 +12,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from kt3dmoseg.annotate import save_annotation
-from kt3dmoseg.demo.outlines import annotation_of
 from kt3dmoseg.errors import InputFileError, InvalidValueError
-from kt3dmoseg.files import write_text
-from kt3dmoseg.io import load
 from kt3dmoseg.options import option
-from kt3dmoseg.pipeline import build_dataset, find_sources
-from kt3dmoseg.synthetic import Scene, SceneOptions, make_scene, track_errors, write_drive
-from kt3dmoseg.types import Clip
+
+if TYPE_CHECKING:
+    from kt3dmoseg.synthetic import Scene
+    from kt3dmoseg.types import Clip
 
 _DRIVES = 2
 _MARKER = ".kt3dmoseg-demo"
@@ -121,6 +117,8 @@ def run_demo(
 
 
 def _render(demo: Demo) -> dict[str, Scene]:
+    from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
+
     chosen = demo.options
     demo.step(
         f"Render {_DRIVES} synthetic drives in the layout of KITTI raw",
@@ -145,6 +143,9 @@ def _render(demo: Demo) -> dict[str, Scene]:
 
 
 def _annotate(demo: Demo, scenes: dict[str, Scene]) -> None:
+    from kt3dmoseg.annotate import save_annotation
+    from kt3dmoseg.demo.outlines import annotation_of
+
     demo.step(
         "Outline the moving vehicles on every third frame (here from the scene's own knowledge)",
         "kt3dmoseg label FRAMES                   (a page in the browser)",
@@ -156,6 +157,9 @@ def _annotate(demo: Demo, scenes: dict[str, Scene]) -> None:
 
 
 def _build(demo: Demo, scenes: dict[str, Scene]) -> None:
+    from kt3dmoseg.io import load
+    from kt3dmoseg.pipeline import build_dataset, find_sources
+
     kitti, dataset = demo.folder / "kitti", demo.folder / "dataset"
     demo.step(
         "Track points through the frames, label the trajectories, write the dataset",
@@ -173,6 +177,10 @@ def _build(demo: Demo, scenes: dict[str, Scene]) -> None:
 
 def _check_against_truth(demo: Demo, clip: Clip, scene: Scene) -> None:
     """Say what only a synthetic scene can tell: how wrong the tracks and the labels are."""
+    import numpy as np
+
+    from kt3dmoseg.synthetic import track_errors
+
     errors = track_errors(scene, clip.dense, _AFTER)
     middle, most = np.nanpercentile(errors, [50, 90])
     demo.say(
@@ -260,6 +268,8 @@ def _report(demo: Demo, submissions: dict[str, Path]) -> dict[str, Path]:
 
 def _claim(folder: Path) -> None:
     """Make sure that nothing but a former demo is replaced."""
+    from kt3dmoseg.files import write_text
+
     if folder.exists() and not folder.is_dir():
         raise InputFileError(f"{folder}", expected="a folder", found="a file", fix="choose another")
     if folder.exists() and not (folder / _MARKER).exists() and any(folder.iterdir()):
