@@ -1,15 +1,19 @@
-"""What a flow backend is, and the check of its input that all of them share."""
+"""What flow backends are and share: their contract, the check of frames, smoothing and look-up."""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from functools import cache
+from typing import Any, Protocol, cast, runtime_checkable
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import ByteArray, Float32Array
+from kt3dmoseg.types import ByteArray, Float32Array, FloatArray
 
 MIN_SIDE = 32
+_NEGLIGIBLE = 12.0  # kernel radius in decay lengths
 
 
 @runtime_checkable
@@ -33,7 +37,7 @@ class Flow(Protocol):
 
 
 def check_pair(a: ByteArray, b: ByteArray) -> None:
-    """Refuse what no backend can work on.
+    """Reject what no backend can work on.
 
     Raises
     ------
@@ -59,3 +63,70 @@ def check_pair(a: ByteArray, b: ByteArray) -> None:
 def _size(frame: ByteArray) -> str:
     height, width = frame.shape
     return f"{width}x{height}"
+
+
+def sample(field: npt.NDArray[Any], xy: npt.ArrayLike) -> FloatArray:
+    """Interpolate a field bilinearly in plain numpy; outside, its edge goes on.
+
+    ``cv2.remap`` is not used: up to OpenCV 4 it rounds coordinates to 1/32 pixel.
+
+    Parameters
+    ----------
+    field : (H, W) or (H, W, C)
+        Values at the pixel centres.
+    xy : (N, 2)
+        Points in pixels, x right, y down.
+
+    Returns
+    -------
+    (N,) or (N, C) float64
+        The field at the points; NaN at a point that is NaN or next to one where the field is.
+    """
+    points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+    height, width = field.shape[:2]
+    x = np.clip(points[:, 0], 0, width - 1)
+    y = np.clip(points[:, 1], 0, height - 1)
+    left = np.minimum(np.nan_to_num(x).astype(np.intp), width - 2)
+    top = np.minimum(np.nan_to_num(y).astype(np.intp), height - 2)
+    shape = (-1,) + (1,) * (field.ndim - 2)
+    fx, fy = (x - left).reshape(shape), (y - top).reshape(shape)
+    upper = field[top, left] * (1 - fx) + field[top, left + 1] * fx
+    lower = field[top + 1, left] * (1 - fx) + field[top + 1, left + 1] * fx
+    result: FloatArray = upper * (1 - fy) + lower * fy
+    return result
+
+
+def smooth(image: Float32Array, sigma: float) -> Float32Array:
+    """Smooth an image as the release's tracker did; sigma 0 leaves it as it is.
+
+    A Gaussian is approximated: the kernel is (1 + a |x|) exp(-a |x|) with a = 2.5 / (sqrt(pi) sigma),
+    normalised (Deriche, "Fast algorithms for low-level vision", PAMI 1990). Its tails are longer
+    than a Gaussian's: its standard deviation is 2 / a = 1.42 sigma. It is usually run as a recursive filter;
+    at these widths a finite kernel cut where it has fallen to about 1e-4 is quicker.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+        Image; beyond its border it is mirrored.
+    sigma : float
+        Width in pixels, as above.
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    if sigma <= 0:
+        return image
+    kernel = _kernel(sigma)
+    return cast(
+        Float32Array, cv2.sepFilter2D(image, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    )
+
+
+@cache
+def _kernel(sigma: float) -> Float32Array:
+    decay = 2.5 / (np.sqrt(np.pi) * sigma)
+    radius = int(np.ceil(_NEGLIGIBLE / decay))
+    x = decay * np.abs(np.arange(-radius, radius + 1))
+    kernel = (1 + x) * np.exp(-x)
+    return cast(Float32Array, (kernel / kernel.sum()).astype(np.float32))

@@ -18,7 +18,7 @@ from kt3dmoseg.types import ByteArray, Float32Array
 
 @dataclass(frozen=True)
 class FlowFiles:
-    """Flow fields from two folders; which file belongs to a pair is told by the frames' content.
+    """Flow fields from two folders; a pair's file is found by the content of its frames.
 
     Sorted by name, the i-th file of `forward` is the flow of frame i to frame i + 1, the i-th file of
     `backward` that of frame i + 1 to frame i. Formats: .flo, KITTI 16-bit .png, .npy, .npz.

@@ -1,7 +1,8 @@
-"""The default flow: DIS for the large motions, then a variational pyramid for the precision."""
+"""The default flow: DIS for large motions, a variational pyramid for precision, sharp outlines."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
@@ -10,11 +11,13 @@ import cv2
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.flow.base import check_pair
-from kt3dmoseg.flow.outlines import sharpen
-from kt3dmoseg.flow.smoothing import smooth
+from kt3dmoseg.flow.base import check_pair, smooth
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
+
+_RADIUS = 2
+_CAP = 20
+_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class VariationalPyramid:
     0.1^2 (Zimmer, Bruhn, Weickert, IJCV 2011, section 3.1). `contrast` moves that 0.1: at the
     default, edges steeper than 0.1 / 0.02 = 5 gray values per pixel count alike and fainter ones
     less, so that noise in flat places has little say. As soon as the flow has full size, motion that has
-    spread over outlines is taken back (`kt3dmoseg.flow.outlines`). The linear equations are relaxed far
+    spread over outlines is taken back (`sharpen`). The linear equations are relaxed far
     beyond OpenCV's 1.6: near 2, successive overrelaxation converges fastest on a grid this large (Young,
     "Iterative Solution of Large Linear Systems", 1971, chapter 6). Measured in docs/tracking.md.
     """
@@ -92,7 +95,7 @@ class VariationalPyramid:
 
 @lru_cache(maxsize=1)
 def _solver(_thread: int, **settings: float) -> cv2.VariationalRefinement:
-    """Make a thread's solver and keep it: fetching its 40 MB anew would take a sixth of each call."""
+    """Make a thread's solver and keep it: fetching its 40 MB again would take a sixth of each call."""
     solver = cv2.VariationalRefinement.create()
     for name, value in settings.items():
         getattr(solver, f"set{name}")(value)
@@ -125,3 +128,65 @@ def _resize_flow(field: Float32Array, shape: tuple[int, ...]) -> Float32Array:
     result[..., 0] *= width / field.shape[1]  # both at once, broadcast over pairs, take seven times as long
     result[..., 1] *= height / field.shape[0]
     return result
+
+
+def sharpen(
+    a: ByteArray, b: ByteArray, field: Float32Array, *, reach: Sequence[int], share: float, floor: float
+) -> Float32Array:
+    """Replace motions by those of neighbours where these fit the frames clearly better.
+
+    A smooth field carries the motion of an object some pixels beyond its outline. The right motion is
+    then found a few pixels away, on the pixel's own side. A field fits as well as a patch about
+    each pixel agrees with the patch that it leads to: the mean over 5 x 5 pixels of the absolute difference
+    of gray values, none counted with more than 20, so that the other side of the outline, which moves
+    differently, has little weight. Trying the neighbours' motions is the propagation of PatchMatch
+    (Barnes, Shechtman, Finkelstein, Goldman, SIGGRAPH 2009); the cost with its cap is common in stereo
+    (Hosni, Rhemann, Bleyer, Rother, Gelautz, PAMI 2013).
+
+    Parameters
+    ----------
+    a, b : (H, W) uint8
+        Frames.
+    field : (H, W, 2) float32
+        Motion from `a` to `b`.
+    reach : sequence of int
+        Distances in pixels of the neighbours: left, right, above and below at each.
+    share, floor : float
+        The first change must bring the mean difference under ``share * difference - floor``, so that
+        noise moves nothing; further ones need only be better.
+
+    Returns
+    -------
+    (H, W, 2) float32
+    """
+    difference = _Difference(a, b)
+    limit = np.asarray(difference(field) * np.float32(share) - np.float32(floor), np.float32)
+    result = field.copy()
+    height, width = a.shape
+    for far in reach:
+        around = cv2.copyMakeBorder(result, far, far, far, far, cv2.BORDER_REPLICATE)
+        for x, y in _DIRECTIONS:
+            left, top = far * (1 + x), far * (1 + y)
+            candidate = np.asarray(around[top : top + height, left : left + width], np.float32)
+            now = difference(candidate)
+            better = cv2.compare(now, limit, cv2.CMP_LT)
+            cv2.copyTo(candidate, better, result)
+            cv2.copyTo(now, better, limit)
+    return result
+
+
+class _Difference:
+    """Mean capped difference of gray values between patches of two frames; outside, the second is black."""
+
+    def __init__(self, a: ByteArray, b: ByteArray) -> None:
+        self.a, self.b = a, b
+        columns, rows = (np.arange(side, dtype=np.float32) for side in reversed(a.shape))
+        self.pixels = np.stack(np.meshgrid(columns, rows), axis=2)
+        self.target = np.empty_like(self.pixels)
+
+    def __call__(self, field: Float32Array) -> Float32Array:
+        np.add(self.pixels, field, out=self.target)
+        seen = cv2.remap(self.b, self.target, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
+        apart = cv2.min(cv2.absdiff(seen, self.a), _CAP)  # type: ignore[call-overload]  # nor numbers
+        side = 2 * _RADIUS + 1
+        return np.asarray(cv2.boxFilter(apart, cv2.CV_32F, (side, side)), np.float32)

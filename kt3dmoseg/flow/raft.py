@@ -22,6 +22,7 @@ class Raft:
     """RAFT (Teed and Deng, ECCV 2020) with torchvision's weights."""
 
     files: ClassVar[tuple[str, ...]] = ("weights",)
+    packages: ClassVar[tuple[str, ...]] = ("torch", "torchvision")
 
     model: Literal["large", "small"] = option("large", "which of torchvision's two networks")
     weights: str = option("", "file with the network's state; by default torchvision's, downloaded once")
@@ -95,6 +96,6 @@ def _network(model: str, weights: str, device: str) -> Any:  # noqa: ANN401
 
 
 def _first_sentence(error: Exception) -> str:
-    # Of weights that are not plain, torch's next sentence tells how to run the code in them.
+    # Of weights that hold code, torch's next sentence is how to run it.
     text = str(error).partition("\n")[0].partition(". ")[0]
     return f"{type(error).__name__}: {text or 'no detail'}"

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from kt3dmoseg.pipeline.sources import VideoFile as VideoFile
     from kt3dmoseg.pipeline.sources import find_sources as find_sources
 
+ALGORITHM_VERSION = 1
+"""Raised when the same tracks and annotations or masks get other labels, or other rows are evaluated."""
+
 # Imported on first use: `kt3dmoseg build --help` reads the options without loading OpenCV.
 _PUBLIC = {
     "build_clip": "clip",

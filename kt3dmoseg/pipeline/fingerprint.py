@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import version
@@ -12,16 +11,14 @@ from typing import Any
 import cv2
 
 import kt3dmoseg
+from kt3dmoseg import pipeline, tracking
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
-from kt3dmoseg.files import sha256_files
-from kt3dmoseg.flow import Flow
-from kt3dmoseg.flow.cache import backend_identity
+from kt3dmoseg.flow import Flow, backend_identity
 from kt3dmoseg.io.hdf5 import provenance
 from kt3dmoseg.pipeline.options import Settings
 from kt3dmoseg.pipeline.shot import Shot
 
 _LIBRARIES = ("numpy", "scipy", "h5py")
-_CODE = ("annotate", "pipeline", "io", "tracking")
 
 
 def fingerprint(
@@ -42,15 +39,14 @@ def fingerprint(
     labels : mapping of str to str
         sha256 of the annotation or the masks, when there are any.
     """
-    identity = backend_identity(flow)
     return {
         "name": name,
         "source": {**shot.description, "sha256": shot.sha256},
         "labels": dict(labels),
         "options": settings.as_dict(),
-        "flow": None if identity is None else json.loads(identity),
+        "flow": backend_identity(flow),
         "versions": {"kt3dmoseg": kt3dmoseg.__version__} | _libraries(),
-        "code": _code(),
+        "algorithms": {"tracking": tracking.ALGORITHM_VERSION, "pipeline": pipeline.ALGORITHM_VERSION},
     }
 
 
@@ -105,7 +101,7 @@ def _differences(old: object, new: object, where: str) -> Iterator[str]:
 def _change(where: str, old: object, new: object) -> str:
     if old is None or new is None:
         return f"{where} {'added' if old is None else 'removed'}"
-    if where == "code" or where.startswith("labels") or where.endswith(("sha256", "source")):
+    if where.startswith("labels") or where.endswith(("sha256", "source")):
         return f"{where} changed"
     return f"{where} was {old!r}, now {new!r}"
 
@@ -113,11 +109,3 @@ def _change(where: str, old: object, new: object) -> str:
 @cache
 def _libraries() -> dict[str, str]:
     return {"opencv": cv2.__version__} | {name: version(name) for name in _LIBRARIES}
-
-
-@cache
-def _code() -> str:
-    """Hash of the packages that a built clip passes through; flow backends have their own."""
-    root = Path(kt3dmoseg.__file__).parent
-    files = [path for package in _CODE for path in sorted((root / package).glob("*.py"))]
-    return sha256_files(files)

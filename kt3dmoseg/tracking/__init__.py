@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from kt3dmoseg.tracking.tracker import Progress as Progress
     from kt3dmoseg.tracking.tracker import track as track
 
+ALGORITHM_VERSION = 1
+"""Raised when the same frames and flow give other tracks."""
+
 # Imported on first use: `kt3dmoseg track --help` reads the options without loading OpenCV.
 _PUBLIC = {
     "track": "tracker",

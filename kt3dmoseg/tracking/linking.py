@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from kt3dmoseg.flow.sampling import sample
+from kt3dmoseg.flow import sample
 from kt3dmoseg.tracking.options import TrackOptions
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray
 

@@ -8,7 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from kt3dmoseg.flow.smoothing import smooth
+from kt3dmoseg.flow.base import smooth
 from kt3dmoseg.tracking.options import TrackOptions
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array
 
@@ -25,7 +25,7 @@ def smaller_eigenvalue(frame: ByteArray, presmoothing: float, integration: float
     frame : (H, W) uint8
         Gray frame I; smoothed before its central differences are taken.
     presmoothing, integration : float
-        Sigma in pixels of the smoothing of I, and of K; see `kt3dmoseg.flow.smoothing`.
+        Sigma in pixels of the smoothing of I, and of K; see `kt3dmoseg.flow.base.smooth`.
 
     Returns
     -------

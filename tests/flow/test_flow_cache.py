@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+import kt3dmoseg
+from kt3dmoseg import flow
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.flow import FlowCache, cache, flow_pair
+from kt3dmoseg.flow import FlowCache, backend_identity, flow_pair
 from kt3dmoseg.options import option
 
+ALGORITHM_VERSION = 1
 CALLS = []
 
 
@@ -73,11 +77,30 @@ def test_other_parameters_or_frames_make_another_entry(tmp_path, pair):
 def test_another_version_makes_another_entry(tmp_path, pair, monkeypatch):
     store = FlowCache(tmp_path)
     store.get(Counting(), *pair)
-    monkeypatch.setattr(cache, "_versions", lambda: {"numpy": "another"})
+    monkeypatch.setattr(np, "__version__", "another")
     store.get(Counting(), *pair)
-    monkeypatch.setattr(cache, "_source", lambda module: "another")
+    monkeypatch.setattr(sys.modules[__name__], "ALGORITHM_VERSION", 2)
+    store.get(Counting(), *pair)
     store.get(Counting(), *pair)
     assert len(CALLS) == 3
+
+
+def test_the_versions_of_this_package_and_its_flow_count(monkeypatch):
+    dis = flow.create("dis")
+    seen = [backend_identity(dis)]
+    monkeypatch.setattr(flow, "ALGORITHM_VERSION", 99)
+    seen.append(backend_identity(dis))
+    monkeypatch.setattr(kt3dmoseg, "__version__", "99")
+    seen.append(backend_identity(dis))
+    assert len({each["algorithm"] for each in seen}) == 3
+
+
+def test_a_backend_that_states_no_version_is_not_kept(tmp_path, pair, monkeypatch):
+    monkeypatch.delattr(sys.modules[__name__], "ALGORITHM_VERSION")
+    for _ in range(2):
+        FlowCache(tmp_path).get(Counting(), *pair)
+    assert len(CALLS) == 2
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -85,14 +108,13 @@ def test_another_version_makes_another_entry(tmp_path, pair, monkeypatch):
     [
         lambda content: b"",
         lambda content: content[:-1],
-        lambda content: content + b"\0",
-        lambda content: content[:-1] + bytes([content[-1] ^ 1]),
+        lambda content: content[:900] + bytes([content[900] ^ 1]) + content[901:],
         lambda content: b"x" + content[1:],
-        lambda content: content.replace(b'"shape": [40, 50, 2]', b'"shape": [50, 40, 2]'),
+        lambda content: content.replace(b"(40, 50, 2)", b"(50, 40, 2)"),
         lambda content: b"\n" * len(content),
     ],
 )
-def test_a_damaged_entry_is_computed_anew(tmp_path, pair, damage):
+def test_a_damaged_entry_is_computed_again(tmp_path, pair, damage):
     store = FlowCache(tmp_path)
     wanted = store.get(Counting(), *pair)
     path = only_entry(tmp_path)
@@ -109,7 +131,7 @@ def test_an_entry_under_another_name_is_not_used(tmp_path, pair):
     store.get(Counting(), a, b)
     mine = only_entry(tmp_path)
     store.get(Counting(), b, a)
-    (other,) = [p for p in tmp_path.rglob("*.flow") if p != mine]
+    (other,) = [p for p in tmp_path.rglob("*.npz") if p != mine]
     other.write_bytes(mine.read_bytes())
     np.testing.assert_array_equal(store.get(Counting(), b, a), Counting()(b, a))
 

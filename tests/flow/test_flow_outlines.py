@@ -8,7 +8,7 @@ import pytest
 
 from kt3dmoseg import flow
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.flow.outlines import sharpen
+from kt3dmoseg.flow.pyramid import sharpen
 
 SETTINGS = {name: getattr(flow.create("dis"), name) for name in ("reach", "share", "floor")}
 GROUND, OBJECT = (0.0, 0.0), (7.0, 2.0)

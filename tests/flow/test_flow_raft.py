@@ -11,8 +11,7 @@ import pytest
 
 from kt3dmoseg import flow
 from kt3dmoseg.errors import MissingDependencyError
-from kt3dmoseg.flow import raft
-from kt3dmoseg.flow.cache import backend_identity
+from kt3dmoseg.flow import backend_identity, raft
 
 
 class Array:
@@ -141,6 +140,6 @@ def test_the_cache_knows_weights_by_content(tmp_path):
     other.write_bytes(b"1")
     first = backend_identity(flow.create("raft", weights=str(one)))
     assert first == backend_identity(flow.create("raft", weights=str(other)))
-    assert str(tmp_path) not in first
+    assert str(tmp_path) not in str(first)
     one.write_bytes(b"2")
     assert first != backend_identity(flow.create("raft", weights=str(one)))

@@ -39,7 +39,7 @@ def test_without_labels_everything_is_evaluated(folder):
     assert len(clip.evaluated) == len(clip.dense) > 20
     assert clip.n_motions == 0
     told = clip.provenance["fingerprint"]
-    assert {"source", "labels", "options", "flow", "versions", "code"} <= set(told)
+    assert {"source", "labels", "options", "flow", "versions", "algorithms"} <= set(told)
     assert told["options"]["spacing"] == 8
     assert set(told["versions"]) == {"kt3dmoseg", "numpy", "scipy", "h5py", "opencv"}
 

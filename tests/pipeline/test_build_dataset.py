@@ -11,12 +11,15 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip, write_masks
 
+import kt3dmoseg
+from kt3dmoseg import flow, pipeline, tracking
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import hdf5, load
@@ -92,10 +95,29 @@ def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
     outcomes = {o.name: o for o in build(frames, out, spacing=6)}
     assert "no sound clip" in outcomes["c"].reason
     assert {o.reason for o in build(frames, out, spacing=6, force=True)} == {"asked for"}
-    from kt3dmoseg.pipeline import fingerprint
+    monkeypatch.setattr(tracking, "ALGORITHM_VERSION", 0)
+    assert {o.reason for o in build(frames, out, spacing=6)} == {"algorithms tracking was 1, now 0"}
+    monkeypatch.setattr(pipeline, "ALGORITHM_VERSION", 0)
+    assert {o.reason for o in build(frames, out, spacing=6)} == {"algorithms pipeline was 1, now 0"}
+    monkeypatch.setattr(flow, "ALGORITHM_VERSION", 0)
+    (reason,) = {o.reason for o in build(frames, out, spacing=6)}
+    assert reason.startswith("flow algorithm was '1/")
 
-    monkeypatch.setattr(fingerprint, "_code", lambda: "other")
-    assert {o.reason for o in build(frames, out, spacing=6)} == {"code changed"}
+
+def test_a_changed_comment_rebuilds_nothing(frames, tmp_path):
+    packages = shutil.copytree(Path(kt3dmoseg.__file__).parent, tmp_path / "copy/kt3dmoseg")
+    command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW, "--workers", "1"]
+    for line in ("3 built, 0 up to date", "0 built, 3 up to date"):
+        done = subprocess.run(
+            [sys.executable, "-m", "kt3dmoseg.cli", *command],
+            cwd=packages.parent,  # first in the path of modules
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert line in done.stdout
+        for path in packages.rglob("*.py"):
+            path.write_text(path.read_text() + "\n# a comment\n")
 
 
 def test_a_clip_that_no_build_made_stays(frames, tmp_path):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from kt3dmoseg.flow.smoothing import smooth
+from kt3dmoseg.flow.base import smooth
 from kt3dmoseg.tracking import TrackOptions
 from kt3dmoseg.tracking.seeding import grid, new_seeds, uncovered
 from kt3dmoseg.tracking.structure import smaller_eigenvalue, structured

@@ -164,7 +164,7 @@ def test_cache_changes_nothing(tmp_path):
     for _ in range(2):
         cached = track(frames(4), "dis_medium", cache=tmp_path)
         np.testing.assert_array_equal(plain.xy, cached.xy)
-    assert len(list(Path(tmp_path).rglob("*.flow"))) == 6
+    assert len(list(Path(tmp_path).rglob("*.npz"))) == 6
 
 
 def test_memory_does_not_grow_with_the_length():
