@@ -11,23 +11,11 @@ import numpy as np
 from kt3dmoseg.annotate.geometry import bounds
 from kt3dmoseg.annotate.model import AnnotatedObject, Motion
 from kt3dmoseg.annotate.propagation import Region
+from kt3dmoseg.draw.palette import Colour, motion_colour
 from kt3dmoseg.types import ByteArray, FloatArray
 
-Colour = tuple[int, int, int]
 Box = tuple[float, float, float, float]
 
-# Okabe and Ito's palette, distinguishable by colour-blind eyes; BGR for OpenCV.
-PALETTE: tuple[Colour, ...] = (
-    (0, 159, 230),
-    (233, 180, 86),
-    (115, 158, 0),
-    (66, 228, 240),
-    (178, 114, 0),
-    (0, 94, 213),
-    (167, 121, 204),
-)
-_STATIC: Colour = (200, 200, 200)
-_REJECTED: Colour = (60, 60, 255)
 _INK: Colour = (255, 255, 255)
 _RULER = 26
 _SUBPIXEL = 4
@@ -55,10 +43,9 @@ class View:
 
 
 def colour_of(motion: Motion) -> Colour:
-    """Colour of a motion, BGR."""
-    if isinstance(motion, str):
-        return _REJECTED
-    return PALETTE[(motion - 1) % len(PALETTE)] if motion else _STATIC
+    """Colour of a motion, BGR for OpenCV."""
+    red, green, blue = motion_colour(motion)
+    return blue, green, red
 
 
 def draw_view(

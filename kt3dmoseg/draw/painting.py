@@ -11,24 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.draw.options import DrawOptions
+from kt3dmoseg.draw.palette import label_colour
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.matching import match_labels
 from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Trajectories
 
-# Okabe and Ito (2008): told apart also with a colour vision deficiency. RGB; label 1 comes first.
-PALETTE = np.array(
-    [
-        (86, 180, 233),  # sky blue
-        (230, 159, 0),  # orange
-        (0, 158, 115),  # bluish green
-        (240, 228, 66),  # yellow
-        (213, 94, 0),  # vermillion
-        (204, 121, 167),  # reddish purple
-        (0, 114, 178),  # blue
-    ],
-    dtype=np.uint8,
-)
-UNLABELLED = (190, 190, 190)
 _SHIFT = 4  # OpenCV draws at 1/16 px
 _FONT, _FONT_SCALE, _LINE = cv2.FONT_HERSHEY_SIMPLEX, 0.42, 15
 _WHITE = (255, 255, 255)
@@ -60,16 +47,20 @@ class Painting:
 
 
 def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None = None) -> Painting:
-    """Colour the evaluated trajectories by their labels (n,), the clip's own or predicted."""
+    """Colour the evaluated trajectories by their labels (n,).
+
+    With ``names``, the labels are the clip's own: its background is named and gray. Without, they are any.
+    """
     values = np.asarray(label, dtype=np.int64)
-    called = dict(names or {})
-    if names is not None and clip.labels.background is not None:
-        called.setdefault(clip.labels.background, "background")
-    legend = [
-        (_entry(value, int((values == value).sum()), called), label_colour(value))
-        for value in np.unique(values).tolist()
-    ]
-    return Painting(clip.evaluated_trajectories, _label_colours(values), legend)
+    background = None if names is None else clip.labels.background
+    called = (
+        {0: "unlabelled"} | ({} if background is None else {background: "background"}) | dict(names or {})
+    )
+    legend = []
+    for value, count in zip(*np.unique(values, return_counts=True), strict=True):
+        text = f"{value} {called.get(int(value), '')}".rstrip()
+        legend.append((f"{text}: {count}", label_colour(int(value), background)))
+    return Painting(clip.evaluated_trajectories, _label_colours(values, background), legend)
 
 
 def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
@@ -81,17 +72,17 @@ def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
     values, truth = np.asarray(predicted, dtype=np.int64), clip.labels.label
     if not clip.n_motions:
         return by_label(clip, values)
-    match = _match(values, truth)
+    match, background = _match(values, truth), clip.labels.background
     shown = np.array([match.get(value, 0) for value in values.tolist()], dtype=np.int64)
     wrong = (shown != truth) & (truth > 0)
     legend = []
     for value in np.unique(values).tolist():
         chosen = values == value
         text = f"predicted {value}: {int(chosen.sum())}, {int(wrong[chosen].sum())} wrong"
-        legend.append((text, label_colour(match.get(value, 0))))
+        legend.append((text, label_colour(match.get(value, 0), background)))
     share = wrong.sum() / max(1, (truth > 0).sum())
     legend.append((f"ringed: labelled otherwise, {share:.1%}", _WHITE))
-    return Painting(clip.evaluated_trajectories, _label_colours(shown), legend, wrong)
+    return Painting(clip.evaluated_trajectories, _label_colours(shown, background), legend, wrong)
 
 
 def by_length(trajectories: Trajectories) -> Painting:
@@ -103,11 +94,6 @@ def by_length(trajectories: Trajectories) -> Painting:
     names = [f"{end} frame" + "s" * (end > 1) for end in ends]
     legend = [(name, _rgb(colour)) for name, colour in zip(names, shown, strict=True)]
     return Painting(trajectories, colours, legend)
-
-
-def label_colour(label: int) -> tuple[int, int, int]:
-    """RGB colour of a label; 0 is gray, colours repeat after seven."""
-    return UNLABELLED if label <= 0 else _rgb(PALETTE[(label - 1) % len(PALETTE)])
 
 
 def draw_frame(
@@ -223,9 +209,10 @@ def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int3
     return np.rint(enlarged * (1 << _SHIFT)).astype(np.int32)
 
 
-def _label_colours(label: IntArray) -> ByteArray:
-    colours = PALETTE[(label - 1) % len(PALETTE)]
-    return np.where((label > 0)[:, None], colours, np.array(UNLABELLED, dtype=np.uint8))
+def _label_colours(label: IntArray, background: int | None) -> ByteArray:
+    found, rows = np.unique(label, return_inverse=True)
+    colours = [label_colour(value, background) for value in found.tolist()]
+    return np.array(colours, dtype=np.uint8).reshape(-1, 3)[rows]
 
 
 def _ramp(lengths: IntArray, longest: int) -> ByteArray:
@@ -234,11 +221,6 @@ def _ramp(lengths: IntArray, longest: int) -> ByteArray:
         return np.zeros((0, 3), dtype=np.uint8)
     share = np.rint(255.0 * lengths / max(1, longest)).clip(0, 255).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(share[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])
-
-
-def _entry(label: int, count: int, names: Mapping[int, str]) -> str:
-    name = names.get(label, "unlabelled" if label == 0 else "")
-    return f"{label} {name}: {count}".replace(" :", ":")
 
 
 def _rgb(colour: npt.ArrayLike) -> tuple[int, int, int]:

@@ -22,6 +22,7 @@ from kt3dmoseg.draw import (
     draw_frame,
     label_colour,
 )
+from kt3dmoseg.draw.palette import css, css_palette, motion_colour
 from kt3dmoseg.io import save
 from kt3dmoseg.io.video import write_moving
 from kt3dmoseg.types import Clip, Labels, Trajectories
@@ -79,7 +80,7 @@ def test_a_prediction_has_the_colours_of_the_motions_it_matches_and_rings_what_i
     tracks = Trajectories(xy, np.ones((6, 2), dtype=bool), image_size=(96, 64))
     clip = Clip("clip", tracks, np.arange(6), Labels(np.array([1, 1, 1, 2, 2, 0]), 1))
     painting = by_prediction(clip, [7, 7, 3, 3, 3, 9])
-    expected = [label_colour(k) for k in (1, 1, 2, 2, 2, 3)]
+    expected = [label_colour(k, background=1) for k in (1, 1, 2, 2, 2, 3)]
     assert [tuple(colour) for colour in painting.colours.tolist()] == expected
     assert painting.ringed.tolist() == [False, False, True, False, False, False]
     assert [text for text, _ in painting.legend] == [
@@ -108,6 +109,21 @@ def test_lengths_go_from_dark_to_bright(clip):
 def test_colours_repeat_only_after_the_palette_ends():
     assert len({label_colour(k) for k in range(len(PALETTE) + 1)}) == len(PALETTE) + 1
     assert label_colour(1 + len(PALETTE)) == label_colour(1)
+
+
+def test_the_background_is_gray_where_the_labels_are_the_clips_own(clip):
+    own = by_label(clip, clip.labels.label, clip.labels.names).colours
+    assert tuple(own[0]) == label_colour(1, background=1)
+    assert np.ptp(own[0].astype(int)) < 40
+    assert np.ptp(own[1].astype(int)) > 100
+    assert tuple(by_label(clip, clip.labels.label).colours[0]) == label_colour(1)
+
+
+def test_pictures_reports_and_the_page_share_one_palette():
+    page = css_palette()
+    assert page["labels"][1] == css(label_colour(2)) == css(motion_colour(1))
+    assert page["background"] == css(label_colour(1, background=1)) == css(motion_colour(0))
+    assert page["rejected"] == css(motion_colour("reject"))
 
 
 def test_a_folder_of_pictures(file, tmp_path, capsys):
@@ -173,7 +189,7 @@ def test_a_prediction_in_one_picture(file, tmp_path, capsys):
     (tmp_path / "pred.csv").write_text("track,label\n0,3\n1,3\n2,3\n")
     out = tmp_path / "one.png"
     assert main(["show", str(file), "--pred", str(tmp_path / "pred.csv"), "--at", "0", "-o", str(out)]) == 0
-    assert tuple(cv2.imread(str(out))[58, 60, ::-1]) == label_colour(1)
+    assert tuple(cv2.imread(str(out))[58, 60, ::-1]) == label_colour(1, background=1)
     assert capsys.readouterr().out == f"{out}: clip, 1 picture\n"
 
 

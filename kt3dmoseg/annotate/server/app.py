@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from html import escape
 from importlib import resources
@@ -17,6 +18,7 @@ from kt3dmoseg.annotate.model import to_json
 from kt3dmoseg.annotate.server.guard import TOO_LARGE, BodyTooLargeError, Guard, refuse
 from kt3dmoseg.annotate.server.routes import Routes
 from kt3dmoseg.annotate.session import StaleRevisionError
+from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
@@ -73,7 +75,12 @@ def _page(template: str, static: Iterable[str], clips: Iterable[str], asked: str
     clip = asked if asked in names else names[0]
     modules = [f'<link rel="modulepreload" href="/static/{name}">' for name in static if name.endswith(".js")]
     picture = f"/api/clips/{quote(clip, safe='')}/frames/0"
-    values = {"{{clip}}": escape(clip), "{{picture}}": picture, "{{modules}}": "\n".join(modules)}
+    values = {
+        "{{clip}}": escape(clip),
+        "{{picture}}": picture,
+        "{{palette}}": escape(json.dumps(css_palette())),
+        "{{modules}}": "\n".join(modules),
+    }
     for name, value in values.items():
         template = template.replace(name, value)
     return template

@@ -1,29 +1,25 @@
-// Okabe and Ito's palette, distinguishable by colour-blind eyes, as in kt3dmoseg/annotate/overlay.py.
+// Colours of labels, from the one palette of kt3dmoseg (kt3dmoseg/draw/palette.py).
 
-const PALETTE = ["#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0088cc", "#d55e00", "#cc79a7"];
+const palette = JSON.parse(document.documentElement.dataset.palette);
+const LENGTHS = ["#3b82f6", "#22d3ee", "#4ade80", "#facc15", "#fb923c"];
 
-export const BACKGROUND = "#9aa7b8";
-export const REJECTED = "#ff4d4d";
+export const BACKGROUND = palette.background;
+export const REJECTED = palette.rejected;
 export const PROBLEM = "#ff2bd6";
-export const UNSEEN = "#6b7280";
 
+/** Colour of a motion of the annotation: motion m has label m + 1, label 1 is the background. */
 export function colourOfMotion(motion) {
   if (motion === "reject") return REJECTED;
-  return motion >= 1 ? PALETTE[(motion - 1) % PALETTE.length] : BACKGROUND;
+  return motion >= 1 ? palette.labels[motion % palette.labels.length] : BACKGROUND;
 }
 
-export const REASONS = ["labelled", "unseen", "short", "conflict", "rejected"];
-
-/** Colour of a trajectory: its label's, or what keeps it unlabelled. */
+/** Colour of a trajectory: its label's, or what keeps it unlabelled: 2 too short, 3 in conflict, 4 rejected. */
 export function colourOfTrack(label, reason) {
   if (reason === 4) return REJECTED;
-  if (reason === 2 || reason === 3) return PROBLEM;
-  return label >= 2 ? colourOfMotion(label - 1) : BACKGROUND;
+  return reason === 2 || reason === 3 ? PROBLEM : colourOfMotion(label - 1);
 }
-
-const TRAILS = ["#3b82f6", "#22d3ee", "#4ade80", "#facc15", "#fb923c"];
 
 /** Colour by the number of frames that a trajectory lives. */
 export function colourOfLength(length, frames) {
-  return TRAILS[Math.min(TRAILS.length - 1, Math.floor((length / frames) * TRAILS.length))];
+  return LENGTHS[Math.min(LENGTHS.length - 1, Math.floor((length / frames) * LENGTHS.length))];
 }
