@@ -20,6 +20,7 @@ decoded image, (H, W) uint8 gray or (H, W, 3) uint8 RGB.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import tomllib
@@ -27,17 +28,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from kt3dmoseg.catalog.entries import (
-    MOST_FRAMES,
+from kt3dmoseg.catalog.models import (
     Drive,
     Entry,
     Fingerprint,
-    check_camera,
     format_numbers,
+    matching,
     parse_numbers,
     whole,
 )
-from kt3dmoseg.catalog.toml_text import quoted
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes, write_text
 from kt3dmoseg.registry import unknown_name
@@ -154,15 +153,13 @@ def _entry(name: str, table: Any) -> Entry:  # noqa: ANN401  # whatever TOML hol
     for key in _REQUIRED:
         if key not in table:
             raise InvalidValueError(key, expected="a value", found="none")
-    numbers = table.get("numbers")
-    size = table.get("size")
     return Entry(
         name=name,
         drive=Drive(table["date"], table["drive"]),
-        camera=check_camera(table["camera"]),
-        length=whole(table["length"], "length", MOST_FRAMES),
-        size=None if size is None else _size(size),
-        numbers=None if numbers is None else parse_numbers(numbers),
+        camera=table["camera"],
+        length=table["length"],
+        size=_size(table["size"]) if "size" in table else None,
+        numbers=parse_numbers(table["numbers"]) if "numbers" in table else None,
         frames=_frames(table.get("frames", [])),
         proof=str(table.get("proof", "")),
         source=str(table.get("source", "")),
@@ -178,20 +175,17 @@ def _size(value: Any) -> tuple[int, int]:  # noqa: ANN401
 def _frames(value: Any) -> tuple[Fingerprint, ...]:  # noqa: ANN401
     if not isinstance(value, list):
         raise InvalidValueError("frames", expected="a list", found=repr(value)[:80])
-    return tuple(_fingerprint(frame, index) for index, frame in enumerate(value))
-
-
-def _fingerprint(frame: Any, index: int) -> Fingerprint:  # noqa: ANN401
-    if not isinstance(frame, dict) or set(frame) != {"crc32", "bytes", "pixels"}:
-        raise InvalidValueError(
-            f"frames[{index}]", expected="{ crc32, bytes, pixels }", found=repr(frame)[:80]
-        )
-    crc = frame["crc32"]
-    if not isinstance(crc, str) or not re.fullmatch(r"[0-9a-f]{8}", crc):
-        raise InvalidValueError(f"frames[{index}]: crc32", expected="8 hexadecimal digits", found=repr(crc))
-    return Fingerprint(
-        int(crc, 16), whole(frame["bytes"], f"frames[{index}]: bytes", 1 << 40), frame["pixels"]
-    )
+    frames = []
+    for index, frame in enumerate(value):
+        where = f"frames[{index}]"
+        if not isinstance(frame, dict) or set(frame) != {"crc32", "bytes", "pixels"}:
+            raise InvalidValueError(where, expected="{ crc32, bytes, pixels }", found=repr(frame)[:80])
+        try:
+            crc = int(matching(frame["crc32"], "crc32", "[0-9a-f]{8}", "8 hexadecimal digits"), 16)
+            frames.append(Fingerprint(crc, frame["bytes"], frame["pixels"]))
+        except InvalidValueError as error:
+            raise InvalidValueError(f"{where}: {error}") from None
+    return tuple(frames)
 
 
 def _toml(entry: Entry) -> str:
@@ -214,3 +208,12 @@ def _toml(entry: Entry) -> str:
         ]
         lines += ["frames = [", *rows, "]"]
     return "\n".join(lines) + "\n"
+
+
+def quoted(text: str) -> str:
+    r"""Return a text as a basic string of TOML, on one line.
+
+    >>> print(quoted('a 5" pipe'))
+    "a 5\" pipe"
+    """
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.entries import Drive, Entry, Fingerprint, check_camera, format_numbers, parse_numbers
+from kt3dmoseg.catalog.models import Drive, Entry, Fingerprint, check_camera, format_numbers, parse_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 
 
@@ -62,7 +62,7 @@ def _add(arguments: argparse.Namespace) -> int:
     marks: tuple[Fingerprint, ...] = ()
     size = None
     if arguments.frames is not None:
-        from kt3dmoseg.kitti.frames import fingerprint_folder
+        from kt3dmoseg.kitti.locating import fingerprint_folder
 
         marks, size = fingerprint_folder(arguments.frames)
     numbers = None if arguments.numbers is None else parse_numbers(arguments.numbers)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from kt3dmoseg.lazy import lazy
 
 if TYPE_CHECKING:
-    from kt3dmoseg.catalog.entries import Drive as Drive
-    from kt3dmoseg.kitti.calibration import Calibration as Calibration
+    from kt3dmoseg.catalog import Drive as Drive
     from kt3dmoseg.kitti.locating import locate as locate
     from kt3dmoseg.kitti.pulling import pull as pull
+    from kt3dmoseg.kitti.raw import Calibration as Calibration
     from kt3dmoseg.kitti.raw import RawDrive as RawDrive
     from kt3dmoseg.kitti.releases import fetch_release as fetch_release
     from kt3dmoseg.kitti.tracklets import Tracklet as Tracklet
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # Imported on first use: `kt3dmoseg pull --help` reads the options without numpy and the network stack.
 _PUBLIC = {
-    "Calibration": "calibration",
+    "Calibration": "raw",
     "Drive": "raw",
     "RawDrive": "raw",
     "Tracklet": "tracklets",

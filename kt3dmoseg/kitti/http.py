@@ -2,48 +2,72 @@
 
 What a server can do to us is met here and nowhere else: dropped connections, 5xx, stalled and slow
 bodies, wrong lengths, wrong ranges, ignored ranges, redirects. What arrives in the wrong *content* is
-found by the readers above, which hold checksums.
+found by the readers above, which hold checksums. Most faults show in the body, which `urllib3.Retry` never
+sees; one loop of ours counts them all.
 """
 
 from __future__ import annotations
 
 import re
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tqdm import tqdm
+
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
-from kt3dmoseg.kitti.network import (
-    AbsentError,
-    ChangedError,
-    Patience,
-    RangesIgnoredError,
-    Traffic,
-    TransientError,
-)
 from kt3dmoseg.kitti.options import Network
 
 if TYPE_CHECKING:
     import requests
 
 _BLOCK = 1 << 16
+_PROGRESS = 1 << 14  # an attempt that brings this much is not counted against the server
+_LONGEST_WAIT = 30.0
 _REDIRECTS = 5
 _ABSENT = (403, 404, 410)  # S3 answers 403 for an object that is absent from a bucket it may not list
 _TRANSIENT = (408, 425, 429, 500, 502, 503, 504)
 _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
 
 
+class AbsentError(InputFileError):
+    """The server says that there is no such file."""
+
+
+class RangesIgnoredError(InputFileError):
+    """The server sends whole files only; `size` is the file's size when the server gave it."""
+
+    def __init__(self, url: str, size: int | None) -> None:
+        super().__init__(f"{url}: the server ignores ranges")
+        self.url, self.size = url, size
+
+
+class ChangedError(InputFileError):
+    """The file on the server is not the one that was read before."""
+
+
+class _TransientError(Exception):
+    """Worth repeating; after `pause` seconds if the server asked for them."""
+
+    def __init__(self, reason: str, pause: float = 0.0) -> None:
+        super().__init__(reason)
+        self.pause = pause
+
+
+@dataclass
+class Traffic:
+    """Requests made, and bytes of answers received."""
+
+    requests: int = 0
+    bytes: int = 0
+
+
 class Client:
     """A session with one or more servers.
-
-    Parameters
-    ----------
-    network : Network
-        Patience.
-    traffic : Traffic, optional
-        Counter to use.
 
     Raises
     ------
@@ -80,76 +104,102 @@ class Client:
         InputFileError
             When the server cannot be reached or refuses.
         """
-        patience = Patience(url, self.network)
-        while True:
-            try:
-                with closing(self._ranged(url, 0, 1)) as response:
-                    size = _range_of(response, url)[2]
-                    next(self._body(response), b"")
-                    return size
-            except TransientError as error:
-                patience.failed(error, 0)
+        sizes = []
+
+        def first_byte(_: int) -> Iterator[bytes]:
+            with closing(self._ranged(url, 0, 1)) as response:
+                sizes.append(_range_of(response, url)[1])
+                yield from self._body(response)
+
+        for _ in self._persist(url, first_byte):
+            pass
+        return sizes[-1]
 
     def chunks(self, url: str, start: int, length: int, size: int) -> Iterator[bytes]:
         """Yield exactly `length` bytes of a file from `start` on, resuming as often as needed.
 
-        Parameters
-        ----------
-        url : str
-            The file.
-        start, length : int
-            The wanted range.
-        size : int
-            The file's size, as `size` told it.
-
         Raises
         ------
         ChangedError
-            When the file now has another size.
+            When the file has not `size` bytes any more.
         AbsentError, RangesIgnoredError, InputFileError
             As for `size`.
         """
-        patience, got = Patience(url, self.network), 0
-        while got < length:
-            before = got
-            try:
-                for block in self._attempt(url, start + got, length - got, size):
-                    got += len(block)
-                    yield block
-            except TransientError as error:
-                patience.failed(error, got - before)
+        return self._persist(url, lambda got: self._part(url, start + got, length - got, size))
 
-    def download(self, url: str, path: Path) -> None:
+    def download(self, url: str, path: Path, progress: Callable[[int], object] = lambda count: None) -> None:
         """Append to `path` what it lacks of a file, from a server that may ignore ranges.
 
         A part that is there already, from an interrupted download, is kept: the rest is asked for, and
         where the server sends everything again, the beginning is passed over.
         """
-        patience = Patience(url, self.network)
-        while True:
-            before = path.stat().st_size if path.exists() else 0
-            try:
-                return self._append(url, path, before)
-            except TransientError as error:
-                patience.failed(error, (path.stat().st_size if path.exists() else 0) - before)
+        try:
+            with open(path, "ab") as stream:
+                have = stream.tell()
+                for block in self._persist(url, lambda got: self._rest(url, have + got)):
+                    stream.write(block)
+                    progress(len(block))
+        except OSError as error:
+            if isinstance(error, InputFileError):
+                raise
+            raise InputFileError(f"{path}: cannot write", found=error.strerror or str(error)) from None
 
-    def _attempt(self, url: str, start: int, length: int, size: int) -> Iterator[bytes]:
+    def _persist(self, url: str, attempt: Callable[[int], Iterator[bytes]]) -> Iterator[bytes]:
+        """Yield the bytes of one attempt after the other, each given the number of bytes that came before.
+
+        The wait between them doubles; too many in a row that bring nothing end it.
+        """
+        got = failures = 0
+        while True:
+            before = got
+            try:
+                for block in attempt(got):
+                    got += len(block)
+                    yield block
+                return
+            except _TransientError as error:
+                failures = 1 if got - before >= _PROGRESS else failures + 1
+                if failures > self.network.retries:
+                    what = f"gave up after {failures} attempts, the last: {error}"
+                    fix = "what was fetched is kept; run it again later"
+                    raise InputFileError(f"{url}: {what}", fix=fix) from None
+                pause = min(max(error.pause, self.network.wait * 2 ** (failures - 1)), _LONGEST_WAIT)
+                if failures > 1 and sys.stderr.isatty():
+                    tqdm.write(f"{url}: {error}; again in {pause:.0f} s", file=sys.stderr)
+                time.sleep(pause)
+
+    def _part(self, url: str, start: int, length: int, size: int) -> Iterator[bytes]:
         with closing(self._ranged(url, start, length)) as response:
-            first, _, total = _range_of(response, url)
+            first, total = _range_of(response, url)
             if total != size:
                 raise ChangedError(url, expected=f"{size} bytes as before", found=f"{total}")
             if first != start:
-                raise TransientError(f"a range from byte {first} instead of {start}")
-            got = 0
+                raise _TransientError(f"a range from byte {first} instead of {start}")
             for block in self._body(response):
-                if got == length:
+                if not length:
                     return  # the server sends more than it was asked for
-                wanted = block[: length - got]
-                got += len(wanted)
+                wanted = block[:length]
+                length -= len(wanted)
                 yield wanted
-            if got == length:
-                return
-            raise TransientError(f"the connection ended {length - got} bytes early")
+            if length:
+                raise _TransientError(f"the connection ended {length} bytes early")
+
+    def _rest(self, url: str, have: int) -> Iterator[bytes]:
+        with closing(self._get(url, f"bytes={have}-" if have else None)) as response:
+            if response.status_code == 416 and have:
+                return  # there is nothing after what we have; the reader will say if it is not the file
+            if response.status_code not in (200, 206):
+                raise InputFileError(f"{url}: the server answered {response.status_code} {response.reason}")
+            at = _range_of(response, url)[0] if response.status_code == 206 else 0
+            if at not in (0, have):
+                raise _TransientError(f"a range from byte {at} instead of {have}")
+            length = _length(response)
+            end = at + (length or 0)
+            for block in self._body(response):
+                yield block[max(0, have - at) :]
+                at += len(block)
+            if at < end:
+                raise _TransientError(f"the connection ended {end - at} bytes early")
 
     def _ranged(self, url: str, start: int, length: int) -> requests.Response:
         response = self._get(url, f"bytes={start}-{start + length - 1}")
@@ -162,84 +212,59 @@ class Client:
             raise ChangedError(url, expected=f"at least {start + length} bytes", found="fewer")
         raise InputFileError(f"{url}: the server answered {response.status_code} {response.reason}")
 
-    def _append(self, url: str, path: Path, have: int) -> None:
-        response = self._get(url, f"bytes={have}-" if have else None)
-        if response.status_code == 416 and have:
-            response.close()
-            return  # there is nothing after what we have; the reader will say if it is not the file
-        with closing(response):
-            if response.status_code not in (200, 206):
-                raise InputFileError(f"{url}: the server answered {response.status_code} {response.reason}")
-            at = _range_of(response, url)[0] if response.status_code == 206 else 0
-            if at not in (0, have):
-                raise TransientError(f"a range from byte {at} instead of {have}")
-            expected = _length(response)
-            end = at if expected is None else at + expected
-            for block in self._body(response):
-                _append_to(path, block[max(0, have - at) :])
-                at += len(block)
-        if expected is not None and at < end:
-            raise TransientError(f"the connection ended {end - at} bytes early")
-
     def _get(self, url: str, range_: str | None) -> requests.Response:
-        import requests
+        from requests import exceptions
 
         self.traffic.requests += 1
         headers = {"Range": range_} if range_ else {}
         try:
             response = self._session.get(url, headers=headers, stream=True, timeout=self.network.timeout)
-        except (
-            requests.exceptions.InvalidURL,
-            requests.exceptions.InvalidSchema,
-            requests.exceptions.MissingSchema,
-        ):
+        except (exceptions.InvalidURL, exceptions.InvalidSchema, exceptions.MissingSchema):
             raise InvalidValueError("address", expected="http:// or https://", found=url) from None
-        except requests.exceptions.TooManyRedirects:
+        except exceptions.TooManyRedirects:
             raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
-        except (requests.exceptions.RequestException, OSError) as error:
+        except (exceptions.RequestException, OSError) as error:
             if "certificate" in str(error).lower():
                 raise InputFileError(f"{url}: the server's certificate is not trusted") from None
-            raise TransientError(_reason(error)) from None
+            raise _TransientError(_reason(error)) from None
+        status = f"{response.status_code} {response.reason}"
         if response.status_code in _TRANSIENT:
             response.close()
-            pause = _seconds(response.headers.get("Retry-After", ""))
-            raise TransientError(f"{response.status_code} {response.reason}", pause)
+            pause = response.headers.get("Retry-After", "")
+            raise _TransientError(status, float(pause) if pause.isdigit() else 0.0)
         if response.status_code in _ABSENT:
             response.close()
-            raise AbsentError(f"{url}: the server answered {response.status_code} {response.reason}")
+            raise AbsentError(f"{url}: the server answered {status}")
         return response
 
     def _body(self, response: requests.Response) -> Iterator[bytes]:
         """Yield what arrives as it arrives; give up on a trickle that the socket's timeout cannot see."""
-        import requests
-        import urllib3
+        from urllib3.exceptions import HTTPError
 
         since, arrived, window = time.monotonic(), 0, self.network.timeout
         while True:
             try:
                 block: bytes = response.raw.read1(_BLOCK, decode_content=False)
-            except (requests.exceptions.RequestException, urllib3.exceptions.HTTPError, OSError) as error:
-                raise TransientError(_reason(error)) from None
+            except (HTTPError, OSError) as error:
+                raise _TransientError(_reason(error)) from None
             if not block:
                 return
-            self.traffic.received(len(block))
+            self.traffic.bytes += len(block)
             arrived += len(block)
             yield block
             if (now := time.monotonic()) - since > window:
                 if arrived < self.network.slowest * (now - since):
-                    raise TransientError(f"{arrived / (now - since):.0f} bytes per second")
+                    raise _TransientError(f"{arrived / (now - since):.0f} bytes per second")
                 since, arrived = now, 0
 
 
-def _range_of(response: requests.Response, url: str) -> tuple[int, int, int]:
-    match = _RANGE.fullmatch(response.headers.get("Content-Range", "").strip())
+def _range_of(response: requests.Response, url: str) -> tuple[int, int]:
+    """Return the first byte of the range that is sent, and the size of the file."""
+    text = response.headers.get("Content-Range", "")
+    match = _RANGE.fullmatch(text.strip())
     if not match:
-        raise InputFileError(
-            f"{url}: Content-Range",
-            expected="bytes FIRST-LAST/SIZE",
-            found=repr(response.headers.get("Content-Range")),
-        )
-    return int(match[1]), int(match[2]), int(match[3])
+        raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=repr(text))
+    return int(match[1]), int(match[3])
 
 
 def _length(response: requests.Response) -> int | None:
@@ -247,21 +272,7 @@ def _length(response: requests.Response) -> int | None:
     return int(text) if text.isdigit() else None
 
 
-def _seconds(text: str) -> float:
-    return float(text) if text.isdigit() else 0.0
-
-
-def _append_to(path: Path, block: bytes) -> None:
-    try:
-        with open(path, "ab") as stream:
-            stream.write(block)
-    except OSError as error:
-        raise InputFileError(f"{path}: cannot write", found=error.strerror or str(error)) from None
-
-
 def _reason(error: BaseException) -> str:
-    text = str(error)
-    for words in ("timed out", "refused", "reset", "closed"):
-        if words in text.lower():
-            return f"connection {words} ({type(error).__name__})"
-    return type(error).__name__
+    text = str(error).lower()
+    words = next((words for words in ("timed out", "refused", "reset", "closed") if words in text), "")
+    return f"connection {words} ({type(error).__name__})" if words else type(error).__name__

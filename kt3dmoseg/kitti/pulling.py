@@ -4,26 +4,85 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.entries import Entry
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.catalog import Drive, Entry
+from kt3dmoseg.catalog.models import format_numbers
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
-from kt3dmoseg.kitti.member import DamagedError
-from kt3dmoseg.kitti.network import ChangedError, RangesIgnoredError, Traffic
-from kt3dmoseg.kitti.options import PullOptions
-from kt3dmoseg.kitti.places import Place, open_place
-from kt3dmoseg.kitti.plan import Task, make_tasks, open_task
-from kt3dmoseg.kitti.store import Store, holds
-from kt3dmoseg.kitti.talk import LICENCE, PullReport, megabytes, plan_lines
+from kt3dmoseg.kitti.drive_archives import (
+    FileSet,
+    LocalFolder,
+    Packed,
+    Server,
+    TargetFolder,
+    calibration_of,
+    crc32_file,
+    frames_of,
+    open_origin,
+    tracklets_of,
+)
+from kt3dmoseg.kitti.http import AbsentError, ChangedError, RangesIgnoredError, Traffic
+from kt3dmoseg.kitti.locating import CORRELATION, PIXELS, NotLocatedError, drive_frames, locate_clip
+from kt3dmoseg.kitti.options import LocateOptions, PullOptions
+from kt3dmoseg.kitti.raw import (
+    CALIBRATION_FILES,
+    TIMESTAMP_FILE,
+    TRACKLET_FILE,
+    camera_folder,
+    drive_folder,
+    packet_file,
+)
+from kt3dmoseg.kitti.remote_zip import DamagedError
 from kt3dmoseg.options import from_mapping
 
+LICENCE = """\
+KITTI raw data: A. Geiger, P. Lenz, C. Stiller, R. Urtasun, "Vision meets Robotics: The KITTI Dataset",
+IJRR 2013, https://www.cvlibs.net/datasets/kitti/
+Licence: Creative Commons Attribution-NonCommercial-ShareAlike 3.0 (CC BY-NC-SA 3.0),
+https://creativecommons.org/licenses/by-nc-sa/3.0/: give credit, no commercial use, share alike.
+"""
 _RESERVE = 16 << 20
+
+
+@dataclass
+class PullReport:
+    """What a pull did.
+
+    Parameters
+    ----------
+    files, bytes : int
+        All wanted files, which are now on disk and verified.
+    fetched : int
+        How many of them this pull brought.
+    requests, transferred : int
+        Requests made and bytes of answers received.
+    lacking : list of str
+        Files that the source does not have (timestamps or packets of incomplete drives).
+    """
+
+    files: int = 0
+    bytes: int = 0
+    fetched: int = 0
+    requests: int = 0
+    transferred: int = 0
+    lacking: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        """Give it in one line."""
+        text = (
+            f"complete and verified: {self.files} files, {_megabytes(self.bytes)}; "
+            f"fetched {self.fetched}, {_megabytes(self.transferred)} in {self.requests} requests"
+        )
+        if self.lacking:
+            text += f"; the source lacks {len(self.lacking)}: {', '.join(self.lacking[:3])}"
+        return text
 
 
 def pull(
@@ -68,108 +127,244 @@ def pull(
     """
     chosen = from_mapping(PullOptions, options)
     names = list(clips)
-    entries = catalog.select(catalog.load(*catalogs), names)
-    store = Store(Path(root), frozen=chosen.dry_run)
+    wanted = catalog.select(catalog.load(*catalogs), names)
+    target = TargetFolder(Path(root), frozen=chosen.dry_run)
     if chosen.verify:
-        return _verify(store, entries if names else [], say)
-    _licence(store, chosen, say)
+        return _verify(target, wanted if names else [], say)
+    _show_licence(target, chosen, say)
     traffic = traffic or Traffic()
-    waiting = f"another process works in {root}; waiting for it"
-    with store.lock(waiting), open_place(chosen, store, traffic) as place:
-        made = make_tasks(entries, place, store, calibration=chosen.calibration, tracklets=chosen.tracklets)
-        tasks = [open_task(task, place, store.root) for task in made]
-        for line in plan_lines(tasks, store.root):
+    with target.lock(), open_origin(chosen, target, traffic) as origin:
+        run = _Pull(target, origin, _parts(wanted, chosen))
+        for line in run.plan():
             say(line)
-        report = PullReport()
         if not chosen.dry_run:
-            _bring_all(tasks, place, store, traffic, report)
-    _raise_failures([failure for task in tasks for failure in task.choice.failures])
-    report.requests, report.transferred = traffic.requests, traffic.bytes
-    if not chosen.dry_run:
-        say(str(report))
-    return report
-
-
-def _licence(store: Store, options: PullOptions, say: Callable[[str], object]) -> None:
-    if store.licence_accepted:
-        return
-    say(LICENCE)
-    if options.accept_license:
-        store.accept_licence(LICENCE)
-    elif not options.dry_run:
-        raise InvalidValueError("licence", expected="your acknowledgement", fix="add --accept-license")
-
-
-def _raise_failures(failures: list[KT3DMoSegError]) -> None:
+            run.bring_all()
+    failures = [failure for part in run.parts for failure in part.failures]
     if len(failures) == 1:
         raise failures[0]
     if failures:
         raise InputFileError(f"{len(failures)} parts could not be brought; the first: {failures[0]}")
+    run.report.requests, run.report.transferred = traffic.requests, traffic.bytes
+    if not chosen.dry_run:
+        say(str(run.report))
+    return run.report
 
 
-def _bring_all(tasks: list[Task], place: Place, store: Store, traffic: Traffic, report: PullReport) -> None:
-    _check_space(store.root, sum(task.bytes_missing for task in tasks))
-    total = sum(task.bytes_missing for task in tasks)
-    with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
-        for task in tasks:
-            if task.url:
-                _take_whole(task, place, store, traffic, task.url)
+@dataclass
+class _Part:
+    """Files to bring from one archive: a drive's frames, a day's calibration, a drive's tracklets.
+
+    `files` is None when the origin has none, or sends whole zips only: then the zip is at `url` with `size`
+    bytes, and what is wanted of it is chosen once it is here.
+    """
+
+    title: str
+    packed: Packed
+    clips: list[Entry] = field(default_factory=list)
+    fixed: list[str] = field(default_factory=list)
+    files: FileSet | None = None
+    url: str = ""
+    size: int | None = None
+    names: list[str] = field(default_factory=list)
+    located: list[Entry] = field(default_factory=list)
+    lacking: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    failures: list[KT3DMoSegError] = field(default_factory=list)
+
+    def choose(self, files: FileSet, target: TargetFolder) -> None:
+        """Choose what is wanted of the files and compare it with the disk."""
+        self.files, self.names, self.located, self.lacking, self.failures = files, [], [], [], []
+        known = target.located() if self.clips else {}
+        for clip in self.clips:
             try:
-                report.fetched += _bring_stubbornly(task, place, store, traffic, bar)
-            finally:
-                store.keep_files({n: s for n, s in task.sums().items() if (store.root / n).exists()})
-            store.keep_located(task.choice.entries)
-            report.files += len(task.choice.names)
-            report.bytes += task.bytes_wanted
-            report.lacking += task.choice.lacking
-    if not any(task.choice.failures for task in tasks):
-        store.drop_zips()
+                located = _with_numbers(clip, files, known.get(clip.name))
+                self.names += _frames_of(located, files)
+                self.located.append(located)
+            except (NotLocatedError, FileFormatError) as error:
+                self.failures.append(error)
+        there = set(files.names())
+        for name in [*self.fixed, *_companions(self.located)]:
+            (self.names if name in there else self.lacking).append(name)
+        self.names = list(dict.fromkeys(self.names))
+        sums = self.sums()
+        self.missing = [name for name in self.names if not _holds(target.root / name, sums[name])]
+
+    def sums(self) -> dict[str, tuple[int, int]]:
+        """Size and CRC32 of the wanted files."""
+        return {n: (self.files.size(n), self.files.crc32(n)) for n in self.names} if self.files else {}
+
+    def bytes(self, names: list[str]) -> int:
+        """Size of some of the files."""
+        return sum(self.files.size(name) for name in names) if self.files else 0
+
+    @property
+    def cost(self) -> int:
+        """Bytes to transfer."""
+        return self.files.cost(self.missing) if self.files else self.size or 0
+
+    def extent(self) -> str:
+        """How much it is, for the plan."""
+        if self.url:
+            known = _megabytes(self.size) if self.size is not None else "of unknown size"
+            return f"the server sends whole files only: all of the zip, {known}"
+        if self.files is None:
+            return "none"
+        here = len(self.names) - len(self.missing)
+        ready = f", {here} already here" if here else ""
+        return f"{len(self.names)} files, {_megabytes(self.bytes(self.names))}{ready}"
 
 
-def _check_space(root: Path, needed: int) -> None:
-    existing = next(path for path in (root, *root.absolute().parents) if path.exists())
-    free = shutil.disk_usage(existing).free
-    if needed and free < needed + _RESERVE:
-        raise InputFileError(f"{root}: disk", expected=f"{megabytes(needed)} free", found=megabytes(free))
+def _parts(clips: Iterable[Entry], options: PullOptions) -> list[_Part]:
+    """Return the parts of these clips, one drive after the other, not yet opened."""
+    by_drive: dict[Drive, list[Entry]] = {}
+    for clip in clips:
+        by_drive.setdefault(clip.drive, []).append(clip)
+    parts = []
+    for drive, mine in sorted(by_drive.items()):
+        title = f"{drive.name}: {', '.join(clip.name for clip in mine)}"
+        parts.append(_Part(title, frames_of(drive), clips=mine))
+        if options.tracklets:
+            file = str(drive_folder(drive) / TRACKLET_FILE)
+            parts.append(_Part(f"{drive.name}: tracklets", tracklets_of(drive), fixed=[file]))
+    for date in sorted({drive.date for drive in by_drive}) if options.calibration else []:
+        files = [f"{date}/{name}" for name in CALIBRATION_FILES]
+        parts.append(_Part(f"{date}: calibration", calibration_of(date), fixed=files))
+    return parts
 
 
-def _bring_stubbornly(task: Task, place: Place, store: Store, traffic: Traffic, bar: tqdm[Any]) -> int:
-    """Bring a task; once more with a fresh directory when damaged, and whole when ranges are ignored."""
-    try:
-        return _bring(task, store.root, bar)
-    except (DamagedError, ChangedError):
-        if task.holding is None or task.holding.local:
-            raise
-        place.forget(task.holding)
-        open_task(task, place, store.root)
-    except RangesIgnoredError as error:
-        _take_whole(task, place, store, traffic, error.url)
-    return _bring(task, store.root, bar)
+class _Pull:
+    """One pull under way; opening the parts decides what to bring before anything is fetched."""
 
+    def __init__(self, target: TargetFolder, origin: Server | LocalFolder, parts: list[_Part]) -> None:
+        self.target, self.origin, self.parts, self.report = target, origin, parts, PullReport()
+        for part in parts:
+            self._open(part)
 
-def _take_whole(task: Task, place: Place, store: Store, traffic: Traffic, url: str) -> None:
-    with tqdm(total=task.size, unit="B", unit_scale=True, desc="whole zip", disable=None) as bar:
-        traffic.listeners.append(bar.update)
+    def plan(self) -> Iterator[str]:
+        """Yield the plan: every part with its clips, then files and bytes in all."""
+        for part in self.parts:
+            yield f"  {part.title}: {part.extent()}"
+            for clip in part.located:
+                proof = f"by {clip.proof}" if clip.proof else "as given"
+                numbers = format_numbers(clip.numbers or ())
+                yield f"    {clip.name}: frames {numbers}, camera {clip.camera}, {proof}"
+            yield from (f"    {failure}" for failure in part.failures)
+        whole = sum(bool(part.url) for part in self.parts)
+        more = f" and {whole} whole zip(s)" if whole else ""
+        files, cost = sum(len(part.missing) for part in self.parts), sum(part.cost for part in self.parts)
+        yield f"plan: {files} files{more} to {self.target.root}, {_megabytes(cost)} to transfer"
+
+    def bring_all(self) -> None:
+        """Bring what is missing, and remember it."""
+        total = sum(part.bytes(part.missing) for part in self.parts)
+        self._check_space(total)
+        with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
+            for part in self.parts:
+                try:
+                    self._bring(part, bar)
+                finally:
+                    there = {n: s for n, s in part.sums().items() if (self.target.root / n).exists()}
+                    self.target.keep_files(there)
+                self.target.keep_located(part.located)
+                self.report.files += len(part.names)
+                self.report.bytes += part.bytes(part.names)
+                self.report.lacking += part.lacking
+        if not any(part.failures for part in self.parts):
+            self.target.drop_zips()
+
+    def _open(self, part: _Part, *, again: bool = False) -> None:
+        """Open a part's archive and choose what is wanted of it.
+
+        Clips that are not there and archives that are absent are kept as failures of the part, so that one
+        clip does not stop the others.
+        """
         try:
-            task.choose_from(place.whole(url), store.root)
-        finally:
-            traffic.listeners.remove(bar.update)
-    _check_space(store.root, task.bytes_missing)
+            files = self.origin.open(part.packed, again=again)
+            if files is not None:
+                part.choose(files, self.target)
+                if (part.failures or part.lacking) and files.fresh and not again:
+                    # A directory holds no checksum of itself: it is read twice before a gap is believed.
+                    self._open(part, again=True)
+        except RangesIgnoredError as error:
+            part.files, part.url, part.size = None, error.url, error.size
+        except AbsentError as error:
+            part.files, part.names, part.failures = None, [], [error]
+
+    def _bring(self, part: _Part, bar: tqdm[Any]) -> None:
+        """Bring a part; once more with a new directory when damaged, and whole when ranges are ignored."""
+        try:
+            self._fetch(part, bar)
+        except (DamagedError, ChangedError, RangesIgnoredError):
+            if part.files is None or part.files.local:
+                raise
+            self._open(part, again=True)
+            self._fetch(part, bar)
+
+    def _fetch(self, part: _Part, bar: tqdm[Any]) -> None:
+        if part.url:
+            with tqdm(total=part.size, unit="B", unit_scale=True, desc="whole zip", disable=None) as whole:
+                part.choose(self.origin.download(part.url, whole.update), self.target)
+            part.url = ""
+            self._check_space(part.bytes(part.missing))
+        if part.files is None:
+            return
+        _remove_partial_files(self.target.root, part.names)
+        for name, content in part.files.read(part.missing):
+            write_bytes(self.target.root / name, content)
+            bar.update(len(content))
+            self.report.fetched += 1
+
+    def _check_space(self, needed: int) -> None:
+        root = self.target.root
+        existing = next(path for path in (root, *root.absolute().parents) if path.exists())
+        free = shutil.disk_usage(existing).free
+        if needed and free < needed + _RESERVE:
+            raise InputFileError(
+                f"{root}: disk", expected=f"{_megabytes(needed)} free", found=_megabytes(free)
+            )
 
 
-def _bring(task: Task, root: Path, bar: tqdm[Any]) -> int:
-    if task.holding is None:
-        return 0
-    _remove_leftovers(root, task.choice.names)
-    count = 0
-    for name, content in task.holding.read(task.missing):
-        write_bytes(root / name, content)
-        bar.update(len(content))
-        count += 1
-    return count
+def _show_licence(target: TargetFolder, options: PullOptions, say: Callable[[str], object]) -> None:
+    if target.licence_accepted:
+        return
+    say(LICENCE)
+    if options.accept_license:
+        target.accept_licence(LICENCE)
+    elif not options.dry_run:
+        raise InvalidValueError("licence", expected="your acknowledgement", fix="add --accept-license")
 
 
-def _remove_leftovers(root: Path, names: list[str]) -> None:
+def _with_numbers(clip: Entry, files: FileSet, known: Entry | None) -> Entry:
+    """Locate by checksum, which costs nothing; believe what `locate` proved by pictures."""
+    by_pictures = known is not None and known.proof in (PIXELS, CORRELATION)
+    if known and by_pictures and (known.drive, known.frames) == (clip.drive, clip.frames):
+        return known
+    return locate_clip(clip, files, LocateOptions(pixels=files.local))
+
+
+def _frames_of(clip: Entry, files: FileSet) -> list[str]:
+    frames = drive_frames(files, clip.drive, clip.camera)
+    absent = [n for n in clip.numbers or () if n not in frames]
+    if absent:
+        raise FileFormatError(
+            f"{clip.name}: {files.name}",
+            expected=f"frames {format_numbers(absent)} of camera {clip.camera}",
+            found=f"frames {format_numbers(frames) or 'none'}",
+        )
+    return [frames[n] for n in clip.numbers or ()]
+
+
+def _companions(clips: list[Entry]) -> list[str]:
+    """Timestamps of the cameras and of the GPS/IMU unit, and its packets of the frames."""
+    paths = []
+    for clip in clips:
+        paths.append(camera_folder(clip.drive, clip.camera) / TIMESTAMP_FILE)
+        paths.append(drive_folder(clip.drive) / "oxts" / TIMESTAMP_FILE)
+        paths += [packet_file(clip.drive, n) for n in clip.numbers or ()]
+    return list(dict.fromkeys(map(str, paths)))
+
+
+def _remove_partial_files(root: Path, names: list[str]) -> None:
     """Remove temporary files of these names that a killed pull left; the lock says that none is alive."""
     wanted = set(names)
     for folder in {Path(name).parent for name in names}:
@@ -178,24 +373,35 @@ def _remove_leftovers(root: Path, names: list[str]) -> None:
                 path.unlink(missing_ok=True)
 
 
-def _verify(store: Store, entries: list[Entry], say: Callable[[str], object]) -> PullReport:
+def _verify(target: TargetFolder, clips: list[Entry], say: Callable[[str], object]) -> PullReport:
     """Re-check files on disk: those of the drives of these clips, or all."""
-    located = store.located()
-    parts = {f"/{entry.drive.name}_sync/" for entry in entries}
-    parts |= {f"/{entry.drive.date}/calib_" for entry in entries}
-    never = [entry.name for entry in entries if entry.name not in located]
-    listed = store.files()
-    sums = {name: s for name, s in listed.items() if not parts or any(part in f"/{name}" for part in parts)}
+    root, located = target.root, target.located()
+    parts = {f"/{clip.drive.name}_sync/" for clip in clips} | {f"/{clip.drive.date}/calib_" for clip in clips}
+    never = [clip.name for clip in clips if clip.name not in located]
+    listed = target.files().items()
+    sums = {name: s for name, s in listed if not parts or any(part in f"/{name}" for part in parts)}
     if never or not sums:
         what = ", ".join(never) or "nothing"
-        raise InputFileError(f"{store.root}: {what} was never pulled there", fix="kt3dmoseg pull brings it")
-    bad = [name for name, (size, crc) in sums.items() if not holds(store.root / name, size, crc)]
+        raise InputFileError(f"{root}: {what} was never pulled there", fix="kt3dmoseg pull brings it")
+    bad = [name for name, wanted in sums.items() if not _holds(root / name, wanted)]
     for name in bad:
-        say(f"{store.root / name}: {'damaged' if (store.root / name).exists() else 'missing'}")
+        say(f"{root / name}: {'damaged' if (root / name).exists() else 'missing'}")
     if bad:
         raise InputFileError(
-            f"{store.root}: {len(bad)} of {len(sums)} files are damaged or missing", fix="pull again"
+            f"{root}: {len(bad)} of {len(sums)} files are damaged or missing", fix="pull again"
         )
     report = PullReport(len(sums), sum(size for size, _ in sums.values()))
-    say(f"verified {report.files} files, {megabytes(report.bytes)}")
+    say(f"verified {report.files} files, {_megabytes(report.bytes)}")
     return report
+
+
+def _holds(path: Path, wanted: tuple[int, int]) -> bool:
+    """Whether a file is there with this size and CRC32."""
+    try:
+        return path.stat().st_size == wanted[0] and crc32_file(path) == wanted[1]
+    except OSError:
+        return False
+
+
+def _megabytes(count: int) -> str:
+    return f"{count / 1e6:.1f} MB"

@@ -1,4 +1,4 @@
-"""A KITTI raw drive on disk, read by frame number.
+"""KITTI raw on disk: where its files are, a day's calibration, and a drive read by frame number.
 
 pykitti parses calibration and GPS/IMU packets here. What it does by position in a sorted list, cuts to
 microseconds or takes from another sensor's clock is read directly: frames and packets by their number,
@@ -10,23 +10,153 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.catalog.entries import Drive, check_camera, format_numbers
+from kt3dmoseg.catalog.models import Drive, check_camera, format_numbers, whole
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.kitti import layout
-from kt3dmoseg.kitti.calibration import Calibration
-from kt3dmoseg.kitti.frames import read_frame
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
+CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
+TRACKLET_FILE = "tracklet_labels.xml"
+TIMESTAMP_FILE = "timestamps.txt"
+LOCATED = "located.toml"  # the catalog of a KITTI raw root: clips whose frame numbers were proved
+LARGEST_FILE = 64 << 20
+
 _FIX = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
-_LARGEST_TEXT = 64 << 20
+_FIX_CALIBRATION = "fetch the day's calibration with kt3dmoseg pull, or unpack its _calib.zip here"
+_LAST_FRAME = 10**10 - 1
 _TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d(\.\d{1,9})?")
+
+
+def drive_folder(drive: Drive) -> PurePosixPath:
+    """Folder of the synchronised and rectified drive, relative to the KITTI raw root."""
+    return PurePosixPath(drive.date) / f"{drive.name}_sync"
+
+
+def camera_folder(drive: Drive, camera: int) -> PurePosixPath:
+    """Folder of one camera, relative to the root; holds ``timestamps.txt`` and ``data/``."""
+    return drive_folder(drive) / f"image_{check_camera(camera):02d}"
+
+
+def frame_file(drive: Drive, camera: int, number: int) -> PurePosixPath:
+    """Path of one frame, relative to the root."""
+    return camera_folder(drive, camera) / "data" / f"{whole(number, 'frame number', _LAST_FRAME):010d}.png"
+
+
+def packet_file(drive: Drive, number: int) -> PurePosixPath:
+    """Path of the GPS/IMU packet of one frame, relative to the root."""
+    return drive_folder(drive) / "oxts/data" / f"{whole(number, 'frame number', _LAST_FRAME):010d}.txt"
+
+
+def frame_number(file_name: str) -> int | None:
+    """Return the number of the frame that a file of this name holds; None for other files."""
+    match = re.fullmatch(r"(\d{10})\.png", file_name)
+    return int(match[1]) if match else None
+
+
+def decode_frame(content: bytes, where: str) -> ByteArray:
+    """Decode a PNG: (H, W) uint8 when it is gray, (H, W, 3) uint8 RGB when it has colour.
+
+    Raises
+    ------
+    FileFormatError
+        When it is not a picture of 8 bits, or only a part of one.
+    """
+    from kt3dmoseg.io import images
+
+    image = images.decode(content, where)
+    if image.dtype != np.uint8:
+        raise FileFormatError(where, expected="an 8-bit PNG image", found=f"one of type {image.dtype}")
+    return np.ascontiguousarray(image if image.ndim == 2 else image[..., 2::-1], dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Calibration of one camera of one day; each file is read when something of it is asked for.
+
+    Parameters
+    ----------
+    folder : path
+        The day's folder with its three ``calib_*.txt`` files.
+    camera : int
+        0 to 3.
+    """
+
+    folder: Path
+    camera: int
+
+    @property
+    def P(self) -> FloatArray:
+        """Projection from rectified camera-0 coordinates (metres) to pixels of the camera, (3, 4)."""
+        return self._matrix("calib_cam_to_cam.txt", f"P_rect_{self.camera:02d}", (3, 4))
+
+    @property
+    def K(self) -> FloatArray:
+        """Intrinsics of the rectified camera in pixels, (3, 3)."""
+        return self.P[:, :3].copy()
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of the rectified images in pixels."""
+        width, height = self._matrix("calib_cam_to_cam.txt", f"S_rect_{self.camera:02d}", (2,))
+        return int(width), int(height)
+
+    @property
+    def T_cam_velo(self) -> FloatArray:
+        """Rigid motion from laser scanner to rectified camera coordinates in metres, (4, 4).
+
+        ``K @ (T_cam_velo @ X)[:3]`` equals KITTI's ``P_rect @ R_rect_00 @ T_velo_to_cam @ X``
+        (Geiger et al., IJRR 2013, eq. 8): the camera's offset is ``inv(K) @ P_rect[:, 3]``, of which
+        pykitti keeps only the horizontal part, wrong by about 2 mm for the colour cameras.
+        """
+        unrectified = self._rigid("calib_velo_to_cam.txt")
+        rectification = np.eye(4)
+        rectification[:3, :3] = self._matrix("calib_cam_to_cam.txt", "R_rect_00", (3, 3))
+        offset = np.eye(4)
+        offset[:3, 3] = np.linalg.solve(self.K, self.P[:, 3])
+        return np.asarray(offset @ rectification @ unrectified)
+
+    @property
+    def T_velo_imu(self) -> FloatArray:
+        """Rigid motion from GPS/IMU to laser scanner coordinates in metres, (4, 4)."""
+        return self._rigid("calib_imu_to_velo.txt")
+
+    @property
+    def T_cam_imu(self) -> FloatArray:
+        """Rigid motion from GPS/IMU to rectified camera coordinates in metres, (4, 4)."""
+        return self.T_cam_velo @ self.T_velo_imu
+
+    def _rigid(self, name: str) -> FloatArray:
+        from pykitti.utils import transform_from_rot_trans
+
+        rotation, translation = self._matrix(name, "R", (3, 3)), self._matrix(name, "T", (3,))
+        return np.asarray(transform_from_rot_trans(rotation, translation), dtype=np.float64)
+
+    def _matrix(self, name: str, key: str, shape: tuple[int, ...]) -> FloatArray:
+        from pykitti.utils import read_calib_file
+
+        path = self.folder / name
+        try:
+            values = read_calib_file(path).get(key)
+        except FileNotFoundError:
+            raise InputFileError(f"{path}: no such file", fix=_FIX_CALIBRATION) from None
+        except OSError as error:
+            raise InputFileError(f"{path}: {error.strerror or error}") from error
+        except ValueError:
+            # pykitti splits every line at its first colon; an empty line or text without one ends here.
+            raise FileFormatError(
+                str(path), expected="lines 'key: numbers'", found="something else"
+            ) from None
+        if values is None or values.size != np.prod(shape) or not np.isfinite(values).all():
+            found = "none" if values is None else f"{values.tolist()}"
+            raise FileFormatError(f"{path}: {key}", expected=f"{np.prod(shape)} numbers", found=found)
+        return np.asarray(values, dtype=np.float64).reshape(shape)
 
 
 class RawDrive:
@@ -65,8 +195,8 @@ class RawDrive:
         self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
         self.camera = check_camera(camera)
         self.calibration = Calibration(self.root / date, self.camera)
-        if not (self.root / layout.drive_folder(self.drive)).is_dir():
-            raise InputFileError(f"{self.root / layout.drive_folder(self.drive)}: no such folder", fix=_FIX)
+        if not (self.root / drive_folder(self.drive)).is_dir():
+            raise InputFileError(f"{self.root / drive_folder(self.drive)}: no such folder", fix=_FIX)
 
     def __repr__(self) -> str:
         """Name root, drive and camera."""
@@ -75,12 +205,12 @@ class RawDrive:
     @property
     def numbers(self) -> IntArray:
         """Numbers of the frames on disk, ascending, (n,) int64."""
-        folder = self.root / layout.camera_folder(self.drive, self.camera) / "data"
+        folder = self.root / camera_folder(self.drive, self.camera) / "data"
         try:
             names = [entry.name for entry in os.scandir(folder)]
         except OSError as error:
             raise InputFileError(f"{folder}: {error.strerror or error}", fix=_FIX) from None
-        return np.array(sorted(n for n in map(layout.frame_number, names) if n is not None), dtype=np.int64)
+        return np.array(sorted(n for n in map(frame_number, names) if n is not None), dtype=np.int64)
 
     def frame_path(self, number: int) -> Path:
         """Return the path of one frame.
@@ -90,7 +220,7 @@ class RawDrive:
         InputFileError
             When that frame is not on disk; the message says which are.
         """
-        path = self.root / layout.frame_file(self.drive, self.camera, number)
+        path = self.root / frame_file(self.drive, self.camera, number)
         if not path.is_file():
             raise InputFileError(
                 f"{path}: no such frame",
@@ -102,7 +232,8 @@ class RawDrive:
 
     def frame(self, number: int) -> ByteArray:
         """Read one frame: (H, W) uint8 for the gray cameras 0 and 1, (H, W, 3) uint8 RGB for 2 and 3."""
-        return read_frame(self.frame_path(number))
+        path = self.frame_path(number)
+        return decode_frame(read_bytes(path, LARGEST_FILE), str(path))
 
     def datetimes(self, numbers: npt.ArrayLike) -> npt.NDArray[np.datetime64]:
         """Time at which the camera took each frame, (n,) datetime64[ns], KITTI's local clock.
@@ -154,7 +285,7 @@ class RawDrive:
         """
         from pykitti.utils import load_oxts_packets_and_poses
 
-        paths = [self.root / layout.oxts_file(self.drive, int(k)) for k in _numbers(numbers)]
+        paths = [self.root / packet_file(self.drive, int(k)) for k in _numbers(numbers)]
         for path in paths:
             if not path.is_file():
                 raise InputFileError(f"{path}: no such file", fix=_FIX)
@@ -173,11 +304,11 @@ class RawDrive:
     @property
     def has_tracklets(self) -> bool:
         """Whether the drive's tracklet labels are on disk; KITTI has none for many drives."""
-        return (self.root / layout.tracklet_file(self.drive)).is_file()
+        return (self.root / drive_folder(self.drive) / TRACKLET_FILE).is_file()
 
     def tracklets(self) -> list[Tracklet]:
         """Read the labelled 3D boxes of the drive."""
-        path = self.root / layout.tracklet_file(self.drive)
+        path = self.root / drive_folder(self.drive) / TRACKLET_FILE
         if not self.has_tracklets:
             raise InputFileError(f"{path}: no such file", fix="KITTI has tracklets for some drives only")
         return read_tracklets(path)
@@ -212,10 +343,10 @@ class RawDrive:
 
     @property
     def _timestamp_file(self) -> Path:
-        return self.root / layout.camera_folder(self.drive, self.camera) / layout.TIMESTAMP_FILE
+        return self.root / camera_folder(self.drive, self.camera) / TIMESTAMP_FILE
 
     def _timestamp_lines(self) -> list[str]:
-        text = read_bytes(self._timestamp_file, _LARGEST_TEXT).decode(errors="replace")
+        text = read_bytes(self._timestamp_file, LARGEST_FILE).decode(errors="replace")
         return [line.strip() for line in text.splitlines()]
 
     def _times(self, lines: list[str], numbers: IntArray) -> npt.NDArray[np.datetime64]:

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, MissingDependencyError
 from kt3dmoseg.files import read_bytes, sha256_file, write_bytes, write_text
-from kt3dmoseg.kitti.archive import Archive
-from kt3dmoseg.kitti.source import FileSource
+from kt3dmoseg.kitti.remote_zip import Archive
 from kt3dmoseg.registry import unknown_name
 
 _HERE = Path(__file__).parent
@@ -162,7 +161,7 @@ def _download(url: str, path: Path, digest: str | None, release: Release, retrie
 
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:
     """Unpack the wanted members that are not there, or not right, under names of our own making."""
-    archive = Archive(FileSource(path))
+    archive = Archive.on_disk(path)
     matches = {name: match for name in archive.names() if (match := re.fullmatch(release.members, name))}
     targets = {name: match.expand(release.target) for name, match in matches.items()}
     missing = [name for name, target in targets.items() if not _right(folder / target, expected.get(target))]

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
+from defusedxml import ElementTree
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
@@ -116,14 +117,11 @@ def read_tracklets(path: Path) -> list[Tracklet]:
     """
     content = read_bytes(path, _LARGEST)
     try:
-        text = content.decode()
-        if "<!ENTITY" in text:
-            raise ValueError("XML that defines entities")
-        found = ElementTree.fromstring(text).find("tracklets")
+        found = ElementTree.fromstring(content).find("tracklets")  # refuses entities
         if found is None:
             raise ValueError("no <tracklets>")
         return [_tracklet(item) for item in found.findall("item")]
-    except (ElementTree.ParseError, ValueError, OverflowError) as error:
+    except (ParseError, ValueError, OverflowError) as error:
         raise FileFormatError(str(path), expected="KITTI tracklets", found=str(error)) from None
 
 
@@ -147,7 +145,7 @@ def project_box(
     -------
     (4,) float64 or None
         Left, top, right, bottom, clipped to the image; None when nothing of the box is in view.
-        Edges are cut 0.1 m in front of the camera, so that boxes beside the car project rightly.
+        Edges are cut 0.1 m in front of the camera, so that boxes next to the car project rightly.
     """
     points = corners @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3]
     front = _in_front(points)
@@ -169,18 +167,18 @@ def _in_front(points: FloatArray) -> FloatArray:
     return np.concatenate([points[points[:, 2] > _NEAREST], cut])
 
 
-def _tracklet(item: ElementTree.Element) -> Tracklet:
+def _tracklet(item: Element) -> Tracklet:
     poses = item.findall("./poses/item")
     first = int(_text(item, "first_frame"))
     if not 0 <= first <= _LAST_FRAME:
         raise ValueError(f"a tracklet from frame {first} on")
     numbers = np.arange(first, first + len(poses))
-    place = [[float(_text(pose, key)) for key in ("tx", "ty", "tz")] for pose in poses]
+    translation = [[float(_text(pose, key)) for key in ("tx", "ty", "tz")] for pose in poses]
     tracklet = Tracklet(
         kind=_text(item, "objectType"),
         size=np.array([float(_text(item, key)) for key in ("l", "w", "h")]),
         numbers=numbers,
-        translation=np.array(place, dtype=np.float64).reshape(-1, 3),
+        translation=np.array(translation, dtype=np.float64).reshape(-1, 3),
         yaw=np.array([float(_text(pose, "rz")) for pose in poses]),
         state=_flags(poses, "state"),
         occlusion=_flags(poses, "occlusion"),
@@ -193,11 +191,11 @@ def _tracklet(item: ElementTree.Element) -> Tracklet:
     return tracklet
 
 
-def _flags(poses: list[ElementTree.Element], key: str) -> IntArray:
+def _flags(poses: list[Element], key: str) -> IntArray:
     return np.array([int(_text(pose, key)) for pose in poses], dtype=np.int64)
 
 
-def _text(element: ElementTree.Element, key: str) -> str:
+def _text(element: Element, key: str) -> str:
     text = element.findtext(key)
     if text is None or not text.strip():
         raise ValueError(f"no <{key}> in a tracklet")

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.entries import Entry, format_numbers
+from kt3dmoseg.catalog.models import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_files
 from kt3dmoseg.io.images import Colour, read_frames
 from kt3dmoseg.kitti import Drive, RawDrive
-from kt3dmoseg.kitti.store import LOCATED
+from kt3dmoseg.kitti.raw import LOCATED
 from kt3dmoseg.pipeline.shot import Shot, Source
 from kt3dmoseg.types import ByteArray, Camera
 

@@ -23,7 +23,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.catalog.toml_text import quoted
+from kt3dmoseg.catalog import quoted
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import atomic_path, sha256_arrays, write_bytes, write_text
 from kt3dmoseg.types import Clip, IntArray

@@ -11,7 +11,7 @@ from typing import Any
 import kitti_drives as drives
 from kitti_server import FaultyServer
 
-from kt3dmoseg.kitti.network import Traffic
+from kt3dmoseg.kitti.http import Traffic
 from kt3dmoseg.kitti.pulling import PullReport, pull
 
 FRAMES = 30

@@ -17,8 +17,7 @@ import pytest
 from kitti_world import CALIB, HIDDEN, SYNC, World, faults
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
-from kt3dmoseg.kitti.http import Client
-from kt3dmoseg.kitti.network import Traffic
+from kt3dmoseg.kitti.http import Client, Traffic
 from kt3dmoseg.kitti.options import Network
 
 SHORT = {"timeout": 0.6}

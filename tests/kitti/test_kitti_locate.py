@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from kitti_world import FRAMES, HIDDEN, QUICK, SYNC, World
 
 from kt3dmoseg import catalog, cli
-from kt3dmoseg.kitti.locating import NotLocatedError, locate
-from kt3dmoseg.kitti.match import descriptor, match_exact, match_graded
-from kt3dmoseg.kitti.network import Traffic
+from kt3dmoseg.kitti.http import Traffic
+from kt3dmoseg.kitti.locating import NotLocatedError, descriptor, locate, match_exact, match_graded
 
 FOLDER = f"{drives.DATE}/{drives.NAME}_sync/image_00/data"
 SIZE = (320, 96)

@@ -15,10 +15,10 @@ from kitti_server import FaultyServer
 from kitti_world import CALIB, QUICK, SYNC, TRACKLETS, faults
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.entries import fingerprint
+from kt3dmoseg.catalog.models import fingerprint
 from kt3dmoseg.kitti import RawDrive, locate, pull
-from kt3dmoseg.kitti.frames import read_frame
-from kt3dmoseg.kitti.network import Traffic
+from kt3dmoseg.kitti.http import Traffic
+from kt3dmoseg.kitti.raw import decode_frame
 
 FOLDER = f"{drives.DATE}/{drives.NAME}_sync"
 CLIP, LENGTH = "Seq005_Clip01", 20
@@ -126,4 +126,4 @@ def test_built_in_catalog_describes_the_frames(data_root: Path) -> None:
     name = random.Random(0).choice(folders)
     paths = sorted((data_root / "kt3dmoseg/frames" / name).glob("*.png"))
     for path, mark in zip(paths, entries[name].frames, strict=True):
-        assert fingerprint(path.read_bytes(), read_frame(path)) == mark
+        assert fingerprint(path.read_bytes(), decode_frame(path.read_bytes(), path.name)) == mark

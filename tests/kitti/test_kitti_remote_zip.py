@@ -17,9 +17,7 @@ from hypothesis import strategies as st
 from kitti_world import World
 
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
-from kt3dmoseg.kitti.archive import Archive
-from kt3dmoseg.kitti.member import DamagedError
-from kt3dmoseg.kitti.source import FileSource
+from kt3dmoseg.kitti.remote_zip import Archive, DamagedError
 
 CONTENT = {"a/one.txt": b"first " * 100, "a/two.txt": b"second", "b.bin": bytes(range(256)) * 300}
 
@@ -37,17 +35,19 @@ def pack(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED, comment: b
 def opened(tmp_path: Path, content: bytes) -> Archive:
     path = tmp_path / "test.zip"
     path.write_bytes(content)
-    return Archive(FileSource(path))
+    return Archive.on_disk(path)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
 @pytest.mark.parametrize("comment", [b"", b"note " * 1000])
 def test_reads_members_in_any_order(tmp_path: Path, method: int, comment: bytes) -> None:
-    archive = opened(tmp_path, pack(CONTENT, method, comment))
+    content = pack(CONTENT, method, comment)
+    archive = opened(tmp_path, content)
     assert dict(archive.read(["b.bin", "a/one.txt"])) == {
         name: CONTENT[name] for name in ("a/one.txt", "b.bin")
     }
-    again = Archive(archive.source, archive.tail)
+    size, tail = archive.directory
+    again = Archive("again", size, lambda start, length: iter([content[start : start + length]]), tail)
     assert dict(again.read(CONTENT)) == CONTENT
 
 

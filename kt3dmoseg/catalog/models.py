@@ -1,4 +1,4 @@
-"""What a catalog says of a clip: its drive, its frame numbers, what its frames are recognised by."""
+"""What a catalog says about a clip: its drive, its frame numbers, what its frames are recognised by."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ from kt3dmoseg.types import ByteArray
 CAMERAS = (0, 1, 2, 3)
 MOST_FRAMES = 100_000
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
-_DATE = re.compile(r"\d{4}_\d{2}_\d{2}")
 _RUN = re.compile(r"(\d{1,10})(?:-(\d{1,10}))?")
-_LAST_DRIVE = 9999
 
 
 @dataclass(frozen=True, order=True)
@@ -43,9 +40,12 @@ class Drive:
     number: int
 
     def __post_init__(self) -> None:
-        if not _is_day(self.date):
-            raise InvalidValueError("date", expected="the form 2011_09_26", found=repr(self.date))
-        object.__setattr__(self, "number", whole(self.number, "drive", _LAST_DRIVE))
+        try:
+            matching(self.date, "date", r"\d{4}_\d{2}_\d{2}", "the form 2011_09_26")
+            datetime.date(*map(int, self.date.split("_")))
+        except ValueError:
+            raise InvalidValueError("date", expected="the form 2011_09_26", found=repr(self.date)) from None
+        object.__setattr__(self, "number", whole(self.number, "drive", 9999))
 
     @property
     def name(self) -> str:
@@ -64,8 +64,7 @@ class Fingerprint:
     def __post_init__(self) -> None:
         whole(self.crc32, "crc32", 0xFFFFFFFF)
         whole(self.bytes, "bytes", 1 << 40)
-        if not re.fullmatch(r"[0-9a-f]{64}", str(self.pixels)):
-            raise InvalidValueError("pixels", expected="64 hexadecimal digits", found=repr(self.pixels))
+        matching(self.pixels, "pixels", "[0-9a-f]{64}", "64 hexadecimal digits")
 
 
 @dataclass(frozen=True)
@@ -108,23 +107,16 @@ class Entry:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(str(self.name)):
-            raise InvalidValueError("name", expected="letters, digits, _ and -", found=repr(self.name))
-        check_camera(self.camera)
+        matching(self.name, "name", "[A-Za-z0-9][A-Za-z0-9_-]{0,99}", "letters, digits, _ and -")
+        object.__setattr__(self, "camera", check_camera(self.camera))
         if whole(self.length, "length", MOST_FRAMES) == 0:
             raise InvalidValueError("length", expected="at least 1", found="0")
         if self.numbers is None and not self.frames:
             raise InvalidValueError("numbers", expected="numbers or frames", found="neither")
-        if self.numbers is not None:
-            self._check_numbers(self.numbers)
-        if self.frames and len(self.frames) != self.length:
-            raise InvalidValueError(
-                "frames", expected=f"{self.length}, the length", found=f"{len(self.frames)}"
-            )
-
-    def _check_numbers(self, numbers: tuple[int, ...]) -> None:
-        if len(numbers) != self.length:
-            raise InvalidValueError("numbers", expected=f"{self.length}, the length", found=f"{len(numbers)}")
+        for key, values in (("numbers", self.numbers), ("frames", self.frames or None)):
+            if values is not None and len(values) != self.length:
+                raise InvalidValueError(key, expected=f"{self.length}, the length", found=f"{len(values)}")
+        numbers = self.numbers or ()
         if any(b <= a for a, b in pairwise(numbers)):
             raise InvalidValueError("numbers", expected="ascending", found=format_numbers(numbers))
 
@@ -132,6 +124,14 @@ class Entry:
 def fingerprint(content: bytes, pixels: ByteArray) -> Fingerprint:
     """Fingerprint a frame from its PNG file's bytes and its decoded pixels."""
     return Fingerprint(zlib.crc32(content), len(content), sha256_arrays(pixels))
+
+
+def whole(value: object, what: str, last: int) -> int:
+    """Return `value`, an integer or its digits, in 0..`last`; raise InvalidValueError for anything else."""
+    digits = str(value)  # what True and 5.0 give are not digits
+    if not re.fullmatch(r"[0-9]{1,13}", digits) or int(digits) > last:
+        raise InvalidValueError(what, expected=f"a whole number from 0 to {last}", found=repr(value))
+    return int(digits)
 
 
 def check_camera(camera: int | str) -> int:
@@ -168,19 +168,8 @@ def format_numbers(numbers: Iterable[int]) -> str:
     return ",".join("-".join(map(str, run)) for run in runs)
 
 
-def _is_day(text: object) -> bool:
-    if not isinstance(text, str) or not _DATE.fullmatch(text):
-        return False
-    try:
-        datetime.date(*map(int, text.split("_")))
-    except ValueError:
-        return False
-    return True
-
-
-def whole(value: object, what: str, last: int) -> int:
-    """Return `value`, an integer or its digits, in 0..`last`; raise InvalidValueError for anything else."""
-    digits = str(value) if not isinstance(value, (bool, float)) else ""
-    if not re.fullmatch(r"[0-9]{1,13}", digits) or int(digits) > last:
-        raise InvalidValueError(what, expected=f"a whole number from 0 to {last}", found=repr(value))
-    return int(digits)
+def matching(value: object, what: str, pattern: str, expected: str) -> str:
+    """Return `value`, a text of that form; raise InvalidValueError for anything else."""
+    if not isinstance(value, str) or not re.fullmatch(pattern, value):
+        raise InvalidValueError(what, expected=expected, found=repr(value))
+    return value

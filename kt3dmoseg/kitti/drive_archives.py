@@ -1,0 +1,313 @@
+"""Where drives are read from: KITTI's server, a mirror, a folder; and what the target folder remembers.
+
+KITTI packs a drive's frames, a day's calibration and a drive's tracklets into one zip each. A server's zips
+are read through ranges; a folder has the zips as downloaded, or the files extracted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple, TypeAlias
+
+from kt3dmoseg import catalog
+from kt3dmoseg.catalog import Drive, Entry
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.files import hold_folder, read_bytes, write_bytes
+from kt3dmoseg.kitti.http import AbsentError, Client, RangesIgnoredError, Traffic
+from kt3dmoseg.kitti.options import Origin
+from kt3dmoseg.kitti.raw import CALIBRATION_FILES, LOCATED, TRACKLET_FILE, drive_folder
+from kt3dmoseg.kitti.remote_zip import LARGEST_FILE, Archive
+
+_COMMENT = """Frame numbers of clips in KITTI raw drives, and how they were proved.
+Written by kt3dmoseg locate and pull; pull starts from them."""
+
+
+class Packed(NamedTuple):
+    """What KITTI packs into one zip: its address below raw_data, and where the files lie when extracted.
+
+    `probe` is a file that is there when it was extracted. Only frames are large, so that a server without
+    ranges may send the rest whole without asking. Tracklets are missing for many drives.
+    """
+
+    zip: str
+    folder: PurePosixPath
+    probe: str = ""
+    optional: bool = False
+
+
+def frames_of(drive: Drive) -> Packed:
+    """Frames, timestamps and GPS/IMU packets of a drive."""
+    return Packed(f"{drive.name}/{drive.name}_sync.zip", drive_folder(drive))
+
+
+def tracklets_of(drive: Drive) -> Packed:
+    """Tracklets of a drive."""
+    return Packed(
+        f"{drive.name}/{drive.name}_tracklets.zip", drive_folder(drive), TRACKLET_FILE, optional=True
+    )
+
+
+def calibration_of(date: str) -> Packed:
+    """Calibration of a day."""
+    return Packed(f"{date}_calib.zip", PurePosixPath(date), CALIBRATION_FILES[0])
+
+
+@dataclass(frozen=True)
+class TargetFolder:
+    """The folder that `pull` fills, and its memory: licence, directories of zips, checksums of what came.
+
+    All of it is in ``.kt3dmoseg/`` inside the folder, but for ``located.toml``, which people read.
+
+    Parameters
+    ----------
+    root : path
+        The folder, a KITTI raw root.
+    frozen : bool
+        Whether nothing may be written, for a dry run.
+    """
+
+    root: Path
+    frozen: bool = False
+
+    @property
+    def memory(self) -> Path:
+        """Where the memory is."""
+        return self.root / ".kt3dmoseg"
+
+    def lock(self) -> AbstractContextManager[object]:
+        """Hold the folder alone; when another process holds it, say so and wait.
+
+        The system releases it when a process ends, however it ends. Where it has no ``flock`` (Windows), two
+        pulls are still safe, but may fetch the same file twice.
+        """
+        waiting = f"another process works in {self.root}; waiting for it"
+        return nullcontext() if self.frozen else hold_folder(self.memory, lambda: print(waiting, flush=True))
+
+    @property
+    def licence_accepted(self) -> bool:
+        """Whether the licence was acknowledged for this folder."""
+        return (self.memory / "licence.txt").is_file()
+
+    def accept_licence(self, text: str) -> None:
+        """Remember that the licence was acknowledged."""
+        self._write(self.memory / "licence.txt", text.encode())
+
+    def directory(self, url: str) -> tuple[int, bytes] | None:
+        """Return size and end of an archive as remembered; the size is 0 when the server has none."""
+        path = self.path_for(url, "directory")
+        if not path.is_file():
+            return None
+        head, _, tail = read_bytes(path, LARGEST_FILE).partition(b"\n")
+        try:
+            size, crc = json.loads(head)
+        except (ValueError, TypeError):
+            return None
+        return (size, tail) if crc == zlib.crc32(tail) else None
+
+    def keep_directory(self, url: str, size: int, tail: bytes) -> None:
+        """Remember the end of an archive, or that it does not exist."""
+        self._write(
+            self.path_for(url, "directory"), json.dumps([size, zlib.crc32(tail)]).encode() + b"\n" + tail
+        )
+
+    def files(self) -> dict[str, tuple[int, int]]:
+        """Files that were brought, relative to the root, with size and CRC32.
+
+        Raises
+        ------
+        FileFormatError
+            When the list is damaged.
+        """
+        path = self.memory / "files.json"
+        if not path.is_file():
+            return {}
+        try:
+            listed = json.loads(read_bytes(path, LARGEST_FILE))
+            return {str(name): (int(size), int(crc, 16)) for name, (size, crc) in listed.items()}
+        except (ValueError, TypeError, AttributeError):
+            raise FileFormatError(
+                str(path), expected="a list of files", found="something else", fix="remove it and pull again"
+            ) from None
+
+    def keep_files(self, brought: Mapping[str, tuple[int, int]]) -> None:
+        """Remember size and CRC32 of files that were brought."""
+        present = self.files()
+        if brought.items() - present.items():
+            merged = sorted((present | dict(brought)).items())
+            text = json.dumps({name: [size, f"{crc:08x}"] for name, (size, crc) in merged}, indent=0)
+            self._write(self.memory / "files.json", f"{text}\n".encode())
+
+    def located(self) -> dict[str, Entry]:
+        """Clips whose frame numbers were proved, by name."""
+        path = self.root / LOCATED
+        return catalog.load(path, built_in=False) if path.is_file() else {}
+
+    def keep_located(self, clips: Iterable[Entry]) -> None:
+        """Remember clips' frame numbers, in ``located.toml``."""
+        present = self.located()
+        merged = present | {clip.name: clip for clip in clips}
+        if not self.frozen and merged != present:
+            catalog.save(self.root / LOCATED, [merged[name] for name in sorted(merged)], comment=_COMMENT)
+
+    def path_for(self, url: str, suffix: str) -> Path:
+        """Where something about an archive is kept: its ``directory``, or the ``zip`` when it came whole."""
+        return self.memory / f"{PurePosixPath(url).stem}.{zlib.crc32(url.encode()):08x}.{suffix}"
+
+    def drop_zips(self) -> None:
+        """Remove zips that were downloaded whole, and parts of them; everything wanted is on disk."""
+        for path in [*self.memory.glob("*.zip"), *self.memory.glob("*.part")]:
+            path.unlink()
+
+    def _write(self, path: Path, content: bytes) -> None:
+        if not self.frozen:
+            write_bytes(path, content)
+
+
+class Extracted:
+    """Extracted files of a drive or a day; they answer as an `Archive` does."""
+
+    local = True
+    fresh = False
+
+    def __init__(self, root: Path, folder: PurePosixPath) -> None:
+        self.name, self._root = str(root / folder), root
+        self._sums: dict[str, int] = {}
+        self._sizes = {
+            path.relative_to(root).as_posix(): path.stat().st_size
+            for path in (Path(at, file) for at, _, files in os.walk(root / folder) for file in files)
+            if not path.name.startswith(".")
+        }
+
+    def names(self) -> Iterable[str]:
+        """Names of all files, relative to the KITTI raw root."""
+        return self._sizes.keys()
+
+    def size(self, name: str) -> int:
+        """Size of a file in bytes."""
+        return self._sizes[name]
+
+    def crc32(self, name: str) -> int:
+        """CRC32 of a file, read once."""
+        if name not in self._sums:
+            self._sums[name] = crc32_file(self._root / name)
+        return self._sums[name]
+
+    def cost(self, names: Iterable[str]) -> int:
+        """Nothing: the files are here."""
+        return 0
+
+    def read(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+        """Yield names and contents."""
+        for name in names:
+            yield name, read_bytes(self._root / name, LARGEST_FILE)
+
+
+FileSet: TypeAlias = Archive | Extracted
+
+
+class Server:
+    """KITTI's server, or a mirror with the same layout; the target folder remembers directories of zips."""
+
+    def __init__(self, address: str, client: Client, target: TargetFolder) -> None:
+        if not address.startswith(("http://", "https://")):
+            raise InvalidValueError("mirror", expected="an address http:// or https://", found=repr(address))
+        self._base, self._client, self._target = address.rstrip("/"), client, target
+
+    def open(self, packed: Packed, *, again: bool = False) -> Archive | None:
+        """Open a zip; None, and remembered as such, when the server has none and it is optional.
+
+        `again` reads a directory that is remembered, and may be damaged, once more.
+        """
+        url = f"{self._base}/{packed.zip}"
+        copy = self._target.path_for(url, "zip")
+        if copy.is_file():
+            return Archive.on_disk(copy)
+        try:
+            known = None if again else self._target.directory(url)
+            size, tail = known or (self._client.size(url), b"")
+            archive = Archive(url, size, partial(self._client.chunks, url, size=size), tail) if size else None
+        except RangesIgnoredError:
+            if not packed.probe or self._target.frozen:
+                raise
+            return self.download(url)
+        except AbsentError:
+            if not packed.optional:
+                raise
+            self._target.keep_directory(url, 0, b"")
+            return None
+        if archive and archive.fresh:
+            self._target.keep_directory(url, *archive.directory)
+        return archive
+
+    def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:
+        """Download a whole zip whose server ignores ranges, resuming what is there of it."""
+        copy = self._target.path_for(url, "zip")
+        part = copy.with_suffix(".part")
+        part.parent.mkdir(parents=True, exist_ok=True)
+        self._client.download(url, part, progress)
+        try:
+            self._target.keep_directory(url, *Archive.on_disk(part).directory)
+        except FileFormatError:
+            part.unlink(missing_ok=True)
+            raise
+        part.replace(copy)
+        return Archive.on_disk(copy)
+
+
+class LocalFolder:
+    """A folder on disk with zips as downloaded from KITTI, or with extracted drives; or one zip."""
+
+    def __init__(self, path: Path) -> None:
+        if not path.exists():
+            raise InputFileError(f"{path}: no such file or folder")
+        self._path = path
+
+    def open(self, packed: Packed, *, again: bool = False) -> FileSet | None:
+        """Find the extracted files or their zip; None when neither is there and they are optional."""
+        if (self._path / packed.folder / packed.probe).exists():
+            return Extracted(self._path, packed.folder)
+        name = PurePosixPath(packed.zip).name
+        paths = [self._path / packed.zip, self._path / name, self._path / packed.folder.parts[0] / name]
+        if self._path.is_file():
+            paths = [self._path] if self._path.name == name else []
+        for path in paths:
+            if path.is_file():
+                return Archive.on_disk(path)
+        if packed.optional:
+            return None
+        raise AbsentError(f"{self._path}: neither {packed.folder / packed.probe} nor {name} is there")
+
+    def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:
+        """Nothing is downloaded."""
+        raise AssertionError(f"{url}: local folders have no address")
+
+
+@contextmanager
+def open_origin(
+    origin: Origin, target: TargetFolder, traffic: Traffic | None = None
+) -> Iterator[Server | LocalFolder]:
+    """Give what the options name; connections are closed at the end."""
+    if origin.local is not None:
+        yield LocalFolder(Path(origin.local))
+        return
+    with closing(Client(origin, traffic)) as client:
+        yield Server(origin.mirror, client, target)
+
+
+def crc32_file(path: Path) -> int:
+    """CRC32 of a file's bytes."""
+    crc = 0
+    try:
+        with open(path, "rb") as stream:
+            while block := stream.read(1 << 20):
+                crc = zlib.crc32(block, crc)
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from None
+    return crc

@@ -1,0 +1,298 @@
+"""Zip archives read through ranges: the directory first, then only the wanted files.
+
+`zipfile` parses and unpacks; the bytes come from a `_RangeFile`. What a directory says is held to be a claim:
+an archive is refused as a whole for names that leave it, symbolic links, duplicates and files that overlap;
+a file is refused when it is too large or its bytes do not bear out size and CRC32.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TypeAlias
+
+from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
+
+LARGEST_FILE = 64 << 20
+
+_LARGEST_DIRECTORY = 8 << 20
+_HEADER = 30
+# The end record (22) with its longest comment, and zip64's locator (20) and record (56).
+_TAIL = (1 << 16) + 22 + 20 + 56
+_DESCRIPTOR = 24
+_LONGEST_EXTRA = (1 << 16) - 1
+_DEFLATE_LIMIT = 1100  # deflate cannot reach more than 1032 : 1
+_LONGEST_GAP = 4096  # a smaller hole between two files is read over rather than asked around
+_LONGEST_RUN = 2 << 20  # what is under way is lost when a pull is killed
+_ATTEMPTS = 3
+_ENCRYPTED = 0x1
+_NO_ZIP = (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, struct.error, OverflowError)
+Chunks: TypeAlias = Callable[[int, int], Iterator[bytes]]
+_BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, struct.error, RuntimeError, UnicodeDecodeError)
+
+
+class DamagedError(FileFormatError):
+    """Bytes do not match their checksum or their directory; reading them again may help."""
+
+
+class _RangeFile(io.RawIOBase):
+    """A file that is elsewhere, for `zipfile`: it keeps the end, and takes the rest from the range asked for.
+
+    The end, where the directory is, grows backwards as far as it is read, until a range is asked for.
+    """
+
+    def __init__(self, name: str, size: int, chunks: Chunks, tail: bytes) -> None:
+        super().__init__()
+        self.name, self.size, self.tail = name, size, tail
+        self._chunks, self._at = chunks, 0
+        self._range: tuple[int, bytearray, Iterator[bytes]] | None = None
+        if not tail:
+            self._reach(max(0, size - _TAIL))
+
+    @property
+    def held(self) -> int:
+        """Where the end begins that is kept."""
+        return self.size - len(self.tail)
+
+    def ask(self, start: int, length: int) -> Iterator[bytes]:
+        """Ask for a range, from which `read` takes as it arrives; return what is left of it then."""
+        kept = start >= self.held
+        arriving = iter([self.tail[start - self.held :]]) if kept else self._chunks(start, length)
+        self._range = start, bytearray(), arriving
+        return arriving
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        self._at = offset + {0: 0, 1: self._at, 2: self.size}[whence]
+        if self._at < 0:
+            raise OSError("a position before the archive's start")
+        return self._at
+
+    def read(self, size: int | None = -1) -> bytes:
+        end = self.size if size is None or size < 0 else min(self.size, self._at + size)
+        if self._range is None:
+            self._reach(self._at)
+            block = self.tail[self._at - self.held : max(self._at, end) - self.held]
+        else:
+            start, buffer, arriving = self._range
+            while start + len(buffer) < end and (chunk := next(arriving, b"")):
+                buffer += chunk
+            block = bytes(buffer[self._at - start : end - start])
+        self._at += len(block)
+        return block
+
+    def _reach(self, start: int) -> None:
+        if self.size - start > _LARGEST_DIRECTORY:
+            raise FileFormatError(
+                self.name,
+                expected=f"a directory of at most {_LARGEST_DIRECTORY} bytes",
+                found=f"one that begins {self.size - start} bytes before the end",
+            )
+        if start < self.held:
+            self.tail = b"".join(self._chunks(start, self.held - start)) + self.tail
+
+
+class Archive:
+    """A zip archive on a server or on disk.
+
+    Parameters
+    ----------
+    name : str
+        Address or path, for messages.
+    size : int
+        Length in bytes.
+    chunks : callable
+        ``chunks(start, length)`` yields exactly these bytes, in pieces.
+    tail : bytes
+        The end with the directory, from an earlier `directory`; it is not read again then.
+    local : bool
+        Whether it is on this machine.
+
+    Raises
+    ------
+    FileFormatError
+        When it is not a zip archive, is damaged or truncated, or is hostile.
+    """
+
+    def __init__(
+        self, name: str, size: int, chunks: Chunks, tail: bytes = b"", *, local: bool = False
+    ) -> None:
+        self.name, self.local = name, local
+        self.fresh = not tail and not local  # read just now from the network, no checksum protects it
+        for attempt in range(1, _ATTEMPTS + 1):
+            try:
+                self._file = _RangeFile(name, size, chunks, tail)
+                self._open()
+            except FileFormatError:
+                if attempt == _ATTEMPTS:
+                    raise
+            else:
+                break
+
+    @classmethod
+    def on_disk(cls, path: Path) -> Archive:
+        """Open a file."""
+        try:
+            return cls(str(path), path.stat().st_size, partial(_read_file, path), local=True)
+        except OSError as error:
+            raise InputFileError(f"{path}: {error.strerror or error}") from None
+
+    def __repr__(self) -> str:
+        """Name the archive."""
+        return f"Archive({self.name!r})"
+
+    @property
+    def directory(self) -> tuple[int, bytes]:
+        """Size of the archive, and the end of it that holds its directory."""
+        return self._file.size, self._file.tail
+
+    def names(self) -> Iterable[str]:
+        """Names of all files in the archive."""
+        return self._infos.keys()
+
+    def size(self, name: str) -> int:
+        """Size of a file in bytes."""
+        return self._infos[name].file_size
+
+    def crc32(self, name: str) -> int:
+        """CRC32 of a file, as the directory claims it; `read` verifies it."""
+        return self._infos[name].CRC
+
+    def cost(self, names: Iterable[str]) -> int:
+        """Bytes that `read` asks for."""
+        return sum(stop - start for start, stop, _ in self._runs(names) if start < self._file.held)
+
+    def read(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+        """Yield the wanted files' names and contents, verified by size and CRC32.
+
+        Neighbours come in one request, each is yielded as soon as its bytes are here. A damaged file is
+        asked for again, up to three times in all.
+
+        Raises
+        ------
+        DamagedError
+            When a file stays damaged.
+        FileFormatError
+            When a file is encrypted, packed by an unusual method or larger than 64 MiB.
+        """
+        wanted = list(names)
+        for name in wanted:
+            if fault := _unreadable(self._infos[name]):
+                raise FileFormatError(f"{self.name}: refused: member {name!r:.200} {fault}")
+        for attempt in range(1, _ATTEMPTS + 1):
+            damaged = []
+            for name, content in self._read_once(wanted):
+                if isinstance(content, bytes):
+                    yield name, content
+                elif attempt < _ATTEMPTS:
+                    damaged.append(name)
+                else:
+                    raise content
+            wanted = damaged
+
+    def _read_once(self, names: Iterable[str]) -> Iterator[tuple[str, bytes | DamagedError]]:
+        for start, stop, run in self._runs(names):
+            rest = self._file.ask(start, stop - start)
+            for name in run:
+                yield name, self._unpack(name)
+            for _ in rest:  # sees its end, so that the connection can serve the next run
+                pass
+
+    def _open(self) -> None:
+        try:
+            self._zip = zipfile.ZipFile(self._file)
+        except KT3DMoSegError:
+            raise
+        except _NO_ZIP as error:
+            found = str(error) or type(error).__name__
+            raise FileFormatError(self.name, expected="a complete zip archive", found=found) from None
+        self._infos: dict[str, zipfile.ZipInfo] = {}
+        self._ends: dict[str, int] = {}
+        infos = sorted(self._zip.infolist(), key=lambda info: info.header_offset)
+        following = [info.header_offset for info in infos[1:]] + [self._zip.start_dir]
+        for info, end in zip(infos, following, strict=True):
+            name = info.orig_filename
+            fault = _fault(info, end) or ("is there twice" if name in self._infos else "")
+            if fault:
+                raise FileFormatError(f"{self.name}: refused: member {name!r:.200} {fault}")
+            longest = _HEADER + 4 * len(name) + _LONGEST_EXTRA + info.compress_size + _DESCRIPTOR
+            self._infos[name], self._ends[name] = info, min(end, info.header_offset + longest)
+
+    def _runs(self, names: Iterable[str]) -> Iterator[tuple[int, int, list[str]]]:
+        """Group files that are neighbours, to be asked for in one request of at most 2 MiB."""
+        run: list[str] = []
+        start = stop = 0
+        for name in sorted(names, key=lambda name: self._infos[name].header_offset):
+            offset, end = self._infos[name].header_offset, self._ends[name]
+            if run and (offset - stop > _LONGEST_GAP or end - start > _LONGEST_RUN):
+                yield start, stop, run
+                run = []
+            start, stop = (start if run else offset), end
+            run.append(name)
+        if run:
+            yield start, stop, run
+
+    def _unpack(self, name: str) -> bytes | DamagedError:
+        """Unpack a file, never to more than its claimed size."""
+        info = self._infos[name]
+        try:
+            with self._zip.open(info) as stream:
+                content = stream.read(info.file_size)
+            if len(content) == info.file_size and zlib.crc32(content) == info.CRC:
+                return content
+            found = f"{len(content)} with {zlib.crc32(content):08x}"
+        except _BROKEN as error:
+            found = str(error) or type(error).__name__
+        expected = f"{info.file_size} bytes with CRC {info.CRC:08x}"
+        return DamagedError(f"{self.name}: {name}", expected=expected, found=found)
+
+
+def _read_file(path: Path, start: int, length: int) -> Iterator[bytes]:
+    try:
+        with open(path, "rb") as stream:
+            stream.seek(start)
+            while length > 0 and (block := stream.read(min(length, 1 << 20))):
+                length -= len(block)
+                yield block
+    except OSError as error:
+        raise InputFileError(f"{path}: {error.strerror or error}") from None
+    if length:
+        raise DamagedError(str(path), expected=f"{length} bytes more", found="its end")
+
+
+def _fault(info: zipfile.ZipInfo, end: int) -> str:
+    """Say why an archive with this file in it, which ends before `end`, is refused; empty when it is not."""
+    name = info.orig_filename
+    parts = name.split("/")
+    if not name or name.startswith("/") or re.search(r"[\\:\0]", name):
+        return "has an absolute name"
+    if ".." in parts or "." in parts:
+        return "leaves the archive's folder"
+    if info.external_attr and stat.S_ISLNK(info.external_attr >> 16):
+        return "is a symbolic link"
+    if info.file_size > info.compress_size * _DEFLATE_LIMIT + 1024:
+        return f"claims to unpack {info.compress_size} bytes to {info.file_size}"
+    if info.compress_type == zipfile.ZIP_STORED and info.file_size != info.compress_size:
+        return "is stored with two sizes"
+    if info.header_offset < 0 or info.header_offset + _HEADER + len(name) + info.compress_size > end:
+        return "overlaps its neighbour"
+    return ""
+
+
+def _unreadable(info: zipfile.ZipInfo) -> str:
+    if info.file_size > LARGEST_FILE:
+        return f"unpacks to {info.file_size} bytes, more than {LARGEST_FILE}"
+    if info.flag_bits & _ENCRYPTED:
+        return "is encrypted"
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        return f"is packed by method {info.compress_type}"
+    return ""
