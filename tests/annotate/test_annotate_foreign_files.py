@@ -13,12 +13,10 @@ import pytest
 from annotation_scenes import FRAMES, SIZE, motions, scene, zipped
 
 from kt3dmoseg.annotate import formats
-from kt3dmoseg.annotate.formats import rle
-from kt3dmoseg.annotate.formats.masks import mask_of
+from kt3dmoseg.annotate.formats.masks import encode_rle, mask_of
 from kt3dmoseg.annotate.model import REJECT
 
 EMPTY = replace(scene(), objects=(), marks=())
-DECODES = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools
 
 
 def test_foreign_cvat_tracks_become_objects():
@@ -39,7 +37,7 @@ def test_foreign_cvat_tracks_become_objects():
 def test_foreign_mots_ids_of_two_classes_are_two_motions():
     mask = np.zeros((SIZE[1], SIZE[0]), bool)
     mask[:5, :5] = True
-    lines = f"0 1001 1 64 96 {rle.encode(mask)}\n0 2001 2 64 96 {rle.encode(~mask)}\n"
+    lines = f"0 1001 1 64 96 {encode_rle(mask)}\n0 2001 2 64 96 {encode_rle(~mask)}\n"
     found = formats.load("mots_txt").parse(lines.encode(), EMPTY).objects
     assert [(o.kind, o.motion) for o in found] == [("car", 1), ("pedestrian", 2)]
 
@@ -177,7 +175,6 @@ def test_coco_images_named_as_frames_are_those():
     assert [k.frame for k in item.key_frames if k.visibility == "visible"] == [3]
 
 
-@DECODES
 def test_coco_opens_in_pycocotools(tmp_path):
     from pycocotools.coco import COCO
 
@@ -194,7 +191,6 @@ def test_coco_opens_in_pycocotools(tmp_path):
         assert entry["area"] == mask.sum()
 
 
-@DECODES
 def test_coco_polygons_fill_the_pixels_that_pycocotools_fills():
     from pycocotools import mask as theirs
 

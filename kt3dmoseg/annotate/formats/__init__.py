@@ -1,14 +1,12 @@
-"""Annotations in the formats of other tools: one file each, and this table of their names.
+"""Annotations in the formats of other tools, and the table of their names.
 
-A format is a module-level object with ``suffix``, ``media_type``,
-``dump(annotation, regions, names) -> bytes`` and ``parse(content, like, names) -> Annotation``. Third
-parties add one through an entry point.
+Third parties add a format through an entry point: an object with the fields of `AnnotationFormat`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.propagation import NoMotion, Region, TrackMotion, propagate
@@ -19,9 +17,9 @@ FORMATS = Registry(
     "annotation format",
     {
         "cvat": "kt3dmoseg.annotate.formats.cvat:CVAT",
-        "davis": "kt3dmoseg.annotate.formats.davis:DAVIS",
-        "mots_txt": "kt3dmoseg.annotate.formats.mots:MOTS_TXT",
-        "mots_png": "kt3dmoseg.annotate.formats.mots:MOTS_PNG",
+        "davis": "kt3dmoseg.annotate.formats.masks:DAVIS",
+        "mots_txt": "kt3dmoseg.annotate.formats.masks:MOTS_TXT",
+        "mots_png": "kt3dmoseg.annotate.formats.masks:MOTS_PNG",
         "coco": "kt3dmoseg.annotate.formats.coco:COCO",
         "labelme": "kt3dmoseg.annotate.formats.labelme:LABELME",
     },
@@ -29,47 +27,29 @@ FORMATS = Registry(
 )
 
 
-class AnnotationFormat(Protocol):
-    """Another tool's format."""
+@dataclass(frozen=True)
+class AnnotationFormat:
+    """Another tool's format.
+
+    Parameters
+    ----------
+    suffix, media_type : str
+        Of the files.
+    dump : callable
+        ``dump(annotation, regions, names=()) -> bytes`` gives the file's content: `regions` are the objects'
+        in every frame, as `propagate` gives them; `names` the file names of the clip's frames, by
+        default 000000.png on. It raises InvalidValueError for what the format cannot hold.
+    parse : callable
+        ``parse(content, like, names=()) -> Annotation`` reads a file's content: `like` is an empty annotation
+        of the clip. Files and images that all bear the names of the clip's frames belong to those;
+        otherwise the numbers in their names count from 0. It raises FileFormatError or InvalidValueError
+        when the content is not of this format, or does not fit the clip.
+    """
 
     suffix: str
     media_type: str
-
-    def dump(
-        self, annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()
-    ) -> bytes:
-        """Return the file's content.
-
-        Parameters
-        ----------
-        annotation : Annotation
-            What to write.
-        regions : mapping of int to list of Region
-            The objects' regions in every frame, as `propagate` gives them.
-        names : sequence of str
-            File names of the clip's frames, for formats that name them; by default 000000.png on.
-        """
-        ...
-
-    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-        """Read a file's content.
-
-        Parameters
-        ----------
-        content : bytes
-            The file.
-        like : Annotation
-            An empty annotation of the clip: its name, frames and image size.
-        names : sequence of str
-            File names of the clip's frames. Files and images that all bear such names belong to
-            those frames; otherwise the numbers in their names count from 0.
-
-        Raises
-        ------
-        FileFormatError
-            When the content is not of this format, or does not fit the clip.
-        """
-        ...
+    dump: Callable[[Annotation, Mapping[int, list[Region]], Sequence[str]], bytes]
+    parse: Callable[[bytes, Annotation, Sequence[str]], Annotation]
 
 
 def load(name: str) -> AnnotationFormat:

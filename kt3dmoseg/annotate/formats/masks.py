@@ -1,20 +1,37 @@
-"""Regions as masks and back.
+"""Masks: regions as pixels and back, run lengths, and the formats that store an image per frame.
 
-Both ways are exact: the outline of a mask runs along the edges of its pixels, so that exactly the
-pixels whose centres lie inside belong to it. A hole is joined to the outline around it by a slit of no width.
+Regions to pixels and back is exact: the outline of a mask runs along the edges of its pixels, so that exactly
+the pixels whose centres lie inside belong to it. A hole is joined to the outline around it by a slit of no
+width.
+
+DAVIS is a zip of indexed PNGs, ``00000.png`` on; the index is the motion, 0 background, 254 rejected. Kept:
+which pixels have which motion in which frame. Not kept: names and kinds, objects that share a motion, key
+frames, what is hidden, motions above 253, marks.
+
+KITTI MOTS has an id per pixel, ``1000 * class + instance``, as 16-bit PNGs in a zip or as a text file.
+Classes are 1 = vehicles and 2 = people, 10 = ignore (id 10000); 3 is used here for all else. The instance
+is the motion. A text line is ``frame id class height width rle``; frames count from 0. Kept and not kept as
+for DAVIS, but for the class, which is kept, and motions up to 999. Ids whose instance numbers repeat in
+another class are different objects in MOTS: they come back as motions of their own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from types import ModuleType
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from kt3dmoseg.annotate.formats import AnnotationFormat
+from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble, check_frame, unzip_frames
 from kt3dmoseg.annotate.geometry import area, bounds, inside
 from kt3dmoseg.annotate.model import (
     BACKGROUND,
+    MAX_OBJECTS,
     MAX_POINTS,
     MAX_POLYGONS,
     REJECT,
@@ -23,10 +40,13 @@ from kt3dmoseg.annotate.model import (
     Polygon,
 )
 from kt3dmoseg.annotate.propagation import Region
-from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.types import BoolArray, FloatArray
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.files import zip_bytes
+from kt3dmoseg.io.images import decode_indices, encode_indices
+from kt3dmoseg.types import BoolArray, ByteArray, FloatArray
 
 Corner = tuple[int, int]
+Regions = Mapping[int, list[Region]]
 
 # Step to the neighbour that is not in the mask -> the edge between, clockwise around the pixel.
 _EDGES: dict[Corner, tuple[Corner, Corner]] = {
@@ -35,6 +55,14 @@ _EDGES: dict[Corner, tuple[Corner, Corner]] = {
     (1, 0): ((1, 1), (0, 1)),
     (0, -1): ((0, 1), (0, 0)),
 }
+_RUNS = re.compile("[0-o]+")
+_MAX_PIXELS = 1 << 28
+_DAVIS_VOID = 254
+_MOTS_IGNORE = 10_000
+_MOTS_STEP = 1000
+_MOTS_LARGEST = (1 << 16) - 1
+_MOTS_CLASS = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
+_MOTS_KIND = {1: "car", 2: "pedestrian", 3: "other"}
 
 
 def mask_of(polygons: Sequence[FloatArray], image_size: tuple[int, int]) -> BoolArray:
@@ -84,29 +112,14 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
 def simplify(polygon: FloatArray, tolerance: float) -> FloatArray:
     """Leave out points that are within `tolerance` pixels of the outline without them.
 
-    Douglas and Peucker (1973), between the two points that are farthest apart.
+    Douglas and Peucker (1973), as OpenCV has it.
     """
-    start = int(np.argmax(((polygon - polygon[0]) ** 2).sum(axis=1)))
-    turned = np.roll(polygon, -start, axis=0)
-    middle = int(np.argmax(((turned - turned[0]) ** 2).sum(axis=1)))
-    closed = np.concatenate([turned, turned[:1]])
-    kept = {0, middle}
-    stack = [(0, middle), (middle, len(polygon))]
-    while stack:
-        first, last = stack.pop()
-        if last - first < 2:
-            continue
-        gap = _distance_to_segment(closed[first + 1 : last], closed[first], closed[last])
-        worst = int(np.argmax(gap))
-        if gap[worst] > tolerance:
-            middle = first + 1 + worst
-            kept.add(middle)
-            stack += [(first, middle), (middle, last)]
-    return turned[sorted(kept)]
+    found = cv2.approxPolyDP(polygon.astype(np.float32)[:, None], tolerance, True)
+    return np.asarray(found[:, 0], dtype=np.float64)
 
 
 def label_image(
-    annotation: Annotation, regions: Mapping[int, list[Region]], frame: int, values: Mapping[int, int]
+    annotation: Annotation, regions: Regions, frame: int, values: Mapping[int, int]
 ) -> npt.NDArray[np.int64]:
     """Paint the visible objects of one frame into an image.
 
@@ -129,27 +142,10 @@ def label_image(
     return image
 
 
-def check_shape(shape: tuple[int, ...], like: Annotation, where: str) -> None:
-    """Refuse a mask of another size than the clip's frames.
-
-    Raises
-    ------
-    FileFormatError
-    """
-    width, height = like.image_size
-    if shape != (height, width):
-        raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=f"shape {shape}")
-
-
-def check_frame(frame: int, like: Annotation, where: str) -> None:
-    """Refuse a frame that the clip does not have.
-
-    Raises
-    ------
-    FileFormatError
-    """
-    if not 0 <= frame < like.n_frames:
-        raise FileFormatError(where, expected=f"frames 0 to {like.n_frames - 1}", found=f"frame {frame}")
+def _label_images(
+    annotation: Annotation, regions: Regions, values: Mapping[int, int]
+) -> Iterator[npt.NDArray[np.int64]]:
+    return (label_image(annotation, regions, frame, values) for frame in range(annotation.n_frames))
 
 
 def _layer(item: AnnotatedObject) -> int:
@@ -207,7 +203,226 @@ def _joined(loops: list[FloatArray]) -> FloatArray:
     return outline
 
 
-def _distance_to_segment(points: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    edge = b - a
-    share = np.clip((points - a) @ edge / max(float(edge @ edge), 1e-12), 0.0, 1.0)
-    return np.asarray(np.hypot(*(points - a - share[:, None] * edge).T))
+def encode_rle(mask: BoolArray) -> str:
+    """Return the compressed run lengths of an (H, W) mask, as in COCO; pycocotools makes them.
+
+    Raises
+    ------
+    MissingDependencyError
+        When pycocotools is not installed.
+    """
+    found: bytes = _pycocotools().encode(np.asfortranarray(mask, dtype=np.uint8))["counts"]
+    return found.decode()
+
+
+def decode_rle(runs: str | Sequence[int], height: int, width: int, where: str = "RLE") -> BoolArray:
+    """Return the (height, width) mask of run lengths as in COCO, compressed or as a list of numbers.
+
+    Raises
+    ------
+    FileFormatError
+        When they are damaged or do not fill the mask.
+    MissingDependencyError
+        When pycocotools is not installed.
+    """
+    size = height * width
+    problem = FileFormatError(
+        where, expected=f"runs that fill {width}x{height} pixels", found=f"{runs[:40]!r}"
+    )
+    if size > _MAX_PIXELS:
+        raise FileFormatError(where, expected=f"at most {_MAX_PIXELS} pixels", found=f"{width}x{height}")
+    if not isinstance(runs, str):
+        if min(runs, default=0) < 0 or sum(runs) != size:
+            raise problem
+        flat = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+        return flat.reshape((height, width), order="F")
+    if not _RUNS.fullmatch(runs):
+        raise problem
+    mask = _decoded(runs, height, width)
+    # pycocotools refuses runs that are too long; where they are too short, it leaves memory as it was.
+    if mask is None or _decoded(runs, size - 1, 1) is not None:
+        raise problem
+    return mask
+
+
+def _decoded(runs: str, height: int, width: int) -> BoolArray | None:
+    try:
+        found = _pycocotools().decode({"size": [height, width], "counts": runs.encode()})
+    except ValueError:
+        return None
+    return np.asarray(found, dtype=np.bool_)
+
+
+def _pycocotools() -> ModuleType:
+    try:
+        from pycocotools import mask
+    except ImportError as error:
+        fix = "pip install 'kt3dmoseg[label]'"
+        raise MissingDependencyError("pycocotools is not installed", fix=fix) from error
+    module: ModuleType = mask
+    return module
+
+
+def check_shape(shape: tuple[int, ...], like: Annotation, where: str) -> None:
+    """Raise FileFormatError for a mask of another size than the clip's frames."""
+    width, height = like.image_size
+    if shape != (height, width):
+        raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=f"shape {shape}")
+
+
+def add_mask(
+    found: dict[int, ForeignObject], number: int, frame: int, mask: BoolArray, where: str
+) -> ForeignObject | None:
+    """Add the pixels of an object in one frame: of the outlines only, so that no file fills the memory.
+
+    Returns
+    -------
+    ForeignObject or None
+        The object; None when the mask is empty.
+
+    Raises
+    ------
+    FileFormatError
+        When there are more objects than an annotation may have.
+    """
+    polygons = polygons_of(mask)
+    if not polygons:
+        return None
+    if number not in found and len(found) == MAX_OBJECTS:
+        raise FileFormatError(where, expected=f"at most {MAX_OBJECTS} objects", found="more")
+    item = found.setdefault(number, ForeignObject())
+    item.add(frame, polygons)
+    return item
+
+
+def _dump_davis(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+    del names
+    largest = max(annotation.motions, default=0)
+    if largest >= _DAVIS_VOID:
+        expected = f"at most {_DAVIS_VOID - 1}, as DAVIS can hold"
+        raise InvalidValueError("motion", expected=expected, found=str(largest))
+    values = {o.id: _DAVIS_VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
+    images = _label_images(annotation, regions, values)
+    palette = davis_palette()
+    return zip_bytes(
+        {f"{k:05d}.png": encode_indices(image.astype(np.uint8), palette) for k, image in enumerate(images)}
+    )
+
+
+def _parse_davis(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
+    found = _parse_images(content, like, names, "DAVIS masks", bits=8, largest=_DAVIS_VOID)
+    for value, item in found.items():  # 255 was taken as 254
+        void = value == _DAVIS_VOID
+        item.motion, item.name = (REJECT, "rejected") if void else (value, f"motion {value}")
+    return assemble({str(value): found[value] for value in sorted(found)}, like)
+
+
+def _dump_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+    del names
+    images = _mots_images(annotation, regions)
+    encoded = (cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images)
+    return zip_bytes({f"{k:06d}.png": content for k, content in enumerate(encoded)})
+
+
+def _parse_mots_png(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
+    found = _parse_images(content, like, names, "MOTS masks", bits=16, largest=_MOTS_LARGEST)
+    return _mots_annotation(found, like)
+
+
+def _dump_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+    del names
+    width, height = annotation.image_size
+    lines = [
+        f"{frame} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
+        for frame, image in enumerate(_mots_images(annotation, regions))
+        for value in np.unique(image[image > 0]).tolist()
+    ]
+    return "".join(lines).encode()
+
+
+def _parse_mots_text(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
+    del names
+    found: dict[int, ForeignObject] = {}
+    lines = content.decode("ascii", "replace").splitlines()
+    most = MAX_OBJECTS * like.n_frames
+    if len(lines) > most:
+        raise FileFormatError("MOTS text", expected=f"at most {most} lines", found=str(len(lines)))
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            frame, value, mask = _mots_line(line, like, f"line {number}")
+            add_mask(found, value, frame, mask, "MOTS text")
+    return _mots_annotation(found, like)
+
+
+DAVIS = AnnotationFormat(".zip", "application/zip", _dump_davis, _parse_davis)
+MOTS_PNG = AnnotationFormat(".zip", "application/zip", _dump_mots_png, _parse_mots_png)
+MOTS_TXT = AnnotationFormat(".txt", "text/plain", _dump_mots_text, _parse_mots_text)
+
+
+def davis_palette() -> ByteArray:
+    """Return the palette of PASCAL VOC and DAVIS, (256, 3) RGB.
+
+    The bits of the index are spread over the high bits of the channels.
+    """
+    palette = np.zeros((256, 3), dtype=np.uint8)
+    for index in range(256):
+        for bit in range(8):
+            palette[index, bit % 3] |= ((index >> bit) & 1) << (7 - bit // 3)
+    return palette
+
+
+def _parse_images(
+    content: bytes, like: Annotation, names: Sequence[str], what: str, *, bits: int, largest: int
+) -> dict[int, ForeignObject]:
+    """Objects of a zip of PNGs of at most `bits` bits; larger numbers than `largest` are taken as it."""
+    found: dict[int, ForeignObject] = {}
+    for frame, png in unzip_frames(content, ".png", like, names, what).items():
+        where = f"{what}, frame {frame}"
+        image, depth = decode_indices(png, where)
+        if depth > bits:
+            expected = f"an indexed or gray PNG of {bits} bits"
+            raise FileFormatError(where, expected=expected, found=f"{depth} bits")
+        check_shape(image.shape, like, where)
+        image = np.minimum(image, largest)
+        for value in np.unique(image[image > 0]).tolist():
+            add_mask(found, value, frame, image == value, where)
+    return found
+
+
+def _mots_images(annotation: Annotation, regions: Regions) -> Iterator[npt.NDArray[np.int64]]:
+    values = {}
+    for item in annotation.objects:
+        if item.motion != REJECT and item.motion >= _MOTS_STEP:
+            expected = f"below {_MOTS_STEP}, as MOTS can hold"
+            raise InvalidValueError("motion", expected=expected, found=str(item.motion))
+        number = _MOTS_IGNORE if item.motion == REJECT else int(item.motion)
+        kind = 0 if item.motion in (REJECT, BACKGROUND) else _MOTS_CLASS.get(item.kind, 1)
+        values[item.id] = _MOTS_STEP * kind + number
+    return _label_images(annotation, regions, values)
+
+
+def _mots_line(line: str, like: Annotation, where: str) -> tuple[int, int, BoolArray]:
+    try:
+        frame, value, _, height, width, text = line.split()
+        numbers = [int(frame), int(value), int(height), int(width)]
+        if min(numbers) < 0:
+            raise ValueError
+    except ValueError:
+        expected = "frame id class height width rle"
+        raise FileFormatError(where, expected=expected, found=repr(line[:60])) from None
+    check_frame(numbers[0], like, where)
+    check_shape((numbers[2], numbers[3]), like, where)
+    return numbers[0], numbers[1], decode_rle(text, numbers[2], numbers[3], where)
+
+
+def _mots_annotation(found: Mapping[int, ForeignObject], like: Annotation) -> Annotation:
+    ignored = _MOTS_IGNORE // _MOTS_STEP
+    instances = [value % _MOTS_STEP for value in found if value // _MOTS_STEP != ignored]
+    unique = len(set(instances)) == len(instances) and min(instances, default=1) > 0
+    ordered: dict[int | str, ForeignObject] = {str(value): found[value] for value in sorted(found)}
+    for number, (value, item) in enumerate(sorted(found.items()), start=1):
+        kind, instance = divmod(value, _MOTS_STEP)
+        item.kind = _MOTS_KIND.get(kind, "other")
+        item.motion = REJECT if kind == ignored else instance if unique else number
+        item.name = "rejected" if kind == ignored else f"{item.kind} {value}"
+    return assemble(ordered, like)

@@ -31,7 +31,7 @@ def propose(request: Request) -> list[AnnotatedObject]:
     text = request.masks / f"{request.clip}.txt"
     empty = request.annotation.emptied()
     if text.is_file():
-        return list(load("mots_txt").parse(read_bytes(text, _MAX_FILE), empty).objects)
+        return list(load("mots_txt").parse(read_bytes(text, _MAX_FILE), empty, ()).objects)
     files = sorted((request.masks / request.clip).glob("*.png"))
     if not files:
         raise InputFileError(f"{request.masks / request.clip}", expected="masks, *.png", found="none")

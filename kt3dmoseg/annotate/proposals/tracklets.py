@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from kt3dmoseg import catalog
-from kt3dmoseg.annotate.formats.objects import key_frames_of, known_kind
+from kt3dmoseg.annotate.formats.foreign import key_frames_of, known_kind
 from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame, Polygon
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.kitti import RawDrive, Tracklet
