@@ -14,7 +14,7 @@ import pytest
 from kt3dmoseg import flow
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.tracking import track
-from kt3dmoseg.tracking.store import TrackStore
+from kt3dmoseg.tracking.trajectories import TrackStore
 
 
 @pytest.fixture(scope="module")

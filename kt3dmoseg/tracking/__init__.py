@@ -8,10 +8,10 @@ from kt3dmoseg.lazy import lazy
 from kt3dmoseg.tracking.options import RELIABLE, TrackOptions
 
 if TYPE_CHECKING:
-    from kt3dmoseg.tracking.clip import track_clip as track_clip
-    from kt3dmoseg.tracking.subsampling import subsample_background as subsample_background
     from kt3dmoseg.tracking.tracker import Progress as Progress
     from kt3dmoseg.tracking.tracker import track as track
+    from kt3dmoseg.tracking.tracker import track_clip as track_clip
+    from kt3dmoseg.tracking.trajectories import subsample_background as subsample_background
 
 ALGORITHM_VERSION = 1
 """Raised when the same frames and flow give other tracks."""
@@ -20,8 +20,8 @@ ALGORITHM_VERSION = 1
 _PUBLIC = {
     "track": "tracker",
     "Progress": "tracker",
-    "track_clip": "clip",
-    "subsample_background": "subsampling",
+    "track_clip": "tracker",
+    "subsample_background": "trajectories",
 }
 
 __all__ = ["RELIABLE", "TrackOptions", *_PUBLIC]  # noqa: PLE0604

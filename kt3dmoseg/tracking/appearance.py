@@ -1,17 +1,233 @@
-"""What every trajectory looked like at its start: to correct where it is, and to stop it where it is gone."""
+"""What every trajectory looked like at its start: to correct where it is, and to stop it where it is gone.
+
+Gray values are seen through an affine map in windows about points (`Window`), registered with the start
+(`correction`) and compared with it (`Appearance`).
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple, cast
+
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.tracking.linking import gradient, inside
 from kt3dmoseg.tracking.options import TrackOptions
-from kt3dmoseg.tracking.patches import Window, doubled
-from kt3dmoseg.tracking.registration import CHUNK, Starts, correction, remember
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray
 
+_ROWS = 4096  # OpenCV's remap takes fewer than 32,768
+_POLE = np.sqrt(8) - 3  # of the inverse of (1, 6, 1) / 8
+_SHARPEN = _POLE ** np.abs(np.arange(-4, 5))
+_SHARPEN = (_SHARPEN / _SHARPEN.sum()).astype(np.float32)
+_EDGE = 2  # pixels beyond which `cv2.pyrUp` takes no account of the lower and right border
+_CHUNK = 256  # trajectories whose arrays stay in the processor's cache
+_FEW = 64  # and their products
+_LEAST = 1e-3  # keeps the equations of a flat patch solvable: it then stays where it is
+_AFFINE = [0, 1, 3, 4]
 _REACH = 4  # pixels on either side over which the derivatives of the flow are taken
+
+
+def doubled(frame: ByteArray) -> Float32Array:
+    """Interpolate a frame (H, W) at every half pixel, (2H, 2W).
+
+    By a cubic spline: `cv2.pyrUp` refines the spline's coefficients, which a filter with the inverse of its
+    kernel finds first (Unser, IEEE Signal Processing Magazine 1999). Bilinear look-up in the result errs far
+    less than in the frame, and unlike OpenCV's bicubic one (a = -0.75), which is up to 0.05 px off, it is
+    exact on a ramp.
+    """
+    height, width = frame.shape
+    around = cv2.copyMakeBorder(frame, 0, _EDGE, 0, _EDGE, cv2.BORDER_REFLECT_101)
+    coefficients = cv2.sepFilter2D(around, cv2.CV_32F, _SHARPEN, _SHARPEN, borderType=cv2.BORDER_REFLECT_101)
+    return cast(Float32Array, cv2.pyrUp(coefficients)[: 2 * height, : 2 * width])
+
+
+class Window:
+    """A disc of pixels with weights that fall off with the distance from its centre.
+
+    Parameters
+    ----------
+    radius : int
+        R in pixels. The weights are a Gaussian of sigma R / 2: what lies beyond an outline at the rim
+        counts little.
+
+    Attributes
+    ----------
+    lattice : (3, P) float32
+        x and y of its pixels from its centre, and 1.
+    weight : (P,) float32
+        Their weights; the sum is 1.
+    """
+
+    def __init__(self, radius: int) -> None:
+        side = np.arange(-radius - 1, radius + 2, dtype=np.float32)
+        x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+        self._disc = np.flatnonzero(x**2 + y**2 <= (radius + 0.5) ** 2)
+        self._side = len(side)
+        square = np.stack([x, y, np.ones_like(x)])
+        self.lattice = square[:, self._disc]
+        self._look_square, self._look_disc = _spread(square), _spread(self.lattice)
+        weight = np.exp(-2 * (self.lattice[:2] ** 2).sum(axis=0) / radius**2)
+        self.weight = cast(Float32Array, weight / weight.sum())
+
+    def look(self, image: Float32Array, place: FloatArray) -> Float32Array:
+        """Gray values at A d + x for all offsets d.
+
+        Parameters
+        ----------
+        image : (2H, 2W) float32
+            A frame, `doubled`; beyond its border its edge goes on.
+        place : (N, 2, 3) float64
+            A and x, in pixels, side by side.
+
+        Returns
+        -------
+        (N, P) float32
+        """
+        return _look(image, place, self._look_disc)
+
+    def start(self, image: Float32Array, xy: FloatArray) -> Float32Array:
+        """Upright patches about points (N, 2) and their x- and y-derivatives, (N, 3, P)."""
+        upright = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
+        seen = _look(image, np.concatenate([upright, xy[..., None]], axis=2), self._look_square)
+        out = np.empty((len(xy), 3, len(self.weight)), dtype=np.float32)
+        out[:, 0] = seen[:, self._disc]
+        for row, step in ((1, 1), (2, self._side)):
+            out[:, row] = (seen[:, self._disc + step] - seen[:, self._disc - step]) / 2
+        return out
+
+    def centred(self, patch: Float32Array) -> Float32Array:
+        """Patches (N, P) less their weighted means, so that a change of brightness does not count."""
+        return cast(Float32Array, patch - (patch @ self.weight)[:, None])
+
+
+def _spread(lattice: Float32Array) -> Float32Array:
+    """Matrix (6, 2 Q) that takes rows A, x to the positions A d + x in a doubled image, x and y in turns."""
+    return (2 * np.eye(2, dtype=np.float32)[:, None, None] * lattice[..., None]).reshape(6, -1)
+
+
+def _look(image: Float32Array, place: FloatArray, spread: Float32Array) -> Float32Array:
+    rows, count = place.reshape(-1, 6).astype(np.float32), spread.shape[1] // 2
+    out = np.empty((len(rows), count), dtype=np.float32)
+    for first in range(0, len(rows), _ROWS):
+        part = slice(first, first + _ROWS)
+        at = (rows[part] @ spread).reshape(-1, count, 2)
+        out[part] = cv2.remap(  # type: ignore[call-overload]  # the stubs do not know that one map may do
+            image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+    return out
+
+
+class Starts(NamedTuple):
+    """What is known of N patches from their start.
+
+    Attributes
+    ----------
+    patch : (N, 3, P) float32
+        T less its weighted mean, its x- and its y-derivative.
+    variance : (N,) float32
+        Weighted mean of T^2.
+    inverse : (N, 6, 6) float32
+        Takes the right side of the equations to the change of place; see `correction`.
+    """
+
+    patch: Float32Array
+    variance: Float32Array
+    inverse: Float32Array
+
+    def at(self, rows: npt.NDArray[np.intp]) -> Starts:
+        """Return some of them."""
+        return Starts(*(field[rows] for field in self))
+
+    def put(self, rows: npt.NDArray[np.intp], others: Starts) -> None:
+        """Put others in the place of some of them."""
+        for field, values in zip(self, others, strict=True):
+            field[rows] = values
+
+    def and_more(self, count: int) -> Starts:
+        """Return these and place for so many others."""
+        return Starts(*(np.concatenate([f, np.zeros((count, *f.shape[1:]), f.dtype)]) for f in self))
+
+
+def prepare(patch: Float32Array, window: Window, options: TrackOptions) -> Starts:
+    """Make ready for registration what `Window.start` has seen, (N, 3, P)."""
+    patch[:, 0] = window.centred(patch[:, 0])
+    parts = [_normal(patch[first : first + _FEW], window) for first in range(0, len(patch), _FEW)]
+    normal = np.concatenate([np.zeros((0, 8, 8)), *parts])
+    variance = normal[:, 6, 6].astype(np.float32)
+    diagonal = np.einsum("nii->ni", normal)
+    diagonal *= 1 + 1e-4
+    diagonal += _LEAST
+    diagonal[:, _AFFINE] += options.anchor_stiffness
+    return Starts(patch, variance, np.linalg.inv(normal)[:, :6, :6].astype(np.float32))
+
+
+def _normal(patch: Float32Array, window: Window) -> FloatArray:
+    """H, (N, 8, 8), from the moments over the window of T, Tx, Ty and of their products."""
+    count, pixels = len(patch), len(window.weight)
+    weighted = window.lattice * window.weight
+    second = (window.lattice[:, None] * weighted).reshape(9, pixels).T
+    products = (patch[:, :, None] * patch[:, None]).reshape(-1, pixels)
+    pairs = (products @ second).reshape(count, 3, 3, 3, 3)
+    singles = (patch.reshape(-1, pixels) @ weighted.T).reshape(count, 3, 3)
+    out = np.empty((count, 8, 8))
+    out[:, :6, :6] = pairs[:, 1:, 1:].swapaxes(2, 3).reshape(count, 6, 6)
+    out[:, 6, :6] = out[:, :6, 6] = pairs[:, 0, 1:, 2].reshape(count, 6)
+    out[:, 7, :6] = out[:, :6, 7] = singles[:, 1:].reshape(count, 6)
+    out[:, 6:, 6:] = [[0, 0], [0, 1]]
+    out[:, 6, 6] = pairs[:, 0, 0, 2, 2]
+    return out
+
+
+def correction(rest: Float32Array, start: Starts, window: Window, options: TrackOptions) -> Float32Array:
+    """How far patches are off from their start: a step of inverse compositional Lucas-Kanade.
+
+    Minimised, over the position x, the affine map A, the gain g and the brightness b, is
+
+        sum over offsets d of weight(d) rho(r(d)),    r(d) = I(A d + x) - (1 + g) T(d) - b,
+
+    with the start's patch T. The change of place is sought on the side of T, whose derivatives stay the same
+    (Baker and Matthews, IJCV 2004, section 3.2; gain and brightness: linear appearance variation, Baker,
+    Gross and Matthews, CMU-RI-TR-03-35, 2003):
+
+        (H + P) q = sum of w s r / sum of w,    H = sum of weight s s^T,
+        s = (dx Tx, dy Tx, Tx, dx Ty, dy Ty, Ty, T, 1),
+
+    and [A x] <- [A x] - A [B t] with the first six of q, row by row, as [B t]; g and b, which fit r best, are
+    taken out of it before, so the last two of the right side are 0. rho is the Lorentzian of scale
+    `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2) with the r of g = 0, so
+    what is hidden or belongs to another object counts less. That H is the one without rho, known from the
+    start, changes the length of the step, not where it ends. P holds A where the patch does not tell:
+    `anchor_stiffness` on the diagonal at B.
+
+    Parameters
+    ----------
+    rest : (N, P) float32
+        r for g = 0, less its weighted mean.
+    start : Starts
+        T, and the six rows and columns of (H + P)^-1 that belong to the place.
+    window : Window
+        Offsets d and their weights.
+    options : TrackOptions
+        `anchor_scale`.
+
+    Returns
+    -------
+    (N, 2, 3) float32
+        [B t], in pixels.
+    """
+    weight = window.weight / (1 + (rest / options.anchor_scale) ** 2)
+    total, texture, pull = weight.sum(axis=1), weight * start.patch[:, 0], weight * rest
+    gain = _dot(texture, rest) / (_dot(texture, start.patch[:, 0]) + _LEAST)
+    pull -= gain[:, None] * texture
+    pull -= (pull.sum(axis=1) / total)[:, None] * weight
+    weighted = (start.patch[:, 1:] * pull[:, None]).reshape(-1, len(window.weight))
+    right = (weighted @ window.lattice.T).reshape(-1, 6, 1)
+    return cast(Float32Array, (start.inverse @ right).reshape(-1, 2, 3) / total[:, None, None])
+
+
+def _dot(a: Float32Array, b: Float32Array) -> Float32Array:
+    return cast(Float32Array, np.einsum("np,np->n", a, b))
 
 
 class Appearance:
@@ -30,20 +246,20 @@ class Appearance:
     def __init__(self, options: TrackOptions) -> None:
         self.options, self.window = options, Window(options.patch_radius)
         nothing = np.zeros((0, 3, len(self.window.weight)), dtype=np.float32)
-        self._starts = remember(nothing, self.window, options)
+        self._starts = prepare(nothing, self.window, options)
         self._row: npt.NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # of the live ones, in `_starts`
         self._affine: FloatArray = np.zeros((0, 2, 2))
         self._image: Float32Array = np.zeros((0, 0), dtype=np.float32)
         self._size: tuple[int, ...] = (0, 0)
 
-    def see(self, frame: ByteArray) -> None:
+    def look_at(self, frame: ByteArray) -> None:
         """Look at the next frame (H, W) uint8; what follows happens in it."""
         self._image, self._size = doubled(frame), frame.shape
 
     def add(self, xy: FloatArray) -> None:
-        """Remember how new trajectories (N, 2) look; they come after all that are alive."""
+        """Keep how new trajectories (N, 2) look; they come after all that are alive."""
         rows = self._free_rows(len(xy))
-        self._starts.put(rows, remember(self.window.start(self._image, xy), self.window, self.options))
+        self._starts.put(rows, prepare(self.window.start(self._image, xy), self.window, self.options))
         self._row = np.concatenate([self._row, rows])
         self._affine = np.concatenate([self._affine, np.broadcast_to(np.eye(2), (len(xy), 2, 2))])
 
@@ -90,8 +306,8 @@ class Appearance:
         """
         affine = (np.eye(2) + gradient(forward, xy, _REACH)) @ self._affine
         place, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)
-        for first in range(0, len(xy), CHUNK):
-            part = slice(first, first + CHUNK)
+        for first in range(0, len(xy), _CHUNK):
+            part = slice(first, first + _CHUNK)
             place[part], alike[part] = self._compared(place[part], self._starts.at(self._row[part]))
         self._affine = place[..., :2]
         return place[..., 2].copy(), alike

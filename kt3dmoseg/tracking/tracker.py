@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg import __version__
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import sha256_file
 from kt3dmoseg.flow import Flow, FlowCache, flow_pair
 from kt3dmoseg.flow import create as create_flow
+from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame, read_frames
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking.appearance import Appearance
-from kt3dmoseg.tracking.frames import FrameSource, open_frames
-from kt3dmoseg.tracking.linking import inside, step
+from kt3dmoseg.tracking.linking import step
 from kt3dmoseg.tracking.options import TrackOptions
-from kt3dmoseg.tracking.seeding import new_seeds
-from kt3dmoseg.tracking.store import TrackStore
-from kt3dmoseg.types import ByteArray, Float32Array, FloatArray, IntArray, Trajectories
+from kt3dmoseg.tracking.starts import GivenStarts, GridStarts
+from kt3dmoseg.tracking.trajectories import TrackStore
+from kt3dmoseg.types import ByteArray, Clip, Float32Array, FloatArray, IntArray, Labels, Trajectories
 
 Progress: TypeAlias = Callable[[int, int | None], None]
+Frames: TypeAlias = "str | os.PathLike[str] | Iterable[ByteArray | str | os.PathLike[str]]"
 
 
 def track(
-    frames: FrameSource,
+    frames: Frames,
     flow: str | Flow = "dis",
     seeds: npt.ArrayLike | None = None,
     *,
@@ -38,8 +43,8 @@ def track(
 
     Points start on a grid where the frame has structure, follow the flow, and stop at the frame's
     border, where forward and backward flow disagree, at motion boundaries and, if asked for, where they
-    no longer look like their start. With `anchor`, what the start looked like corrects every step. Cells
-    that are left uncovered start anew in every frame; trajectories shorter than `min_length` are dropped.
+    no longer look like their start. With `anchor`, what the start looked like corrects every step. New
+    trajectories start in the uncovered cells of every frame; those shorter than `min_length` are dropped.
 
     Parameters
     ----------
@@ -74,13 +79,14 @@ def track(
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
     store = None if cache is None else FlowCache(Path(cache))
-    starts = _Grid(settings) if seeds is None else _Given(seeds)
-    stream, total = open_frames(frames)
+    starts = GridStarts(settings) if seeds is None else GivenStarts(seeds)
+    items = frame_paths(frames) if isinstance(frames, (str, os.PathLike)) else frames
+    total = len(items) if isinstance(items, Sized) else None
     run = _Run(starts, settings)
     before: ByteArray | None = None
     done = 0
-    for frame in stream:
-        run.see(frame)
+    for frame in _gray_frames(items):
+        run.look_at(frame)
         if before is not None:
             run.advance(*flow_pair(backend, before, frame, store))
         run.start(frame)
@@ -94,18 +100,100 @@ def track(
     return run.positions.finish(starts.count, settings.min_length if seeds is None else 0, (width, height))
 
 
+def track_clip(
+    folder: str | os.PathLike[str],
+    flow: str | Flow = "dis",
+    *,
+    colour: Colour = "refuse",
+    cache: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    **options: Any,  # noqa: ANN401
+) -> Clip:
+    """Track a folder of frames: a clip with every trajectory evaluated and none labelled.
+
+    Parameters
+    ----------
+    folder : path-like
+        Numbered frames; the clip takes the folder's name.
+    colour : {"refuse", "luma"}
+        What to do with frames in colour, see `kt3dmoseg.io.images.read_frame`.
+    flow, cache, progress, **options
+        As in `kt3dmoseg.track`.
+
+    Returns
+    -------
+    Clip
+        Its provenance holds the frames' sha256, every option and the versions.
+
+    Raises
+    ------
+    InputFileError, FileFormatError
+        For a folder or frame that cannot be read.
+    InvalidValueError, UnknownNameError
+        As `kt3dmoseg.track`.
+    """
+    settings = from_mapping(TrackOptions, options, where="track")
+    backend = create_flow(flow) if isinstance(flow, str) else flow
+    paths = frame_paths(folder)
+    frames = paths if colour == "refuse" else read_frames(paths, colour)
+    dense = track(frames, backend, cache=cache, progress=progress, **dataclasses.asdict(settings))
+    return Clip(
+        name=Path(folder).resolve().name,
+        dense=dense,
+        evaluated=np.arange(len(dense)),
+        labels=Labels(np.zeros(len(dense), dtype=np.int64)),
+        frame_numbers=np.array([frame_number(path) for path in paths]),
+        provenance={
+            "frames": {path.name: sha256_file(path) for path in paths},
+            "flow": type(backend).__name__,
+            "flow_options": _plain(backend),
+            "track_options": dataclasses.asdict(settings),
+            "versions": {"kt3dmoseg": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
+        },
+    )
+
+
+def _plain(backend: Flow) -> dict[str, Any]:
+    cls = type(backend)
+    return (
+        {f.name: getattr(backend, f.name) for f in dataclasses.fields(cls)}
+        if dataclasses.is_dataclass(cls)
+        else {}
+    )
+
+
+def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterator[ByteArray]:
+    first: tuple[int, ...] | None = None
+    for number, item in enumerate(items):
+        name, frame = f"frame {number}", item
+        if isinstance(frame, (str, os.PathLike)):
+            name, frame = os.fspath(frame), read_frame(Path(frame))
+        if not isinstance(frame, np.ndarray) or frame.ndim != 2 or frame.dtype != np.uint8:
+            found = f"{getattr(frame, 'dtype', type(frame).__name__)} of shape {np.shape(frame)}"
+            raise InvalidValueError(name, expected="a gray frame, (H, W) uint8", found=found)
+        first = first or frame.shape
+        if frame.shape != first:
+            raise InvalidValueError(
+                name,
+                expected=f"{first[1]}x{first[0]} pixels like the first frame",
+                found=f"{frame.shape[1]}x{frame.shape[0]}",
+                fix="give frames of one size",
+            )
+        yield frame
+
+
 class _Run:
     """The live trajectories while frames go by."""
 
-    def __init__(self, starts: _Starts, options: TrackOptions) -> None:
+    def __init__(self, starts: GridStarts | GivenStarts, options: TrackOptions) -> None:
         self.starts, self.options, self.positions = starts, options, TrackStore()
         self.ids: IntArray = np.zeros(0, dtype=np.int64)
         self.xy: FloatArray = np.zeros((0, 2))
         self.looks = Appearance(options) if options.appearance or options.anchor else None
 
-    def see(self, frame: ByteArray) -> None:
+    def look_at(self, frame: ByteArray) -> None:
         if self.looks is not None:
-            self.looks.see(frame)
+            self.looks.look_at(frame)
 
     def advance(self, forward: Float32Array, backward: Float32Array) -> None:
         target, alive = step(self.xy, forward, backward, self.options)
@@ -122,55 +210,3 @@ class _Run:
             self.looks.add(xy)
         self.ids, self.xy = np.concatenate([self.ids, ids]), np.concatenate([self.xy, xy])
         self.positions.append(self.ids, self.xy)
-
-
-class _Starts(Protocol):
-    """Where trajectories start; `count` of them so far."""
-
-    count: int
-
-    def next(self, frame: ByteArray, live: FloatArray) -> tuple[IntArray, FloatArray]: ...
-
-    def check_end(self, frames: int) -> None: ...
-
-
-class _Grid:
-    def __init__(self, options: TrackOptions) -> None:
-        self.options, self.count = options, 0
-
-    def next(self, frame: ByteArray, live: FloatArray) -> tuple[IntArray, FloatArray]:
-        xy = new_seeds(frame, live, self.options)
-        ids = np.arange(self.count, self.count + len(xy))
-        self.count += len(xy)
-        return ids, xy
-
-    def check_end(self, frames: int) -> None:
-        """Grid seeds start in whatever frames there are."""
-
-
-class _Given:
-    def __init__(self, seeds: npt.ArrayLike) -> None:
-        self.seeds = np.asarray(seeds, dtype=np.float64)
-        if self.seeds.ndim != 2 or self.seeds.shape[1] != 3:
-            raise InvalidValueError(
-                "seeds", expected="shape (S, 3): x, y, frame", found=f"{self.seeds.shape}"
-            )
-        whole = np.isfinite(self.seeds).all(axis=1) & (self.seeds[:, 2] == np.trunc(self.seeds[:, 2]))
-        self._refuse(~whole | (self.seeds[:, 2] < 0), "finite x, y and a whole frame number >= 0")
-        self.count, self._frame = len(self.seeds), 0
-
-    def next(self, frame: ByteArray, live: FloatArray) -> tuple[IntArray, FloatArray]:
-        now = self.seeds[:, 2] == self._frame
-        height, width = frame.shape
-        self._refuse(now & ~inside(self.seeds[:, :2], frame.shape), f"a point in the {width}x{height} frame")
-        self._frame += 1
-        ids = np.flatnonzero(now)
-        return ids, self.seeds[ids, :2]
-
-    def check_end(self, frames: int) -> None:
-        self._refuse(self.seeds[:, 2] >= frames, f"a frame number below {frames}, the number of frames")
-
-    def _refuse(self, bad: npt.NDArray[np.bool_], expected: str) -> None:
-        if bad.any():
-            row = int(np.flatnonzero(bad)[0])
-            raise InvalidValueError(f"seed {row}", expected=expected, found=str(self.seeds[row].tolist()))

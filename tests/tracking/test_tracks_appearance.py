@@ -22,13 +22,13 @@ def picture(rng):
 
 def remembered(frame, xy):
     looks = Appearance(OPTIONS)
-    looks.see(frame)
+    looks.look_at(frame)
     looks.add(xy)
     return looks
 
 
 def alike(looks, frame, xy):
-    looks.see(frame)
+    looks.look_at(frame)
     still = np.zeros((*frame.shape, 2), np.float32)
     found, result = looks.follow(still, xy, xy)
     np.testing.assert_array_equal(found, xy)  # without `anchor` nothing moves

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kt3dmoseg.tracking import TrackOptions
-from kt3dmoseg.tracking.appearance import Appearance
-from kt3dmoseg.tracking.patches import Window, doubled
-from kt3dmoseg.tracking.registration import remember
+from kt3dmoseg.tracking.appearance import Appearance, Window, doubled, prepare
 
 OPTIONS = TrackOptions(anchor=1.0)
 SHAPE = (64, 96)
@@ -38,14 +36,14 @@ def gray(image):
 
 def remembered(image, xy, options=OPTIONS):
     looks = Appearance(options)
-    looks.see(image)
+    looks.look_at(image)
     looks.add(xy)
     return looks
 
 
 def moved(looks, image, target, times=3):
     """Where points are found, when as many frames show the same."""
-    looks.see(image)
+    looks.look_at(image)
     for _ in range(times):
         target, _ = looks.follow(STILL, target, target)
     return target
@@ -93,7 +91,7 @@ def test_the_flow_carries_the_map_along():
     xy = POINTS
     for step in range(1, 7):
         target = (xy - CENTRE) * zoom + CENTRE + (0.2, -0.1)  # the flow is wrong by so much in every step
-        looks.see(gray(picture(zoom=zoom**step)))
+        looks.look_at(gray(picture(zoom=zoom**step)))
         xy, _ = looks.follow(flow, xy, target)
     np.testing.assert_allclose(xy, (POINTS - CENTRE) * zoom**6 + CENTRE, atol=0.05)
 
@@ -131,7 +129,7 @@ def test_no_correction_is_larger_than_allowed_or_leaves_the_frame(rows, limit, s
     flow = rng.normal(0, 2, (*SHAPE, 2)).astype(np.float32)
     flow[rng.random(SHAPE) < 0.05] = np.nan
     looks = remembered(frames[0], xy, TrackOptions(anchor=limit, anchor_change=1e9))
-    looks.see(frames[1])
+    looks.look_at(frames[1])
     found, alike = looks.follow(flow, xy, target)
     assert np.isfinite(found).all()
     assert (np.linalg.norm(found - target, axis=1) <= limit + 1e-9).all()
@@ -172,7 +170,7 @@ def test_a_start_knows_its_slopes():
 def test_the_equations_are_those_of_the_eight_slopes(rng):
     options, window = TrackOptions(anchor_stiffness=50.0), Window(3)
     patch = rng.normal(0, 20, (70, 3, len(window.weight))).astype(np.float32)
-    known = remember(patch.copy(), window, options)
+    known = prepare(patch.copy(), window, options)
     value, dx, dy = patch[69].astype(float)
     value -= value @ window.weight
     x, y, one = window.lattice
