@@ -9,9 +9,9 @@ from pathlib import Path
 from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.clip_frames import frames_place, paths_of_frames
+from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
 from kt3dmoseg.io.images import frame_paths, has_pictures
-from kt3dmoseg.io.text import clip_name
 
 
 @dataclass(frozen=True)

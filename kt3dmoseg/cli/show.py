@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> None:
     from kt3dmoseg.draw import DrawOptions, draw_frame
     from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.io import load
-    from kt3dmoseg.io.text import check_name
+    from kt3dmoseg.io.fields import check_name
     from kt3dmoseg.options import from_namespace
 
     options = from_namespace(DrawOptions, arguments)

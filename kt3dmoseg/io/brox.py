@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import read_bytes, sha256_file, write_text
-from kt3dmoseg.io.text import clip_name
+from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
 
 _MAX_FILE = 1 << 30

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES, clip_files, load
-from kt3dmoseg.io.text import clip_name
 from kt3dmoseg.types import Clip
 
 

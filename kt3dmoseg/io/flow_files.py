@@ -19,7 +19,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes, write_bytes
 from kt3dmoseg.io.images import decode
-from kt3dmoseg.io.npy import read_npy, read_npz, write_npz
+from kt3dmoseg.io.npz import read_npy, read_npz, write_npz
 from kt3dmoseg.types import BoolArray, Float32Array
 
 FLOW_SUFFIXES = (".flo", ".png", ".npy", ".npz")

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import write_bytes
+from kt3dmoseg.io.fields import json_object, json_text, motion_names
 from kt3dmoseg.io.hdf5_checks import checked_group, open_hdf5, read_array, read_text
-from kt3dmoseg.io.text import json_object, json_text, motion_names
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
 FORMAT, VERSION = "kt3dmoseg clip", 1

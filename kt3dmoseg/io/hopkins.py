@@ -9,35 +9,24 @@ that normalised them, `width` and `height` of the images, `points` = P, `frames`
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import sha256_file
-from kt3dmoseg.io.mat5 import Value, read_mat
-from kt3dmoseg.io.text import clip_name
-from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
-
-_NEEDED = ("y", "s", "K", "width", "height")
+from kt3dmoseg.io.fields import Fields, clip_name, origin
+from kt3dmoseg.types import BoolArray, Camera, Clip, Labels, Trajectories
 
 
-def is_hopkins(variables: dict[str, Value]) -> bool:
-    """Whether the variables of a MAT-file are those of a Hopkins155 sequence."""
-    return {"y", "s"} <= set(variables)
-
-
-def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None) -> Clip:
+def read(path: str | os.PathLike[str], variables: Mapping[str, Any]) -> Clip:
     """Read a Hopkins155 sequence.
 
     Parameters
     ----------
     path : path
         A ``_truth.mat`` file; the clip takes its name.
-    variables : dict, optional
-        What `read_mat` gave, when it has been called already.
+    variables : mapping of str to value
+        What `matlab.read_mat` gives of it.
 
     Returns
     -------
@@ -49,57 +38,33 @@ def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None
     FileFormatError
         When a variable is missing or has another shape.
     """
-    where = os.fspath(path)
-    content = read_mat(path) if variables is None else variables
-    arrays = {name: _array(where, content, name) for name in _NEEDED}
-    y = arrays["y"]
-    if y.ndim == 2:
-        y = y[..., None]
-    if y.ndim != 3 or len(y) != 3:
-        raise FileFormatError(f"{where}: y", expected="3 x P x F numbers", found=f"shape {y.shape}")
-    visible = _mask(where, content, y.shape[1:])
+    fields = Fields(f"{os.fspath(path)}: ", variables)
+    y = fields.array("y", (3, None, None)).astype(np.float64)
+    visible = _mask(fields, y.shape[1:])
     if not (np.isfinite(y[:, visible]).all() and (y[2, visible] == 1).all()):
-        raise FileFormatError(f"{where}: y", expected="finite (x, y, 1) where visible", found="others")
-    xy = np.where(visible[..., None], np.moveaxis(y[:2], 0, -1), np.nan)
-    for name, size in (("s", xy.shape[0]), ("K", 9), ("width", 1), ("height", 1)):
-        if arrays[name].size != size:
-            found = f"{arrays[name].size}"
-            raise FileFormatError(f"{where}: {name}", expected=f"{size} numbers", found=found)
+        raise fields.error("y", "finite (x, y, 1) where visible", "others")
+    n = y.shape[1]
+    for name, size in (("s", n), ("K", 9), ("width", 1), ("height", 1)):
+        if fields.array(name).size != size:
+            raise fields.error(name, f"{size} numbers", f"{fields.array(name).size}")
     return Clip(
         name=clip_name(path),
         dense=Trajectories(
-            xy,
+            np.where(visible[..., None], np.moveaxis(y[:2], 0, -1), np.nan),
             visible,
-            image_size=(arrays["width"].item(), arrays["height"].item()),
+            image_size=(fields.array("width").item(), fields.array("height").item()),
         ),
-        evaluated=np.arange(len(xy)),
-        labels=Labels(_labels(where, arrays["s"])),
-        camera=Camera(K=arrays["K"].reshape(3, 3)),
-        provenance={"format": "hopkins155", "source": Path(path).name, "sha256": sha256_file(path)},
+        evaluated=np.arange(n),
+        labels=Labels(fields.whole("s", None, 0, 999)),
+        camera=Camera(K=fields.array("K").reshape(3, 3)),
+        provenance=origin(path, "hopkins155"),
     )
 
 
-def _array(where: str, variables: dict[str, Value], name: str) -> npt.NDArray[Any]:
-    value = variables.get(name)
-    if not isinstance(value, np.ndarray):
-        raise FileFormatError(
-            f"{where}: {name}",
-            expected="an array, as in every Hopkins155 _truth.mat",
-            found=f"variables {', '.join(sorted(variables))}" if value is None else type(value).__name__,
-        )
-    return value.astype(np.float64)
-
-
-def _mask(where: str, variables: dict[str, Value], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    if "m" not in variables:
+def _mask(fields: Fields, shape: tuple[int, ...]) -> BoolArray:
+    if "m" not in fields:
         return np.ones(shape, dtype=np.bool_)
-    mask = _array(where, variables, "m")
-    if mask.shape != shape or not np.isin(mask, (0, 1)).all():
-        raise FileFormatError(f"{where}: m", expected=f"0 or 1, {shape}", found=f"shape {mask.shape}")
+    mask = fields.array("m", shape)
+    if not np.isin(mask, (0, 1)).all():
+        raise fields.error("m", f"0 or 1, {shape}", "others")
     return mask.astype(np.bool_)
-
-
-def _labels(where: str, values: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-    if not np.isin(values, np.arange(1000)).all():
-        raise FileFormatError(f"{where}: s", expected="whole numbers 0..999", found="others")
-    return values.ravel().astype(np.int64)

@@ -189,7 +189,7 @@ def _kind(picture: np.ndarray[Any, Any]) -> str:
 
 
 def _npz(path: Path) -> str:
-    from kt3dmoseg.io.npy import npz_shapes
+    from kt3dmoseg.io.npz import npz_shapes
 
     shapes = npz_shapes(path)
     return _flow(path) if set(shapes) == {"flow"} or len(shapes) == 1 else _clip(load(path), "npz")

@@ -1,21 +1,133 @@
-"""A clip as a plain NumPy .npz, for those who have no HDF5; docs/formats.md lists the arrays."""
+"""NumPy files: arrays read without pickles and without trusting a size; clips and point tracks in .npz.
+
+docs/formats.md lists the arrays of a clip, for those who have no HDF5. CoTracker: `pred_tracks`
+(1, F, N, 2) pixels with integers at pixel centres, `pred_visibility` (1, F, N) or (1, F, N, 1). TAP-Vid:
+`points` (N, F, 2) as fractions of width and height from the outer corner of the image, `occluded` (N, F),
+and `video` (F, H, W, C), of which only the size is read.
+"""
 
 from __future__ import annotations
 
+import io
+import math
 import os
-from typing import Any
+import zipfile
+from collections.abc import Container, Mapping
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.arrays import image_size
-from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.io import point_tracks
-from kt3dmoseg.io.npy import npz_shapes, read_npz, write_npz
-from kt3dmoseg.io.text import json_object, json_text, motion_names
-from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.files import SafeZip, ZipLimits, write_bytes
+from kt3dmoseg.io.fields import Fields, clip_name, json_object, json_text, motion_names, origin
+from kt3dmoseg.types import BoolArray, Camera, Clip, Labels, Trajectories
 
 KEYS = {"xy", "visible", "evaluated", "label", "track_id", "frame_numbers", "name"}
+COTRACKER_KEYS = {"pred_tracks", "pred_visibility"}
+TAPVID_KEYS = {"points", "occluded", "video"}
+_FREE = 1 << 24
+# A video of TAP-Vid may be large; it is not read.
+_LIMITS = ZipLimits(256, 1 << 32, 1 << 40, ratio=1100, free_bytes=_FREE)
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_MAX_HEADER = 10_000
+
+
+def read_npy(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
+    """Read a .npy file of numbers or texts.
+
+    Raises
+    ------
+    FileFormatError
+        When it is damaged, holds Python objects, or lies about its size.
+    InputFileError
+        When it cannot be read.
+    """
+    where = os.fspath(path)
+    try:
+        with open(path, "rb") as stream:
+            return read_array(stream, os.fstat(stream.fileno()).st_size, where)
+    except OSError as error:
+        raise InputFileError(f"{where}: {error.strerror or error}") from None
+
+
+def read_npz(
+    path: str | os.PathLike[str], names: Container[str] | None = None
+) -> dict[str, npt.NDArray[Any]]:
+    """Read the arrays of a .npz file; of `names`, when given, those that are there.
+
+    Raises
+    ------
+    FileFormatError
+        When it is damaged, holds Python objects, or lies about a size.
+    InputFileError
+        When it cannot be read.
+    """
+    where = os.fspath(path)
+    with SafeZip(path, _LIMITS, where, lambda file: names is None or _name(file) in names) as archive:
+        out = {}
+        for file, size in archive.sizes.items():
+            with archive.open(file) as stream:
+                out[_name(file)] = read_array(stream, size, f"{where}: {_name(file)}")
+        return out
+
+
+def npz_shapes(path: str | os.PathLike[str]) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the arrays of a .npz file; only their headers are read."""
+    where, out = os.fspath(path), {}
+    with SafeZip(path, _LIMITS, where) as archive:
+        for file in archive.sizes:
+            with archive.open(file) as stream:
+                out[_name(file)] = _header(stream, f"{where}: {_name(file)}")[0]
+    return out
+
+
+def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write a compressed .npz atomically; equal arrays give equal bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whatever the day
+            archive.writestr(info, npy_bytes(np.asarray(array)), zipfile.ZIP_DEFLATED)
+    write_bytes(path, buffer.getvalue())
+
+
+def npy_bytes(array: npt.NDArray[Any]) -> bytes:
+    """Return the content of a .npy file."""
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, array, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def read_array(stream: IO[bytes], size: int, where: str) -> npt.NDArray[Any]:
+    """Read one array in the npy format from a stream of at most `size` bytes; raises as `read_npy`."""
+    shape, fortran, dtype = _header(stream, where)
+    needed = math.prod(shape) * dtype.itemsize
+    content = stream.read(needed) if needed <= size else b""
+    if len(content) != needed:
+        found = f"{len(content)}" if needed <= size else f"at most {size}"
+        raise FileFormatError(where, expected=f"{needed} bytes for {shape}", found=found)
+    return np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C").copy()
+
+
+def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    try:
+        read_header = _HEADERS[np.lib.format.read_magic(stream)]
+        shape, fortran, dtype = read_header(stream, max_header_size=_MAX_HEADER)
+    except Exception as error:  # a header is a Python literal: numpy raises anything on a damaged one
+        found = f"damage: {str(error)[:200]}"
+        raise FileFormatError(where, expected="an intact .npy of version 1 or 2", found=found) from None
+    if dtype.kind not in "biufcSU" or dtype.hasobject:
+        fix = "objects need pickle, which is never read"
+        raise FileFormatError(where, expected="numbers or texts", found=f"{dtype!s:.80}", fix=fix)
+    if min(shape, default=0) < 0 or (0 in shape and math.prod(n or 1 for n in shape) > _FREE):
+        expected = f"dimensions >= 0, in an empty array at most {_FREE} elements"
+        raise FileFormatError(where, expected=expected, found=f"{shape!r:.80}")
+    return shape, fortran, dtype
+
+
+def _name(file: str) -> str:
+    return file.removesuffix(".npy")
 
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -43,80 +155,86 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip; see `kt3dmoseg.io.load` for the errors."""
-    where = os.fspath(path)
-    arrays = _Arrays(where, read_npz(path))
-    names = motion_names(arrays.text("label_names", "{}"), f"{where}: label_names")
-    size = arrays.get("image_size", "iu", (2,))
-    background = arrays.get("background", "iu", ())
-    has_camera = "K" in arrays or "camera_name" in arrays
-    return Clip(
-        name=arrays.text("name", None),
-        dense=Trajectories(
-            arrays.need("xy", "f", 3),
-            arrays.need("visible", "b", 2),
-            arrays.need("track_id", "iu", 1),
-            None if size is None else image_size(size),
-        ),
-        evaluated=arrays.need("evaluated", "iu", 1),
-        labels=Labels(
-            arrays.need("label", "iu", 1),
-            None if background is None else int(background),
-            names,
-        ),
-        frame_numbers=arrays.need("frame_numbers", "iu", 1),
-        timestamps=arrays.get("timestamps", "f", None),
-        camera=Camera(arrays.text("camera_name", ""), arrays.get("K", "f", (3, 3))) if has_camera else None,
-        provenance=json_object(arrays.text("provenance", "{}"), f"{where}: provenance"),
-    )
-
-
-def read_any(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip, or the output of CoTracker or a video of TAP-Vid."""
-    names = set(npz_shapes(path))
-    if names >= point_tracks.COTRACKER_KEYS:
-        return point_tracks.read_cotracker(path)
-    if names >= point_tracks.TAPVID_KEYS:
-        return point_tracks.read_tapvid(path)
-    if names >= KEYS:
-        return read(path)
+    """Read a clip, the output of CoTracker or a video of TAP-Vid; see `kt3dmoseg.io.load` for the errors."""
+    shapes = npz_shapes(path)
+    if set(shapes) >= COTRACKER_KEYS:
+        return _cotracker(path)
+    if set(shapes) >= TAPVID_KEYS:
+        return _tapvid(path, shapes["video"])
+    if set(shapes) >= KEYS:
+        return _clip(path)
     raise FileFormatError(
         os.fspath(path),
         expected=f"the arrays {', '.join(sorted(KEYS))} of a clip",
-        found=", ".join(sorted(names)) or "none",
+        found=", ".join(sorted(shapes)) or "none",
         fix="the arrays of CoTracker and of TAP-Vid (points, occluded, video) are read too",
     )
 
 
-class _Arrays:
-    """Checked access to the arrays of the file."""
+def _clip(path: str | os.PathLike[str]) -> Clip:
+    place = f"{os.fspath(path)}: "
+    fields = Fields(place, read_npz(path))
 
-    def __init__(self, where: str, arrays: dict[str, npt.NDArray[Any]]) -> None:
-        self.where, self.arrays = where, arrays
+    def optional(name: str, kinds: str, shape: tuple[int | None, ...]) -> Any:  # noqa: ANN401
+        return fields.array(name, shape, kinds) if name in fields else None
 
-    def __contains__(self, name: str) -> bool:
-        return name in self.arrays
+    background = optional("background", "iu", ())
+    has_camera = "K" in fields or "camera_name" in fields
+    return Clip(
+        name=fields.text("name"),
+        dense=Trajectories(
+            fields.array("xy", (None, None, None), "f"),
+            fields.array("visible", (None, None), "b"),
+            fields.array("track_id", (None,), "iu"),
+            optional("image_size", "iu", (2,)),
+        ),
+        evaluated=fields.array("evaluated", (None,), "iu"),
+        labels=Labels(
+            fields.array("label", (None,), "iu"),
+            None if background is None else int(background),
+            motion_names(fields.text("label_names", "{}"), f"{place}label_names"),
+        ),
+        frame_numbers=fields.array("frame_numbers", (None,), "iu"),
+        timestamps=optional("timestamps", "f", (None,)),
+        camera=Camera(fields.text("camera_name", ""), optional("K", "f", (3, 3))) if has_camera else None,
+        provenance=json_object(fields.text("provenance", "{}"), f"{place}provenance"),
+    )
 
-    def need(self, name: str, kinds: str, ndim: int) -> npt.NDArray[Any]:
-        array = self.arrays.get(name)
-        if array is None or array.dtype.kind not in kinds or array.ndim != ndim:
-            found = "nothing" if array is None else f"{array.dtype} with {array.ndim}"
-            raise self.fail(name, f"type {'/'.join(kinds)} with {ndim} dimensions", found)
-        return array
 
-    def get(self, name: str, kinds: str, shape: tuple[int, ...] | None) -> npt.NDArray[Any] | None:
-        array = self.arrays.get(name)
-        if array is not None and (array.dtype.kind not in kinds or shape not in (None, array.shape)):
-            raise self.fail(name, f"type {'/'.join(kinds)}, shape {shape}", f"{array.dtype} {array.shape}")
-        return array
+def _cotracker(path: str | os.PathLike[str]) -> Clip:
+    fields = Fields(f"{os.fspath(path)}: ", read_npz(path, COTRACKER_KEYS))
+    tracks = fields.array("pred_tracks", (1, None, None, 2))
+    seen = fields.array("pred_visibility")
+    if seen.shape not in (tracks.shape[:3], (*tracks.shape[:3], 1)):
+        raise fields.error("pred_visibility", f"shape {tracks.shape[:3]}", f"{seen.shape}")
+    visible = seen.reshape(tracks.shape[1:3]).T > 0.5
+    return _tracks(path, "cotracker", np.swapaxes(tracks[0], 0, 1), visible, None)
 
-    def text(self, name: str, default: str | None) -> str:
-        array = self.arrays.get(name)
-        if array is None and default is not None:
-            return default
-        if array is None or array.dtype.kind != "U" or array.shape != ():
-            raise self.fail(name, "a text", "nothing" if array is None else f"{array.dtype}")
-        return str(array)
 
-    def fail(self, name: str, expected: str, found: str) -> FileFormatError:
-        return FileFormatError(f"{self.where}: {name}", expected=expected, found=found)
+def _tapvid(path: str | os.PathLike[str], video: tuple[int, ...]) -> Clip:
+    fields = Fields(f"{os.fspath(path)}: ", read_npz(path, TAPVID_KEYS - {"video"}))
+    points = fields.array("points", (None, None, 2))
+    occluded = fields.array("occluded", points.shape[:2])
+    if len(video) != 4 or video[0] != points.shape[1]:
+        raise fields.error("video", f"{points.shape[1]} frames, (F, H, W, C)", f"video of shape {video}")
+    height, width = video[1:3]
+    pixels = points.astype(np.float64) * (width, height) - 0.5
+    return _tracks(path, "tap-vid", pixels, occluded == 0, (width, height))
+
+
+def _tracks(
+    path: str | os.PathLike[str],
+    format: str,
+    xy: npt.NDArray[Any],
+    visible: BoolArray,
+    size: tuple[int, int] | None,
+) -> Clip:
+    return Clip(
+        name=clip_name(path),
+        dense=Trajectories(
+            np.where(visible[..., None], xy.astype(np.float64), np.nan), visible, image_size=size
+        ),
+        evaluated=np.arange(len(xy)),
+        labels=Labels(np.zeros(len(xy), dtype=np.int64)),
+        provenance=origin(path, format),
+    )

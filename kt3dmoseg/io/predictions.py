@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.npy import read_npz
+from kt3dmoseg.io.npz import read_npz
 from kt3dmoseg.types import Clip, IntArray
 
 _MAX_FILE = 1 << 27

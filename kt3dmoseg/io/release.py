@@ -8,20 +8,22 @@ end here: inside, coordinates are (N, F, 2) with NaN where invisible and rows co
 
 from __future__ import annotations
 
+import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from scipy.io import savemat
 
-from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import sha256_file, write_bytes
-from kt3dmoseg.io.mat5 import Undecoded, Value, read_mat
-from kt3dmoseg.io.mat5_write import mat_bytes
-from kt3dmoseg.io.text import clip_name
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import write_bytes
+from kt3dmoseg.io.fields import Fields, clip_name, origin
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, Labels, Trajectories
 
+_LARGEST = 1 << 30  # as much as is read back
+# In place of the platform and the date that scipy writes, so that equal content gives equal bytes.
+_TEXT = b"MATLAB 5.0 MAT-file, written by kt3dmoseg".ljust(116)
 # In the release the static scene is motion 1 in every clip; the other collections do not say.
 _BACKGROUND = 1
 _ALL_FIELDS = (
@@ -37,21 +39,15 @@ _ALL_FIELDS = (
 )
 
 
-def is_release(variables: dict[str, Value]) -> bool:
-    """Whether the variables of a MAT-file are those of the 2018 release."""
-    data = variables.get("Data")
-    return isinstance(data, dict) and {"ySparse", "GtLabel"} <= set(data)
-
-
-def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None) -> Clip:
+def read(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
     """Read a clip from a MAT-file of the 2018 release, Hopkins12 or MTPV62.
 
     Parameters
     ----------
     path : path
         The file; the clip takes its name.
-    variables : dict, optional
-        What `read_mat` gave, when it has been called already.
+    data : mapping of str to value
+        Fields of its struct `Data`.
 
     Returns
     -------
@@ -64,59 +60,7 @@ def read(path: str | os.PathLike[str], variables: dict[str, Value] | None = None
     FileFormatError
         When the struct lacks a field or its fields contradict each other.
     """
-    where = os.fspath(path)
-    content = read_mat(path) if variables is None else variables
-    data = content.get("Data")
-    if not isinstance(data, dict):
-        raise FileFormatError(where, expected="a struct Data", found=", ".join(content) or "nothing")
-    return _clip(_Fields(where, data))
-
-
-class _Fields:
-    """Checked access to the fields of the struct."""
-
-    def __init__(self, where: str, data: dict[str, Value]) -> None:
-        self.where, self.data = where, data
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.data
-
-    def array(self, name: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
-        value = self.data.get(name)
-        wanted = " x ".join("any" if n is None else str(n) for n in shape)
-        if not isinstance(value, np.ndarray):
-            found = value.kind if isinstance(value, Undecoded) else type(value).__name__
-            raise self.fail(name, f"numbers {wanted}", "nothing" if value is None else found)
-        # MATLAB drops trailing dimensions of size one.
-        full = value.reshape(value.shape + (1,) * (len(shape) - value.ndim))
-        if not _fits(full.shape, shape):
-            raise self.fail(name, wanted, " x ".join(map(str, value.shape)))
-        return full
-
-    def whole(self, name: str, shape: tuple[int | None, ...], low: int, high: int) -> IntArray:
-        """Return whole numbers within bounds, as a vector."""
-        values = self.array(name, shape).astype(np.float64).ravel()
-        good = np.isfinite(values) & (values >= low) & (values <= high)
-        good[good] &= values[good] == np.floor(values[good])
-        if not good.all():
-            raise self.fail(name, f"whole numbers {low}..{high}", repr(float(values[~good][0])))
-        return values.astype(np.int64)
-
-    def check_count(self, name: str, actual: int) -> None:
-        if name in self and self.whole(name, (1, 1), 0, 1 << 31)[0] != actual:
-            stated = self.whole(name, (1, 1), 0, 1 << 31)[0]
-            raise self.fail(name, f"{actual}, as the arrays hold", str(stated))
-
-    def fail(self, name: str, expected: str, found: str) -> FileFormatError:
-        return FileFormatError(f"{self.where}: Data.{name}", expected=expected, found=found)
-
-
-def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    pairs = zip(wanted, actual, strict=False)
-    return len(actual) == len(wanted) and all(want in (None, size) for want, size in pairs)
-
-
-def _clip(fields: _Fields) -> Clip:
+    fields = Fields(f"{os.fspath(path)}: Data.", data)
     sparse_y = fields.array("ySparse", (3, None, None))
     n, frames = sparse_y.shape[1:]
     label = fields.whole("GtLabel", (n, 1), 0, 1 << 31)
@@ -128,41 +72,36 @@ def _clip(fields: _Fields) -> Clip:
         dense, visible = _points(fields, "All", (count, frames))
         rows = fields.whole("SparseIndex", (n, 1), 1, count) - 1
         if not np.array_equal(dense[rows], sparse, equal_nan=True):
-            raise fields.fail("ySparse", "the rows SparseIndex of yAll", "other coordinates")
+            raise fields.error("ySparse", "the rows SparseIndex of yAll", "other coordinates")
         if len(np.unique(rows)) != n:
-            raise fields.fail("SparseIndex", "rows each given once", "a row given twice")
-    fields.check_count("nFrames", frames)
-    fields.check_count("nSparsePoints", n)
-    fields.check_count("nAllPoints", len(dense))
+            raise fields.error("SparseIndex", "rows each given once", "a row given twice")
+    for name, actual in (("nFrames", frames), ("nSparsePoints", n), ("nAllPoints", len(dense))):
+        if name in fields and (stated := fields.whole(name, (1, 1), 0, 1 << 31)[0]) != actual:
+            raise fields.error(name, f"{actual}, as the arrays hold", str(stated))
     return Clip(
-        name=clip_name(fields.where),
+        name=clip_name(path),
         dense=Trajectories(dense, visible),
         evaluated=rows,
         labels=Labels(label, background=_BACKGROUND if released else None),
-        provenance=_provenance(fields),
+        provenance=_provenance(path, fields),
     )
 
 
-def _points(fields: _Fields, kind: str, shape: tuple[int, int]) -> tuple[FloatArray, BoolArray]:
+def _points(fields: Fields, kind: str, shape: tuple[int, int]) -> tuple[FloatArray, BoolArray]:
     """Return positions and visibility of ``y<kind>`` and ``visible<kind>``."""
     y = fields.array(f"y{kind}", (3, *shape)).astype(np.float64)
     visible = np.ones(shape, dtype=np.bool_)
     if f"visible{kind}" in fields:
         visible = fields.array(f"visible{kind}", shape) != 0
     if not (np.isfinite(y[:2, visible]).all() and (y[2, visible] == 1).all()):
-        raise fields.fail(f"y{kind}", "finite (x, y, 1) where visible", "another value")
+        raise fields.error(f"y{kind}", "finite (x, y, 1) where visible", "another value")
     xy = np.where(visible[..., None], np.moveaxis(y[:2], 0, -1), np.nan)
     return xy, visible
 
 
-def _provenance(fields: _Fields) -> dict[str, Any]:
-    out: dict[str, Any] = {
-        "format": "mat-2018",
-        "source": os.path.basename(fields.where),  # noqa: PTH119  # a str in, a str out
-        "sha256": sha256_file(fields.where),
-        "fields": list(fields.data),
-    }
-    if isinstance(name := fields.data.get("Name"), str):
+def _provenance(path: str | os.PathLike[str], fields: Fields) -> dict[str, Any]:
+    out = origin(path, "mat-2018") | {"fields": list(fields.values)}
+    if isinstance(name := fields.values.get("Name"), str):
         out["Name"] = name
     if "visibleSparse" not in fields:
         out["visibility"] = "the file has no mask: every point taken as visible"
@@ -176,9 +115,13 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     have no `yAll`), as far as they still hold everything. Names of motions, frame numbers, image
     size and camera have no place in the schema.
     """
-    wanted = _wanted_fields(clip)
     values = _field_values(clip)
-    write_bytes(path, mat_bytes({"Data": {name: values[name] for name in wanted}}))
+    if (size := 8 * values["yAll"].size) > _LARGEST:
+        raise InvalidValueError("MAT-file", expected=f"at most {_LARGEST} bytes", found=f"{size}")
+    buffer = io.BytesIO()
+    data = {name: values[name] for name in _wanted_fields(clip)}
+    savemat(buffer, {"Data": data}, do_compression=True)  # type: ignore[arg-type]  # a stream will do
+    write_bytes(path, _TEXT + buffer.getvalue()[len(_TEXT) :])
 
 
 def _wanted_fields(clip: Clip) -> Sequence[str]:

@@ -14,7 +14,7 @@ import cv2
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import check_writable, hold_folder
 from kt3dmoseg.io import hdf5
-from kt3dmoseg.io.text import check_name
+from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.parallel import Progress, run_tasks
 from kt3dmoseg.pipeline.clip import check_usage, label_source, prepare
 from kt3dmoseg.pipeline.fingerprint import why_build

@@ -1,0 +1,154 @@
+"""What every clip format shares: checked arrays and texts of a file, names, provenance as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import sha256_file
+from kt3dmoseg.types import IntArray
+
+_ENDINGS = ("_Tracks", "_truth")
+_LONGEST = 200
+_NUMBER = re.compile(r"-?[0-9]{1,18}")
+NUMBERS = "biuf"
+_KINDS = {NUMBERS: "numbers", "iu": "whole numbers", "f": "floating-point numbers", "b": "true or false"}
+
+
+class Fields:
+    """Checked access to the named arrays and texts of a file.
+
+    Parameters
+    ----------
+    place : str
+        What precedes a name in messages, for instance ``"a.mat: Data."``.
+    values : mapping of str to value
+        What the file holds.
+    """
+
+    def __init__(self, place: str, values: Mapping[str, Any]) -> None:
+        self.place, self.values = place, values
+
+    def __contains__(self, name: str) -> bool:
+        """Whether there is a field of that name."""
+        return name in self.values
+
+    def array(
+        self, name: str, shape: tuple[int | None, ...] | None = None, kinds: str = NUMBERS
+    ) -> npt.NDArray[Any]:
+        """Return an array of numbers; in `shape` None is any size, without it any shape will do."""
+        value = self.values.get(name)
+        wanted = " x ".join("any" if n is None else str(n) for n in shape or ())
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
+            found = f"only {', '.join(sorted(self.values))}" if value is None else _describe(value)
+            raise self.error(name, f"{_KINDS[kinds]} {wanted}".strip(), found)
+        if shape is None:
+            return value
+        # MATLAB drops a third dimension of size one.
+        full = value[..., None] if len(shape) == 3 and value.ndim == 2 else value
+        if len(full.shape) != len(shape) or any(
+            w not in (None, n) for w, n in zip(shape, full.shape, strict=True)
+        ):
+            raise self.error(name, wanted or "one value", " x ".join(map(str, value.shape)) or "one value")
+        return full
+
+    def whole(self, name: str, shape: tuple[int | None, ...] | None, low: int, high: int) -> IntArray:
+        """Return whole numbers within bounds, as a vector."""
+        values = self.array(name, shape).astype(np.float64).ravel()
+        good = np.isfinite(values) & (values >= low) & (values <= high)
+        good[good] &= values[good] == np.floor(values[good])
+        if not good.all():
+            raise self.error(name, f"whole numbers {low}..{high}", repr(float(values[~good][0])))
+        return values.astype(np.int64)
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """Return a text; without a `default` it must be there."""
+        value = self.values.get(name, default)
+        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.shape == ():
+            return str(value)
+        if not isinstance(value, str):
+            raise self.error(name, "a text", "nothing" if value is None else _describe(value))
+        return value
+
+    def error(self, name: str, expected: str, found: str) -> FileFormatError:
+        """Make the error that names the field."""
+        return FileFormatError(f"{self.place}{name}", expected=expected, found=found)
+
+
+def _describe(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} of shape {value.shape}"
+    return "a text" if isinstance(value, str) else "a struct" if isinstance(value, dict) else str(value)
+
+
+def clip_name(path: str | os.PathLike[str]) -> str:
+    """Return the clip's name: the file's stem without ``_Tracks`` or ``_truth``.
+
+    >>> clip_name("release/Seq028_clip03_Tracks.mat"), clip_name("cars1_truth.mat")
+    ('Seq028_clip03', 'cars1')
+    """
+    stem = Path(path).stem
+    for ending in _ENDINGS:
+        stem = stem.removesuffix(ending)
+    return stem
+
+
+def check_name(name: str, where: str) -> None:
+    """Refuse the name of a clip that could not be a file's, before anything is written under it.
+
+    Raises
+    ------
+    InvalidValueError
+        When the name is empty, too long, or leads elsewhere.
+    """
+    if not name.isprintable() or name in ("", ".", "..") or len(name) > _LONGEST or set(name) & set("/\\"):
+        raise InvalidValueError(
+            where, expected=f"a clip's name, at most {_LONGEST} characters without a slash", found=f"{name!r}"
+        )
+
+
+def origin(path: str | os.PathLike[str], format: str) -> dict[str, Any]:
+    """Return the provenance of a clip that was read from another format: format, file name, checksum."""
+    return {"format": format, "source": Path(path).name, "sha256": sha256_file(path)}
+
+
+def json_text(values: Mapping[str, Any], what: str) -> str:
+    """Return JSON with sorted keys, so that equal values give equal bytes.
+
+    Raises
+    ------
+    InvalidValueError
+        When a value is none of JSON's.
+    """
+    try:
+        return json.dumps(dict(values), sort_keys=True, ensure_ascii=False, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(what, expected="JSON values", found=str(error)) from None
+
+
+def json_object(text: str, where: str) -> dict[str, Any]:
+    """Parse a JSON object."""
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(where, expected="JSON", found=str(error)) from None
+    if not isinstance(values, dict):
+        raise FileFormatError(where, expected="a JSON object", found=type(values).__name__)
+    return values
+
+
+def motion_names(text: str, where: str) -> dict[int, str]:
+    """Parse a JSON object of the names of motions, its keys being their numbers."""
+    values = json_object(text, where)
+    odd = next((key for key in values if not _NUMBER.fullmatch(key)), None)
+    if odd is not None:
+        raise FileFormatError(where, expected="numbers of motions", found=repr(odd))
+    return {int(key): str(name) for key, name in values.items()}
