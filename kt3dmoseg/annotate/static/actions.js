@@ -25,7 +25,7 @@ export const regionHere = () => editableRegion(selectedObject(), state.frame);
 const editObject = (change, ...values) => edit(change(state.doc, state.selected, ...values));
 
 /** Make the selected object's region here a key frame. */
-export const draw = (polygons, visibility = "visible") => editObject(annotation.setKey, state.frame, polygons, visibility);
+export const draw = (polygons, visibility) => editObject(annotation.setKey, state.frame, polygons, visibility);
 
 export const update = (fields) => editObject(annotation.update, fields);
 
@@ -206,8 +206,8 @@ export function nudge(dx, dy) {
     return draw(annotation.replacePoint(polygons, vertex.part, vertex.index, [x + dx, y + dy]));
   }
   const [width, height] = state.clip.image_size;
-  const next = cross ? [clamp(cross[0] + dx, 0, width - 1), clamp(cross[1] + dy, 0, height - 1)] : inSight().map(Math.round);
-  return set({ keyboard: true, cross: next });
+  const [x, y] = cross ? [cross[0] + dx, cross[1] + dy] : inSight().map(Math.round);
+  return set({ keyboard: true, cross: [clamp(x, 0, width - 1), clamp(y, 0, height - 1)] });
 }
 
 export function insertVertex() {

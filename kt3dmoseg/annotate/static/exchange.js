@@ -1,30 +1,129 @@
-// What comes from elsewhere: files of other tools, and the other annotator's annotation.
+// What comes from elsewhere: proposed regions, files of other tools, the other annotator's annotation.
 
+import { addObject, nextMotion } from "./annotation.js";
 import * as api from "./api.js";
 import { button, byId, close, element, faint, fill, inform, line, open, row, table } from "./dom.js";
+import { boundsOf } from "./geometry.js";
 import { edit, on, set, state } from "./state.js";
-import { showTrack } from "./view.js";
+import { goTo, showBox, showTrack } from "./view.js";
 
 const NAMES = {
   cvat: "CVAT for video 1.1 (XML)", davis: "DAVIS indexed PNG (zip)", mots_txt: "KITTI MOTS (text)",
   mots_png: "KITTI MOTS PNG (zip)", coco: "COCO with RLE masks (JSON)", labelme: "LabelMe (zip)",
 };
+const MEANING = {
+  residual: "what does not move with the static scene, from the trajectories",
+  tracklets: "KITTI's 3D boxes, projected into the frames",
+  masks: "masks from a folder",
+  mseg: "the clusters of a motion segmentation; takes some 20 seconds",
+};
+
+// Proposals: a person accepts, corrects or rejects each
+
+export function propose() {
+  const choices = Object.entries(state.clip.proposers).map(([name, lacking]) => {
+    const meaning = MEANING[name] ?? "a method of an installed package";
+    const choice = element("button", { disabled: Boolean(lacking), onclick: () => request(name) }, name);
+    return line([choice, faint(lacking ? `${meaning}: ${lacking}` : meaning)]);
+  });
+  open("Propose regions from", element("table", {}, choices), row(button("Cancel", close)));
+}
+
+async function request(proposer) {
+  open("Propose regions", element("p", {}, `Asking ${proposer}…`));
+  try {
+    const { objects } = await api.propose(state.clip.name, proposer, state.doc);
+    if (!objects.length) return inform("Propose regions", `${proposer} found nothing that moves.`);
+    set({ proposals: objects, compared: null });
+    review(0);
+  } catch (error) {
+    inform("No proposals", error.message);
+  }
+  return undefined;
+}
+
+/** Show the proposals one by one on the frame. */
+function review(at) {
+  close();
+  const { proposals } = state;
+  if (!proposals?.length) {
+    end();
+    return;
+  }
+  const index = (at + proposals.length) % proposals.length;
+  const item = proposals[index];
+  const key = item.key_frames.find((k) => k.polygons.length);
+  goTo(key.frame);
+  set({ review: { item, index } });
+  showBox(boundsOf(key.polygons));
+}
+
+/** Take the proposal in view out of the list. */
+function settle() {
+  const { proposals, review: { item } } = state;
+  set({ proposals: proposals.filter((other) => other !== item) });
+}
+
+/** The same, and make it an object. */
+function accept() {
+  const { doc, review: { item } } = state;
+  settle();
+  edit(addObject(doc, { ...item, motion: item.motion === "reject" ? "reject" : nextMotion(doc) }));
+  set({ selected: state.doc.objects.at(-1).id });
+}
+
+/** Wait until a person has put the accepted proposal right. */
+function correct() {
+  const { item, index } = state.review;
+  accept();
+  set({ review: { item: null, name: item.name, index } });
+  byId("stage").focus();
+}
+
+function end() {
+  set({ proposals: null, review: null });
+  byId("stage").focus();
+}
+
+/** The strip that asks about the proposal in view. */
+function drawReview() {
+  const { review: shown, proposals } = state;
+  const root = byId("review");
+  root.hidden = !shown;
+  if (!shown) return;
+  const { item, name, index } = shown;
+  if (!item) {
+    fill(root, element("span", {}, `${name} is an object now: put it right, then`),
+      button(proposals.length ? `Go on (${proposals.length} left)` : "Done", () => review(index), "primary"));
+    return;
+  }
+  const first = button("Accept", () => (accept(), review(index)), "primary");
+  fill(root, element("span", {}, `${item.name}: ${index + 1} of ${proposals.length} proposed`), first,
+    button("Correct", correct), button("Reject", () => (settle(), review(index))),
+    button("Skip", () => review(index + 1)), button("Done", end));
+  first.focus();
+}
+
+// Files
 
 /** Import and export. */
 export function exchange() {
   const rows = Object.entries(state.clip.formats).map(([name, suffix]) => {
-    const file = element("input", { type: "file", accept: suffix, hidden: true, onchange: () => read(name, file.files[0]) });
+    const load = () => read(name, file.files[0]);
+    const file = element("input", { type: "file", accept: suffix, hidden: true, onchange: load });
     const choose = element("span", {}, button("Import…", () => file.click()), file);
     return line([NAMES[name] ?? name, button("Export", () => write(name, suffix)), choose]);
   });
-  open("Files of other tools", element("p", {}, faint("An import replaces what is drawn, as one edit that Ctrl+Z takes back.")),
+  open("Files of other tools",
+    element("p", {}, faint("An import replaces what is drawn, as one edit that Ctrl+Z takes back.")),
     element("table", {}, rows), row(button("Close", close)));
 }
 
 async function write(format, suffix) {
   try {
     const content = await api.exportAs(state.clip.name, format, state.doc);
-    const link = element("a", { href: URL.createObjectURL(content), download: `${state.clip.name}_${format}${suffix}` });
+    const name = `${state.clip.name}_${format}${suffix}`;
+    const link = element("a", { href: URL.createObjectURL(content), download: name });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   } catch (error) {
@@ -43,6 +142,8 @@ async function read(format, file) {
     inform("Not imported", error.message);
   }
 }
+
+// Two annotators
 
 const percent = (share) => `${(100 * share).toFixed(2)} %`;
 
@@ -69,11 +170,11 @@ function list() {
     + (different ? `${different} differ:` : "None differs.");
   const rows = differences.map((d, k) =>
     [button(`${d.row}`, () => visit(k)), d.frame, d.xy.map((v) => v.toFixed(0)).join(", "), d.mine, d.theirs]);
-  const help = rows.length
-    ? "Choose one to see it with the other annotator's outlines; ↑ ↓ walk the list, Shift+G goes on from one to the next." : "";
+  const help = "Choose one to see it with the other annotator's outlines; ↑ ↓ walk the list, "
+    + "Shift+G goes on from one to the next.";
   open("Two annotators", element("p", {}, summary),
     ...(rows.length ? [table(["trajectory", "frame", "at", "here", "other"], rows)] : []),
-    row(button("Close", leave), faint(help)));
+    row(button("Close", leave), faint(rows.length ? help : "")));
 }
 
 /** Show one difference in its place, and the other annotator's regions around it. */
@@ -96,16 +197,18 @@ function leave() {
   set({ compared: null, cross: null });
 }
 
-function drawStrip() {
+function drawDifference() {
   const { at, differences } = state.compared ?? {};
   const here = differences?.[at];
   const root = byId("differences");
   root.hidden = !here;
   if (!here) return;
   const next = button("Next", () => visit(at + 1), "primary");
-  fill(root, element("span", {}, `${at + 1} of ${differences.length}: here ${here.mine}, other ${here.theirs}`), next,
-    button("Previous", () => visit(at - 1)), button("List", list), button("Compare again", compare), button("Done", leave));
+  fill(root, element("span", {}, `${at + 1} of ${differences.length}: here ${here.mine}, other ${here.theirs}`),
+    next, button("Previous", () => visit(at - 1)), button("List", list), button("Compare again", compare),
+    button("Done", leave));
   next.focus();
 }
 
-on(["compared"], drawStrip);
+on(["review", "proposals"], drawReview);
+on(["compared"], drawDifference);

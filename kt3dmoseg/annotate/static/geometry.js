@@ -28,7 +28,7 @@ export const nearestVertex = (p, polygons, reach) =>
 
 /** The edge near p, as the index at which a new vertex would go. */
 export const nearestEdge = (p, polygons, reach) =>
-  nearest(p, polygons, reach, (vertex, next, index) => ({ point: nearestOnSegment(p, vertex, next), index: index + 1 }));
+  nearest(p, polygons, reach, (a, b, index) => ({ point: nearestOnSegment(p, a, b), index: index + 1 }));
 
 function nearest(p, polygons, reach, candidate) {
   let best = null;
@@ -52,26 +52,26 @@ export function boundsOf(polygons) {
 export function simplify(polygon, tolerance) {
   if (polygon.length < 8) return polygon;
   const closed = [...polygon, polygon[0]];
-  const middle = farthest(closed, 0, closed.length - 1, () => closed[0]).index;
-  const kept = new Set([0, middle]);
-  const stack = [[0, middle], [middle, closed.length - 1]];
-  while (stack.length) {
-    const [first, last] = stack.pop();
-    const worst = farthest(closed, first, last, (p) => nearestOnSegment(p, closed[first], closed[last]));
-    if (worst.gap > tolerance) {
-      kept.add(worst.index);
-      stack.push([first, worst.index], [worst.index, last]);
-    }
-  }
-  const simple = polygon.filter((_, i) => kept.has(i));
+  const middle = farthest(closed, () => polygon[0]).index;
+  const halves = [closed.slice(0, middle + 1), closed.slice(middle)];
+  const simple = halves.flatMap((half) => thinned(half, tolerance));
   return simple.length >= 3 ? simple : polygon;
 }
 
-function farthest(points, first, last, reference) {
-  let worst = { index: first, gap: -1 };
-  for (let i = first + 1; i < last; i++) {
-    const gap = distance(points[i], reference(points[i]));
-    if (gap > worst.gap) worst = { index: i, gap };
+/** The points of a line that matter, without its last. */
+function thinned(line, tolerance) {
+  const [first, last] = [line[0], line.at(-1)];
+  const { index, gap } = farthest(line, (p) => nearestOnSegment(p, first, last));
+  if (gap <= tolerance) return [first];
+  return [...thinned(line.slice(0, index + 1), tolerance), ...thinned(line.slice(index), tolerance)];
+}
+
+/** The inner point of a line that is farthest from its reference. */
+function farthest(line, reference) {
+  let worst = { index: 0, gap: -1 };
+  for (let index = 1; index < line.length - 1; index++) {
+    const gap = distance(line[index], reference(line[index]));
+    if (gap > worst.gap) worst = { index, gap };
   }
   return worst;
 }

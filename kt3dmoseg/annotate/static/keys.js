@@ -3,25 +3,27 @@
 import * as actions from "./actions.js";
 import { clips, openNext } from "./clips.js";
 import { button, close, element, open, row } from "./dom.js";
-import { compare, exchange, nextDifference } from "./exchange.js";
-import { propose } from "./proposals.js";
+import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
 import { attempt, redo, state, undo } from "./state.js";
 import * as view from "./view.js";
 
+const STEPS = { ArrowLeft: -1, "Shift+ArrowLeft": -5, ArrowRight: 1, "Shift+ArrowRight": 5 };
 const DIRECTIONS = {
   i: [0, -1], k: [0, 1], j: [-1, 0], l: [1, 0],
   "Shift+I": [0, -10], "Shift+K": [0, 10], "Shift+J": [-10, 0], "Shift+L": [10, 0],
   "Ctrl+ArrowLeft": [80, 0], "Ctrl+ArrowRight": [-80, 0], "Ctrl+ArrowUp": [0, 80], "Ctrl+ArrowDown": [0, -80],
 };
 
+const nudge = (name) => actions.nudge(...DIRECTIONS[name]);
+
 /** A line of the help; `run` gets the name of the key that was pressed. */
 const key = (names, shown, text, run) => ({ names: names.split(" "), shown, text, run });
 
 export const KEYS = {
   "Frames": [
-    key("ArrowLeft Shift+ArrowLeft", "←", "previous frame (Shift: 5)", (name) => view.step(name === "ArrowLeft" ? -1 : -5)),
-    key("ArrowRight Shift+ArrowRight", "→", "next frame (Shift: 5)", (name) => view.step(name === "ArrowRight" ? 1 : 5)),
+    key("ArrowLeft Shift+ArrowLeft", "←", "previous frame (Shift: 5)", (name) => view.step(STEPS[name])),
+    key("ArrowRight Shift+ArrowRight", "→", "next frame (Shift: 5)", (name) => view.step(STEPS[name])),
     key("Home", "Home", "first frame", () => view.goTo(0)),
     key("End", "End", "last frame", () => view.goTo(Infinity)),
     key("Space", "Space", "play, stop", view.play),
@@ -53,8 +55,8 @@ export const KEYS = {
   ],
   "Points": [
     key("v Shift+V", "V", "next point (Shift: previous)", (name) => actions.cycleVertex(name === "v" ? 1 : -1)),
-    key("i k j l", "I J K L", "move the point, or the cross to draw with", (name) => actions.nudge(...DIRECTIONS[name])),
-    key("Shift+I Shift+K Shift+J Shift+L", "Shift", "10 pixels at once", (name) => actions.nudge(...DIRECTIONS[name])),
+    key("i k j l", "I J K L", "move the point, or the cross to draw with", nudge),
+    key("Shift+I Shift+K Shift+J Shift+L", "Shift", "10 pixels at once", nudge),
     key("Enter", "Enter", "point at the cross; again: done", actions.enter),
     key("Escape", "Esc", "let go, step by step", actions.escape),
     key("w", "W", "insert a point after this one", actions.insertVertex),
@@ -95,16 +97,18 @@ function help() {
   const sections = Object.entries(KEYS).map(([title, lines]) => element("section", {}, element("h3", {}, title),
     element("dl", {}, lines.flatMap(({ shown, text }) =>
       [element("dt", {}, element("kbd", {}, shown)), element("dd", {}, text)]))));
-  const mouse = "Mouse: click a region to select it, drag its points, edges or inside; double click an edge to add a point, "
-    + "right click a point to delete it; while drawing, click points or draw freehand, and click the first point to close.";
+  const mouse = "Mouse: click a region to select it, drag its points, edges or inside; double click an edge to add a "
+    + "point, right click a point to delete it; while drawing, click points or draw freehand, and click the first "
+    + "point to close.";
   open("Keys", element("div", { className: "help" }, sections), element("p", { className: "faint" }, mouse),
     row(button("Close", close)));
 }
 
 function nameOf(event) {
   const pressed = event.key === " " ? "Space" : event.key;
-  const shifted = event.shiftKey && (pressed.length > 1 || pressed.toUpperCase() !== pressed.toLowerCase() || pressed === "+");
-  const letter = pressed.length === 1 ? (shifted ? pressed.toUpperCase() : pressed.toLowerCase()) : pressed;
+  // Of other signs, Shift is part of the sign.
+  const shifted = event.shiftKey && (pressed.length > 1 || /[+\p{L}]/u.test(pressed));
+  const letter = pressed.length > 1 ? pressed : shifted ? pressed.toUpperCase() : pressed.toLowerCase();
   return `${event.ctrlKey || event.metaKey ? "Ctrl+" : ""}${shifted ? "Shift+" : ""}${letter}`;
 }
 

@@ -1,17 +1,16 @@
 // Puts the page together: its buttons, what it shows about itself, its size.
 
-import "./inspector.js";
 import { setTool } from "./actions.js";
 import { clips, openClip } from "./clips.js";
 import { byId, resize } from "./dom.js";
 import { press } from "./keys.js";
-import * as picture from "./picture.js";
+import "./objects.js";
 import "./pointer.js";
-import * as regions from "./regions.js";
+import { drawRegions } from "./regions.js";
 import { saver } from "./saving.js";
 import { attempt, on, set, state } from "./state.js";
-import * as tracks from "./tracks.js";
-import { fitAll } from "./view.js";
+import { drawTracks } from "./tracks.js";
+import { drawPicture, fitAll } from "./view.js";
 
 const TITLE = { object: "a new object", region: "the object again in this frame", part: "another part" };
 
@@ -40,8 +39,10 @@ on(["tool", "playing", "flickered", "clip"], () => {
   mark("stage", "lasso", state.tool === "lasso");
 });
 
-document.querySelectorAll("[data-key]").forEach((b) => b.addEventListener("click", () => press(b.dataset.key)));
-document.querySelectorAll("[data-tool]").forEach((b) => b.addEventListener("click", () => state.doc && setTool(b.dataset.tool)));
+for (const b of document.querySelectorAll("[data-key]")) b.addEventListener("click", () => press(b.dataset.key));
+for (const b of document.querySelectorAll("[data-tool]")) {
+  b.addEventListener("click", () => state.doc && setTool(b.dataset.tool));
+}
 byId("clips").addEventListener("click", () => attempt(clips));
 
 new ResizeObserver(([{ target }]) => {
@@ -51,5 +52,5 @@ new ResizeObserver(([{ target }]) => {
 }).observe(byId("stage"));
 addEventListener("popstate", () => openClip(new URLSearchParams(location.search).get("clip"), false));
 
-window.labeller = { state, saver, picture, tracks, regions };
+window.labeller = { state, saver, drawPicture, drawTracks, drawRegions };
 openClip(document.documentElement.dataset.clip);

@@ -2,8 +2,7 @@
 
 import { editableRegion, regionOf } from "./actions.js";
 import { regionIn } from "./annotation.js";
-import { colourOfMotion } from "./colours.js";
-import { begin, byId } from "./dom.js";
+import { begin, byId, colourOfMotion } from "./dom.js";
 import { boundsOf } from "./geometry.js";
 import { on, state } from "./state.js";
 import { toScreen } from "./view.js";
@@ -14,7 +13,7 @@ const DARK = "#101216";
 const canvas = byId("regions");
 let context = null;
 
-export function draw() {
+export function drawRegions() {
   context = begin(canvas);
   if (!state.doc || !state.view) return;
   const frame = state.flickered ?? state.frame;
@@ -142,4 +141,4 @@ function drawCross(cross) {
 }
 
 on(["frame", "view", "doc", "regions", "selected", "vertex", "pending", "pointer", "cross", "lassoed", "hidden",
-  "flickered", "hovered", "tool", "proposals", "review", "compared"], draw);
+  "flickered", "hovered", "tool", "proposals", "review", "compared"], drawRegions);

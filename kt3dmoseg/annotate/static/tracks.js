@@ -1,16 +1,14 @@
-// The trajectories: fetched, labelled by the server, drawn. They have a layer of their own: dragging a region
-// does not draw them again, and panning only moves a sheet that is larger than the stage.
+// The trajectories: fetched, labelled by the server, drawn on a layer of their own, so that dragging a region
+// does not draw them again.
 
 import * as api from "./api.js";
-import { PROBLEM, colourOfLength, colourOfTrack } from "./colours.js";
-import { begin, byId } from "./dom.js";
+import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
 import { clamp } from "./geometry.js";
 import { now, on, set, state } from "./state.js";
 
 const SOON = 40;
 const POLL = 400;
 const TRAIL = 6;
-const MARGIN = 200;
 // What needs a person's eye is drawn larger.
 const LARGER = 3;
 
@@ -72,7 +70,6 @@ export function rowsWhere(frame, test) {
 
 const canvas = byId("tracks");
 let groups = [];
-let drawn = null;
 
 /** Group the rows by colour: one path each. */
 function group() {
@@ -85,7 +82,6 @@ function group() {
     if (!byColour.has(colour)) byColour.set(colour, []);
     byColour.get(colour).push(row);
   }
-  drawn = null;
   groups = [...byColour].map(([colour, rows]) => ({ colour, rows }));
 }
 
@@ -96,46 +92,18 @@ function lengthOf(row) {
   return length;
 }
 
-export function draw() {
+export function drawTracks() {
   const context = begin(canvas);
   const { tracks, view, colouring, flickered, lassoed } = state;
   if (!tracks || !view || colouring === "none") return;
   const frame = flickered ?? state.frame;
-  const sheet = sheetFor(frame, view);
-  const ratio = devicePixelRatio || 1;
-  // To whole pixels of the screen, so that points stay sharp.
-  const [x, y] = offset(sheet, view).map((v) => Math.round((v - MARGIN) * ratio) / ratio);
-  context.drawImage(sheet.canvas, x, y, sheet.canvas.width / ratio, sheet.canvas.height / ratio);
-  if (lassoed?.frame === frame) {
-    context.fillStyle = "#ffffff";
-    context.fill(points(lassoed.rows, frame, view, size(view) + 2));
-  }
-}
-
-const size = (view) => clamp(view.scale * 1.2, 2, 5);
-
-const offset = (sheet, view) => [(sheet.view.x - view.x) * view.scale, (sheet.view.y - view.y) * view.scale];
-
-/** The sheet in use, or a new one where that shows something else or was panned away. */
-function sheetFor(frame, view) {
-  const key = [frame, view.scale, state.trails, state.problems, canvas.width, canvas.height].join();
-  if (drawn?.key !== key || offset(drawn, view).some((v) => Math.abs(v) > MARGIN)) {
-    drawn = { key, view, canvas: render(frame, view) };
-  }
-  return drawn;
-}
-
-function render(frame, view) {
-  const ratio = devicePixelRatio || 1;
-  const sheet = new OffscreenCanvas(canvas.width + 2 * MARGIN * ratio, canvas.height + 2 * MARGIN * ratio);
-  const context = sheet.getContext("2d");
-  context.setTransform(ratio, 0, 0, ratio, MARGIN * ratio, MARGIN * ratio);
-  context.lineWidth = 1;
+  const size = clamp(view.scale * 1.2, 2, 5);
   for (const { colour, rows } of groups) {
     if (state.problems && colour !== PROBLEM) continue;
-    const wide = size(view) + (colour === PROBLEM ? LARGER : 0);
+    const wide = size + (colour === PROBLEM ? LARGER : 0);
     if (state.trails) {
       context.globalAlpha = 0.55;
+      context.lineWidth = 1;
       context.strokeStyle = colour;
       context.stroke(trails(rows, frame, view));
       context.globalAlpha = 1;
@@ -146,7 +114,10 @@ function render(frame, view) {
     context.fillStyle = colour;
     context.fill(points(rows, frame, view, wide));
   }
-  return sheet;
+  if (lassoed?.frame === frame) {
+    context.fillStyle = "#ffffff";
+    context.fill(points(lassoed.rows, frame, view, size + 2));
+  }
 }
 
 function points(rows, frame, view, wide) {
@@ -184,4 +155,5 @@ function trails(rows, frame, view) {
 
 now(["doc", "dragging", "tracks"], labelSoon);
 on(["tracks", "labels", "colouring"], group);
-on(["tracks", "labels", "colouring", "frame", "view", "trails", "problems", "lassoed", "flickered", "resized"], draw);
+on(["tracks", "labels", "colouring", "frame", "view", "trails", "problems", "lassoed", "flickered", "resized"],
+  drawTracks);

@@ -1,11 +1,14 @@
-// Moving through the frames and over the picture; nothing here changes the document. The view is the image
-// position { x, y } of the stage's top left corner, and the scale.
+// The frames, moving through them and over the picture; nothing here changes the document. The view is the
+// image position { x, y } of the stage's top left corner, and the scale.
 
 import { regionIn } from "./annotation.js";
-import { byId } from "./dom.js";
+import { frameAddress } from "./api.js";
+import { begin, byId } from "./dom.js";
 import { boundsOf, clamp } from "./geometry.js";
-import { chosen, say, set, state } from "./state.js";
+import { chosen, on, say, set, state } from "./state.js";
 
+// Frames after the shown one that are fetched ahead.
+const AHEAD = 40;
 const FRAME_TIME = 110;
 const FLICKER_TIME = 220;
 const CLOSEST = 40;
@@ -109,8 +112,8 @@ export function pan(dx, dy) {
   const { view: { x, y, scale }, clip } = state;
   const [width, height] = clip.image_size;
   const held = (at, size, room) => Math.min(size - KEPT / scale, Math.max(at, (KEPT - room) / scale));
-  const view = { x: held(x - dx / scale, width, stage().width), y: held(y - dy / scale, height, stage().height), scale };
-  set({ view });
+  const [left, top] = [held(x - dx / scale, width, stage().width), held(y - dy / scale, height, stage().height)];
+  set({ view: { x: left, y: top, scale } });
 }
 
 // What is shown
@@ -149,3 +152,43 @@ export function showTrack(row, frame) {
   goTo(frame);
   set({ cross, view: centred(...cross, Math.max(state.view.scale, 4)) });
 }
+
+// The picture: frames are loaded once, the shown one first, then its neighbours
+
+const canvas = byId("picture");
+let clip = null;
+let images = [];
+
+export function drawPicture() {
+  const context = begin(canvas);
+  const image = images[state.flickered ?? state.frame];
+  if (!image?.complete || !image.naturalWidth || !state.view) return;
+  const { scale } = state.view;
+  const [x, y] = toScreen([-0.5, -0.5]);
+  context.imageSmoothingEnabled = scale < 3;
+  byId("first")?.remove();
+  context.drawImage(image, x, y, image.naturalWidth * scale, image.naturalHeight * scale);
+}
+
+function load() {
+  if (clip !== state.clip) images = [];
+  clip = state.clip;
+  const { frame } = state;
+  const shown = image(frame);
+  shown.decode().catch(() => {}).then(() => {
+    for (let k = 1; clip === state.clip && k < Math.min(AHEAD, clip.n_frames); k++) image((frame + k) % clip.n_frames);
+  });
+}
+
+const image = (frame) => (images[frame] ??= fetchImage(frame));
+
+function fetchImage(frame) {
+  const made = new Image();
+  made.src = frameAddress(clip.name, frame);
+  made.decode().then(() => set({ loaded: performance.now() }), () => {});
+  return made;
+}
+
+on(["frame", "clip"], load);
+on(["frame", "view", "loaded", "clip", "flickered"], drawPicture);
+on(["brightness"], () => (canvas.className = `bright${state.brightness}`));
