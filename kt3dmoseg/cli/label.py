@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from kt3dmoseg.annotate.server.desk import Desk
+    from kt3dmoseg.annotate.server.clip_session import ClipSession
     from kt3dmoseg.types import ByteArray, Trajectories
 
 
@@ -57,9 +57,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
-    from kt3dmoseg.annotate.server.desk import Desk
+    from kt3dmoseg.annotate.server.app import serve
+    from kt3dmoseg.annotate.server.clip_session import ClipSession
     from kt3dmoseg.annotate.server.routes import Routes
-    from kt3dmoseg.annotate.server.serve import serve
     from kt3dmoseg.annotate.workspace import find_clips
 
     _check(arguments)
@@ -70,11 +70,11 @@ def run(arguments: argparse.Namespace) -> int:
         tracks=arguments.tracks,
     )
     tracker = _tracker(arguments.flow)
-    desks = {name: Desk(source, tracker) for name, source in clips.items()}
-    if len(desks) == 1:
-        _read_once(*desks.values())
+    sessions = {name: ClipSession(source, tracker) for name, source in clips.items()}
+    if len(sessions) == 1:
+        _read_once(*sessions.values())
     routes = Routes(
-        desks,
+        sessions,
         annotator=arguments.annotator,
         other=arguments.compare,
         masks=arguments.masks,
@@ -98,17 +98,17 @@ def _check(arguments: argparse.Namespace) -> None:
             raise InputFileError(f"--{name} {place}", found="no such file or folder")
 
 
-def _read_once(desk: Desk) -> None:
+def _read_once(session: ClipSession) -> None:
     """Read the files of the only clip: what is wrong with them is told here; of several, on the page."""
     from collections import deque
 
     from kt3dmoseg.io import load
     from kt3dmoseg.io.images import read_frames
 
-    deque(read_frames(desk.source.frames, "luma"), maxlen=0)
-    if desk.source.tracks is not None:
-        load(desk.source.tracks)
-    desk.annotation()
+    deque(read_frames(session.source.frames, "luma"), maxlen=0)
+    if session.source.tracks is not None:
+        load(session.source.tracks)
+    session.annotation()
 
 
 def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]:

@@ -14,11 +14,10 @@ from asgi_client import Client
 
 from kt3dmoseg.annotate import AnnotatedObject, AnnotationSession, KeyFrame, label_tracks, load_annotation
 from kt3dmoseg.annotate.model import from_json, to_json
-from kt3dmoseg.annotate.server import guard
-from kt3dmoseg.annotate.server.app import create_app
-from kt3dmoseg.annotate.server.desk import Desk
+from kt3dmoseg.annotate.server import app
+from kt3dmoseg.annotate.server.app import create_app, is_loopback
+from kt3dmoseg.annotate.server.clip_session import ClipSession
 from kt3dmoseg.annotate.server.routes import Routes
-from kt3dmoseg.annotate.server.serve import is_loopback
 from kt3dmoseg.annotate.workspace import find_clips
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.io import load
@@ -44,7 +43,7 @@ def routes(clips, tmp_path, tracker=never, tracks=True, **options):
     found = find_clips(
         clips / "frames", annotations=tmp_path / "notes", tracks=clips / "tracks" if tracks else None
     )
-    return Routes({name: Desk(source, tracker) for name, source in found.items()}, **options)
+    return Routes({name: ClipSession(source, tracker) for name, source in found.items()}, **options)
 
 
 def client(routes, **options):
@@ -151,7 +150,7 @@ def test_frames_that_browsers_do_not_show_are_sent_as_png(tmp_path):
     for k in range(2):
         cv2.imwrite(str(folder / f"{k}.pgm"), image)
     found = find_clips(folder, annotations=tmp_path)
-    page = client(Routes({n: Desk(s, never) for n, s in found.items()}))
+    page = client(Routes({n: ClipSession(s, never) for n, s in found.items()}))
     content = page.get("/api/clips/odd/frames/0").content
     assert (cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) == image).all()
 
@@ -199,7 +198,7 @@ def test_tracks_that_fail_say_why(clips, tmp_path):
 def test_tracks_of_another_clip_are_refused(clips, tmp_path):
     found = find_clips(clips / "frames" / "two", annotations=tmp_path, tracks=clips / "tracks" / "one.npz")
     source = replace(found["two"], tracks=clips / "tracks" / "one.npz")
-    answer = wait(client(Routes({"two": Desk(source, never)})), "two")
+    answer = wait(client(Routes({"two": ClipSession(source, never)})), "two")
     assert "3 frames" in answer.json()["error"]
 
 
@@ -439,7 +438,7 @@ def test_own_origin_is_served(page):
 
 
 def test_bodies_are_bounded(page, monkeypatch):
-    monkeypatch.setattr(guard, "MAX_BODY", 1000)
+    monkeypatch.setattr(app, "MAX_BODY", 1000)
     huge = b"x" * 1001
     assert page.post("/api/clips/one/import/cvat", content=huge).status_code == 413
 

@@ -1,27 +1,55 @@
-"""The labelling server as an ASGI application."""
+"""The labelling server: the application, who may use it, and running it.
+
+A page of another site can make the user's browser send requests to 127.0.0.1, directly (Origin shows it)
+or through a name that it lets point there (DNS rebinding; Host shows it). Both are refused. Bound to
+another address than loopback, the server also wants a token.
+"""
 
 from __future__ import annotations
 
+import hmac
 import json
-from collections.abc import Iterable, Mapping
-from html import escape
-from importlib import resources
+import mimetypes
+import secrets
+import socket
+from collections.abc import Callable, Iterable
+from ipaddress import ip_address
+from pathlib import Path
 from urllib.parse import quote
 
+from jinja2 import Template
+from markupsafe import Markup
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
-from starlette.routing import Route
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kt3dmoseg.annotate.model import to_json
-from kt3dmoseg.annotate.server.guard import TOO_LARGE, BodyTooLargeError, Guard, refuse
 from kt3dmoseg.annotate.server.routes import Routes
 from kt3dmoseg.annotate.session import StaleRevisionError
 from kt3dmoseg.draw.palette import css_palette
-from kt3dmoseg.errors import InputFileError, KT3DMoSegError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 
-_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+MAX_BODY = 32 << 20
+_HTTP = 80
+_LAST_PORT = 65_535
+_TOO_LARGE = "a body of at most {} bytes is expected"
+_STATIC = Path(__file__).parents[1] / "static"
+_HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "x-frame-options": "DENY",
+}
+# What some systems take for plain text, which browsers do not run.
+mimetypes.add_type("text/javascript", ".js")
 
 
 def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guard:
@@ -41,80 +69,188 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
     Guard
         The guarded ASGI application.
     """
-    static = _static_files()
-    template = bytes(static["index.html"].body).decode()
+    template = Template((_STATIC / "index.html").read_text(encoding="utf-8"), autoescape=True)
+    # The browser fetches at once what it would find out about step by step.
+    modules = [f'<link rel="modulepreload" href="/static/{file.name}">' for file in _STATIC.glob("*.js")]
+    fixed = {"palette": json.dumps(css_palette()), "modules": Markup("\n".join(modules))}
 
     async def page(request: Request) -> Response:
         asked = request.query_params.get("clip", "")
-        return HTMLResponse(
-            _page(template, static, routes.desks, asked), headers={"cache-control": "no-store"}
-        )
+        clip = asked if asked in routes.sessions else next(iter(routes.sessions))
+        picture = f"/api/clips/{quote(clip, safe='')}/frames/0"
+        html = template.render(clip=clip, picture=picture, **fixed)
+        return HTMLResponse(html, headers={"cache-control": "no-store"})
 
-    async def file(request: Request) -> Response:
-        # A table of the packaged files: no path of a request ever reaches the file system.
-        found = static.get(request.path_params["name"])
-        return found or refuse(404, "no such file")
-
-    table = [Route("/", page), Route("/static/{name}", file), *routes.table()]
-    app = Starlette(
-        routes=table,
-        exception_handlers={
-            StaleRevisionError: _stale,
-            BodyTooLargeError: _too_large,
-            InputFileError: _unavailable,
-            KT3DMoSegError: _bad_request,
-            HTTPException: _http,
-        },
-    )
+    table = [Route("/", page), Mount("/static", StaticFiles(directory=_STATIC)), *routes.table()]
+    app = Starlette(routes=table, exception_handlers={KT3DMoSegError: _failed, HTTPException: _failed})
     return Guard(app, hosts, token)
 
 
-def _page(template: str, static: Iterable[str], clips: Iterable[str], asked: str) -> str:
-    """Name the clip to open, and let the browser fetch at once what it would find out about step by step."""
-    names = list(clips)
-    clip = asked if asked in names else names[0]
-    modules = [f'<link rel="modulepreload" href="/static/{name}">' for name in static if name.endswith(".js")]
-    picture = f"/api/clips/{quote(clip, safe='')}/frames/0"
-    values = {
-        "{{clip}}": escape(clip),
-        "{{picture}}": picture,
-        "{{palette}}": escape(json.dumps(css_palette())),
-        "{{modules}}": "\n".join(modules),
-    }
-    for name, value in values.items():
-        template = template.replace(name, value)
-    return template
+async def _failed(_: Request, error: Exception) -> Response:
+    if isinstance(error, HTTPException):
+        return _refuse(error.status_code, error.detail)
+    if isinstance(error, StaleRevisionError):
+        return JSONResponse({"error": str(error), "annotation": to_json(error.current)}, status_code=412)
+    return _refuse(500 if isinstance(error, InputFileError) else 400, str(error))
 
 
-def _static_files() -> Mapping[str, Response]:
-    folder = resources.files("kt3dmoseg.annotate") / "static"
-    out: dict[str, Response] = {}
-    for entry in folder.iterdir():
-        suffix = "." + entry.name.rpartition(".")[2]
-        if suffix in _TYPES:
-            headers = {"cache-control": "no-cache"}
-            out[entry.name] = Response(entry.read_bytes(), media_type=_TYPES[suffix], headers=headers)
-    return out
+class Guard:
+    """ASGI middleware that refuses foreign hosts, foreign origins, missing tokens and large bodies.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What is guarded.
+    hosts : iterable of str
+        Accepted values of the Host header, with port.
+    token : str
+        When not empty, every request must carry it: ``Authorization: Bearer TOKEN``, the cookie that
+        opening ``/?token=TOKEN`` sets, or that address itself.
+    """
+
+    def __init__(self, app: ASGIApp, hosts: Iterable[str], token: str = "") -> None:
+        self.app, self.hosts, self.token = app, {host.lower() for host in hosts}, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, refuse, or pass the request on with a bounded body."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+        elif scope["type"] == "http":
+            request = Request(scope)
+            answer = self._refusal(request) or self.app
+            await answer(scope, _bounded(receive), _with_headers(send, request.url.path))
+
+    def _refusal(self, request: Request) -> Response | None:
+        # Starlette's TrustedHostMiddleware ignores the port, and answers in plain text.
+        host = request.headers.get("host", "").lower()
+        if host not in self.hosts:
+            return _refuse(421, f"Host {host[:80]!r} is not served here")
+        origin = request.headers.get("origin")
+        if origin is not None and origin.lower() not in {f"http://{host}", f"https://{host}"}:
+            return _refuse(403, f"Origin {origin[:80]!r} may not use this server")
+        length = request.headers.get("content-length", "0")
+        if length.isdigit() and int(length) > MAX_BODY:
+            return _refuse(413, _TOO_LARGE.format(MAX_BODY))
+        return self._check_token(request, host) if self.token else None
+
+    def _check_token(self, request: Request, host: str) -> Response | None:
+        port = host.rpartition(":")[2]
+        # Browsers keep cookies by host, not by port, and two servers may share one.
+        cookie = f"kt3dmoseg_token_{port if port.isdecimal() else _HTTP}"
+        if request.url.path == "/" and self._matches(request.query_params.get("token", "")):
+            # The token leaves the address bar, and with it the browser's history.
+            welcome = RedirectResponse("/", status_code=303)
+            welcome.set_cookie(cookie, self.token, httponly=True, samesite="strict")
+            return welcome
+        bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
+        if self._matches(bearer) or self._matches(request.cookies.get(cookie, "")):
+            return None
+        return _refuse(401, "this server wants the token that it printed when it started")
+
+    def _matches(self, given: str) -> bool:
+        return bool(given) and hmac.compare_digest(given.encode(), self.token.encode())
 
 
-async def _stale(_: Request, error: Exception) -> Response:
-    assert isinstance(error, StaleRevisionError)
-    return JSONResponse({"error": str(error), "annotation": to_json(error.current)}, status_code=412)
+def _refuse(status: int, message: str) -> JSONResponse:
+    return JSONResponse({"error": message}, status_code=status)
 
 
-async def _bad_request(_: Request, error: Exception) -> Response:
-    return refuse(400, str(error))
+def _bounded(receive: Receive) -> Receive:
+    size = 0
+
+    async def counted() -> Message:
+        nonlocal size
+        message = await receive()
+        size += len(message.get("body", b""))
+        if size > MAX_BODY:
+            raise HTTPException(413, _TOO_LARGE.format(MAX_BODY))
+        return message
+
+    return counted
 
 
-async def _unavailable(_: Request, error: Exception) -> Response:
-    return refuse(500, str(error))
+def _with_headers(send: Send, path: str) -> Send:
+    # Files of the page are asked for again after an update: their ETag decides.
+    headers = _HEADERS | ({"cache-control": "no-cache"} if path.startswith("/static/") else {})
+    extra = [(name.encode(), value.encode()) for name, value in headers.items()]
+
+    async def wrapped(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message.get("headers", []), *extra]}
+        await send(message)
+
+    return wrapped
 
 
-async def _too_large(_: Request, error: Exception) -> Response:
-    del error
-    return refuse(413, TOO_LARGE)
+def serve(
+    routes: Routes, *, host: str = "127.0.0.1", port: int = 0, ready: Callable[[str], None] | None = None
+) -> None:
+    """Serve the labelling page until interrupted.
+
+    Parameters
+    ----------
+    routes : Routes
+        The clips.
+    host : str
+        Address to listen on. Any but loopback makes the server want a token.
+    port : int
+        0 = any free one.
+    ready : callable, optional
+        Called with the page's address once the server listens.
+
+    Raises
+    ------
+    MissingDependencyError
+        When uvicorn is not installed.
+    InputFileError
+        When the address cannot be listened on.
+    """
+    try:
+        import uvicorn
+    except ImportError as error:
+        fix = "pip install 'kt3dmoseg[label]'"
+        raise MissingDependencyError("uvicorn is not installed", fix=fix) from error
+    listener = _listen(host, port)
+    port = listener.getsockname()[1]
+    token = "" if is_loopback(host) else secrets.token_urlsafe(24)
+    app = create_app(routes, hosts=_hosts(host, port), token=token)
+    # Found out now, not while the first page waits for it.
+    _ = routes.suffixes, routes.proposers
+    config = uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
+    if ready is not None:
+        shown = f"[{host}]" if ":" in host else host
+        ready(f"http://{shown}:{port}/" + (f"?token={token}" if token else ""))
+    uvicorn.Server(config).run(sockets=[listener])
 
 
-async def _http(_: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
-    return refuse(error.status_code, error.detail)
+def is_loopback(host: str) -> bool:
+    """Whether an address is only reachable from this machine."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    if not 0 <= port <= _LAST_PORT:
+        raise InvalidValueError("--port", expected=f"0 to {_LAST_PORT}", found=str(port))
+    try:
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        where, reason = f"{host}:{port}: cannot listen", error.strerror or str(error)
+        raise InputFileError(where, found=reason, fix="choose another --port") from error
+
+
+def _hosts(host: str, port: int) -> set[str]:
+    names = {"127.0.0.1", "localhost", "[::1]"} if is_loopback(host) else {host}
+    if host in ("0.0.0.0", "::"):  # every address of this machine; the token protects
+        names |= {"127.0.0.1", "localhost", socket.gethostname(), *_addresses()}
+    return {f"{name}:{port}" for name in names} | (names if port == _HTTP else set())
+
+
+def _addresses() -> set[str]:
+    try:
+        found = socket.getaddrinfo(socket.gethostname(), None)
+    except OSError:
+        return set()
+    return {f"[{a[4][0]}]" if ":" in str(a[4][0]) else str(a[4][0]) for a in found}

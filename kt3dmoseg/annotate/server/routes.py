@@ -33,10 +33,11 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from kt3dmoseg.annotate import formats, proposals
+from kt3dmoseg.annotate.agreement import agree
+from kt3dmoseg.annotate.labelling import LabelledTracks
 from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, from_json, load_annotation, to_json
-from kt3dmoseg.annotate.server.compare import comparison
-from kt3dmoseg.annotate.server.desk import Desk, Progress, outcome, shown
-from kt3dmoseg.annotate.server.survey import Survey
+from kt3dmoseg.annotate.propagation import Region
+from kt3dmoseg.annotate.server.clip_session import ClipSession, Progress, Summaries
 from kt3dmoseg.annotate.session import save_revision
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
@@ -54,6 +55,7 @@ _SHOWN = {
     ".bmp": "image/bmp",
 }
 _MAX_PICTURE = 1 << 28
+_MOST_DIFFERENCES = 2_000
 _ETAG = re.compile(r'"(\d{1,16})"')
 
 
@@ -63,7 +65,7 @@ class Routes:
 
     Parameters
     ----------
-    desks : mapping of str to Desk
+    sessions : mapping of str to ClipSession
         The clips by name.
     annotator : str
         Written into what is saved, when not empty.
@@ -73,7 +75,7 @@ class Routes:
         Where proposals may find masks and KITTI raw drives.
     """
 
-    desks: Mapping[str, Desk]
+    sessions: Mapping[str, ClipSession]
     annotator: str = ""
     other: Path | None = None
     masks: Path | None = None
@@ -85,9 +87,9 @@ class Routes:
         return {name: formats.load(name).suffix for name in formats.FORMATS.names()}
 
     @cached_property
-    def survey(self) -> Survey:
+    def summaries(self) -> Summaries:
         """The progress of all clips."""
-        return Survey(self.desks)
+        return Summaries(self.sessions)
 
     @cached_property
     def proposers(self) -> dict[str, str]:
@@ -119,17 +121,17 @@ class Routes:
 
     async def clips(self, _: Request) -> Response:
         """List the clips with their progress."""
-        return JSONResponse({"clips": await run_in_threadpool(self.survey.clips)})
+        return JSONResponse({"clips": await run_in_threadpool(self.summaries.clips)})
 
     async def clip(self, request: Request) -> Response:
-        """Tell all that the page needs about one clip but the big arrays."""
-        desk = self._desk(request)
-        annotation = await run_in_threadpool(desk.annotation)
+        """Send all that the page needs of one clip but the big arrays."""
+        session = self._session(request)
+        annotation = await run_in_threadpool(session.annotation)
         return JSONResponse(
             {
-                "name": desk.source.name,
-                "image_size": desk.image_size,
-                "n_frames": len(desk.source.frames),
+                "name": session.source.name,
+                "image_size": session.image_size,
+                "n_frames": len(session.source.frames),
                 "annotation": to_json(annotation),
                 "annotator": self.annotator,
                 "kinds": KINDS,
@@ -141,7 +143,7 @@ class Routes:
 
     async def frame(self, request: Request) -> Response:
         """Send one frame."""
-        frames, index = self._desk(request).source.frames, request.path_params["frame"]
+        frames, index = self._session(request).source.frames, request.path_params["frame"]
         if index >= len(frames):
             raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
         content, kind = await run_in_threadpool(_picture, frames[index])
@@ -150,7 +152,7 @@ class Routes:
 
     async def tracks(self, request: Request) -> Response:
         """Send the trajectories, or say how far they are."""
-        found = await run_in_threadpool(self._desk(request).trajectories)
+        found = await run_in_threadpool(self._session(request).trajectories)
         if isinstance(found, Progress):
             status = 500 if found.error else 202
             return JSONResponse(vars(found), status_code=status)
@@ -160,34 +162,34 @@ class Routes:
 
     async def annotation(self, request: Request) -> Response:
         """Send the saved annotation."""
-        found = await run_in_threadpool(self._desk(request).annotation)
+        found = await run_in_threadpool(self._session(request).annotation)
         return JSONResponse(to_json(found), headers=_etag(found))
 
     async def save(self, request: Request) -> Response:
         """Save an annotation that was made from the present revision."""
-        desk = self._desk(request)
+        session = self._session(request)
         base = _if_match(request)
-        given = await self._annotation_of(request, desk)
+        given = await self._annotation_of(request, session)
         mine = replace(given, revision=base, annotator=self.annotator or given.annotator)
-        saved = await run_in_threadpool(save_revision, desk.source.annotation, mine)
+        saved = await run_in_threadpool(save_revision, session.source.annotation, mine)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
     async def regions(self, request: Request) -> Response:
         """Send the regions of the annotation in the body, in every frame."""
-        return await self._told(request, lambda desk, given: {"regions": shown(desk.regions(given))})
+        return await self._answer(request, lambda session, given: {"regions": _shown(session.regions(given))})
 
     async def labels(self, request: Request) -> Response:
         """Label the trajectories by the annotation in the body."""
-        return await self._told(request, lambda desk, given: outcome(desk.labelled(given)))
+        return await self._answer(request, lambda session, given: _outcome(session.labelled(given)))
 
     async def propose(self, request: Request) -> Response:
         """Send proposed objects; the body is the annotation so far."""
-        desk = self._desk(request)
-        annotation = await self._annotation_of(request, desk)
+        session = self._session(request)
+        annotation = await self._annotation_of(request, session)
 
         def work() -> list[AnnotatedObject]:
             asked = proposals.Request(
-                desk.source.name, annotation, desk.wait(), desk.source.frames, self.masks, self.kitti
+                session.source.name, annotation, session.wait(), session.source.frames, self.masks, self.kitti
             )
             return proposals.propose(request.path_params["proposer"], asked)
 
@@ -196,61 +198,63 @@ class Routes:
 
     async def compare(self, request: Request) -> Response:
         """Compare the annotation in the body with the other annotator's."""
-        desk = self._desk(request)
+        session = self._session(request)
         if self.other is None:
             raise HTTPException(404, "start with --compare FOLDER to compare two annotators")
-        path = self.other / f"{desk.source.name}.json"
-        mine = await self._annotation_of(request, desk)
+        path = self.other / f"{session.source.name}.json"
+        mine = await self._annotation_of(request, session)
 
         def work() -> dict[str, Any]:
             theirs = load_annotation(path)
-            desk.check(theirs)
-            found = comparison(desk.wait(), desk.labelled(mine), desk.labelled(theirs))
-            return found | {"theirs": to_json(theirs)["objects"], "regions": shown(desk.regions(theirs))}
+            session.check(theirs)
+            found = _comparison(session.wait(), session.labelled(mine), session.labelled(theirs))
+            return found | {"theirs": to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}
 
         return JSONResponse(await run_in_threadpool(work))
 
     async def export(self, request: Request) -> Response:
         """Send the annotation in the body as a file of another format."""
-        desk = self._desk(request)
-        annotation = await self._annotation_of(request, desk)
+        session = self._session(request)
+        annotation = await self._annotation_of(request, session)
         chosen = formats.load(request.path_params["format"])
-        found = desk.trajectories()
+        found = session.trajectories()
         tracks = found if isinstance(found, Trajectories) else None
         regions = await run_in_threadpool(formats.regions, annotation, tracks)
-        content = await run_in_threadpool(chosen.dump, annotation, regions, desk.frame_names)
+        content = await run_in_threadpool(chosen.dump, annotation, regions, session.frame_names)
         return Response(content, media_type=chosen.media_type)
 
     async def read(self, request: Request) -> Response:
         """Send what is in a file of another format, as an annotation of this clip."""
-        desk = self._desk(request)
+        session = self._session(request)
         chosen = formats.load(request.path_params["format"])
         content = await request.body()
-        like = await run_in_threadpool(desk.annotation)
-        found = await run_in_threadpool(chosen.parse, content, like.emptied(), desk.frame_names)
+        like = await run_in_threadpool(session.annotation)
+        found = await run_in_threadpool(chosen.parse, content, like.emptied(), session.frame_names)
         return JSONResponse(to_json(found))
 
-    async def _told(self, request: Request, tell: Callable[[Desk, Annotation], dict[str, Any]]) -> Response:
-        desk = self._desk(request)
-        found = desk.trajectories()
+    async def _answer(
+        self, request: Request, answer: Callable[[ClipSession, Annotation], dict[str, Any]]
+    ) -> Response:
+        session = self._session(request)
+        found = session.trajectories()
         if isinstance(found, Progress):
             return JSONResponse(vars(found), status_code=202)
-        annotation = await self._annotation_of(request, desk)
-        return JSONResponse(await run_in_threadpool(tell, desk, annotation))
+        annotation = await self._annotation_of(request, session)
+        return JSONResponse(await run_in_threadpool(answer, session, annotation))
 
-    def _desk(self, request: Request) -> Desk:
-        desk = self.desks.get(request.path_params["clip"])
-        if desk is None:
+    def _session(self, request: Request) -> ClipSession:
+        session = self.sessions.get(request.path_params["clip"])
+        if session is None:
             raise HTTPException(404, "no such clip")
-        return desk
+        return session
 
-    async def _annotation_of(self, request: Request, desk: Desk) -> Annotation:
+    async def _annotation_of(self, request: Request, session: ClipSession) -> Annotation:
         try:
             data = json.loads(await request.body())
         except (ValueError, RecursionError) as error:
             raise InvalidValueError("body", expected="an annotation in JSON", found=str(error)[:80]) from None
         annotation = from_json(data)
-        await run_in_threadpool(desk.check, annotation)
+        await run_in_threadpool(session.check, annotation)
         return annotation
 
 
@@ -273,3 +277,56 @@ def _if_match(request: Request) -> int:
 
 def _etag(annotation: Annotation) -> dict[str, str]:
     return {"etag": f'"{annotation.revision}"', "cache-control": "no-store"}
+
+
+def _outcome(labelled: LabelledTracks) -> dict[str, Any]:
+    """Return what the page shows of a labelling, JSON-able."""
+    labels, counts = np.unique(labelled.labels.label, return_counts=True)
+    per_label = {str(label): int(count) for label, count in zip(labels, counts, strict=True)}
+    return {
+        "label": labelled.labels.label.tolist(),
+        "reason": labelled.reason.tolist(),
+        "counts": labelled.counts() | {"motions": per_label},
+    }
+
+
+def _shown(regions: Mapping[int, list[Region]]) -> dict[str, Any]:
+    """Return the regions as the page draws them, JSON-able."""
+    return {
+        str(number): [
+            {
+                "visibility": region.visibility,
+                "key": region.key,
+                "polygons": [np.round(polygon, 2).tolist() for polygon in region.polygons],
+            }
+            for region in of_object
+        ]
+        for number, of_object in regions.items()
+    }
+
+
+def _comparison(trajectories: Trajectories, mine: LabelledTracks, theirs: LabelledTracks) -> dict[str, Any]:
+    """Agreement, kappa and the differing trajectories, alike ones together, with where to look."""
+    result = agree(mine.labels.label, theirs.labels.label)
+    rows = [int(row) for _, _, group in result.groups() for row in group]
+    differences = []
+    for row in rows[:_MOST_DIFFERENCES]:
+        seen = np.flatnonzero(trajectories.visible[row])
+        if len(seen):
+            frame = int(seen[len(seen) // 2])
+            xy = np.round(trajectories.xy[row, frame], 1).tolist()
+            names = {"mine": _label_name(mine, row), "theirs": _label_name(theirs, row)}
+            differences.append({"row": row, "frame": frame, "xy": xy, **names})
+    return {
+        "trajectories": len(trajectories),
+        "agreement": result.agreement,
+        "both": result.both,
+        "kappa": result.kappa,
+        "different": len(result.differences),
+        "differences": differences,
+    }
+
+
+def _label_name(labelled: LabelledTracks, row: int) -> str:
+    label = int(labelled.labels.label[row])
+    return labelled.labels.names.get(label, f"motion {label - 1}") if label else "unlabelled"

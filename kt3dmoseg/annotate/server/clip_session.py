@@ -1,14 +1,13 @@
-"""One clip on the desk: its frames, its trajectories once they are there, and its labelling."""
+"""What the server knows of each clip: frames, trajectories once they are there, labelling, progress."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any, TypeAlias
-
-import numpy as np
 
 from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
@@ -35,8 +34,8 @@ class Progress:
     error: str = ""
 
 
-class Desk:
-    """What the server knows about one clip; safe to use from several threads."""
+class ClipSession:
+    """One clip that is being labelled; safe to use from several threads."""
 
     def __init__(self, source: ClipSource, tracker: Tracker) -> None:
         self.source, self.tracker = source, tracker
@@ -44,17 +43,14 @@ class Desk:
         self._thread: threading.Thread | None = None
         self._progress = Progress(0, len(source.frames))
         self._trajectories: Trajectories | None = None
-        self._size: tuple[int, int] | None = None
         self._labelled = lru_cache(_KEPT_LABELLINGS)(self._label)
         self._carried = lru_cache(_KEPT_OBJECTS)(self._carry)
 
-    @property
+    @cached_property
     def image_size(self) -> tuple[int, int]:
         """Width and height of the frames, from the first one."""
-        if self._size is None:
-            height, width = read_frame(self.source.frames[0], "luma").shape
-            self._size = (width, height)
-        return self._size
+        height, width = read_frame(self.source.frames[0], "luma").shape
+        return width, height
 
     @property
     def frame_names(self) -> list[str]:
@@ -76,18 +72,9 @@ class Desk:
         return found
 
     def check(self, annotation: Annotation) -> None:
-        """Refuse the annotation of another clip.
-
-        Raises
-        ------
-        InvalidValueError
-            The message names the field.
-        """
-        wanted = {
-            "clip": self.source.name,
-            "image_size": self.image_size,
-            "n_frames": len(self.source.frames),
-        }
+        """Raise InvalidValueError, which names the field, for the annotation of another clip."""
+        frames = len(self.source.frames)
+        wanted = {"clip": self.source.name, "image_size": self.image_size, "n_frames": frames}
         for name, value in wanted.items():
             if getattr(annotation, name) != value:
                 raise InvalidValueError(name, expected=repr(value), found=repr(getattr(annotation, name)))
@@ -102,19 +89,8 @@ class Desk:
                 self._thread.start()
             return self._progress
 
-    @property
-    def ready(self) -> bool:
-        """Whether the trajectories are there."""
-        return self._trajectories is not None
-
     def wait(self) -> Trajectories:
-        """Return the trajectories, waiting for them.
-
-        Raises
-        ------
-        InvalidValueError
-            When they cannot be read or computed.
-        """
+        """Return the trajectories, waiting for them; InvalidValueError when there are none to be had."""
         found = self.trajectories()
         if isinstance(found, Progress) and self._thread is not None:
             self._thread.join()
@@ -124,7 +100,7 @@ class Desk:
         return found
 
     def labelled(self, annotation: Annotation) -> LabelledTracks:
-        """Label the clip's trajectories; the last few answers are remembered."""
+        """Label the clip's trajectories; the last few answers are kept."""
         # Who saved it, and as which revision, changes no label.
         return self._labelled(replace(annotation, revision=0, annotator=""))
 
@@ -132,20 +108,19 @@ class Desk:
         """Return every object's region in every frame; computed only for objects that were edited."""
         return {item.id: self._carried(item.key_frames) for item in annotation.objects}
 
-    def progress(self) -> dict[str, Any]:
-        """Tell how far the clip is, JSON-able; trajectories that no file holds are not computed for it.
+    def summary(self) -> dict[str, Any]:
+        """Count how far the clip is, JSON-able; trajectories that no file holds are not computed for it.
 
         Raises
         ------
         KT3DMoSegError
             When a file is damaged, or of another clip.
         """
-        out: dict[str, Any] = {}
         found = self._trajectories
+        ready = found is not None
         if found is None and self.source.tracks is not None:
-            found = self._load()
-        if found is not None:
-            out["trajectories"] = len(found)
+            found = self._load(self.source.tracks)
+        out: dict[str, Any] = {} if found is None else {"trajectories": len(found)}
         if not self.source.annotation.exists():
             return out
         annotation = self.annotation()
@@ -158,12 +133,15 @@ class Desk:
         if found is None:
             return out
         # A clip that nobody opened is labelled without keeping anything of it.
-        labelled = self.labelled(annotation) if self.ready else label_tracks_detailed(found, annotation)
+        labelled = self.labelled(annotation) if ready else label_tracks_detailed(found, annotation)
         return out | {"counts": labelled.counts()}
 
-    def frames(self) -> list[ByteArray]:
-        """Read all frames as gray."""
-        return [read_frame(path, "luma") for path in self.source.frames]
+    def state(self) -> tuple[object, ...]:
+        """Return what `summary` depends on: the state of the files, or whether trajectories were computed."""
+        tracks = self.source.tracks
+        return _file_state(self.source.annotation), _file_state(
+            tracks
+        ) if tracks else self._trajectories is not None
 
     def _label(self, annotation: Annotation) -> LabelledTracks:
         return label_tracks_detailed(self.wait(), annotation, regions=self.regions(annotation))
@@ -173,21 +151,17 @@ class Desk:
 
     def _work(self) -> None:
         try:
-            found = self._load() if self.source.tracks else self._track()
+            found = self._load(self.source.tracks) if self.source.tracks else self._track()
             with self._lock:
                 self._trajectories = found
         except KT3DMoSegError as error:
             self._report(self._progress.done, str(error))
 
-    def _load(self) -> Trajectories:
-        assert self.source.tracks is not None
-        dense = io.load(self.source.tracks).dense
-        if dense.n_frames != len(self.source.frames):
-            raise InvalidValueError(
-                f"{self.source.tracks}",
-                expected=f"{len(self.source.frames)} frames, as the clip has",
-                found=f"{dense.n_frames}",
-            )
+    def _load(self, path: Path) -> Trajectories:
+        dense, frames = io.load(path).dense, len(self.source.frames)
+        if dense.n_frames != frames:
+            expected = f"{frames} frames, as the clip has"
+            raise InvalidValueError(f"{path}", expected=expected, found=f"{dense.n_frames}")
         return Trajectories(dense.xy, dense.visible, dense.track_id, self.image_size)
 
     def _track(self) -> Trajectories:
@@ -199,30 +173,64 @@ class Desk:
             self._progress = Progress(done, len(self.source.frames), error)
 
 
-def outcome(labelled: LabelledTracks) -> dict[str, Any]:
-    """Return what the page shows of a labelling, JSON-able."""
-    return {
-        "label": labelled.labels.label.tolist(),
-        "reason": labelled.reason.tolist(),
-        "counts": labelled.counts() | {"motions": _per_label(labelled)},
-    }
+class Summaries:
+    """The progress of all clips, counted in the background, and again only where a file has changed.
+
+    Parameters
+    ----------
+    sessions : mapping of str to ClipSession
+        The clips by name.
+    """
+
+    def __init__(self, sessions: Mapping[str, ClipSession]) -> None:
+        self.sessions = sessions
+        self._lock = threading.Lock()
+        self._known: dict[str, tuple[tuple[object, ...], dict[str, Any]]] = {}
+        self._worker: threading.Thread | None = None
+
+    def clips(self) -> list[dict[str, Any]]:
+        """Return what is known of each clip by now; what is not yet is being counted.
+
+        Returns
+        -------
+        list of dict
+            ``name``, ``n_frames`` and ``counting``; for a counted clip ``revision``, ``annotator``,
+            ``objects``, ``motions`` as far as there is an annotation, ``trajectories`` as far as
+            there are any, ``counts`` where there is both; ``error`` when a file is damaged.
+        """
+        with self._lock:
+            out = [self._summary(session) for session in self.sessions.values()]
+            if any(summary["counting"] for summary in out) and self._worker is None:
+                self._worker = threading.Thread(target=self._work, daemon=True)
+                self._worker.start()
+        return out
+
+    def _summary(self, session: ClipSession) -> dict[str, Any]:
+        state, counted = self._known.get(session.source.name, (None, {}))
+        general = {"name": session.source.name, "n_frames": len(session.source.frames)}
+        return general | counted | {"counting": state != session.state()}
+
+    def _next(self) -> ClipSession | None:
+        with self._lock:
+            found = next((s for s in self.sessions.values() if self._summary(s)["counting"]), None)
+            if found is None:
+                self._worker = None
+            return found
+
+    def _work(self) -> None:
+        while session := self._next():
+            state = session.state()
+            try:
+                counted = session.summary()
+            except KT3DMoSegError as error:
+                counted = {"error": str(error)}
+            with self._lock:
+                self._known[session.source.name] = state, counted
 
 
-def shown(regions: Mapping[int, list[Region]]) -> dict[str, Any]:
-    """Return the regions as the page draws them, JSON-able."""
-    return {
-        str(number): [
-            {
-                "visibility": region.visibility,
-                "key": region.key,
-                "polygons": [np.round(polygon, 2).tolist() for polygon in region.polygons],
-            }
-            for region in of_object
-        ]
-        for number, of_object in regions.items()
-    }
-
-
-def _per_label(labelled: LabelledTracks) -> dict[str, int]:
-    labels, counts = np.unique(labelled.labels.label, return_counts=True)
-    return {str(label): int(count) for label, count in zip(labels, counts, strict=True)}
+def _file_state(path: Path) -> tuple[int, ...]:
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino
