@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import Clip, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
 
 ModelKind: TypeAlias = Literal["affine", "homography", "fundamental"]
 
@@ -51,7 +51,7 @@ class Segmentation:
     labels : (n,) int64
         1, 2, ... = predicted motions; 0 = outlier. In the order of ``clip.evaluated``.
     report : mapping of str to object
-        What the method wants to tell: objective values, convergence, chosen rank, timings.
+        What the method reports: objective values, convergence, chosen rank, timings.
     """
 
     labels: IntArray
@@ -65,8 +65,29 @@ class Segmentation:
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
 
+    @classmethod
+    def of_part(cls, labels: IntArray, used: BoolArray, report: Mapping[str, Any]) -> Segmentation:
+        """Segmentation of a clip of which some trajectories took no part: they join the largest motion.
+
+        Without evidence that is the best guess. Where all others are outliers, so are they.
+
+        Parameters
+        ----------
+        labels : (m,) int64
+            Labels of the trajectories that took part, 0 = outlier.
+        used : (n,) bool
+            Which m of the n trajectories those are.
+        report : mapping of str to object
+            See the class.
+        """
+        sizes = np.bincount(labels)
+        largest = int(sizes[1:].argmax()) + 1 if len(sizes) > 1 else 0
+        everywhere = np.full(len(used), largest, dtype=np.int64)
+        everywhere[used] = labels
+        return cls(everywhere, report)
+
     def __repr__(self) -> str:
-        """Say in one line what was found."""
+        """One line: how many trajectories, and the size of each motion."""
         groups, sizes = np.unique(self.labels, return_counts=True)
         shown = ", ".join(f"{g}: {n}" for g, n in zip(groups.tolist(), sizes.tolist(), strict=True))
         return f"Segmentation({len(self.labels)} trajectories; motion: size {{{shown}}})"
@@ -89,7 +110,7 @@ class Method(Protocol):
         Parameters
         ----------
         clip : Clip
-            The sequence; its labels must not be looked at.
+            The sequence; a method must not use its labels.
         n_motions : int or None
             Number of motions; None where the method finds it itself.
         rng : numpy.random.Generator
@@ -101,3 +122,21 @@ class Method(Protocol):
             When the clip cannot be segmented by this method.
         """
         ...
+
+
+def required_count(n_motions: int | None, method: object) -> int:
+    """Return the number of motions, for a method that cannot find it by itself.
+
+    Raises
+    ------
+    InvalidValueError
+        When it is None.
+    """
+    if n_motions is None:
+        raise InvalidValueError(
+            "n_motions",
+            expected=f"a number: {type(method).__name__} cannot find it",
+            found="none",
+            fix="give --n-motions N, or segment(..., n_motions=N)",
+        )
+    return n_motions

@@ -25,7 +25,7 @@ from mseg.benchmark.data import find_clips
 from mseg.evaluation import load_protocol
 from mseg.evaluation.layout import TextTable
 from mseg.kernels import sample_hypotheses, sparsify, view_kernel
-from mseg.methods.subset import Subset
+from mseg.methods.paper import Subset
 from mseg.types import ModelKind
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")

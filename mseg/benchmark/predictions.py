@@ -12,10 +12,11 @@ from typing import Any
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import check_writable, write_text
+from kt3dmoseg.parallel import algorithm_version
 from kt3dmoseg.types import Clip
 from mseg.benchmark.execution import execute
 from mseg.benchmark.runner import Progress, configure
-from mseg.benchmark.store import algorithm_version, key
+from mseg.benchmark.store import key
 from mseg.benchmark.tasks import Configuration, Outcome, Task, seed_numbers
 from mseg.evaluation import SubmissionMeta, fingerprint, write_failure, write_meta, write_prediction
 from mseg.evaluation.submission import FAILED
@@ -109,7 +110,7 @@ def _open_record(
     wanted = {
         "method": configuration.method,
         "parameters": {k: repr(v) for k, v in _parameters(configuration).items()},
-        "code": algorithm_version(create(configuration.method, **configuration.parameters)),
+        "code": algorithm_version(type(create(configuration.method, **configuration.parameters))) or "",
         "n_motions": n_motions,
         "layout": layout,
     }

@@ -5,27 +5,29 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict
-from importlib.metadata import packages_distributions, version
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import scipy
 
-from kt3dmoseg import __version__
 from kt3dmoseg.files import atomic_path, sha256_arrays
+from kt3dmoseg.parallel import algorithm_version
 from kt3dmoseg.types import Clip
 from mseg.benchmark.tasks import Configuration, Outcome
-from mseg.methods import ALGORITHM_VERSION, create
-from mseg.types import Method
+from mseg.methods import create
+
+_THIS_PROCESS = uuid4().hex
 
 
 def key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: int) -> str:
     """Hash of method, all its parameters, the clip's content, number of motions, seed and versions.
 
-    The versions are those of this package, numpy and scipy, and the `algorithm_version` of the method,
-    so results of a method that was changed are never taken for those of the new one. All seeds of a
-    method that draws nothing have one key.
+    The versions are those of numpy, scipy and the method's code (`kt3dmoseg.parallel.algorithm_version`),
+    so results of a method that was changed are never taken for those of the new one. No other process
+    finds the results of a method whose code states no version. All seeds of a method that draws nothing
+    have one key.
     """
     method: Any = create(configuration.method, **configuration.parameters)
     parameters = asdict(method)
@@ -36,7 +38,7 @@ def key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: i
         "content": clip_hash(clip),
         "n_motions": n_motions,
         "seed": 0 if getattr(method, "deterministic", False) else seed,
-        "versions": [__version__, np.__version__, scipy.__version__, algorithm_version(method)],
+        "versions": [np.__version__, scipy.__version__, algorithm_version(type(method)) or _THIS_PROCESS],
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()[:40]
 
@@ -46,23 +48,6 @@ def clip_hash(clip: Clip) -> str:
     size = np.array(clip.dense.image_size or (0, 0))
     intrinsics = np.zeros(0) if clip.camera is None or clip.camera.K is None else clip.camera.K
     return sha256_arrays(clip.dense.xy, clip.dense.visible, clip.evaluated, size, intrinsics)
-
-
-def algorithm_version(method: Method) -> str:
-    """Version of the numbers that a method gives.
-
-    `mseg.methods.ALGORITHM_VERSION` for our own. For a third party's method the attribute
-    ``algorithm_version`` of its class; without one, the version of the package that it is installed from,
-    which is empty for a loose file.
-    """
-    package = type(method).__module__.partition(".")[0]
-    if package == __name__.partition(".")[0]:
-        return str(ALGORITHM_VERSION)
-    own = getattr(method, "algorithm_version", None)
-    if own is not None:
-        return f"{package} {own}"
-    installed = packages_distributions().get(package, [])
-    return " ".join([package, *sorted(f"{name} {version(name)}" for name in set(installed))])
 
 
 class Store:

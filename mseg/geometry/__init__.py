@@ -1,21 +1,20 @@
-"""Two-view models of one motion: affine maps, homographies, fundamental matrices."""
+"""Two-view models of one motion: affine maps, homographies, fundamental matrices; and linear subspaces."""
 
 from __future__ import annotations
 
-from mseg.geometry import affine, fundamental, hartley, homography
-from mseg.geometry.models import MODELS, Distance, Model, change_frame, residuals
-from mseg.geometry.pairs import FramePair, frame_pair
+from mseg.geometry import fundamental, hartley, point_maps, subspaces
+from mseg.geometry.hartley import FramePair, change_frame, frame_pair
+from mseg.geometry.models import MODELS, Distance, Model
 
 __all__ = [
     "MODELS",
     "Distance",
     "FramePair",
     "Model",
-    "affine",
     "change_frame",
     "frame_pair",
     "fundamental",
     "hartley",
-    "homography",
-    "residuals",
+    "point_maps",
+    "subspaces",
 ]

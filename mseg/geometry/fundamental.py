@@ -8,9 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.types import BoolArray, FloatArray
-from mseg.geometry import hartley
 
-MINIMAL = 8
 _Array = npt.NDArray[Any]
 # Smallest eighth pivot of the design matrix, relative to its first, that still fixes F.
 _DEGENERATE = 1e-9
@@ -21,46 +19,34 @@ _SQUARINGS = 8
 _TINY = float(np.finfo(np.float64).tiny)
 
 
-def fit(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Fit fundamental matrices to many samples at once by the normalised eight-point algorithm.
+def eight_point(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Fit fundamental matrices to many samples at once by the eight-point algorithm.
+
+    In the coordinates as they are, for points that are normalised together, as those of a frame pair:
+    normalising each sample by itself moves the frame in which the nearest matrix of rank 2 is taken, and
+    costs two points of error of the fundamental view on KT3DMoSeg.
 
     Parameters
     ----------
-    x1, x2 : (K, p, 2) float64
-        K samples of p >= 8 corresponding points.
+    x1, x2 : (K, 8, 2) float64
+        K samples of eight corresponding points.
 
     Returns
     -------
     models : (K, 3, 3) float64
-        Matrices of rank 2 and Frobenius norm 1; meaningless where not `ok`.
+        Matrices of rank 2; meaningless where not `ok`.
     ok : (K,) bool
-        False where the eight-point equations leave more than one solution (repeated points, points
-        and motions on a plane) to within rounding.
+        False where the equations leave more than one solution (repeated points, points and motions on a
+        plane) to within rounding.
 
     References
     ----------
     Hartley, "In defense of the eight-point algorithm", TPAMI 1997.
     """
-    n1, t1 = hartley.normalise(x1)
-    n2, t2 = hartley.normalise(x2)
-    models, ok = eight_point(n1, n2)
-    models = t2.transpose(0, 2, 1) @ models @ t1
-    size = np.linalg.norm(models, axis=(1, 2), keepdims=True)
-    return models / np.where(size > 0, size, 1.0), ok
-
-
-def eight_point(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Fit as `fit` does, in the coordinates as they are.
-
-    For samples of points that are normalised together, as those of a frame pair: normalising each
-    sample by itself moves the frame in which the nearest matrix of rank 2 is taken, and costs two
-    points of error of the fundamental view on KT3DMoSeg.
-    """
-    solve = _null_vectors if x1.shape[1] == MINIMAL else _least_squares
     models, ok = np.empty((len(x1), 3, 3)), np.empty(len(x1), dtype=np.bool_)
     for start in range(0, len(x1), _TOGETHER):
         part = slice(start, start + _TOGETHER)
-        vectors, ok[part] = solve(_outer(x2[part], x1[part]))
+        vectors, ok[part] = _null_vectors(_outer(_homogeneous(x2[part]), _homogeneous(x1[part])))
         models[part] = _nearest_rank_2(vectors.reshape(3, 3, -1)).transpose(2, 0, 1)
     return models, ok
 
@@ -84,9 +70,7 @@ def sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
         NaN for a pair of points that both are epipoles.
     """
     f = models.astype(np.float64)
-    one = np.ones((len(x1), 1))
-    first = np.concatenate([x1, one], axis=1)
-    second = np.concatenate([x2, one], axis=1)
+    first, second = _homogeneous(x1), _homogeneous(x2)
     algebraic: _Array = _outer(second, first).astype(x1.dtype) @ f.reshape(-1, 9).T.astype(x1.dtype)
     # |(F x1)_12|^2 is a quadratic form of x1 with the matrix F_12^T F_12; likewise of x2.
     forms1 = _symmetric_part(f[:, :2].transpose(0, 2, 1) @ f[:, :2])
@@ -101,13 +85,13 @@ def sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
     return algebraic
 
 
+def _homogeneous(points: _Array) -> FloatArray:
+    return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
+
+
 def _outer(second: FloatArray, first: FloatArray) -> FloatArray:
-    """Coefficients (..., p, 9) of x2^T F x1 in the row-major entries of F."""
-    if first.shape[-1] == 2:
-        one = np.ones((*first.shape[:-1], 1))
-        first, second = np.concatenate([first, one], axis=-1), np.concatenate([second, one], axis=-1)
-    product = second[..., :, None] * first[..., None, :]
-    out: FloatArray = product.reshape(*first.shape[:-1], 9)
+    """Coefficients (..., p, 9) of x2^T F x1 in the row-major entries of F, x1 and x2 homogeneous."""
+    out: FloatArray = (second[..., :, None] * first[..., None, :]).reshape(*first.shape[:-1], 9)
     return out
 
 
@@ -117,15 +101,9 @@ def _null_vectors(design: FloatArray) -> tuple[FloatArray, BoolArray]:
     Householder's reflections written for many matrices side by side: LAPACK, called for one small
     matrix after the other, takes four times as long.
     """
-    vectors, pivots = _last_of_q(np.ascontiguousarray(design.transpose(2, 1, 0)))
-    return vectors, pivots.min(axis=0) > _DEGENERATE * pivots.max(axis=0)
-
-
-def _last_of_q(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Last column (9, K) of Q and diagonal (8, K) of |R| of matrices (9, 8, K), which are overwritten."""
-    count = columns.shape[1]
+    columns = np.ascontiguousarray(design.transpose(2, 1, 0))
     reflections, pivots = [], []
-    for j in range(count):
+    for j in range(columns.shape[1]):
         mirror = columns[j:, j].copy()
         norm = np.sqrt(np.einsum("ik,ik->k", mirror, mirror))
         mirror[0] += np.copysign(norm, mirror[0])
@@ -139,13 +117,7 @@ def _last_of_q(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     last[-1] = 1.0
     for j, (mirror, factor) in reversed(list(enumerate(reflections))):
         last[j:] -= mirror * (np.einsum("ik,ik->k", mirror, last[j:]) * factor)
-    return last, np.stack(pivots)
-
-
-def _least_squares(design: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Right singular vectors (9, K) of the smallest singular value."""
-    _, singular, right = np.linalg.svd(design, full_matrices=False)
-    return np.ascontiguousarray(right[:, -1].T), singular[:, -2] > _DEGENERATE * singular[:, 0]
+    return last, np.min(pivots, axis=0) > _DEGENERATE * np.max(pivots, axis=0)
 
 
 def _nearest_rank_2(matrices: FloatArray) -> FloatArray:

@@ -1,12 +1,18 @@
-"""Hartley's normalisation: centroid to the origin, mean distance to sqrt 2."""
+"""Hartley's normalisation: of the points of a frame pair, and of the models between its frames."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 
-from kt3dmoseg.types import FloatArray
+from kt3dmoseg.types import FloatArray, IntArray, Trajectories
+from mseg.types import ModelKind
 
 _SQRT2 = float(np.sqrt(2.0))
+# More frame pairs than most clips have; a few hundred kilobytes.
+_KEPT = 64
 
 
 def normalise(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -68,3 +74,54 @@ def after(transform: FloatArray, models: FloatArray) -> FloatArray:
     scale, a, b = (transform[..., i, j, None] for i, j in ((0, 0), (0, 2), (1, 2)))
     first, second, third = models[..., 0, :], models[..., 1, :], models[..., 2, :]
     return np.stack([first * scale + third * a, second * scale + third * b, third], axis=-2)
+
+
+def change_frame(kind: ModelKind, models: FloatArray, t1: FloatArray, t2: FloatArray) -> FloatArray:
+    """Express models in new image coordinates T1 x1 and T2 x2 (similarities, one or one per model).
+
+    Homographies and fundamental matrices come out with Frobenius norm 1, affine maps with (0 0 1).
+    """
+    moved = before(models, inverse(t1))
+    if kind == "fundamental":  # maps points to lines: x2^T F x1 = 0
+        return unit_norm(np.swapaxes(before(np.swapaxes(moved, -1, -2), inverse(t2)), -1, -2))
+    moved = after(t2, moved)
+    return moved if kind == "affine" else unit_norm(moved)
+
+
+def unit_norm(models: FloatArray) -> FloatArray:
+    """Scale models (K, 3, 3) to Frobenius norm 1; a matrix of zeros stays."""
+    size = np.linalg.norm(models, axis=(1, 2), keepdims=True)
+    out: FloatArray = models / np.where(size > 0, size, 1.0)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """Points visible in two frames, each side normalised by `normalise`.
+
+    Parameters
+    ----------
+    rows : (P,) int64
+        Which trajectories they are.
+    x1, x2 : (P, 2) float64
+        Normalised points.
+    t1, t2 : (3, 3) float64
+        The similarities that made them from pixels.
+    """
+
+    rows: IntArray
+    x1: FloatArray
+    x2: FloatArray
+    t1: FloatArray
+    t2: FloatArray
+
+
+@lru_cache(maxsize=_KEPT)
+def frame_pair(trajectories: Trajectories, i: int, j: int) -> FramePair:
+    """Normalise the points visible in frames i and j; the latest pairs are kept."""
+    rows, x1, x2 = trajectories.pair(i, j)
+    if not len(rows):
+        return FramePair(rows, x1, x2, np.eye(3), np.eye(3))
+    n1, t1 = normalise(x1)
+    n2, t2 = normalise(x2)
+    return FramePair(rows, n1, n2, t1, t2)

@@ -11,7 +11,7 @@ import numpy as np
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering.lossy import coding_lengths, compress
-from mseg.geometry.trajectory_matrix import project
+from mseg.geometry.subspaces import project
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 
 _LARGEST_OUTLIER_GROUP = 4

@@ -1,4 +1,4 @@
-"""What methods that need complete trajectories share: filling gaps, bad input, leftover trajectories.
+"""What methods that need complete trajectories share: filling gaps, and the rules for bad input.
 
 Rules, the same for all of them:
 
@@ -23,10 +23,8 @@ from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
-from mseg.geometry.trajectory_matrix import normalised, normalising_matrix, trajectory_matrix
-from mseg.methods.leftover import join_largest
-from mseg.methods.motion_count import told
-from mseg.types import Segmentation
+from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
+from mseg.types import Segmentation, required_count
 
 Completing = Literal["chen", "local", "rpca", "none"]
 COMPLETION_HELP = (
@@ -45,7 +43,7 @@ class CompleteData:
     pixels : (2F', n') float64
         Trajectory matrix in pixels, rows x1, y1, x2, y2, ...
     normalised : (2F', n') float64
-        The same in normalised coordinates, see `mseg.geometry.trajectory_matrix.normalising_matrix`.
+        The same in normalised coordinates, see `mseg.geometry.subspaces.normalising_matrix`.
     used : (n,) bool
         Which evaluated trajectories the columns are.
     report : mapping
@@ -133,14 +131,14 @@ class CompleteDataMethod(ABC):
         See `mseg.types.Method.segment` for parameters and `mseg.methods.complete_data` for the rules.
         """
         if not self.finds_n_motions:
-            told(n_motions, self)
+            required_count(n_motions, self)
         data = complete_data(clip, self.completion, self.completion_rank)
         if n_motions is not None and data.n_points < n_motions:
             raise TooFewPointsError(
                 clip.name, expected=f"at least {n_motions} trajectories", found=str(data.n_points)
             )
         labels, report = self.group(data, n_motions, rng)
-        return Segmentation(join_largest(labels, data.used), {**data.report, **report})
+        return Segmentation.of_part(labels, data.used, {**data.report, **report})
 
     @abstractmethod
     def group(

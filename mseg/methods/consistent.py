@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Clip, Float32Array, FloatArray, Trajectories
+from kt3dmoseg.types import Float32Array, IntArray, Trajectories
 from mseg.clustering import smallest_eigenvectors, unit_rows
 from mseg.clustering.coefficient_affinity import keep_largest
 from mseg.clustering.consistent import consistent_affinity
 from mseg.kernels import GUARD, covisible_frames
-from mseg.methods.views import KINDS, ViewMethod
-from mseg.types import Segmentation
+from mseg.methods.paper import KINDS, ViewMethod
 
 _GUARD = 0.2
 _NEGLIGIBLE = 1e-5
@@ -48,27 +49,26 @@ class ConsistentMoSeg(ViewMethod):
     tolerance: float = option(1e-3, "largest squared change at convergence", low=0)
     max_iterations: int = option(500, "cap on sweeps", low=1)
 
-    def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
-        """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`."""
-        views, count, kmeans_rng = self.prepare(clip, n_motions, KINDS, rng)
+    def group(
+        self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator
+    ) -> tuple[IntArray, dict[str, Any]]:
+        """Find the shared graph and cut it."""
         solved = consistent_affinity(
-            [kernel.toarray() for kernel in views.kernels],
-            count,
+            [view.toarray() for view in views],
+            n_motions,
             specific_weight=self.specific_weight,
             rank_weight=self.rank_weight,
             tolerance=self.tolerance,
             max_iterations=self.max_iterations,
         )
-        embedding = smallest_eigenvectors(self.laplacian(self._kept(solved.affinity())), count)
-        report = {"views": list(KINDS), **solved.convergence.report()}
-        return self.cluster(views, unit_rows(embedding), count, kmeans_rng, report)
+        affinity = solved.affinity()
+        kept = keep_largest(np.where(affinity < _NEGLIGIBLE, 0.0, affinity), self.share)
+        graph = self.laplacian(csr_array((kept + kept.T) / 2))
+        labels, report = self.read_out(unit_rows(smallest_eigenvectors(graph, n_motions)), n_motions, rng)
+        return labels, {"views": list(KINDS), **solved.convergence.report(), **report}
 
-    def divided_anew(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
+    def rescale(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
         """Divide by the common frames plus 0.2 instead of the paper's 0.1."""
         together = covisible_frames(points)
         scale = (together + np.float32(GUARD)) / (together + np.float32(_GUARD))
         return np.asarray(kernel * scale, dtype=np.float32)
-
-    def _kept(self, affinity: FloatArray) -> csr_array:
-        kept = keep_largest(np.where(affinity < _NEGLIGIBLE, 0.0, affinity), self.share)
-        return csr_array((kept + kept.T) / 2)

@@ -11,7 +11,7 @@ from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering import spectral_clustering, unit_rows
 from mseg.errors import TooFewPointsError
-from mseg.geometry.trajectory_matrix import leading_row_space
+from mseg.geometry.subspaces import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 
 _LARGEST_BASIS = 4

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Clip, Float32Array, Trajectories
-from mseg.clustering import smallest_eigenvectors, unit_rows
+from kt3dmoseg.types import Float32Array, Trajectories
 from mseg.kernels import GUARD, covisible_frames
-from mseg.methods.views import ViewMethod
-from mseg.types import Segmentation
+from mseg.methods.paper import SingleView
 
 
 @dataclass(frozen=True)
-class MSSC(ViewMethod):
+class MSSC(SingleView):
     """Accumulate which homographies trajectories share, keep the informative neighbours, cut the graph.
 
     1. Homographies are fitted to random minimal samples of every two consecutive frames. Two trajectories
@@ -37,14 +35,10 @@ class MSSC(ViewMethod):
     per pair, O(N^2) memory.
     """
 
+    kinds = ("homography",)
+
     alpha: float = option(3.0, "power of the kernel before neighbours are chosen", low=0)
 
-    def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
-        """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`."""
-        views, count, kmeans_rng = self.prepare(clip, n_motions, ["homography"], rng)
-        embedding = smallest_eigenvectors(self.laplacian(views.kernels[0]), count)
-        return self.cluster(views, unit_rows(embedding), count, kmeans_rng, {})
-
-    def divided_anew(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
+    def rescale(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
         """Undo the division."""
         return np.asarray(kernel * (covisible_frames(points) + np.float32(GUARD)), dtype=np.float32)

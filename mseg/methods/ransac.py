@@ -9,7 +9,7 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.geometry.trajectory_matrix import leading_row_space
+from mseg.geometry.subspaces import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 
 _BATCH = 100

@@ -13,8 +13,8 @@ from mseg.clustering import kmeans
 from mseg.clustering.preference import preference_matrix, tanimoto_distance
 from mseg.clustering.symmetric_factors import SoftMembership, symmetric_factors
 from mseg.completion import robust_pca
-from mseg.geometry.flats import best_flat_distances, flat_distances
-from mseg.kernels.localised import draw_near_subsets
+from mseg.geometry.subspaces import best_flat_distances, flat_distances
+from mseg.kernels import draw_near_subsets
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 from mseg.methods.tlinkage import FLAT_DIMENSION, rms_coordinates
 

@@ -13,7 +13,7 @@ from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering import unit_rows
 from mseg.clustering.coefficient_affinity import relative_eigengaps
 from mseg.clustering.discretise import discretise, offset_ncut_embedding
-from mseg.geometry.trajectory_matrix import leading_row_space
+from mseg.geometry.subspaces import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 
 _NEGLIGIBLE = 1e-6

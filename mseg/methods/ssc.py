@@ -12,7 +12,7 @@ from kt3dmoseg.types import IntArray
 from mseg.clustering import spectral_clustering
 from mseg.clustering.coefficient_affinity import count_by_eigengap, sparse_affinity
 from mseg.clustering.self_expressive import sparse_representation
-from mseg.geometry.trajectory_matrix import project
+from mseg.geometry.subspaces import project
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 
 

@@ -12,10 +12,9 @@ from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering.flat_code import code_length, reassign_by_code
 from mseg.clustering.linkage import tanimoto_linkage
 from mseg.clustering.preference import preference_matrix
-from mseg.geometry.flats import flat_distances
-from mseg.geometry.trajectory_matrix import project
+from mseg.geometry.subspaces import flat_distances, project
 from mseg.iteration import Convergence
-from mseg.kernels.localised import draw_near_subsets
+from mseg.kernels import draw_near_subsets
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 
 FLAT_DIMENSION = 3

@@ -15,7 +15,6 @@ from mseg.clustering.hyperplanes import EpipolarGroups
 from mseg.errors import SegmentationError, TooFewPointsError
 from mseg.geometry import hartley
 from mseg.iteration import Convergence
-from mseg.methods.leftover import join_largest
 from mseg.types import Segmentation
 
 _PIECES = (4, 6, 8, 12)
@@ -88,7 +87,7 @@ class TPV:
         found, refined = self._grouped(np.stack(views), affinity, count, rng)
         report = {"pairs": len(views), "n_motions": count, "trajectories_left_out": int((~used).sum())}
         report |= {**solved.convergence.report(), **refined.report("reassignment_")}
-        return Segmentation(join_largest(found, used), report)
+        return Segmentation.of_part(found, used, report)
 
     def _grouped(
         self, views: FloatArray, affinity: FloatArray, count: int, rng: np.random.Generator

@@ -16,9 +16,8 @@ from mseg.clustering.symmetric_factors import symmetric_factors
 from mseg.completion import robust_pca
 from mseg.errors import SegmentationError
 from mseg.geometry import fundamental
-from mseg.geometry.flats import best_flat_distances, flat_distances
-from mseg.geometry.trajectory_matrix import trajectory_matrix
-from mseg.kernels.localised import draw_near_subsets
+from mseg.geometry.subspaces import best_flat_distances, flat_distances, trajectory_matrix
+from mseg.kernels import draw_near_subsets
 from mseg.methods.alc import elect, sparsity_preserving_dimension
 from mseg.methods.complete_data import complete_data
 from mseg.methods.tlinkage import count_large

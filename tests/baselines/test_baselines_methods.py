@@ -9,7 +9,7 @@ import mseg.methods as methods
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Camera, Clip, Trajectories
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
-from mseg.geometry.trajectory_matrix import (
+from mseg.geometry.subspaces import (
     leading_row_space,
     normalised,
     normalising_matrix,
@@ -18,7 +18,7 @@ from mseg.geometry.trajectory_matrix import (
 )
 from mseg.methods.complete_data import complete_data
 from mseg.methods.gpca import exponents, gradients, vanishing_polynomial
-from mseg.methods.leftover import join_largest
+from mseg.types import Segmentation
 
 SUBSPACE = ["lsa", "gpca", "ssc", "lrr", "s3c", "rsim", "lrssc", "ransac"]
 LINKED = ["alc", "tlinkage", "rpa"]
@@ -183,10 +183,12 @@ def test_trajectory_matrix_rows_and_projection(rng):
     np.testing.assert_allclose(space.T @ space, np.eye(2), atol=1e-12)
 
 
-def test_leftover_trajectories_join_the_largest_motion():
+def test_trajectories_that_took_no_part_join_the_largest_motion():
     used = np.array([True, False, True, True, False, True])
-    np.testing.assert_array_equal(join_largest(np.array([1, 2, 2, 0]), used), [1, 2, 2, 2, 2, 0])
-    np.testing.assert_array_equal(join_largest(np.zeros(4, dtype=np.int64), used), 0)
+    found = Segmentation.of_part(np.array([1, 2, 2, 0]), used, {})
+    np.testing.assert_array_equal(found.labels, [1, 2, 2, 2, 2, 0])
+    outliers = Segmentation.of_part(np.zeros(4, dtype=np.int64), used, {})
+    np.testing.assert_array_equal(outliers.labels, 0)
 
 
 def test_complete_data_leaves_out_frames_that_nobody_sees(make_scene):

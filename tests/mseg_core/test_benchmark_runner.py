@@ -18,7 +18,7 @@ from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, Labels
 from mseg.benchmark import Configuration, execution, find_clips, predict, run
 from mseg.benchmark import runner as runner_module
-from mseg.benchmark.store import Store, algorithm_version, key
+from mseg.benchmark.store import Store, key
 from mseg.benchmark.tasks import Outcome, Task, run_task
 from mseg.cli import main
 from mseg.evaluation import load_protocol
@@ -173,20 +173,19 @@ class Theirs:
 def test_a_method_of_another_package_is_known_by_its_version(make_clip, monkeypatch):
     monkeypatch.setattr(METHODS, "load", lambda name: Theirs)
     clip, keys = make_clip(), []
-    for package, declared in (("loose_file", None), ("pytest", None), ("pytest", 2), ("pytest", 3)):
+    for package, stated in (("pytest", None), ("pytest", 2), ("pytest", 3), ("a_loose_file", None)):
         monkeypatch.setattr(Theirs, "__module__", f"{package}.velocity")
-        monkeypatch.setattr(Theirs, "algorithm_version", declared, raising=False)
+        monkeypatch.setattr(Theirs, "ALGORITHM_VERSION", stated, raising=False)
         keys.append(key(Configuration("theirs"), clip, 2, 0))
     assert len(set(keys)) == len(keys)
-    assert algorithm_version(Theirs()) == "pytest 3"
-    monkeypatch.setattr(Theirs, "algorithm_version", None)
-    assert algorithm_version(Theirs()) == f"pytest pytest {pytest.__version__}"
+    monkeypatch.setattr("mseg.benchmark.store._THIS_PROCESS", "another process")
+    assert key(Configuration("theirs"), clip, 2, 0) != keys[-1]
 
 
 def test_our_methods_are_known_by_the_version_of_the_algorithms(make_clip, monkeypatch):
     clip, keys = make_clip(), []
     for version in (1, 2, 1):
-        monkeypatch.setattr("mseg.benchmark.store.ALGORITHM_VERSION", version)
+        monkeypatch.setattr("mseg.methods.ALGORITHM_VERSION", version)
         keys.append(key(Configuration("subset"), clip, 2, 0))
     assert keys[0] == keys[2] != keys[1]
 

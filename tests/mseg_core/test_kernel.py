@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from kt3dmoseg.types import Trajectories
-from mseg.geometry import change_frame, hartley, residuals
+from mseg.geometry import MODELS, change_frame, hartley
 from mseg.kernels import (
     GUARD,
     covisible_frames,
     draw_subsets,
     neighbourhood_mask,
-    ordered_residual_kernel,
     preferences,
     sample_hypotheses,
     sparsify,
@@ -58,10 +57,15 @@ def test_preferences_are_those_of_a_stable_sort(seed):
     assert_array_equal(preferences(values, count), expected)
 
 
+def ordered_residual_kernel(values, count):
+    marks = preferences(values, count).astype(float)
+    return marks @ marks.T / count
+
+
 def test_ordered_residual_kernel_by_hand():
     """Two of four preferred: points 0 and 1 share one, point 2 shares none with 0."""
     values = np.array([[0, 1, 2, 3], [3, 0, 1, 2], [3, 2, 1, 0]], float)
-    assert_allclose(ordered_residual_kernel(values, fraction=0.5), [[1, 0.5, 0], [0.5, 1, 0.5], [0, 0.5, 1]])
+    assert_allclose(ordered_residual_kernel(values, 2), [[1, 0.5, 0], [0.5, 1, 0.5], [0, 0.5, 1]])
 
 
 def test_view_kernel_is_the_plain_sum_over_pairs(make_clip):
@@ -93,8 +97,8 @@ def test_view_kernel_is_the_sum_of_the_pairs_kernels(kind, make_clip):
         (n1, t1), (n2, t2) = hartley.normalise(x1), hartley.normalise(x2)
         models = hypotheses.models[(hypotheses.pair == (i, i + 1)).all(axis=1)]
         single = n1.astype(np.float32), n2.astype(np.float32)
-        values = residuals(kind, change_frame(kind, models, t1, t2), *single)
-        expected[np.ix_(rows, rows)] += ordered_residual_kernel(values)
+        values = MODELS[kind].residuals["sampson"](change_frame(kind, models, t1, t2), *single)
+        expected[np.ix_(rows, rows)] += ordered_residual_kernel(values, round(0.1 * len(models)))
     expected /= covisible_frames(trajectories) + GUARD
     assert_allclose(view_kernel(trajectories, hypotheses), expected, atol=1e-6)
 

@@ -126,7 +126,7 @@ def test_cached_kernels_change_nothing(make_clip, tmp_path):
             for method in PAPER:
                 assert_array_equal(mseg.segment(clip, method, n_motions=2, seed=4).labels, plain[method])
             assert cache.saved_seconds > 0
-    assert len(list(tmp_path.glob("*.npz"))) == 3
+    assert len(list(tmp_path.glob("**/*.npz"))) == 3
 
 
 def test_sweeps_do_not_sample_again(make_clip, tmp_path):
@@ -134,10 +134,10 @@ def test_sweeps_do_not_sample_again(make_clip, tmp_path):
     with kernel_cache(tmp_path):
         for alpha in (2, 5, 8):
             mseg.segment(clip, "coreg", n_motions=2, alpha=alpha, lam=0.1)
-    assert len(list(tmp_path.glob("*.npz"))) == 3
+    assert len(list(tmp_path.glob("**/*.npz"))) == 3
     with kernel_cache(tmp_path):
         mseg.segment(clip, "coreg", n_motions=2, gap=2)
-    assert len(list(tmp_path.glob("*.npz"))) == 6
+    assert len(list(tmp_path.glob("**/*.npz"))) == 6
 
 
 def test_kernels_of_another_algorithm_version_are_not_taken(make_clip, tmp_path, monkeypatch):
@@ -146,7 +146,7 @@ def test_kernels_of_another_algorithm_version_are_not_taken(make_clip, tmp_path,
         monkeypatch.setattr("mseg.kernels.ALGORITHM_VERSION", version)
         with kernel_cache(tmp_path):
             mseg.segment(clip, "affine", n_motions=2)
-    assert len(list(tmp_path.glob("*.npz"))) == 2
+    assert len(list(tmp_path.glob("**/*.npz"))) == 2
 
 
 @pytest.mark.data

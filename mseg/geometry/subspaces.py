@@ -1,7 +1,7 @@
-"""The trajectory matrix: 2F rows x1, y1, x2, y2, ..., one column per trajectory, and its subspaces.
+"""The trajectory matrix: 2F rows x1, y1, x2, y2, ..., one column per trajectory; its subspaces and flats.
 
-Under an affine camera the trajectories of one rigid motion span at most four dimensions (Tomasi and
-Kanade, IJCV 1992); every method that segments by subspaces starts from this matrix.
+Under an affine camera the trajectories of one rigid motion span at most four dimensions, a flat (affine
+subspace) of three (Tomasi and Kanade, IJCV 1992); methods that segment by subspaces start from this matrix.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import Camera, FloatArray, Trajectories
+from kt3dmoseg.types import Camera, FloatArray, IntArray, Trajectories
 
 
 def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None) -> FloatArray:
@@ -24,7 +24,7 @@ def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None)
     Parameters
     ----------
     trajectories : Trajectories
-        Their image size, and their positions where there is nothing better.
+        Their image size, or the positions, are used where there is no camera.
     camera : Camera or None
         The clip's camera.
 
@@ -46,14 +46,13 @@ def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None)
             )
         return camera.K
     if trajectories.image_size is not None:
-        half = np.array(trajectories.image_size) / 2
-        return _scaling(half, half)
-    seen = trajectories.xy[trajectories.visible]
-    if not len(seen):
-        return np.eye(3)
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    half = (high - low) / 2
-    return _scaling(np.where(half > 0, half, 1.0), (low + high) / 2)
+        low, high = np.zeros(2), np.array(trajectories.image_size)
+    else:
+        seen = trajectories.xy[trajectories.visible]
+        low, high = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else (-np.ones(2), np.ones(2))
+    half, centre = (high - low) / 2, (low + high) / 2
+    half[half <= 0] = 1.0
+    return np.array([[half[0], 0, centre[0]], [0, half[1], centre[1]], [0, 0, 1]], dtype=np.float64)
 
 
 def normalised(trajectories: Trajectories, matrix: FloatArray) -> FloatArray:
@@ -118,5 +117,40 @@ def project(matrix: FloatArray, dimension: int) -> FloatArray:
     return np.asarray(left[:, :dimension].T @ matrix, dtype=np.float64)
 
 
-def _scaling(half: FloatArray, centre: FloatArray) -> FloatArray:
-    return np.array([[half[0], 0, centre[0]], [0, half[1], centre[1]], [0, 0, 1]], dtype=np.float64)
+def flat_distances(points: FloatArray, samples: IntArray) -> FloatArray:
+    """Distances of points to the flats through samples of them.
+
+    Parameters
+    ----------
+    points : (N, D) float64
+        Points as rows.
+    samples : (M, p) int64
+        The p points that each flat, of dimension p - 1, passes through. A flat through points that
+        depend on each other is one of those that contain them.
+
+    Returns
+    -------
+    (N, M) float64
+        Euclidean distances; zero everywhere where D < p: such a flat is all of space.
+    """
+    origin = points[samples[:, 0]]
+    directions = points[samples[:, 1:]] - origin[:, None]
+    basis, _ = np.linalg.qr(directions.transpose(0, 2, 1), mode="complete")
+    normals = basis[:, :, directions.shape[1] :]
+    offset = np.einsum("md,mdk->mk", origin, normals)
+    squares = np.zeros((len(points), len(samples)))
+    for k in range(normals.shape[2]):
+        squares += (points @ normals[:, :, k].T - offset[:, k]) ** 2
+    return np.asarray(np.sqrt(squares))
+
+
+def best_flat_distances(points: FloatArray, members: IntArray, dimension: int) -> FloatArray:
+    """Distances (N,) of points (N, D) to the flat that fits the members best in the least squares sense.
+
+    Its dimension is `dimension`, or one less than the number of members where these are few.
+    """
+    mean = points[members].mean(axis=0)
+    _, _, right = np.linalg.svd(points[members] - mean, full_matrices=False)
+    basis = right[: min(dimension, len(members) - 1)]
+    centred = points - mean
+    return np.asarray(np.linalg.norm(centred - (centred @ basis.T) @ basis, axis=1))

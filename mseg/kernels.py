@@ -1,0 +1,352 @@
+"""From trajectories to affinities: hypotheses are sampled, residuals ranked, kernels sparsified."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg.blas import ssyrk
+
+from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, IntArray, Trajectories
+from mseg.geometry import MODELS, Distance, change_frame, frame_pair, hartley
+from mseg.types import Hypotheses, ModelKind
+
+ALGORITHM_VERSION: int = 1
+"""Part of the identity of kept kernels; raised by hand whenever the values of a kernel change."""
+GUARD = 0.1
+"""The authors' guard against division by zero, part of the values that alpha is applied to."""
+
+_Array = npt.NDArray[Any]
+# How often a degenerate sample is drawn.
+_TRIES = 12
+# Rows spread into a sum, entries raised to a power at once: few enough to stay in the cache.
+_BLOCK = 128
+_BLOCK_ENTRIES = 1 << 16
+
+
+def sample_hypotheses(
+    trajectories: Trajectories,
+    kind: ModelKind,
+    rng: np.random.Generator,
+    *,
+    per_pair: int = 500,
+    gap: int = 1,
+) -> Hypotheses:
+    """Fit models to uniform minimal samples of every frame pair, all pairs at once.
+
+    The points of a pair are normalised together (Hartley), and a fundamental matrix is made rank 2
+    in that frame. Degenerate samples are drawn again, at most eleven times; then they are left out,
+    so a pair may hold fewer models than asked for. A pair with fewer visible points than a minimal
+    sample holds none.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The points to sample from.
+    kind : {"affine", "homography", "fundamental"}
+        Kind of model.
+    rng : numpy.random.Generator
+        Randomness.
+    per_pair : int
+        Hypotheses per frame pair (500 in Xu, Cheong, Li, CVPR 2018, section 4).
+    gap : int
+        Frames from the first to the second of a pair.
+
+    Returns
+    -------
+    Hypotheses
+        In pixel coordinates, pairs ascending.
+    """
+    model = MODELS[kind]
+    frames = [(f, f + gap) for f in range(trajectories.n_frames - gap)]
+    usable = [at for at in frames if len(frame_pair(trajectories, *at).rows) >= model.minimal]
+    if not usable:
+        return Hypotheses(np.empty((0, 3, 3)), np.empty((0, 2), dtype=np.int64), kind)
+    pairs = [frame_pair(trajectories, *at) for at in usable]
+    x1, x2 = np.concatenate([pair.x1 for pair in pairs]), np.concatenate([pair.x2 for pair in pairs])
+    size = np.array([len(pair.rows) for pair in pairs], dtype=np.int64)
+    start = size.cumsum() - size
+    of = np.repeat(np.arange(len(pairs)), per_pair)
+    models, ok = np.zeros((len(of), 3, 3)), np.zeros(len(of), dtype=np.bool_)
+    for _ in range(_TRIES):
+        todo = np.flatnonzero(~ok)
+        if not len(todo):
+            break
+        sample = draw_subsets(size[of[todo]], model.minimal, rng) + start[of[todo], None]
+        models[todo], ok[todo] = model.fit(x1[sample], x2[sample])
+    kept = of[ok]
+    t1, t2 = np.stack([pair.t1 for pair in pairs])[kept], np.stack([pair.t2 for pair in pairs])[kept]
+    pixels = change_frame(kind, models[ok], hartley.inverse(t1), hartley.inverse(t2))
+    return Hypotheses(pixels, np.array(usable, dtype=np.int64)[kept], kind)
+
+
+def draw_subsets(sizes: IntArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Draw one uniform subset of 0..size-1 per given size, without replacement.
+
+    Parameters
+    ----------
+    sizes : (K,) int64
+        Sizes of the K populations, each at least `count`.
+    count : int
+        Size p of the subsets.
+    rng : numpy.random.Generator
+        Randomness; K * p numbers are drawn, whatever happens.
+
+    Returns
+    -------
+    (K, p) int64
+        Distinct members in each row.
+
+    References
+    ----------
+    Floyd's algorithm, in Bentley and Floyd, "A sample of brilliance", CACM 1987.
+    """
+    draws = rng.random((len(sizes), count))
+    chosen = np.empty((len(sizes), count), dtype=np.int64)
+    for k in range(count):
+        last = sizes - count + k
+        candidate = np.minimum((draws[:, k] * (last + 1)).astype(np.int64), last)
+        taken = (chosen[:, :k] == candidate[:, None]).any(axis=1)
+        chosen[:, k] = np.where(taken, last, candidate)
+    return chosen
+
+
+def draw_near_subsets(
+    points: FloatArray, count: int, size: int, rng: np.random.Generator, *, reach: float = 0.25
+) -> IntArray:
+    """Draw subsets of points that lie near each other, since near points more often belong to one motion.
+
+    The first points run through all points in turn; the others are drawn one by one, without
+    replacement, with probability proportional to ``exp(-d^2 / sigma^2)``, d the distance to the first and
+    sigma a part of the largest distance between points.
+
+    Parameters
+    ----------
+    points : (N, D) float64
+        Points as rows.
+    count, size : int
+        Number M of subsets and their size p <= N.
+    rng : numpy.random.Generator
+        Randomness.
+    reach : float
+        sigma over the largest distance.
+
+    Returns
+    -------
+    (M, p) int64
+
+    References
+    ----------
+    Toldo and Fusiello, "Robust multiple structures estimation with J-linkage", ECCV 2008, section 2.1.
+    Drawing without replacement by the largest perturbed logarithms: Vieira, "Gumbel-max trick and
+    weighted reservoir sampling", 2014.
+    """
+    squares = (points**2).sum(axis=1)
+    distance = np.maximum(squares[:, None] + squares - 2 * (points @ points.T), 0)
+    widest = reach**2 * float(distance.max())
+    logarithm = -distance / widest if widest > 0 else np.zeros_like(distance)
+    np.fill_diagonal(logarithm, np.inf)
+    first = np.arange(count) % len(points)
+    subsets = np.empty((count, size), dtype=np.int64)
+    # One turn through the points at a time bounds the memory to N^2.
+    for start in range(0, count, len(points)):
+        part = first[start : start + len(points)]
+        keys = logarithm[part] + rng.gumbel(size=(len(part), len(points)))
+        others = np.argpartition(-keys, size - 1, axis=1)[:, :size]
+        at_first = np.arange(len(part)), (others == part[:, None]).argmax(axis=1)
+        others[at_first], others[:, 0] = others[:, 0], part
+        subsets[start : start + len(part)] = others
+    return subsets
+
+
+def view_kernel(
+    trajectories: Trajectories,
+    hypotheses: Hypotheses,
+    *,
+    fraction: float = 0.1,
+    distance: Distance = "sampson",
+) -> Float32Array:
+    """Accumulate ordered residual kernels over frame pairs and divide by co-visibility.
+
+    The ordered residual kernel of two points in a frame pair is |S_i and S_j| / h: the share of common
+    hypotheses among the h that each of them prefers.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The N points to compare.
+    hypotheses : Hypotheses
+        Models in pixel coordinates; each pair of frames is ranked by itself.
+    fraction : float
+        Part of a pair's hypotheses that a point prefers.
+    distance : {"sampson", "transfer"}
+        Residual.
+
+    Returns
+    -------
+    (N, N) float32
+        Symmetric, in 0..1: sum over pairs of shared preferences, divided by the number of frames
+        in which both points are visible, plus 0.1. Zero for points that never meet.
+
+    References
+    ----------
+    Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR 2018,
+    section 3.1, after Chin, Wang, Suter, "Robust fitting of multiple structures: the statistical learning
+    approach", ICCV 2009, with the first window alone.
+    """
+    change = np.flatnonzero((hypotheses.pair[1:] != hypotheses.pair[:-1]).any(axis=1)) + 1
+    bounds = [0, *change.tolist(), len(hypotheses.pair)]
+    sizes = np.diff(bounds)
+    pairs = [frame_pair(trajectories, *at) for at in hypotheses.pair[bounds[:-1]].tolist()]
+    # In the normalised frames of their pairs, where single precision is enough to rank.
+    t1 = np.stack([pair.t1 for pair in pairs]).repeat(sizes, axis=0)
+    t2 = np.stack([pair.t2 for pair in pairs]).repeat(sizes, axis=0)
+    models = change_frame(hypotheses.kind, hypotheses.models, t1, t2)
+    usual = _top_count(int(sizes.max()), fraction)
+    total: Float32Array = np.zeros((len(trajectories), len(trajectories)), dtype=np.float32)
+    for pair, (start, stop) in zip(pairs, pairwise(bounds), strict=True):
+        if not len(pair.rows):
+            continue
+        points = pair.x1.astype(np.float32), pair.x2.astype(np.float32)
+        residuals = MODELS[hypotheses.kind].residuals[distance](models[start:stop], *points)
+        count = _top_count(stop - start, fraction)
+        marks = preferences(residuals, count).astype(np.float32)
+        # Upper triangle of marks marks^T: counts, exact in single precision. A pair that has fewer
+        # hypotheses than usual weighs as much as the others.
+        _add_upper(total, pair.rows, ssyrk(usual / count, marks.T, trans=1, lower=1).T)
+    _mirror(total)
+    total /= np.float32(usual) * (covisible_frames(trajectories) + np.float32(GUARD))
+    return total
+
+
+def covisible_frames(trajectories: Trajectories) -> Float32Array:
+    """Count (N, N) the frames in which both of two trajectories are visible."""
+    seen = trajectories.visible.astype(np.float32)
+    together: Float32Array = seen @ seen.T
+    return together
+
+
+def _top_count(n_hypotheses: int, fraction: float) -> int:
+    """Count the preferred hypotheses: the fraction rounded half up, at least 1 of any."""
+    return min(n_hypotheses, max(1, int(np.floor(fraction * n_hypotheses + 0.5))))
+
+
+def preferences(residuals: _Array, count: int) -> BoolArray:
+    """Mark the hypotheses of least residual of every point.
+
+    Parameters
+    ----------
+    residuals : (P, K) float
+        Residuals of P points to K hypotheses. NaN counts as the worst.
+    count : int
+        How many to mark in each row, 1..K. Of equal residuals the earlier hypotheses win.
+
+    Returns
+    -------
+    (P, K) bool
+        Exactly `count` True in each row.
+    """
+    limit = np.partition(residuals, count - 1, axis=1)[:, count - 1 : count]
+    chosen: BoolArray = residuals <= limit
+    if np.count_nonzero(chosen) == count * len(chosen) and not np.isnan(limit).any():
+        return chosen
+    tied = np.flatnonzero(np.count_nonzero(chosen, axis=1) != count)
+    if len(tied):
+        order = np.argsort(residuals[tied], axis=1, kind="stable")[:, :count]
+        rows = np.zeros((len(tied), residuals.shape[1]), dtype=np.bool_)
+        np.put_along_axis(rows, order, True, axis=1)
+        chosen[tied] = rows
+    return chosen
+
+
+def neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:
+    """Choose the neighbours that every point keeps.
+
+    With B = K^alpha, the distances s_ij = max_j B_ij - B_ij of row i are read as a distribution
+    P_ij = s_ij / sum_j s_ij, and those neighbours stay whose log P_ij lies below its mean under P,
+    the negative entropy of the row.
+
+    Parameters
+    ----------
+    kernel : (N, N) float
+        Symmetric affinity in 0..1.
+    alpha : float
+        Power that sharpens the affinity first; larger keeps fewer neighbours.
+
+    Returns
+    -------
+    (N, N) float of the kernel's dtype
+        1 where both points keep each other, 0.5 where one of them does, else 0. A constant row
+        distinguishes no neighbours and keeps none.
+
+    References
+    ----------
+    Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR 2018,
+    section 4 (the neighbourhood of the authors' released code).
+    """
+    keep = np.empty(kernel.shape, dtype=np.bool_)
+    rows = max(1, _BLOCK_ENTRIES // max(1, len(kernel)))
+    for start in range(0, len(kernel), rows):
+        block = kernel[start : start + rows]
+        keep[start : start + rows] = _kept_neighbours(block.astype(np.float64), alpha)
+    mask: _Array = keep.astype(kernel.dtype)
+    mask += keep.T
+    mask *= kernel.dtype.type(0.5)
+    return mask
+
+
+def sparsify(kernel: _Array, alpha: float) -> _Array:
+    """Return the affinity times its `neighbourhood_mask`: symmetric, mostly zero."""
+    out: _Array = neighbourhood_mask(kernel, alpha)
+    out *= kernel
+    return out
+
+
+def _add_upper(total: Float32Array, rows: IntArray, shared: Float32Array) -> None:
+    """Add the upper triangle of a matrix over some rows (ascending) to that over all, in place.
+
+    First to their columns, then to their rows: an index into both axes at once takes five times as long.
+    """
+    for start in range(0, len(rows), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        spread = np.zeros((len(rows[part]), len(total)), dtype=np.float32)
+        spread[:, rows[start:]] = shared[part, start:]
+        total[rows[part]] += spread
+
+
+def _mirror(upper: Float32Array) -> None:
+    """Copy the upper triangle of a square matrix to the lower, in place, by blocks of rows."""
+    for start in range(0, len(upper), _BLOCK):
+        stop = min(start + _BLOCK, len(upper))
+        upper[stop:, start:stop] = upper[start:stop, stop:].T
+        block = upper[start:stop, start:stop]
+        block[:] = np.triu(block) + np.triu(block, 1).T
+
+
+def _kept_neighbours(kernel: FloatArray, alpha: float) -> BoolArray:
+    """Rows of the mask before it is made symmetric.
+
+    In double precision: most distances of a row are nearly equal to its largest, and the threshold
+    lies among them.
+    """
+    power = _power(kernel, alpha)
+    distance = power.max(axis=1, keepdims=True) - power
+    total = distance.sum(axis=1, keepdims=True)
+    np.divide(distance, total, out=distance, where=total > 0)
+    logarithm = np.log(distance + np.finfo(np.float64).eps)
+    mean = np.einsum("ij,ij->i", distance, logarithm)
+    kept: BoolArray = (logarithm < mean[:, None]) & (total > 0)
+    return kept
+
+
+def _power(base: FloatArray, exponent: float) -> FloatArray:
+    """Raise to a power; an integer one by products, since a general power takes twenty times as long."""
+    if exponent <= 2 or exponent % 1:
+        return base**exponent
+    half = _power(base, exponent // 2)
+    half *= half
+    if exponent % 2:
+        half *= base
+    return half
