@@ -17,7 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Convert, and say what did not survive."""
-    from kt3dmoseg.io.convert import convert
+    from kt3dmoseg.io.formats import convert
 
     lost = convert(arguments.source, arguments.target)
     print(

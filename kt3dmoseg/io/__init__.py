@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from kt3dmoseg.io.dataset import dataset_paths, load_dataset
-from kt3dmoseg.io.formats import load, save
+from kt3dmoseg.io.formats import dataset_paths, load, load_dataset, save
 
 __all__ = ["dataset_paths", "load", "load_dataset", "save"]

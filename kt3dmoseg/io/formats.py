@@ -1,4 +1,7 @@
-"""The table of clip formats: `load` recognises what it is given, `save` goes by the suffix."""
+"""The table of clip formats, and what goes by it: load, save, datasets, conversion.
+
+Reading recognises the content, writing goes by the suffix.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.types import Clip
 
 _HEAD = 128
@@ -19,7 +24,7 @@ _PICKLE_FIX = "pickles run code when read; save the arrays with numpy.savez"
 
 @dataclass(frozen=True)
 class Format:
-    """One clip format; its module is imported when it is used.
+    """One clip format.
 
     Parameters
     ----------
@@ -29,15 +34,23 @@ class Format:
         Of its files.
     recognise : callable
         Whether a file with these first 128 bytes may be of this format.
-    reader, writer : str
-        "module:function"; no writer, no writing.
+    module : str
+        Has the functions ``read(path) -> Clip`` and ``write(clip, path)``; imported when it is used.
     """
 
     name: str
     suffix: str
     recognise: Callable[[bytes], bool]
-    reader: str
-    writer: str = ""
+    module: str
+
+    def read(self, path: str | os.PathLike[str]) -> Clip:
+        """Read a clip."""
+        clip: Clip = import_module(self.module).read(path)
+        return clip
+
+    def write(self, clip: Clip, path: str | os.PathLike[str]) -> None:
+        """Write a clip."""
+        import_module(self.module).write(clip, path)
 
 
 def _is_text_of_numbers(head: bytes) -> bool:
@@ -45,28 +58,10 @@ def _is_text_of_numbers(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format(
-        "hdf5",
-        ".h5",
-        lambda head: head[:8] == b"\x89HDF\r\n\x1a\n",
-        "kt3dmoseg.io.hdf5:read",
-        "kt3dmoseg.io.hdf5:write",
-    ),
-    Format(
-        "mat",
-        ".mat",
-        lambda head: head[:6] == b"MATLAB",
-        "kt3dmoseg.io.matlab:read",
-        "kt3dmoseg.io.release:write",
-    ),
-    Format(
-        "npz",
-        ".npz",
-        lambda head: head[:4] == b"PK\x03\x04",
-        "kt3dmoseg.io.npz:read",
-        "kt3dmoseg.io.npz:write",
-    ),
-    Format("dat", ".dat", _is_text_of_numbers, "kt3dmoseg.io.brox:read", "kt3dmoseg.io.brox:write"),
+    Format("hdf5", ".h5", lambda head: head[:8] == b"\x89HDF\r\n\x1a\n", "kt3dmoseg.io.hdf5"),
+    Format("mat", ".mat", lambda head: head[:6] == b"MATLAB", "kt3dmoseg.io.matlab"),
+    Format("npz", ".npz", lambda head: head[:4] == b"PK\x03\x04", "kt3dmoseg.io.npz"),
+    Format("dat", ".dat", _is_text_of_numbers, "kt3dmoseg.io.brox"),
 )
 CLIP_SUFFIXES = tuple(f.suffix for f in FORMATS)
 
@@ -90,9 +85,9 @@ def load(path: str | os.PathLike[str]) -> Clip:
         When it is of no known format, damaged, of a newer version, or contradicts itself.
     """
     file = _single_file(Path(path))
-    read = _function(recognise(file).reader)
+    format = recognise(file)
     try:
-        clip: Clip = read(file)
+        return format.read(file)
     except InvalidValueError as error:
         raise FileFormatError(f"{file}: {error}", fix=_FIX) from None
     except FileFormatError as error:
@@ -102,7 +97,6 @@ def load(path: str | os.PathLike[str]) -> Clip:
         raise
     except OSError as error:
         raise InputFileError(f"{file}: {error.strerror or error}") from None
-    return clip
 
 
 def save(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -122,7 +116,7 @@ def save(clip: Clip, path: str | os.PathLike[str]) -> None:
     InputFileError
         When the file cannot be written.
     """
-    _function(written_as(path).writer)(clip, path)
+    written_as(path).write(clip, path)
 
 
 def written_as(path: str | os.PathLike[str]) -> Format:
@@ -202,7 +196,130 @@ def clip_files(folder: Path) -> list[Path]:
     ]
 
 
-def _function(target: str) -> Callable[..., Any]:
-    module, _, name = target.partition(":")
-    function: Callable[..., Any] = getattr(import_module(module), name)
-    return function
+def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
+    """Names and files of the clips of a folder, without reading them.
+
+    Parameters
+    ----------
+    folder : path
+        Holds one file per clip, or sub-folders that do (``kt3dmoseg/release``,
+        ``hopkins155/<sequence>``). Sub-folders count only when the folder itself has no clip.
+
+    Returns
+    -------
+    dict of str to Path
+        Sorted by name.
+
+    Raises
+    ------
+    InputFileError
+        When the folder is missing or holds no clip.
+    FileFormatError
+        When two files give the same clip.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputFileError(f"{root}", expected="a folder of clips", found="no such folder")
+    files = clip_files(root)
+    if not files:
+        folders = (sub for sub in sorted(root.iterdir()) if sub.is_dir())
+        files = [file for sub in folders for file in clip_files(sub)]
+    if not files:
+        raise InputFileError(
+            f"{root}", expected=f"clips ({', '.join(CLIP_SUFFIXES)})", found="none, nor in its sub-folders"
+        )
+    out: dict[str, Path] = {}
+    for file in files:
+        name = clip_name(file)
+        if name in out:
+            raise FileFormatError(
+                f"{root}: clip {name}",
+                expected="one file",
+                found=f"{out[name].relative_to(root)} and {file.relative_to(root)}",
+                fix="keep one of them",
+            )
+        out[name] = file
+    return dict(sorted(out.items()))
+
+
+def load_dataset(folder: str | os.PathLike[str]) -> dict[str, Clip]:
+    """Load every clip of a folder, by name, in the order of `dataset_paths`."""
+    return {name: load(path) for name, path in dataset_paths(folder).items()}
+
+
+def convert(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> list[str]:
+    """Convert a clip or a flow field; the suffix of `target` names the format.
+
+    The file is read back and compared with what went in.
+
+    Parameters
+    ----------
+    source : path
+        A clip, or a flow field when `target` is ``.flo``, ``.png`` or ``.npy``.
+    target : path
+        The file to write.
+
+    Returns
+    -------
+    list of str
+        What did not survive, in words; empty when everything did.
+
+    Raises
+    ------
+    InputFileError, FileFormatError
+        When the source cannot be read or the target cannot be written.
+    InvalidValueError
+        When the target's suffix is of no format, or source and target are the same file.
+    """
+    if Path(target).exists() and Path(target).resolve() == Path(source).resolve():
+        raise InvalidValueError(os.fspath(target), expected="another file than the source", found="the same")
+    if Path(target).suffix.lower() in CLIP_SUFFIXES:
+        clip = load(source)
+        save(clip, target)
+        return _lost(clip, load(target))
+    return _convert_flow(source, target)
+
+
+def _convert_flow(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> list[str]:
+    from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow, write_flow  # imports OpenCV
+
+    if Path(target).suffix.lower() not in FLOW_SUFFIXES:
+        known = ", ".join(dict.fromkeys((*CLIP_SUFFIXES, *FLOW_SUFFIXES)))
+        raise InvalidValueError(
+            os.fspath(target), expected=f"a suffix of {known}", found=repr(Path(target).suffix)
+        )
+    field = read_flow(source)
+    write_flow(target, field)
+    error = np.abs(read_flow(target).astype(np.float64) - field)
+    worst = float(np.nanmax(error, initial=0.0))
+    return [f"displacements are rounded by up to {worst:.4f} px"] if worst > 0 else []
+
+
+def _lost(before: Clip, after: Clip) -> list[str]:
+    """Compare what a clip holds, by the words that describe it."""
+    pairs = zip(_parts(before).items(), _parts(after).values(), strict=True)
+    return [what for (what, value), kept in pairs if not _same(value, kept)]
+
+
+def _parts(clip: Clip) -> dict[str, object]:
+    camera = clip.camera
+    return {
+        "name": clip.name,
+        "coordinates": clip.dense.xy,
+        "track ids": clip.dense.track_id,
+        "image size": clip.dense.image_size,
+        "which trajectories are evaluated": clip.evaluated,
+        "labels": clip.labels.label,
+        "which label is the background": clip.labels.background,
+        "names of the motions": dict(clip.labels.names),
+        "frame numbers": clip.frame_numbers,
+        "timestamps": clip.timestamps,
+        "camera": camera and (camera.name, None if camera.K is None else camera.K.tolist()),
+        "provenance": dict(clip.provenance),
+    }
+
+
+def _same(first: object, second: object) -> bool:
+    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+        return np.array_equal(first, second, equal_nan=first.dtype.kind == "f")
+    return type(first) is type(second) and first == second

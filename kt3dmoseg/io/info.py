@@ -12,8 +12,7 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.dataset import dataset_paths
-from kt3dmoseg.io.formats import check_regular, clip_files, load, recognise
+from kt3dmoseg.io.formats import check_regular, clip_files, dataset_paths, load, recognise
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import Clip, Trajectories

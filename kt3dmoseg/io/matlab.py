@@ -48,6 +48,7 @@ class Undecoded(NamedTuple):
         return f"{self.kind} of shape {self.shape}"
 
 
+write = release.write  # the schema of the 2018 release
 Value: TypeAlias = "npt.NDArray[Any] | str | dict[str, Value] | Undecoded"
 
 
@@ -185,7 +186,9 @@ class _Reader:
         stored = np.dtype(self.order + _STORAGE[kind])
         if (needed := math.prod(shape) * stored.itemsize) != len(payload):
             self._fail(f"{needed} bytes for an array {shape}", f"{len(payload)}")
-        return np.frombuffer(payload, stored).astype(dtype).reshape(shape, order="F")
+        with np.errstate(invalid="ignore"):  # an odd file may store NaN of a class of whole numbers
+            values = np.frombuffer(payload, stored).astype(dtype)
+        return values.reshape(shape, order="F")
 
     def _text(self, parts: Iterator[_Part], length: int) -> str:
         if not length:

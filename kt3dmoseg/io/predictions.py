@@ -90,7 +90,7 @@ def _npz(where: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
 
 
 def _hdf5(where: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    from kt3dmoseg.io.hdf5_checks import open_hdf5, read_array
+    from kt3dmoseg.io.hdf5 import open_hdf5, read_array
 
     with open_hdf5(where) as file:
         return read_array(file, "track", where, "i8", 1), read_array(file, "label", where, "i8", 1)

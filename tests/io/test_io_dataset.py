@@ -12,9 +12,9 @@ from io_clips import small_clip
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.io import dataset_paths, load, load_dataset, save
-from kt3dmoseg.io.convert import convert
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.flow_files import read_flow, write_flow
+from kt3dmoseg.io.formats import convert
 from kt3dmoseg.io.info import info
 from kt3dmoseg.io.video import write_moving
 

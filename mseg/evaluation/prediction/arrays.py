@@ -92,7 +92,7 @@ def _npy(stream: Any, size: int, name: str, out: Columns) -> None:  # noqa: ANN4
 def _h5(content: bytes, out: Columns) -> None:
     import h5py
 
-    from kt3dmoseg.io.hdf5_checks import read_array
+    from kt3dmoseg.io.hdf5 import read_array
 
     with h5py.File(io.BytesIO(content), "r") as file:
         present = [name for name in file if name in NAMES] or list(file)[:10]
