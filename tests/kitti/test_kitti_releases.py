@@ -20,15 +20,13 @@ FILES = {f"S{k}_Tracks.mat": f"content {k}".encode() for k in range(3)}
 
 @pytest.fixture
 def small(server: FaultyServer, monkeypatch: pytest.MonkeyPatch) -> FaultyServer:
-    """The release shrunk to three files, the first with a known digest; MTPV62 without an address."""
+    """The release shrunk to three files, the first with a known checksum; MTPV62 without an address."""
     table = releases.releases()
-    table["kt3dmoseg"] = dataclasses.replace(table["kt3dmoseg"], files=tuple(FILES))
-    table["mtpv62"] = dataclasses.replace(table["mtpv62"], files=(), names=())
+    known = {"S0_Tracks.mat": hashlib.sha256(FILES["S0_Tracks.mat"]).hexdigest()}
+    table = {name: dataclasses.replace(release, checksums={}) for name, release in table.items()}
+    table["kt3dmoseg"] = dataclasses.replace(table["kt3dmoseg"], files=list(FILES), checksums=known)
+    table["mtpv62"] = dataclasses.replace(table["mtpv62"], files=[], names=[])
     monkeypatch.setattr(releases, "releases", lambda: table)
-    digest = hashlib.sha256(FILES["S0_Tracks.mat"]).hexdigest()
-    monkeypatch.setattr(
-        releases, "known_digests", lambda name: {"S0_Tracks.mat": digest} if name == "kt3dmoseg" else {}
-    )
     server.files |= {f"kt3dmoseg/{name}": content for name, content in FILES.items()}
     return server
 
@@ -122,12 +120,12 @@ def test_every_release_says_where_from_what_licence_and_what_by_hand() -> None:
 
 
 @pytest.mark.data
-def test_known_digests_are_those_of_the_real_files(data_root: Path, tmp_path: Path) -> None:
+def test_known_checksums_are_those_of_the_real_files(data_root: Path, tmp_path: Path) -> None:
     counts = {"kt3dmoseg": 14, "hopkins155": 100, "hopkins12": 8, "mtpv62": 7}
     for name, release in releases.releases().items():
-        known = releases.known_digests(name)
+        known = release.checksums
         assert len(known) == counts[name]
-        path, digest = next(iter(known.items()))
+        path, checksum = next(iter(known.items()))
         content = (data_root / release.folder / path).read_bytes()
-        assert hashlib.sha256(content).hexdigest() == digest
+        assert hashlib.sha256(content).hexdigest() == checksum
         assert release.name != "kt3dmoseg" or set(known) <= set(release.files)

@@ -1,6 +1,6 @@
-"""Make kt3dmoseg/kitti/release_digests.toml: SHA-256 of the benchmarks' files that are on this machine.
+"""Make kt3dmoseg/kitti/release_checksums.toml: SHA-256 of the benchmarks' files that are on this machine.
 
-Usage: python tools/fingerprint_releases.py DATA [-o FILE], where DATA is laid out as fetch-release does.
+Usage: python tools/checksum_releases.py DATA [-o FILE], where DATA is laid out as fetch-release does.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from pathlib import Path
 from kt3dmoseg.files import sha256_file, write_text
 from kt3dmoseg.kitti import releases
 
-OUTPUT = Path(releases.__file__).with_name("release_digests.toml")
-HEAD = "# SHA-256 of the published benchmarks' files. Written by tools/fingerprint_releases.py.\n"
+OUTPUT = Path(releases.__file__).with_name("release_checksums.toml")
+HEAD = "# SHA-256 of the published benchmarks' files. Written by tools/checksum_releases.py.\n"
 
 
 def main() -> int:
