@@ -1,4 +1,4 @@
-"""Make kt3dmoseg/catalog/catalog.toml: fingerprints of the 22 clips' frames; digests only, no picture.
+"""Make kt3dmoseg/catalog/catalog.toml: fingerprints of the 22 clips' frames; checksums only, no picture.
 
 Usage: python tools/fingerprint_clips.py FRAMES [-o CATALOG], where FRAMES holds one folder per clip.
 The frame numbers inside the drives were never published; `kt3dmoseg locate` finds them.
@@ -24,7 +24,7 @@ COMMENT = """The 22 clips of KT3DMoSeg: drive, camera and the fingerprints of ev
 Written by tools/fingerprint_clips.py. Camera 0: the frames are gray; locate tries the others."""
 
 
-def entry(folder: Path) -> Entry:
+def describe(folder: Path) -> Entry:
     match = re.fullmatch(r"Seq(\d+)_[Cc]lip\d+", folder.name)
     drive = int(match[1]) if match else -1
     day = next((day for day, drives in DAYS.items() if drive in drives), "")
@@ -40,7 +40,7 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, default=catalog.BUILT_IN)
     arguments = parser.parse_args()
     folders = sorted(path for path in arguments.frames.iterdir() if path.is_dir())
-    catalog.save(arguments.output, [entry(folder) for folder in folders], comment=COMMENT)
+    catalog.save(arguments.output, [describe(folder) for folder in folders], comment=COMMENT)
     print(f"{arguments.output}: {len(folders)} clips")
     return 0
 

@@ -1,7 +1,7 @@
 """Measure kt3dmoseg pull: the 22 clips from a local server, clean, with faults, and a second time.
 
 Usage: python tools/measure_pull.py DATA, where DATA holds kt3dmoseg/frames. Assembles the 15 drives with
-the clips at random places and with directories as large as KITTI's, serves them on the loopback address
+the clips at random numbers and with directories as large as KITTI's, serves them on the loopback address
 with the tests' server, runs `kt3dmoseg pull` as a process of its own and prints traffic and memory.
 """
 
@@ -37,27 +37,27 @@ EXTRA = bytes.fromhex("555405000300000000") + bytes.fromhex("75780b000104e803000
 
 
 def assemble(drive: Drive, clips: list[Entry], data: Path, rng: random.Random, path: Path) -> None:
-    """Write a drive's zip: the clips at random places, everything else empty but named as KITTI does."""
+    """Write a drive's zip: the clips at random numbers, everything else empty but named as KITTI does."""
     n = round(SIZES[drive.number] / BYTES_PER_FRAME)
     frames: dict[int, bytes] = {}
-    for clip, first in zip(clips, places([clip.length for clip in clips], n, rng), strict=True):
+    for clip, first in zip(clips, random_firsts([clip.length for clip in clips], n, rng), strict=True):
         files = sorted((data / "kt3dmoseg/frames" / clip.name).glob("*.png"))
         frames |= {first + k: file.read_bytes() for k, file in enumerate(files)}
-    members = drives.drive_files(
+    contents = drives.drive_files(
         {k: frames.get(k, b"") for k in range(n)}, n, drive=drive.number, date=drive.date
     )
     folder = raw.drive_folder(drive)
     for sensor in ("image_01", "image_02", "image_03", "velodyne_points"):
-        members |= {f"{folder}/{sensor}/data/{k:010d}.bin": b"" for k in range(n)}
+        contents |= {f"{folder}/{sensor}/data/{k:010d}.bin": b"" for k in range(n)}
     with zipfile.ZipFile(path, "w") as archive:
-        for name, content in sorted(members.items()):
+        for name, content in sorted(contents.items()):
             info = zipfile.ZipInfo(name)
             info.extra = EXTRA
             archive.writestr(info, content)
 
 
-def places(lengths: list[int], n: int, rng: random.Random) -> list[int]:
-    """Random disjoint places of clips in a drive."""
+def random_firsts(lengths: list[int], n: int, rng: random.Random) -> list[int]:
+    """Random first frames of clips in a drive, which do not overlap."""
     while True:
         firsts = [rng.randrange(n - length) for length in lengths]
         used = [
@@ -69,8 +69,8 @@ def places(lengths: list[int], n: int, rng: random.Random) -> list[int]:
 
 def serve_all(server: FaultyServer, data: Path, folder: Path) -> None:
     rng, by_drive = random.Random(0), dict[Drive, list[Entry]]()
-    for entry in catalog.load().values():
-        by_drive.setdefault(entry.drive, []).append(entry)
+    for clip in catalog.load().values():
+        by_drive.setdefault(clip.drive, []).append(clip)
     for drive, clips in by_drive.items():
         path = folder / "drive.zip"
         assemble(drive, clips, data, rng, path)

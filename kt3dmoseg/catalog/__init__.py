@@ -1,6 +1,6 @@
 """The catalog: which frames of which KITTI raw drive a clip is made of.
 
-The 22 clips of KT3DMoSeg are in ``catalog.toml`` beside this file. Users add their own in files of the
+The 22 clips of KT3DMoSeg are in ``catalog.toml`` next to this file. Users add their own in files of the
 same form::
 
     [clips.MyClip]
@@ -32,10 +32,10 @@ from kt3dmoseg.catalog.models import (
     Drive,
     Entry,
     Fingerprint,
+    check_integer,
     format_numbers,
     matching,
     parse_numbers,
-    whole,
 )
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes, write_text
@@ -57,7 +57,7 @@ def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Ent
     Parameters
     ----------
     *paths : path
-        Users' catalogs, in order; a name may not stand in two of them.
+        Users' catalogs, in order; a name may be in one of them only.
     built_in : bool
         Whether the 22 clips are included.
 
@@ -71,38 +71,36 @@ def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Ent
     InputFileError, FileFormatError
         When a file is missing or not a catalog; the message gives the first problem.
     """
-    entries: dict[str, Entry] = {}
+    clips: dict[str, Entry] = {}
     for path in ([BUILT_IN] if built_in else []) + [Path(p) for p in paths]:
         found, problems = parse(path)
-        problems += [
-            f"clips.{name}: the name is taken by another catalog" for name in found if name in entries
-        ]
+        problems += [f"clips.{name}: the name is taken by another catalog" for name in found if name in clips]
         if problems:
             more = f"{len(problems) - 1} more: " if len(problems) > 1 else ""
             raise FileFormatError(
                 f"{path}: {problems[0]}", fix=f"{more}'kt3dmoseg catalog check' lists all problems"
             )
-        entries |= found
-    return entries
+        clips |= found
+    return clips
 
 
-def select(entries: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entry]:
-    """Return the entries of these names, all when none is given.
+def select(clips: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entry]:
+    """Return the clips of these names, all when none is given.
 
     Raises
     ------
     UnknownNameError
         For a name that is not in the catalog, with the nearest.
     """
-    wanted = list(dict.fromkeys(names)) or list(entries)
+    wanted = list(dict.fromkeys(names)) or list(clips)
     for name in wanted:
-        if name not in entries:
-            raise unknown_name("clip", name, entries)
-    return [entries[name] for name in wanted]
+        if name not in clips:
+            raise unknown_name("clip", name, clips)
+    return [clips[name] for name in wanted]
 
 
 def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
-    """Read one catalog; return its valid entries and every problem, one line each."""
+    """Read one catalog; return its valid clips and every problem, one line each."""
     try:
         text = read_bytes(path, _LARGEST).decode()
         if _DEEP.search(text):
@@ -111,22 +109,22 @@ def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
     except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, a number or nesting without end
         return {}, [f"not TOML: {error}"]
     problems = [str(unknown_name("key", key, ["clips"])) for key in document if key != "clips"]
-    clips = document.get("clips", {})
-    if not isinstance(clips, dict):
+    tables = document.get("clips", {})
+    if not isinstance(tables, dict):
         return {}, [*problems, "clips: expected tables [clips.NAME]"]
-    entries = {}
-    for name, table in clips.items():
+    clips = {}
+    for name, table in tables.items():
         try:
-            entries[name] = _entry(name, table)
+            clips[name] = _entry(name, table)
         except KT3DMoSegError as error:
             problems.append(f"clips.{name}: {error}")
-    return entries, problems
+    return clips, problems
 
 
-def save(path: str | os.PathLike[str], entries: Iterable[Entry], *, comment: str = "") -> None:
+def save(path: str | os.PathLike[str], clips: Iterable[Entry], *, comment: str = "") -> None:
     """Write a catalog atomically, clips in the order given."""
     head = [f"# {line}".rstrip() for line in comment.splitlines()]
-    write_text(path, "\n".join(head + [""] * bool(head)) + "\n".join(_toml(entry) for entry in entries))
+    write_text(path, "\n".join(head + [""] * bool(head)) + "\n".join(_toml(clip) for clip in clips))
 
 
 def add(path: str | os.PathLike[str], entry: Entry) -> None:
@@ -169,7 +167,7 @@ def _entry(name: str, table: Any) -> Entry:  # noqa: ANN401  # whatever TOML hol
 def _size(value: Any) -> tuple[int, int]:  # noqa: ANN401
     if not isinstance(value, list) or len(value) != 2:
         raise InvalidValueError("size", expected="[width, height]", found=repr(value))
-    return whole(value[0], "width", 1 << 16), whole(value[1], "height", 1 << 16)
+    return check_integer(value[0], "width", 1 << 16), check_integer(value[1], "height", 1 << 16)
 
 
 def _frames(value: Any) -> tuple[Fingerprint, ...]:  # noqa: ANN401

@@ -1,4 +1,4 @@
-"""What a catalog says about a clip: its drive, its frame numbers, what its frames are recognised by."""
+"""What a catalog holds about a clip: its drive, its frame numbers, what its frames are recognised by."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Drive:
             datetime.date(*map(int, self.date.split("_")))
         except ValueError:
             raise InvalidValueError("date", expected="the form 2011_09_26", found=repr(self.date)) from None
-        object.__setattr__(self, "number", whole(self.number, "drive", 9999))
+        object.__setattr__(self, "number", check_integer(self.number, "drive", 9999))
 
     @property
     def name(self) -> str:
@@ -62,8 +62,8 @@ class Fingerprint:
     pixels: str
 
     def __post_init__(self) -> None:
-        whole(self.crc32, "crc32", 0xFFFFFFFF)
-        whole(self.bytes, "bytes", 1 << 40)
+        check_integer(self.crc32, "crc32", 0xFFFFFFFF)
+        check_integer(self.bytes, "bytes", 1 << 40)
         matching(self.pixels, "pixels", "[0-9a-f]{64}", "64 hexadecimal digits")
 
 
@@ -109,7 +109,7 @@ class Entry:
     def __post_init__(self) -> None:
         matching(self.name, "name", "[A-Za-z0-9][A-Za-z0-9_-]{0,99}", "letters, digits, _ and -")
         object.__setattr__(self, "camera", check_camera(self.camera))
-        if whole(self.length, "length", MOST_FRAMES) == 0:
+        if check_integer(self.length, "length", MOST_FRAMES) == 0:
             raise InvalidValueError("length", expected="at least 1", found="0")
         if self.numbers is None and not self.frames:
             raise InvalidValueError("numbers", expected="numbers or frames", found="neither")
@@ -126,7 +126,7 @@ def fingerprint(content: bytes, pixels: ByteArray) -> Fingerprint:
     return Fingerprint(zlib.crc32(content), len(content), sha256_arrays(pixels))
 
 
-def whole(value: object, what: str, last: int) -> int:
+def check_integer(value: object, what: str, last: int) -> int:
     """Return `value`, an integer or its digits, in 0..`last`; raise InvalidValueError for anything else."""
     digits = str(value)  # what True and 5.0 give are not digits
     if not re.fullmatch(r"[0-9]{1,13}", digits) or int(digits) > last:
@@ -136,7 +136,7 @@ def whole(value: object, what: str, last: int) -> int:
 
 def check_camera(camera: int | str) -> int:
     """Return the camera's number, 0 to 3; raise InvalidValueError for anything else."""
-    return whole(camera, "camera", CAMERAS[-1])
+    return check_integer(camera, "camera", CAMERAS[-1])
 
 
 def parse_numbers(text: str) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""Where drives are read from: KITTI's server, a mirror, a folder; and what the target folder remembers.
+"""Where drives are read from: KITTI's server, a mirror, a folder; and what the target folder keeps of it.
 
 KITTI packs a drive's frames, a day's calibration and a drive's tracklets into one zip each. A server's zips
 are read through ranges; a folder has the zips as downloaded, or the files extracted.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
@@ -33,7 +34,7 @@ class Packed(NamedTuple):
     """What KITTI packs into one zip: its address below raw_data, and where the files lie when extracted.
 
     `probe` is a file that is there when it was extracted. Only frames are large, so that a server without
-    ranges may send the rest whole without asking. Tracklets are missing for many drives.
+    ranges may send all of the others without asking. Tracklets are missing for many drives.
     """
 
     zip: str
@@ -61,7 +62,7 @@ def calibration_of(date: str) -> Packed:
 
 @dataclass(frozen=True)
 class TargetFolder:
-    """The folder that `pull` fills, and its memory: licence, directories of zips, checksums of what came.
+    """The folder that `pull` fills, and what it keeps: licence, directories of zips, checksums of files.
 
     All of it is in ``.kt3dmoseg/`` inside the folder, but for ``located.toml``, which people read.
 
@@ -77,30 +78,30 @@ class TargetFolder:
     frozen: bool = False
 
     @property
-    def memory(self) -> Path:
-        """Where the memory is."""
+    def state(self) -> Path:
+        """Folder of what is kept."""
         return self.root / ".kt3dmoseg"
 
     def lock(self) -> AbstractContextManager[object]:
-        """Hold the folder alone; when another process holds it, say so and wait.
+        """Hold the folder alone; when another process holds it, report that and wait.
 
         The system releases it when a process ends, however it ends. Where it has no ``flock`` (Windows), two
         pulls are still safe, but may fetch the same file twice.
         """
         waiting = f"another process works in {self.root}; waiting for it"
-        return nullcontext() if self.frozen else hold_folder(self.memory, lambda: print(waiting, flush=True))
+        return nullcontext() if self.frozen else hold_folder(self.state, lambda: print(waiting, flush=True))
 
     @property
     def licence_accepted(self) -> bool:
         """Whether the licence was acknowledged for this folder."""
-        return (self.memory / "licence.txt").is_file()
+        return (self.state / "licence.txt").is_file()
 
     def accept_licence(self, text: str) -> None:
-        """Remember that the licence was acknowledged."""
-        self._write(self.memory / "licence.txt", text.encode())
+        """Keep that the licence was acknowledged."""
+        self._write(self.state / "licence.txt", text.encode())
 
     def directory(self, url: str) -> tuple[int, bytes] | None:
-        """Return size and end of an archive as remembered; the size is 0 when the server has none."""
+        """Return the size and the end of an archive, as kept; the size is 0 when the server has none."""
         path = self.path_for(url, "directory")
         if not path.is_file():
             return None
@@ -112,7 +113,7 @@ class TargetFolder:
         return (size, tail) if crc == zlib.crc32(tail) else None
 
     def keep_directory(self, url: str, size: int, tail: bytes) -> None:
-        """Remember the end of an archive, or that it does not exist."""
+        """Keep the end of an archive, or that it does not exist."""
         self._write(
             self.path_for(url, "directory"), json.dumps([size, zlib.crc32(tail)]).encode() + b"\n" + tail
         )
@@ -125,7 +126,7 @@ class TargetFolder:
         FileFormatError
             When the list is damaged.
         """
-        path = self.memory / "files.json"
+        path = self.state / "files.json"
         if not path.is_file():
             return {}
         try:
@@ -137,12 +138,12 @@ class TargetFolder:
             ) from None
 
     def keep_files(self, brought: Mapping[str, tuple[int, int]]) -> None:
-        """Remember size and CRC32 of files that were brought."""
+        """Keep size and CRC32 of files that were brought."""
         present = self.files()
         if brought.items() - present.items():
             merged = sorted((present | dict(brought)).items())
             text = json.dumps({name: [size, f"{crc:08x}"] for name, (size, crc) in merged}, indent=0)
-            self._write(self.memory / "files.json", f"{text}\n".encode())
+            self._write(self.state / "files.json", f"{text}\n".encode())
 
     def located(self) -> dict[str, Entry]:
         """Clips whose frame numbers were proved, by name."""
@@ -150,19 +151,19 @@ class TargetFolder:
         return catalog.load(path, built_in=False) if path.is_file() else {}
 
     def keep_located(self, clips: Iterable[Entry]) -> None:
-        """Remember clips' frame numbers, in ``located.toml``."""
+        """Keep clips' frame numbers, in ``located.toml``."""
         present = self.located()
         merged = present | {clip.name: clip for clip in clips}
         if not self.frozen and merged != present:
             catalog.save(self.root / LOCATED, [merged[name] for name in sorted(merged)], comment=_COMMENT)
 
     def path_for(self, url: str, suffix: str) -> Path:
-        """Where something about an archive is kept: its ``directory``, or the ``zip`` when it came whole."""
-        return self.memory / f"{PurePosixPath(url).stem}.{zlib.crc32(url.encode()):08x}.{suffix}"
+        """Where something about an archive is kept: its ``directory``, or the ``zip`` when all of it came."""
+        return self.state / f"{PurePosixPath(url).stem}.{zlib.crc32(url.encode()):08x}.{suffix}"
 
     def drop_zips(self) -> None:
-        """Remove zips that were downloaded whole, and parts of them; everything wanted is on disk."""
-        for path in [*self.memory.glob("*.zip"), *self.memory.glob("*.part")]:
+        """Remove downloaded zips, and parts of them; everything wanted is on disk."""
+        for path in [*self.state.glob("*.zip"), *self.state.glob("*.part")]:
             path.unlink()
 
     def _write(self, path: Path, content: bytes) -> None:
@@ -213,17 +214,17 @@ FileSet: TypeAlias = Archive | Extracted
 
 
 class Server:
-    """KITTI's server, or a mirror with the same layout; the target folder remembers directories of zips."""
+    """KITTI's server, or a mirror; the target folder keeps the directories of its zips."""
 
     def __init__(self, address: str, client: Client, target: TargetFolder) -> None:
-        if not address.startswith(("http://", "https://")):
+        if not re.match(r"https?://[\w.-]", address):
             raise InvalidValueError("mirror", expected="an address http:// or https://", found=repr(address))
         self._base, self._client, self._target = address.rstrip("/"), client, target
 
     def open(self, packed: Packed, *, again: bool = False) -> Archive | None:
-        """Open a zip; None, and remembered as such, when the server has none and it is optional.
+        """Open a zip; None, which is kept as well, when the server has none and it is optional.
 
-        `again` reads a directory that is remembered, and may be damaged, once more.
+        `again` reads a directory once more that is kept, and may be damaged.
         """
         url = f"{self._base}/{packed.zip}"
         copy = self._target.path_for(url, "zip")
@@ -247,7 +248,7 @@ class Server:
         return archive
 
     def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:
-        """Download a whole zip whose server ignores ranges, resuming what is there of it."""
+        """Download all of a zip whose server ignores ranges, resuming what is there of it."""
         copy = self._target.path_for(url, "zip")
         part = copy.with_suffix(".part")
         part.parent.mkdir(parents=True, exist_ok=True)
@@ -302,12 +303,5 @@ def open_origin(
 
 
 def crc32_file(path: Path) -> int:
-    """CRC32 of a file's bytes."""
-    crc = 0
-    try:
-        with open(path, "rb") as stream:
-            while block := stream.read(1 << 20):
-                crc = zlib.crc32(block, crc)
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from None
-    return crc
+    """CRC32 of a file of at most 64 MiB."""
+    return zlib.crc32(read_bytes(path, LARGEST_FILE))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError, MissingDependencyError
 from kt3dmoseg.kitti.options import Network
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
 
 
 class AbsentError(InputFileError):
-    """The server says that there is no such file."""
+    """The server has no such file."""
 
 
 class RangesIgnoredError(InputFileError):
@@ -104,14 +104,8 @@ class Client:
         InputFileError
             When the server cannot be reached or refuses.
         """
-        sizes = []
-
-        def first_byte(_: int) -> Iterator[bytes]:
-            with closing(self._ranged(url, 0, 1)) as response:
-                sizes.append(_range_of(response, url)[1])
-                yield from self._body(response)
-
-        for _ in self._persist(url, first_byte):
+        sizes: list[int] = []
+        for _ in self._persist(url, lambda got: self._attempt(url, 0, 1, sizes.append)):
             pass
         return sizes[-1]
 
@@ -125,7 +119,12 @@ class Client:
         AbsentError, RangesIgnoredError, InputFileError
             As for `size`.
         """
-        return self._persist(url, lambda got: self._part(url, start + got, length - got, size))
+
+        def check(found: int) -> None:
+            if found != size:
+                raise ChangedError(url, expected=f"{size} bytes as before", found=f"{found}")
+
+        return self._persist(url, lambda got: self._attempt(url, start + got, length - got, check))
 
     def download(self, url: str, path: Path, progress: Callable[[int], object] = lambda count: None) -> None:
         """Append to `path` what it lacks of a file, from a server that may ignore ranges.
@@ -136,7 +135,7 @@ class Client:
         try:
             with open(path, "ab") as stream:
                 have = stream.tell()
-                for block in self._persist(url, lambda got: self._rest(url, have + got)):
+                for block in self._persist(url, lambda got: self._attempt(url, have + got)):
                     stream.write(block)
                     progress(len(block))
         except OSError as error:
@@ -168,59 +167,38 @@ class Client:
                     tqdm.write(f"{url}: {error}; again in {pause:.0f} s", file=sys.stderr)
                 time.sleep(pause)
 
-    def _part(self, url: str, start: int, length: int, size: int) -> Iterator[bytes]:
-        with closing(self._ranged(url, start, length)) as response:
-            first, total = _range_of(response, url)
-            if total != size:
-                raise ChangedError(url, expected=f"{size} bytes as before", found=f"{total}")
-            if first != start:
-                raise _TransientError(f"a range from byte {first} instead of {start}")
-            for block in self._body(response):
-                if not length:
-                    return  # the server sends more than it was asked for
-                wanted = block[:length]
-                length -= len(wanted)
-                yield wanted
-            if length:
-                raise _TransientError(f"the connection ended {length} bytes early")
+    def _attempt(
+        self,
+        url: str,
+        start: int,
+        length: int | None = None,
+        check: Callable[[int], object] = lambda size: None,
+    ) -> Iterator[bytes]:
+        """Yield a range, whose file's size passes `check`; without a length all the rest.
 
-    def _rest(self, url: str, have: int) -> Iterator[bytes]:
-        with closing(self._get(url, f"bytes={have}-" if have else None)) as response:
-            if response.status_code == 416 and have:
-                return  # there is nothing after what we have; the reader will say if it is not the file
-            if response.status_code not in (200, 206):
-                raise InputFileError(f"{url}: the server answered {response.status_code} {response.reason}")
-            at = _range_of(response, url)[0] if response.status_code == 206 else 0
-            if at not in (0, have):
-                raise _TransientError(f"a range from byte {at} instead of {have}")
-            length = _length(response)
-            end = at + (length or 0)
+        Only the rest is also taken from a server that sends everything, whose beginning is passed over.
+        """
+        stop = "" if length is None else start + length - 1
+        with closing(self._get(url, f"bytes={start}-{stop}")) as response:
+            if response.status_code == 416 and length is None:
+                return  # there is nothing after what we have; the reader will notice if it is not the file
+            at, end = _extent(response, url, start, length, check)
             for block in self._body(response):
-                yield block[max(0, have - at) :]
+                yield block[max(0, start - at) : None if end is None else max(0, end - at)]
                 at += len(block)
-            if at < end:
-                raise _TransientError(f"the connection ended {end - at} bytes early")
+                if length is not None and at >= start + length:
+                    return  # what the server sends more than it was asked for is not read
+        if end is not None and at < end:
+            raise _TransientError(f"the connection ended {end - at} bytes early")
 
-    def _ranged(self, url: str, start: int, length: int) -> requests.Response:
-        response = self._get(url, f"bytes={start}-{start + length - 1}")
-        if response.status_code == 206:
-            return response
-        response.close()
-        if response.status_code == 200:
-            raise RangesIgnoredError(url, _length(response))
-        if response.status_code == 416:
-            raise ChangedError(url, expected=f"at least {start + length} bytes", found="fewer")
-        raise InputFileError(f"{url}: the server answered {response.status_code} {response.reason}")
-
-    def _get(self, url: str, range_: str | None) -> requests.Response:
+    def _get(self, url: str, range_: str) -> requests.Response:
         from requests import exceptions
 
         self.traffic.requests += 1
-        headers = {"Range": range_} if range_ else {}
         try:
-            response = self._session.get(url, headers=headers, stream=True, timeout=self.network.timeout)
-        except (exceptions.InvalidURL, exceptions.InvalidSchema, exceptions.MissingSchema):
-            raise InvalidValueError("address", expected="http:// or https://", found=url) from None
+            response = self._session.get(
+                url, headers={"Range": range_}, stream=True, timeout=self.network.timeout
+            )
         except exceptions.TooManyRedirects:
             raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
         except (exceptions.RequestException, OSError) as error:
@@ -258,18 +236,29 @@ class Client:
                 since, arrived = now, 0
 
 
-def _range_of(response: requests.Response, url: str) -> tuple[int, int]:
-    """Return the first byte of the range that is sent, and the size of the file."""
+def _extent(
+    response: requests.Response, url: str, start: int, length: int | None, check: Callable[[int], object]
+) -> tuple[int, int | None]:
+    """Return where the body begins and where what is wanted of it ends, if the server states it."""
+    status, length_header = response.status_code, response.headers.get("Content-Length", "")
+    if status == 200:
+        size = int(length_header) if length_header.isdigit() else None
+        if length is None:
+            return 0, size
+        raise RangesIgnoredError(url, size)
+    if status == 416:
+        raise ChangedError(url, expected=f"at least {start + (length or 0)} bytes", found="fewer")
+    if status != 206:
+        raise InputFileError(f"{url}: the server answered {status} {response.reason}")
     text = response.headers.get("Content-Range", "")
     match = _RANGE.fullmatch(text.strip())
     if not match:
         raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=repr(text))
-    return int(match[1]), int(match[3])
-
-
-def _length(response: requests.Response) -> int | None:
-    text = response.headers.get("Content-Length", "")
-    return int(text) if text.isdigit() else None
+    first, size = int(match[1]), int(match[3])
+    check(size)
+    if first != start:
+        raise _TransientError(f"a range from byte {first} instead of {start}")
+    return first, size if length is None else start + length
 
 
 def _reason(error: BaseException) -> str:

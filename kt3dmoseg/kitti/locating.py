@@ -40,7 +40,7 @@ _MOST = 3
 
 
 class NotLocatedError(KT3DMoSegError, LookupError):
-    """A clip's frames are not in a drive, or at several places of it."""
+    """A clip's frames are not in a drive, or match several parts of it."""
 
 
 def locate(
@@ -57,7 +57,7 @@ def locate(
     Parameters
     ----------
     root : path
-        The folder that `pull` fills; it remembers what was found.
+        The folder that `pull` fills; what was found is kept in it.
     clips : iterable of str
         Names of clips; all of the catalog by default.
     catalogs : iterable of path
@@ -108,7 +108,7 @@ def locate(
 def locate_clip(clip: Entry, files: FileSet, options: LocateOptions | None = None) -> Entry:
     """Return the clip with its frame numbers proved in a drive's files, camera and proof filled in.
 
-    A clip without fingerprints is returned as it is: its numbers are what the user says.
+    A clip without fingerprints is returned as it is: its numbers are those the user gave.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def locate_clip(clip: Entry, files: FileSet, options: LocateOptions | None = Non
     if verdict.ambiguous:
         fix = "put the right ones as numbers into a catalog of your own"
     raise NotLocatedError(
-        f"{clip.name}: {'several places' if verdict.ambiguous else 'no match'} in {files.name} by {tried}",
+        f"{clip.name}: {'several matches' if verdict.ambiguous else 'no match'} in {files.name} by {tried}",
         expected=f"{clip.length} frames",
         found=f"best candidates: {'; '.join(map(str, verdict.candidates)) or 'none'}",
         fix=fix,
@@ -221,10 +221,10 @@ def _by_checksum(clip: Entry, files: FileSet, camera: int) -> Verdict:
 
 
 def _by_pictures(clip: Entry, files: FileSet, own: Float32Array | None) -> tuple[str, Verdict]:
-    """Read all frames of the camera once, for their digests and their correlations with the clip's own."""
+    """Read all frames of the camera once, and compare their pixels, or correlate them with the clip's own."""
     frames = drive_frames(files, clip.drive, clip.camera)
     number_of = {name: number for number, name in frames.items()}
-    digests: dict[int, str] = {}
+    checksums: dict[int, str] = {}
     columns: dict[int, Float32Array] = {}
     contents, title = files.read(frames.values()), f"{clip.name}: comparing pixels"
     for name, content in tqdm(contents, title, len(frames), unit="frame", disable=None):
@@ -232,10 +232,10 @@ def _by_pictures(clip: Entry, files: FileSet, own: Float32Array | None) -> tuple
             image = decode_frame(content, name)
         except FileFormatError:
             continue  # not a picture: cannot be one of the clip's frames
-        digests[number_of[name]] = sha256_arrays(image)
+        checksums[number_of[name]] = sha256_arrays(image)
         if own is not None and (described := descriptor(image)).shape == own.shape[1:]:
             columns[number_of[name]] = own @ described
-    exact = match_exact([[n for n in frames if digests.get(n) == mark.pixels] for mark in clip.frames])
+    exact = match_exact([[n for n in frames if checksums.get(n) == mark.pixels] for mark in clip.frames])
     if exact.numbers or exact.ambiguous or own is None:
         return PIXELS, exact
     numbers = sorted(columns)

@@ -39,9 +39,7 @@ class Origin(Network):
 class PullOptions(Origin):
     """What to bring, and how."""
 
-    accept_license: bool = option(
-        False, "acknowledge the licence that is shown; remembered in the target folder"
-    )
+    accept_license: bool = option(False, "acknowledge the licence that is shown; stored in the target folder")
     dry_run: bool = option(False, "print the plan and stop")
     verify: bool = option(False, "re-check all bytes on disk; nothing is fetched")
     calibration: bool = option(True, "bring the calibration of the day")
@@ -58,5 +56,5 @@ class LocateOptions(Origin):
         metavar="FOLDER",
     )
     pixels: bool = option(
-        True, "read the drive's frames when checksums do not decide (a whole camera: some 40-300 MB)"
+        True, "read the drive's frames when checksums do not decide (all of a camera: some 40-300 MB)"
     )

@@ -249,13 +249,13 @@ class _Pull:
                 numbers = format_numbers(clip.numbers or ())
                 yield f"    {clip.name}: frames {numbers}, camera {clip.camera}, {proof}"
             yield from (f"    {failure}" for failure in part.failures)
-        whole = sum(bool(part.url) for part in self.parts)
-        more = f" and {whole} whole zip(s)" if whole else ""
+        zips = sum(bool(part.url) for part in self.parts)
+        more = f" and {zips} whole zip(s)" if zips else ""
         files, cost = sum(len(part.missing) for part in self.parts), sum(part.cost for part in self.parts)
         yield f"plan: {files} files{more} to {self.target.root}, {_megabytes(cost)} to transfer"
 
     def bring_all(self) -> None:
-        """Bring what is missing, and remember it."""
+        """Bring what is missing, and keep a list of it."""
         total = sum(part.bytes(part.missing) for part in self.parts)
         self._check_space(total)
         with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
@@ -291,7 +291,7 @@ class _Pull:
             part.files, part.names, part.failures = None, [], [error]
 
     def _bring(self, part: _Part, bar: tqdm[Any]) -> None:
-        """Bring a part; once more with a new directory when damaged, and whole when ranges are ignored."""
+        """Bring a part; once more, with a new directory, when it is damaged or its server ignores ranges."""
         try:
             self._fetch(part, bar)
         except (DamagedError, ChangedError, RangesIgnoredError):
@@ -302,8 +302,8 @@ class _Pull:
 
     def _fetch(self, part: _Part, bar: tqdm[Any]) -> None:
         if part.url:
-            with tqdm(total=part.size, unit="B", unit_scale=True, desc="whole zip", disable=None) as whole:
-                part.choose(self.origin.download(part.url, whole.update), self.target)
+            with tqdm(total=part.size, unit="B", unit_scale=True, desc="zip", disable=None) as zip_bar:
+                part.choose(self.origin.download(part.url, zip_bar.update), self.target)
             part.url = ""
             self._check_space(part.bytes(part.missing))
         if part.files is None:
@@ -365,7 +365,7 @@ def _companions(clips: list[Entry]) -> list[str]:
 
 
 def _remove_partial_files(root: Path, names: list[str]) -> None:
-    """Remove temporary files of these names that a killed pull left; the lock says that none is alive."""
+    """Remove temporary files of these names that a killed pull left; the lock proves that none is alive."""
     wanted = set(names)
     for folder in {Path(name).parent for name in names}:
         for path in (root / folder).glob(".*.part"):

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.catalog.models import Drive, check_camera, format_numbers, whole
+from kt3dmoseg.catalog.models import Drive, check_camera, check_integer, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
@@ -46,12 +46,18 @@ def camera_folder(drive: Drive, camera: int) -> PurePosixPath:
 
 def frame_file(drive: Drive, camera: int, number: int) -> PurePosixPath:
     """Path of one frame, relative to the root."""
-    return camera_folder(drive, camera) / "data" / f"{whole(number, 'frame number', _LAST_FRAME):010d}.png"
+    return (
+        camera_folder(drive, camera)
+        / "data"
+        / f"{check_integer(number, 'frame number', _LAST_FRAME):010d}.png"
+    )
 
 
 def packet_file(drive: Drive, number: int) -> PurePosixPath:
     """Path of the GPS/IMU packet of one frame, relative to the root."""
-    return drive_folder(drive) / "oxts/data" / f"{whole(number, 'frame number', _LAST_FRAME):010d}.txt"
+    return (
+        drive_folder(drive) / "oxts/data" / f"{check_integer(number, 'frame number', _LAST_FRAME):010d}.txt"
+    )
 
 
 def frame_number(file_name: str) -> int | None:
@@ -207,7 +213,7 @@ class RawDrive:
         """Numbers of the frames on disk, ascending, (n,) int64."""
         folder = self.root / camera_folder(self.drive, self.camera) / "data"
         try:
-            names = [entry.name for entry in os.scandir(folder)]
+            names = [file.name for file in os.scandir(folder)]
         except OSError as error:
             raise InputFileError(f"{folder}: {error.strerror or error}", fix=_FIX) from None
         return np.array(sorted(n for n in map(frame_number, names) if n is not None), dtype=np.int64)
@@ -218,7 +224,7 @@ class RawDrive:
         Raises
         ------
         InputFileError
-            When that frame is not on disk; the message says which are.
+            When that frame is not on disk; the message lists those that are.
         """
         path = self.root / frame_file(self.drive, self.camera, number)
         if not path.is_file():
@@ -248,7 +254,7 @@ class RawDrive:
     def timestamps(self, numbers: npt.ArrayLike) -> FloatArray:
         """Time at which the camera took each frame, (n,) float64 seconds since the drive's first.
 
-        The origin is the first frame of the whole drive, also when it is not on disk, so that clips of
+        The origin is the first frame of the drive, also when it is not on disk, so that clips of
         one drive share a clock. Nanoseconds survive: a drive lasts minutes, float64 then resolves 1e-13 s.
         """
         lines = self._timestamp_lines()

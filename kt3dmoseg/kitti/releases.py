@@ -22,7 +22,7 @@ _SUMS = "SHA256SUMS"
 class Release:
     """A published benchmark: where it is, what may be done with it, what to do when it is gone.
 
-    `members` matches what is wanted of a zip, `target` gives it its path; `checksums` are the SHA-256 of the
+    `wanted` matches the wanted files of a zip, `target` gives it its path; `checksums` are the SHA-256 of the
     files that this project has seen, by path below the folder.
     """
 
@@ -36,9 +36,9 @@ class Release:
     files: list[str]
     by_hand: str
     names: list[str] = field(default_factory=list)
-    members: str = ""
+    wanted: str = ""
     target: str = ""
-    checksums: Mapping[str, str] = field(default_factory=dict)
+    checksums: dict[str, str] = field(default_factory=dict)
 
     def downloads(self) -> dict[str, str]:
         """Addresses by the name that the file gets."""
@@ -89,7 +89,7 @@ def fetch_release(
     Raises
     ------
     InputFileError
-        When a page is gone; the message says what to do by hand.
+        When a page is gone; the message gives what to do by hand.
     FileFormatError
         When a file has not the SHA-256 that it must have.
     """
@@ -118,7 +118,7 @@ def _fetch(
         if checksum is None:
             expected[name] = sha256_file(path)
             say(f"  {name}: no published hash; trusted now, SHA-256 {expected[name]} from now on")
-        if release.members:
+        if release.wanted:
             _unpack(release, path, folder, expected)
     return _check(release, folder, expected, say)
 
@@ -154,7 +154,7 @@ def _download(url: str, path: Path, checksum: str | None, retries: int, by_hand:
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:
     """Unpack the wanted files that are not there, or not right, under names of our own making."""
     archive = Archive.on_disk(path)
-    matches = {name: match for name in archive.names() if (match := re.fullmatch(release.members, name))}
+    matches = {name: match for name in archive.names() if (match := re.fullmatch(release.wanted, name))}
     targets = {name: match.expand(release.target) for name, match in matches.items()}
     missing = [name for name, to in targets.items() if not _is_right(folder / to, expected.get(to))]
     for name, content in archive.read(missing):

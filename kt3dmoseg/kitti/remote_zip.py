@@ -1,7 +1,7 @@
 """Zip archives read through ranges: the directory first, then only the wanted files.
 
-`zipfile` parses and unpacks; the bytes come from a `_RangeFile`. What a directory says is held to be a claim:
-an archive is refused as a whole for names that leave it, symbolic links, duplicates and files that overlap;
+`zipfile` parses and unpacks; the bytes come from a `_RangeFile`. What a directory states is a claim:
+an archive is refused for names that leave it, symbolic links, duplicates and files that overlap;
 a file is refused when it is too large or its bytes do not bear out size and CRC32.
 """
 
@@ -187,7 +187,7 @@ class Archive:
         wanted = list(names)
         for name in wanted:
             if fault := _unreadable(self._infos[name]):
-                raise FileFormatError(f"{self.name}: refused: member {name!r:.200} {fault}")
+                raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
         for attempt in range(1, _ATTEMPTS + 1):
             damaged = []
             for name, content in self._read_once(wanted):
@@ -223,7 +223,7 @@ class Archive:
             name = info.orig_filename
             fault = _fault(info, end) or ("is there twice" if name in self._infos else "")
             if fault:
-                raise FileFormatError(f"{self.name}: refused: member {name!r:.200} {fault}")
+                raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
             longest = _HEADER + 4 * len(name) + _LONGEST_EXTRA + info.compress_size + _DESCRIPTOR
             self._infos[name], self._ends[name] = info, min(end, info.header_offset + longest)
 
@@ -270,7 +270,7 @@ def _read_file(path: Path, start: int, length: int) -> Iterator[bytes]:
 
 
 def _fault(info: zipfile.ZipInfo, end: int) -> str:
-    """Say why an archive with this file in it, which ends before `end`, is refused; empty when it is not."""
+    """Reason to refuse an archive with this file in it, which ends before `end`; empty when there is none."""
     name = info.orig_filename
     parts = name.split("/")
     if not name or name.startswith("/") or re.search(r"[\\:\0]", name):

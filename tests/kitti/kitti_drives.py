@@ -59,9 +59,9 @@ def packet(number: int) -> str:
     return f"{latitude} {longitude} 112.5 0.0 0.0 0.0 " + " ".join(["0.5"] * 19) + " 4 9 4 4 0\n"
 
 
-def tracklets(first: int, places: list[tuple[float, float, float]]) -> str:
-    poses = "".join(POSE.format(x=x, y=y, rz=rz) for x, y, rz in places)
-    return TRACKLETS.format(first=first, n=len(places), poses=poses)
+def tracklets(first: int, positions: list[tuple[float, float, float]]) -> str:
+    poses = "".join(POSE.format(x=x, y=y, rz=rz) for x, y, rz in positions)
+    return TRACKLETS.format(first=first, n=len(positions), poses=poses)
 
 
 def drive_files(

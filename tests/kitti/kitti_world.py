@@ -29,7 +29,7 @@ class World:
     server: FaultyServer
     folder: Path
     members: dict[str, bytes]
-    said: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
 
     @property
     def root(self) -> Path:
@@ -51,7 +51,7 @@ class World:
             clips or ("Hidden",),
             catalogs=[self.catalog],
             traffic=self.traffic,
-            say=self.said.append,
+            say=self.lines.append,
             **{"mirror": self.server.url} | QUICK | options,
         )
 

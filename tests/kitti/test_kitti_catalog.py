@@ -18,13 +18,13 @@ from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError,
 MARK = Fingerprint(0x89ABCDEF, 1234, "0" * 64)
 
 
-def test_built_in_catalog_is_whole() -> None:
-    entries = catalog.load()
-    assert len(entries) == 22
-    assert "Seq028_clip03" in entries
-    assert entries["Seq071_Clip01"].drive == Drive("2011_09_29", 71)
-    assert {entry.size for entry in entries.values()} == {(1242, 375), (1224, 370), (1238, 374)}
-    assert all(len(entry.frames) == entry.length for entry in entries.values())
+def test_built_in_catalog_is_complete() -> None:
+    clips = catalog.load()
+    assert len(clips) == 22
+    assert "Seq028_clip03" in clips
+    assert clips["Seq071_Clip01"].drive == Drive("2011_09_29", 71)
+    assert {clip.size for clip in clips.values()} == {(1242, 375), (1224, 370), (1238, 374)}
+    assert all(len(clip.frames) == clip.length for clip in clips.values())
 
 
 @pytest.mark.parametrize("value", [5, "5", "05", "0005"])
@@ -43,7 +43,7 @@ def test_nonsense_numbers_are_refused(text: str) -> None:
         parse_numbers(text)
 
 
-entries = st.builds(
+clips = st.builds(
     lambda name, drive, camera, n, size, marks: Entry(
         name, Drive("2011_09_28", drive), camera, n, size, tuple(range(7, 7 + n)), (marks,) * n
     ),
@@ -56,7 +56,7 @@ entries = st.builds(
 )
 
 
-@given(st.lists(entries, max_size=4, unique_by=lambda entry: entry.name))
+@given(st.lists(clips, max_size=4, unique_by=lambda clip: clip.name))
 def test_catalog_written_and_read_is_the_same(
     tmp_path_factory: pytest.TempPathFactory, made: list[Entry]
 ) -> None:

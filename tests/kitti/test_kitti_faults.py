@@ -78,7 +78,7 @@ def test_server_that_never_recovers_is_one_line_after_bounded_requests(
     world.check()
 
 
-def test_member_that_stays_damaged_never_takes_its_name(world: World) -> None:
+def test_file_that_stays_damaged_never_takes_its_name(world: World) -> None:
     world.server.fault = lambda count, path: "flip" if "_sync" in path and count > 4 else ""
     with pytest.raises(KT3DMoSegError, match=r"\.png|_sync\.zip"):
         world.pull()
@@ -121,7 +121,7 @@ def test_server_that_ignores_ranges_gives_the_whole_zip_once(world: World) -> No
     world.server.ranges = False
     world.pull()
     world.check()
-    assert "whole files only" in "\n".join(world.said)
+    assert "whole files only" in "\n".join(world.lines)
     assert not list(world.root.rglob("*.zip"))
     world.server.reset()
     assert world.pull().fetched == 0
@@ -129,14 +129,14 @@ def test_server_that_ignores_ranges_gives_the_whole_zip_once(world: World) -> No
 
 
 def test_whole_zip_resumes_where_it_stopped(world: World) -> None:
-    whole = len(world.server.files[SYNC])
+    size = len(world.server.files[SYNC])
     world.server.ranges = False
     world.server.fault = lambda count, path: "cut" if "_sync" in path else ""
     with pytest.raises(InputFileError, match="gave up"):
         world.pull(retries=2)
     (part,) = (world.root / ".kt3dmoseg").glob("*_sync.*.part")
     assert part.read_bytes() == world.server.files[SYNC][: part.stat().st_size]
-    assert part.stat().st_size >= whole // 2
+    assert part.stat().st_size >= size // 2
     # Now the server answers ranges: only the rest is sent, and less when the directory is enough.
     world.server.ranges, world.server.fault = True, lambda count, path: ""
     world.pull()
@@ -166,7 +166,7 @@ def test_truncated_zip_is_one_line(world: World, keep: float) -> None:
         world.pull()
 
 
-def test_zip_that_changed_since_the_last_pull_is_read_anew(world: World) -> None:
+def test_zip_that_changed_since_the_last_pull_is_read_again(world: World) -> None:
     world.pull()
     world.frame(13).unlink()
     world.serve({"readme.txt": b"moved everything" * 100} | world.members)

@@ -25,11 +25,11 @@ def test_frames_with_one_equal_each_are_proved() -> None:
 
 
 def test_repeated_frames_are_decided_by_a_constant_step() -> None:
-    # A car that stands: frames 5 and 6 are equal; only 4, 5, 6 has one step.
+    # A parked car: frames 5 and 6 are equal; only 4, 5, 6 has one step.
     assert match_exact([[4], [5, 6], [5, 6]]).numbers == (4, 5, 6)
 
 
-def test_two_places_are_ambiguous_and_both_are_named() -> None:
+def test_two_matches_are_ambiguous_and_both_are_named() -> None:
     verdict = match_exact([[4, 40], [5, 41], [6, 42]])
     assert verdict.numbers is None
     assert verdict.ambiguous
@@ -42,7 +42,7 @@ def test_frames_out_of_order_are_not_a_clip() -> None:
     assert "not in ascending order" in str(verdict.candidates[0])
 
 
-def test_partial_match_names_the_best_place() -> None:
+def test_partial_match_names_the_best_candidate() -> None:
     verdict = match_exact([[10], [], [12], [50]])
     assert verdict.numbers is None
     assert str(verdict.candidates[0]) == "10-13 (2 of 4 frames equal)"
@@ -96,7 +96,7 @@ def _locate(world: World, *clips: str, **options: object) -> dict[str, catalog.E
         clips or ("Hidden",),
         catalogs=[world.catalog],
         traffic=world.traffic,
-        say=world.said.append,
+        say=world.lines.append,
         mirror=world.server.url,
         **{k: v for k, v in QUICK.items() if k != "accept_license"} | options,
     )
@@ -109,7 +109,7 @@ def test_directory_alone_is_enough(world: World) -> None:
     assert world.server.sent < 80_000
     written = catalog.load(world.root / "located.toml", built_in=False)["Hidden"]
     assert written == found
-    assert world.said == [f"Hidden: {drives.NAME} camera 0 frames 11-16 (crc32)"]
+    assert world.lines == [f"Hidden: {drives.NAME} camera 0 frames 11-16 (crc32)"]
 
 
 def test_pull_after_locate_reads_no_directory_again(world: World) -> None:
@@ -170,7 +170,7 @@ def test_lossy_copies_are_found_by_correlation(world: World, tmp_path: Path) -> 
     assert world.pull().files == 18
 
 
-def test_clip_of_another_drive_is_not_found_and_candidates_are_said(world: World, tmp_path: Path) -> None:
+def test_clip_of_another_drive_is_not_found_and_candidates_are_named(world: World, tmp_path: Path) -> None:
     _recode(world, lambda image: image[::-1].copy())
     with pytest.raises(NotLocatedError, match=r"no match .* best candidates: \d+-\d+ \(correlation 0\.\d+\)"):
         _locate(world, frames=str(_own(world, tmp_path / "own")))
@@ -181,13 +181,13 @@ def test_clip_that_is_there_twice_is_ambiguous(world: World) -> None:
     copies = {f"{FOLDER}/{k + 100:010d}.png": world.members[f"{FOLDER}/{k:010d}.png"] for k in range(FRAMES)}
     world.serve(world.members | copies)
     with pytest.raises(
-        NotLocatedError, match=r"several places .* 11-16 .* 111-116 .* numbers into a catalog"
+        NotLocatedError, match=r"several matches .* 11-16 .* 111-116 .* numbers into a catalog"
     ):
         _locate(world)
     assert world.traffic.bytes < 150_000  # the directory, twice; there is no use in reading the frames
 
 
-def test_given_numbers_decide_between_equal_places(world: World) -> None:
+def test_given_numbers_decide_between_equal_matches(world: World) -> None:
     copies = {f"{FOLDER}/{k + 100:010d}.png": world.members[f"{FOLDER}/{k:010d}.png"] for k in range(FRAMES)}
     world.serve(world.members | copies)
     text = world.catalog.read_text()
@@ -209,8 +209,8 @@ def test_all_clips_are_tried_before_the_error(world: World) -> None:
 def test_drive_that_the_server_lacks_does_not_stop_the_others(world: World) -> None:
     with pytest.raises(NotLocatedError, match="1 of 2 clips were not located: found Seq071_Clip01"):
         _locate(world, "Seq071_Clip01", "Hidden")
-    assert "answered 404" in world.said[0]
-    assert "frames 11-16" in world.said[1]
+    assert "answered 404" in world.lines[0]
+    assert "frames 11-16" in world.lines[1]
     with pytest.raises(OSError, match="answered 404"):
         _locate(world, "Seq071_Clip01")
 
@@ -218,7 +218,7 @@ def test_drive_that_the_server_lacks_does_not_stop_the_others(world: World) -> N
 def test_server_without_ranges_sends_the_zip_once_for_locate_and_pull(world: World) -> None:
     world.server.ranges = False
     assert _locate(world)["Hidden"].numbers == HIDDEN
-    assert "ignores ranges; fetching all" in world.said[0]
+    assert "ignores ranges; fetching all" in world.lines[0]
     world.server.reset()
     world.pull()
     world.check()

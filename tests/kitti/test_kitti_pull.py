@@ -1,4 +1,4 @@
-"""Pulling clips from a local server: what comes, how much traffic it takes, and what it remembers."""
+"""Pulling clips from a local server: what comes, how much traffic it takes, and what it keeps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_brings_the_clip_in_kittis_layout_and_nothing_else(world: World) -> None
     # 6 frames, 6 packets, 2 timestamps, 3 calibration files, tracklets; and located.toml
     assert len(visible) == 18 + 1
     assert report.files == report.fetched == 18
-    assert "Hidden: frames 11-16, camera 0, by crc32" in "\n".join(world.said)
+    assert "Hidden: frames 11-16, camera 0, by crc32" in "\n".join(world.lines)
 
 
 def test_traffic_stays_within_its_targets(world: World) -> None:
@@ -76,7 +76,7 @@ def test_damaged_and_lost_files_are_replaced_and_only_those(world: World) -> Non
     world.frame(14).unlink()
     with pytest.raises(InputFileError, match="2 of 18 files are damaged or missing"):
         world.pull(verify=True)
-    assert [line.rpartition(": ")[2] for line in world.said[-2:]] == ["damaged", "missing"]
+    assert [line.rpartition(": ")[2] for line in world.lines[-2:]] == ["damaged", "missing"]
     assert world.pull().fetched == 2
     world.check()
     world.server.reset()
@@ -84,7 +84,7 @@ def test_damaged_and_lost_files_are_replaced_and_only_those(world: World) -> Non
     assert world.server.requests == []
 
 
-def test_verify_says_when_a_clip_was_never_pulled(world: World) -> None:
+def test_verify_reports_a_clip_that_was_never_pulled(world: World) -> None:
     with pytest.raises(InputFileError, match="Hidden was never pulled"):
         world.pull(verify=True)
 
@@ -92,7 +92,7 @@ def test_verify_says_when_a_clip_was_never_pulled(world: World) -> None:
 def test_dry_run_prints_the_plan_and_writes_nothing(world: World) -> None:
     world.pull(dry_run=True, accept_license=False)
     assert not world.root.exists()
-    text = "\n".join(world.said)
+    text = "\n".join(world.lines)
     assert re.search(r"plan: 18 files to .*root, \d+\.\d MB to transfer", text)
     assert "CC BY-NC-SA 3.0" in text
 
@@ -103,9 +103,9 @@ def test_licence_is_asked_for_once(world: World) -> None:
     assert world.server.requests == []
     assert not list(world.root.rglob("*.png"))
     world.pull(accept_license=True)
-    world.said.clear()
+    world.lines.clear()
     world.pull(accept_license=False)
-    assert "CC BY-NC-SA" not in "\n".join(world.said)
+    assert "CC BY-NC-SA" not in "\n".join(world.lines)
 
 
 def test_absent_tracklets_are_normal_and_asked_for_once(world: World) -> None:
@@ -122,7 +122,7 @@ def test_forbidden_tracklets_are_absent_ones(world: World) -> None:
     assert world.pull().files == 17
 
 
-def test_absent_calibration_is_said_after_the_frames_came(world: World) -> None:
+def test_absent_calibration_is_reported_after_the_frames_came(world: World) -> None:
     del world.server.files[CALIB]
     with pytest.raises(InputFileError, match=r"calib\.zip"):
         world.pull()
@@ -136,12 +136,12 @@ def test_absent_drive_is_one_line(world: World) -> None:
         world.pull()
 
 
-def test_drive_without_packets_is_brought_and_the_lack_is_said(world: World) -> None:
+def test_drive_without_packets_is_brought_and_the_lack_is_reported(world: World) -> None:
     world.serve({name: c for name, c in world.members.items() if "/oxts/" not in name})
     report = world.pull()
     world.check()
     assert len(report.lacking) == 7
-    assert "lacks 7" in world.said[-1]
+    assert "lacks 7" in world.lines[-1]
     world.server.reset()
     world.pull()
     assert world.server.requests == []
@@ -223,7 +223,7 @@ def test_target_that_is_an_extracted_tree_already_is_only_verified(world: World)
     assert world.pull(verify=True).files == 17
 
 
-def test_local_folder_without_the_drive_says_what_it_looked_for(world: World, tmp_path: Path) -> None:
+def test_local_folder_without_the_drive_names_what_is_missing(world: World, tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     with pytest.raises(InputFileError, match=r"neither .*_sync nor .*_sync\.zip is there"):
         world.pull(local=str(tmp_path / "here"))

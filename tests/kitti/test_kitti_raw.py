@@ -20,7 +20,7 @@ NUMBERS = [*range(4, 9), 12]
 def root(tmp_path: Path) -> Path:
     frames = {k: drives.encode(drives.picture(k)) for k in NUMBERS}
     files = drives.drive_files(frames, 20) | drives.calibration_files()
-    # A car 20 m ahead, then one beside the laser scanner, half of it behind the camera.
+    # A car 20 m ahead, then one next to the laser scanner, half of it behind the camera.
     text = drives.tracklets(6, [(20.0, 0.0, 0.0), (0.0, 4.0, 0.0)])
     files[f"{drives.DATE}/{drives.NAME}_sync/tracklet_labels.xml"] = text.encode()
     return drives.write_files(tmp_path, files)
@@ -82,7 +82,7 @@ def test_impossible_names_are_refused(root: Path, date: str, number: object, cam
         RawDrive(root, date, number, camera)
 
 
-def test_missing_drive_says_what_to_do(root: Path) -> None:
+def test_missing_drive_gives_what_to_do(root: Path) -> None:
     with pytest.raises(InputFileError, match="drive_0006_sync: no such folder; fetch it"):
         RawDrive(root, drives.DATE, 6)
 
@@ -191,7 +191,7 @@ def test_box_that_reaches_behind_the_camera_stays_on_its_side(drive: RawDrive) -
     assert drive.tracklet_boxes(5) == []
 
 
-def test_drive_without_tracklets_says_so(root: Path, drive: RawDrive) -> None:
+def test_drive_without_tracklets_is_reported(root: Path, drive: RawDrive) -> None:
     assert drive.has_tracklets
     (root / drives.DATE / f"{drives.NAME}_sync/tracklet_labels.xml").unlink()
     assert not drive.has_tracklets

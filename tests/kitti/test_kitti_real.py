@@ -119,11 +119,11 @@ def test_recoded_frames_are_still_located(
 
 
 def test_built_in_catalog_describes_the_frames(data_root: Path) -> None:
-    entries = catalog.load()
+    clips = catalog.load()
     folders = sorted(path.name for path in (data_root / "kt3dmoseg/frames").iterdir())
-    assert sorted(entries) == folders
-    assert sum(entry.length for entry in entries.values()) == 384
+    assert sorted(clips) == folders
+    assert sum(clip.length for clip in clips.values()) == 384
     name = random.Random(0).choice(folders)
     paths = sorted((data_root / "kt3dmoseg/frames" / name).glob("*.png"))
-    for path, mark in zip(paths, entries[name].frames, strict=True):
+    for path, mark in zip(paths, clips[name].frames, strict=True):
         assert fingerprint(path.read_bytes(), decode_frame(path.read_bytes(), path.name)) == mark

@@ -1,4 +1,4 @@
-"""fetch-release: hashes, trust on first use, unpacking, and what is said when a page is gone."""
+"""fetch-release: hashes, trust on first use, unpacking, and what is reported when a page is gone."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def small(server: FaultyServer, monkeypatch: pytest.MonkeyPatch) -> FaultyServer
 
 
 def test_fetches_once_and_records_the_hashes_it_had_to_trust(small: FaultyServer, tmp_path: Path) -> None:
-    said: list[str] = []
-    (paths,) = fetch_release(tmp_path, mirror=small.url, say=said.append).values()
+    lines: list[str] = []
+    (paths,) = fetch_release(tmp_path, mirror=small.url, say=lines.append).values()
     assert {path.name: path.read_bytes() for path in paths} == FILES
-    text = "\n".join(said)
+    text = "\n".join(lines)
     assert text.count("trusted now") == 2
     assert "1 of them proved" in text
     for word in (
@@ -45,10 +45,10 @@ def test_fetches_once_and_records_the_hashes_it_had_to_trust(small: FaultyServer
     ):
         assert word in text
     small.reset()
-    said.clear()
-    fetch_release(tmp_path, mirror=small.url, say=said.append)
+    lines.clear()
+    fetch_release(tmp_path, mirror=small.url, say=lines.append)
     assert small.requests == []
-    assert "trusted now" not in "\n".join(said)
+    assert "trusted now" not in "\n".join(lines)
 
 
 def test_damaged_file_is_fetched_again_and_must_match_its_first_hash(
@@ -72,7 +72,7 @@ def test_wrong_content_of_a_known_file_is_refused(small: FaultyServer, tmp_path:
     assert not list(tmp_path.rglob("*.mat"))
 
 
-def test_page_that_is_gone_says_what_to_do_by_hand(
+def test_page_that_is_gone_gives_what_to_do_by_hand(
     small: FaultyServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small.files.clear()
@@ -109,7 +109,7 @@ def test_unknown_release_proposes_the_nearest(tmp_path: Path) -> None:
         fetch_release(tmp_path, ["hopkins15"])
 
 
-def test_every_release_says_where_from_what_licence_and_what_by_hand() -> None:
+def test_every_release_has_address_licence_and_what_to_do_by_hand() -> None:
     for release in releases.releases().values():
         assert release.home.startswith("http")
         assert release.licence

@@ -40,7 +40,7 @@ def opened(tmp_path: Path, content: bytes) -> Archive:
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
 @pytest.mark.parametrize("comment", [b"", b"note " * 1000])
-def test_reads_members_in_any_order(tmp_path: Path, method: int, comment: bytes) -> None:
+def test_reads_files_in_any_order(tmp_path: Path, method: int, comment: bytes) -> None:
     content = pack(CONTENT, method, comment)
     archive = opened(tmp_path, content)
     assert dict(archive.read(["b.bin", "a/one.txt"])) == {
@@ -108,7 +108,7 @@ def _overlap() -> bytes:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_hostile_archives_are_refused_whole(tmp_path: Path, make: Callable[[], bytes], reason: str) -> None:
+def test_hostile_archives_are_refused(tmp_path: Path, make: Callable[[], bytes], reason: str) -> None:
     with pytest.raises(FileFormatError, match=reason):
         opened(tmp_path, make())
 
@@ -118,7 +118,7 @@ def test_hostile_archives_are_refused_whole(tmp_path: Path, make: Callable[[], b
     [(16, "<L", 12345), (10, "<H", 0), (24, "<L", 599), (24, "<L", 601)],
     ids=["checksum", "method", "smaller", "larger"],
 )
-def test_lies_of_the_directory_are_noticed_when_the_member_is_read(
+def test_lies_of_the_directory_are_noticed_when_the_file_is_read(
     tmp_path: Path, offset: int, form: str, value: int
 ) -> None:
     with pytest.raises(FileFormatError):
@@ -133,21 +133,21 @@ def test_bomb_is_not_unpacked_further_than_its_claim(tmp_path: Path) -> None:
         dict(opened(tmp_path, bytes(content)).read(["a/one.txt"]))
 
 
-def test_enormous_member_is_refused_before_it_is_asked_for(tmp_path: Path) -> None:
+def test_enormous_file_is_refused_before_it_is_asked_for(tmp_path: Path) -> None:
     archive = opened(tmp_path, pack({"a": bytes(65 << 20), "b": b"fine"}))
     with pytest.raises(FileFormatError, match="unpacks to 68157440 bytes"):
         next(archive.read(["a"]))
     assert dict(archive.read(["b"])) == {"b": b"fine"}
 
 
-def test_encrypted_and_oddly_packed_members_are_refused(tmp_path: Path) -> None:
+def test_encrypted_and_oddly_packed_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="encrypted"):
         next(opened(tmp_path, _edited(8, "<H", 1)).read(["a/one.txt"]))
     with pytest.raises(FileFormatError, match="method 12"):
         next(opened(tmp_path, pack(CONTENT, zipfile.ZIP_BZIP2)).read(["a/one.txt"]))
 
 
-def test_flipped_byte_of_a_member_is_found_by_its_checksum(tmp_path: Path) -> None:
+def test_flipped_byte_of_a_file_is_found_by_its_checksum(tmp_path: Path) -> None:
     content = bytearray(pack(CONTENT, zipfile.ZIP_STORED))
     content[content.index(b"second")] ^= 1
     archive = opened(tmp_path, bytes(content))
@@ -172,7 +172,7 @@ def test_any_damage_gives_right_content_or_one_error(tmp_path: Path, data: st.Da
 
 def test_hostile_zip_on_a_server_writes_nothing(world: World) -> None:
     world.serve(world.members | {"../../outside.txt": b"x"})
-    with pytest.raises(FileFormatError, match=r"refused: member '\.\./\.\./outside\.txt' leaves"):
+    with pytest.raises(FileFormatError, match=r"refused: file '\.\./\.\./outside\.txt' leaves"):
         world.pull()
     assert not list(world.root.rglob("*.png"))
     assert not list(world.folder.parent.rglob("outside.txt"))
