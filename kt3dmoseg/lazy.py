@@ -18,14 +18,15 @@ def lazy(
     package : str
         Its ``__name__``.
     names : mapping of str to str
-        Public name -> the module of the package that has it.
+        Public name -> the module of the package that has it, or the full name of another module.
     modules : collection of str
         Modules of the package that are public themselves.
     """
 
     def getattr_(name: str) -> Any:  # noqa: ANN401  # whatever the name stands for
         if name in names:
-            return getattr(import_module(f"{package}.{names[name]}"), name)
+            module = names[name]
+            return getattr(import_module(module if "." in module else f"{package}.{module}"), name)
         if name in modules:
             return import_module(f"{package}.{name}")
         raise AttributeError(f"module {package!r} has no attribute {name!r}")

@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     from kt3dmoseg.annotate.server.app import serve
     from kt3dmoseg.annotate.server.clip_session import ClipSession
     from kt3dmoseg.annotate.server.routes import Routes
-    from kt3dmoseg.annotate.workspace import find_clips
+    from kt3dmoseg.frames import find_clips
 
     _check(arguments)
     clips = find_clips(

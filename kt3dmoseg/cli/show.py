@@ -101,9 +101,9 @@ def _painting(clip: Clip, arguments: argparse.Namespace) -> Painting:
 
 def _pictures(clip: Clip, folder: str | None) -> list[ByteArray]:
     """Gray frames of the clip; none when no folder is given."""
-    from kt3dmoseg.io.clip_frames import frames_of, frames_place
+    from kt3dmoseg.frames import frames_of
 
-    return [] if folder is None else frames_of(clip, frames_place(clip, folder))
+    return [] if folder is None else frames_of(clip, folder)
 
 
 def _write(clip: Clip, output: Path, arguments: argparse.Namespace, drawn: Callable[[int], ByteArray]) -> str:

@@ -8,17 +8,17 @@ from kt3dmoseg.lazy import lazy
 from kt3dmoseg.pipeline.options import BuildOptions
 
 if TYPE_CHECKING:
+    from kt3dmoseg.frames import FrameFolder as FrameFolder
+    from kt3dmoseg.frames import KittiClip as KittiClip
+    from kt3dmoseg.frames import Source as Source
+    from kt3dmoseg.frames import VideoFile as VideoFile
+    from kt3dmoseg.frames import find_sources as find_sources
+    from kt3dmoseg.frames import kitti_sources as kitti_sources
+    from kt3dmoseg.frames import located_sources as located_sources
     from kt3dmoseg.pipeline.clip import build_clip as build_clip
     from kt3dmoseg.pipeline.dataset import Outcome as Outcome
     from kt3dmoseg.pipeline.dataset import build_dataset as build_dataset
-    from kt3dmoseg.pipeline.kitti_clips import KittiClip as KittiClip
-    from kt3dmoseg.pipeline.kitti_clips import kitti_sources as kitti_sources
-    from kt3dmoseg.pipeline.kitti_clips import located_sources as located_sources
     from kt3dmoseg.pipeline.masks import label_by_masks as label_by_masks
-    from kt3dmoseg.pipeline.shot import Source as Source
-    from kt3dmoseg.pipeline.sources import FrameFolder as FrameFolder
-    from kt3dmoseg.pipeline.sources import VideoFile as VideoFile
-    from kt3dmoseg.pipeline.sources import find_sources as find_sources
 
 ALGORITHM_VERSION = 1
 """Raised when the same tracks and annotations or masks get other labels, or other rows are evaluated."""
@@ -28,14 +28,9 @@ _PUBLIC = {
     "build_clip": "clip",
     "build_dataset": "dataset",
     "Outcome": "dataset",
-    "find_sources": "sources",
-    "kitti_sources": "kitti_clips",
-    "located_sources": "kitti_clips",
     "label_by_masks": "masks",
-    "FrameFolder": "sources",
-    "VideoFile": "sources",
-    "KittiClip": "kitti_clips",
-    "Source": "shot",
+    **dict.fromkeys(("find_sources", "kitti_sources", "located_sources"), "kt3dmoseg.frames"),
+    **dict.fromkeys(("FrameFolder", "VideoFile", "KittiClip", "Source"), "kt3dmoseg.frames"),
 }
 
 __all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604

@@ -13,25 +13,24 @@ import cv2
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import check_writable, hold_folder
+from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.parallel import Progress, run_tasks
 from kt3dmoseg.pipeline.clip import check_usage, label_source, prepare
-from kt3dmoseg.pipeline.fingerprint import why_build
 from kt3dmoseg.pipeline.masks import has_masks
 from kt3dmoseg.pipeline.options import Settings
-from kt3dmoseg.pipeline.shot import Source
-from kt3dmoseg.pipeline.sources import find_sources
+from kt3dmoseg.pipeline.provenance import why_build
 
-# Told after each frame: clip, frames done, frames in all or None.
 FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
+"""Called after each frame with the clip, frames done, frames in all or None."""
 
 
 @dataclass(frozen=True)
 class Task:
     """What a worker is sent: one clip of a build."""
 
-    source: Source
+    source: FrameSource
     output: Path
     annotations: Path | None
     masks: Path | None
@@ -71,7 +70,7 @@ class Outcome:
 
 
 def build_dataset(
-    frames: str | os.PathLike[str] | Sequence[Source],
+    frames: str | os.PathLike[str] | Sequence[FrameSource],
     output: str | os.PathLike[str],
     *,
     annotations: str | os.PathLike[str] | None = None,
@@ -86,13 +85,13 @@ def build_dataset(
 ) -> list[Outcome]:
     """Build every clip of a folder into one HDF5 file each.
 
-    A clip whose file carries the same fingerprint (sources, options, versions, code) is left alone.
+    A clip whose file was built from the same inputs (sources, options, versions) is left alone.
     Files are written atomically; after an interruption the same call finishes the work, and gives
     the same bytes whatever the number of workers. A clip that fails does not stop the others.
 
     Parameters
     ----------
-    frames : path or sequence of Source
+    frames : path or sequence of FrameSource
         What `find_sources` understands: a folder of clips, one clip, a video, a KITTI raw root.
     output : path
         Folder of the files ``<clip>.h5``.
@@ -150,11 +149,11 @@ def build_task(task: Task, progress: Progress) -> Outcome:
     name, target = task.source.name, task.target
     try:
         job = prepare(task.source, label_source(name, task.annotations, task.masks), task.settings)
-        reason = why_build(target, job.fingerprint, force=task.force)
+        reason = why_build(target, job.inputs, force=task.force)
         if not reason:
             return Outcome(name, "up to date", "", target, {})
         clip = job.build(cache=task.cache, progress=lambda done, total: progress(name, done, total))
-        _remove_leftovers(target)
+        _remove_partial(target)
         hdf5.write(clip, target)
     except MissingDependencyError:  # the same for every clip
         raise
@@ -188,26 +187,26 @@ def _sole_writer(output: Path) -> Iterator[Path]:
                 folder.rmdir()  # succeeds only when it is empty
 
 
-def _remove_leftovers(target: Path) -> None:
-    """Remove what a killed process left of this very file; no other build is at work here."""
-    for leftover in target.parent.glob(f".{target.name}.*.part"):
-        leftover.unlink(missing_ok=True)
+def _remove_partial(target: Path) -> None:
+    """Remove what a killed process wrote of this very file; no other build is at work here."""
+    for partial in target.parent.glob(f".{target.name}.*.part"):
+        partial.unlink(missing_ok=True)
 
 
-def _check_names(sources: Sequence[Source]) -> None:
+def _check_names(sources: Sequence[FrameSource]) -> None:
     names = [source.name for source in sources]
     for name in names:
         check_name(name, "name")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        places = " and ".join(source.where for source in sources if source.name == twice[0])
+        both = " and ".join(source.where for source in sources if source.name == twice[0])
         raise InvalidValueError(
-            f"clip {twice[0]}", expected="one source", found=places, fix="rename or remove one"
+            f"clip {twice[0]}", expected="one source", found=both, fix="rename or remove one"
         )
 
 
-def _check_masks(sources: Sequence[Source], masks: Path | None) -> None:
-    """See that masks belong to clips by name: one clip's must not label them all, nor a wrong folder none."""
+def _check_masks(sources: Sequence[FrameSource], masks: Path | None) -> None:
+    """Check that masks belong to clips by name: one clip's must not label all, nor a wrong folder none."""
     if masks is None:
         return
     if len(sources) > 1 and has_masks(masks):
@@ -217,7 +216,7 @@ def _check_masks(sources: Sequence[Source], masks: Path | None) -> None:
             found=f"masks, and {len(sources)} clips",
             fix="build their clip alone, or move them into a folder of its name",
         )
-    if not any(has_masks(place) for place in (masks, *(masks / source.name for source in sources))):
+    if not any(has_masks(folder) for folder in (masks, *(masks / source.name for source in sources))):
         raise InputFileError(
             f"{masks}", expected=f"masks (.png) there, or in {masks / sources[0].name}", found="none"
         )

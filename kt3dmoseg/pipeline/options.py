@@ -1,4 +1,4 @@
-"""What can be chosen in a build, beside the tracker's own options."""
+"""Options of a build, in addition to the tracker's."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class BuildOptions:
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything that a clip depends on beside its sources."""
+    """Everything that a clip depends on apart from its sources."""
 
     build: BuildOptions = field(default_factory=BuildOptions)
     tracks: TrackOptions = field(default_factory=TrackOptions)

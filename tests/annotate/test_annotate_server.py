@@ -18,8 +18,8 @@ from kt3dmoseg.annotate.server import app
 from kt3dmoseg.annotate.server.app import create_app, is_loopback
 from kt3dmoseg.annotate.server.clip_session import ClipSession
 from kt3dmoseg.annotate.server.routes import Routes
-from kt3dmoseg.annotate.workspace import find_clips
 from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.frames import find_clips
 from kt3dmoseg.io import load
 from kt3dmoseg.types import Trajectories
 

@@ -119,7 +119,7 @@ def test_frames_of_a_clip_from_kitti_are_found_in_the_drive(submission, tmp_path
         name: replace(
             clip,
             frame_numbers=np.arange(clip.n_frames) + 12,
-            provenance={"fingerprint": {"source": source}} if name == "example_two" else {},
+            provenance={"inputs": {"source": source}} if name == "example_two" else {},
         )
         for name, clip in CLIPS.items()
     }

@@ -77,11 +77,11 @@ def test_info_of_a_clip(tmp_path, capsys):
 
 def test_info_tells_the_motions_before_where_the_clip_comes_from(tmp_path):
     options = {f"option_{k}": k for k in range(30)}
-    origin = {"format": "build", "fingerprint": {"options": options, "labels": {}, "code": "e72f"}}
+    origin = {"format": "build", "inputs": {"options": options, "labels": {}, "code": "e72f"}}
     save(dataclasses.replace(small_clip(), provenance=origin), tmp_path / "tiny.h5")
     lines = info(tmp_path / "tiny.h5").splitlines()
     starts = [line.partition("  ")[0] for line in lines]
-    assert starts.index("motions") < starts.index("motion") < starts.index("provenance fingerprint code")
+    assert starts.index("motions") < starts.index("motion") < starts.index("provenance inputs code")
     assert sum("options" in line for line in lines) == 1
     assert "option_0 0, option_1 1, " in " ".join(lines)
     assert [line.split()[-1] for line in lines if "labels" in line] == ["none"]

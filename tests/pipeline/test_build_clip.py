@@ -13,16 +13,14 @@ from build_scenes import FRAMES, HEIGHT, WIDTH, on_patch, scene, write_clip, wri
 
 from kt3dmoseg import catalog
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, save_annotation
-from kt3dmoseg.annotate.workspace import find_clips
 from kt3dmoseg.catalog.models import Drive, Entry
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
+from kt3dmoseg.frames import FrameInfo, find_clips, frame_folder, frames_of
 from kt3dmoseg.io import save
-from kt3dmoseg.io.clip_frames import frames_of, frames_place
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.pipeline import build_clip, find_sources, kitti_sources, label_by_masks
 from kt3dmoseg.pipeline.masks import by_frame, read_mask
-from kt3dmoseg.pipeline.shot import Shot
 from kt3dmoseg.types import Trajectories
 
 
@@ -38,10 +36,10 @@ def test_without_labels_everything_is_evaluated(folder):
     assert clip.frame_numbers.tolist() == list(range(1, FRAMES + 1))
     assert len(clip.evaluated) == len(clip.dense) > 20
     assert clip.n_motions == 0
-    told = clip.provenance["fingerprint"]
-    assert {"source", "labels", "options", "flow", "versions", "algorithms"} <= set(told)
-    assert told["options"]["spacing"] == 8
-    assert set(told["versions"]) == {"kt3dmoseg", "numpy", "scipy", "h5py", "opencv"}
+    inputs = clip.provenance["inputs"]
+    assert {"source", "labels", "options", "flow", "versions", "algorithms"} <= set(inputs)
+    assert inputs["options"]["spacing"] == 8
+    assert set(inputs["versions"]) == {"kt3dmoseg", "numpy", "scipy", "h5py", "opencv"}
 
 
 def test_no_path_of_this_machine_gets_into_the_file(folder):
@@ -85,7 +83,7 @@ def test_an_annotation_labels_and_goes_before_masks(folder, tmp_path):
     truth = on_patch(clip.evaluated_trajectories)
     assert (clip.labels.label[truth == 1] == 2).mean() > 0.9
     assert clip.labels.names[2] == "patch"
-    assert set(clip.provenance["fingerprint"]["labels"]) == {"annotation"}
+    assert set(clip.provenance["inputs"]["labels"]) == {"annotation"}
 
 
 def test_the_seed_draws_the_background(folder, tmp_path):
@@ -173,8 +171,8 @@ def test_a_clip_of_a_kitti_drive_is_shown_on_its_frames(tmp_path, capsys):
     source = kitti_sources(root, drive=5, frames="42-47")[0]
     clip = build_clip(source)
     data = source.drive.frame_path(42).parent
-    assert frames_place(clip, root) == data
-    for folder in (frames_place(clip, root), data):
+    assert frame_folder(clip, root) == data
+    for folder in (root, data):
         frames = frames_of(clip, folder)
         assert len(frames) == 6
         np.testing.assert_array_equal(frames[0], read_frame(source.drive.frame_path(42)))
@@ -192,8 +190,10 @@ def test_a_clip_of_a_kitti_drive_is_shown_on_its_frames(tmp_path, capsys):
     # What a file says of its source is not trusted with the way to a folder.
     hostile = {"kind": "kitti", "drive": "2011_09_26_drive_0005", "camera": "0/../../secret"}
     (root / "2011_09_26/2011_09_26_drive_0005_sync/secret/data").mkdir(parents=True)
-    assert frames_place(replace(clip, provenance={"fingerprint": {"source": hostile}}), root) == root
-    assert frames_place(replace(clip, provenance={"fingerprint": [1]}), root) == root
+    for provenance in ({"inputs": {"source": hostile}}, {"inputs": [1]}, {"fingerprint": [1]}):
+        assert frame_folder(replace(clip, provenance=provenance), root) is None
+    formerly = {"fingerprint": {"source": clip.provenance["inputs"]["source"]}}
+    assert frame_folder(replace(clip, provenance=formerly), root) == data
 
 
 def test_a_kitti_root_is_found_by_itself(tmp_path):
@@ -295,7 +295,7 @@ class _Stream:
         self.length, self.held = frames, []
 
     def inspect(self):
-        return Shot(None, "0" * 64, {"kind": "stream"})
+        return FrameInfo(None, {"kind": "stream", "sha256": "0" * 64})
 
     def frames(self, colour):
         given = []

@@ -93,7 +93,7 @@ def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
     assert outcomes["a"].status == "up to date"
     (out / "c.h5").write_bytes(b"half a file")
     outcomes = {o.name: o for o in build(frames, out, spacing=6)}
-    assert "no sound clip" in outcomes["c"].reason
+    assert "no intact clip" in outcomes["c"].reason
     assert {o.reason for o in build(frames, out, spacing=6, force=True)} == {"asked for"}
     monkeypatch.setattr(tracking, "ALGORITHM_VERSION", 0)
     assert {o.reason for o in build(frames, out, spacing=6)} == {"algorithms tracking was 1, now 0"}

@@ -13,8 +13,8 @@ from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
 from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate_keys
-from kt3dmoseg.annotate.workspace import ClipSource
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+from kt3dmoseg.frames import ClipFiles
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import ByteArray, Trajectories
 
@@ -37,7 +37,7 @@ class Progress:
 class ClipSession:
     """One clip that is being labelled; safe to use from several threads."""
 
-    def __init__(self, source: ClipSource, tracker: Tracker) -> None:
+    def __init__(self, source: ClipFiles, tracker: Tracker) -> None:
         self.source, self.tracker = source, tracker
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None

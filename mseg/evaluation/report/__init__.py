@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.files import write_text
-from kt3dmoseg.io.clip_frames import frames_place
+from kt3dmoseg.frames import frame_folder
 from kt3dmoseg.types import Clip
 from mseg.evaluation import tables
 from mseg.evaluation.jsonform import to_json
@@ -87,7 +87,7 @@ def report_html(
     """
     order = sorted(scores.names, key=lambda name: -scores.per_clip()[scores.names.index(name)])
     folder = Path(frames) if frames is not None else None
-    if folder is not None and all(frames_place(checked.clips[name], folder) == folder for name in order):
+    if folder is not None and all(frame_folder(checked.clips[name], folder) is None for name in order):
         raise InputFileError(
             f"{folder}",
             expected=f"a folder of pictures per clip, such as {order[0]}, or the KITTI raw root of the build",

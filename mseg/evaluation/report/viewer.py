@@ -130,10 +130,9 @@ def _controls(clip: Clip, seeds: list[int]) -> str:
 
 def _pictures(folder: Path, clip: Clip) -> list[ByteArray]:
     """Read the frames of a clip, (H, W) gray; none when the folder has no such clip."""
-    from kt3dmoseg.io.clip_frames import frames_of, frames_place
+    from kt3dmoseg.frames import frame_folder, frames_of
 
-    place = frames_place(clip, folder)
-    return frames_of(clip, place) if place != folder else []
+    return frames_of(clip, folder) if frame_folder(clip, folder) else []
 
 
 def _jpeg(picture: ByteArray) -> str:

@@ -1,4 +1,4 @@
-"""What a built clip depends on, kept in its file: equal fingerprint, equal bytes."""
+"""What a built clip depends on, kept in its file's provenance: equal inputs, equal bytes."""
 
 from __future__ import annotations
 
@@ -14,34 +14,33 @@ import kt3dmoseg
 from kt3dmoseg import pipeline, tracking
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 from kt3dmoseg.flow import Flow, backend_identity
-from kt3dmoseg.io.hdf5 import provenance
+from kt3dmoseg.io import hdf5
 from kt3dmoseg.pipeline.options import Settings
-from kt3dmoseg.pipeline.shot import Shot
 
 _LIBRARIES = ("numpy", "scipy", "h5py")
 
 
-def fingerprint(
-    name: str, shot: Shot, settings: Settings, flow: Flow, labels: Mapping[str, str]
+def inputs_of(
+    name: str, source: Mapping[str, Any], labels: Mapping[str, str], settings: Settings, flow: Flow
 ) -> dict[str, Any]:
-    """Everything the bytes of a built clip depend on, as JSON values.
+    """Everything that the bytes of a built clip depend on, as JSON values.
 
     Parameters
     ----------
     name : str
         Name of the clip.
-    shot : Shot
-        Its source.
+    source : mapping
+        Description of its frames, with their sha256.
+    labels : mapping of str to str
+        sha256 of the annotation or the masks, when there are any.
     settings : Settings
         All options.
     flow : Flow
-        The backend; None stands in for one whose parameters cannot be told.
-    labels : mapping of str to str
-        sha256 of the annotation or the masks, when there are any.
+        The backend; null stands for one that depends on more than its parameters.
     """
     return {
         "name": name,
-        "source": {**shot.description, "sha256": shot.sha256},
+        "source": dict(source),
         "labels": dict(labels),
         "options": settings.as_dict(),
         "flow": backend_identity(flow),
@@ -51,28 +50,29 @@ def fingerprint(
 
 
 def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -> str:
-    """Say why a clip's file must be written; empty when it is up to date.
+    """Explain why a clip's file must be written; empty when it is up to date.
 
     Parameters
     ----------
     target : Path
         The file, whether it exists or not.
     wanted : mapping
-        The `fingerprint` that it should have.
+        The inputs, as of `inputs_of`, that it should be built from.
     force : bool
         It is written in any case.
 
     Raises
     ------
     InputFileError
-        For a sound clip that no build has made, unless forced: it may be the only copy.
+        For an intact clip that no build has made, unless forced: it may be the only copy.
     """
     if not target.exists():
         return "new"
     try:
-        found = provenance(target).get("fingerprint")
+        provenance = hdf5.provenance(target)
     except KT3DMoSegError as error:
-        return f"the file there is no sound clip ({error})"
+        return f"the file there is no intact clip ({error})"
+    found = provenance.get("inputs", provenance.get("fingerprint"))  # its name in 0.1.0
     if not isinstance(found, dict):
         if force:
             return "asked for"
@@ -83,27 +83,23 @@ def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -
             fix="give another output folder, or --force to write over it",
         )
     if wanted["flow"] is None:
-        return "this flow backend does not tell what its fields depend on"
-    changes = list(_differences(found, dict(wanted), ""))
+        return "the fields of this flow backend may depend on more than its parameters"
+    changes = list(_differences(found, wanted, ""))
     if force and not changes:
         return "asked for"
     return "; ".join(changes[:3]) + (f"; {len(changes) - 3} more changes" if len(changes) > 3 else "")
 
 
 def _differences(old: object, new: object, where: str) -> Iterator[str]:
-    if isinstance(old, dict) and isinstance(new, dict):
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in sorted({*old, *new}):
             yield from _differences(old.get(key), new.get(key), f"{where} {key}".strip())
+    elif old is None or new is None:
+        if old is not new:
+            yield f"{where} {'added' if old is None else 'removed'}"
     elif old != new:
-        yield _change(where, old, new)
-
-
-def _change(where: str, old: object, new: object) -> str:
-    if old is None or new is None:
-        return f"{where} {'added' if old is None else 'removed'}"
-    if where.startswith("labels") or where.endswith(("sha256", "source")):
-        return f"{where} changed"
-    return f"{where} was {old!r}, now {new!r}"
+        checksum = where.startswith("labels") or where.endswith("sha256")
+        yield f"{where} changed" if checksum else f"{where} was {old!r}, now {new!r}"
 
 
 @cache
