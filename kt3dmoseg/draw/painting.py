@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.draw.options import DrawOptions
-from kt3dmoseg.draw.palette import label_colour
+from kt3dmoseg.draw import DrawOptions
+from kt3dmoseg.draw.palette import Colour, label_colour
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.matching import match_labels
 from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Trajectories
@@ -21,7 +21,7 @@ _FONT, _FONT_SCALE, _LINE = cv2.FONT_HERSHEY_SIMPLEX, 0.42, 15
 _WHITE = (255, 255, 255)
 _MAX_PIXELS, _MAX_EXTENT = 1 << 27, 4096
 
-Legend: TypeAlias = "Sequence[tuple[str, tuple[int, int, int]]]"
+Legend: TypeAlias = Sequence[tuple[str, Colour]]
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Painting:
     legend : sequence of (text, (r, g, b))
         Lines of the legend.
     ringed : (N,) bool, optional
-        Trajectories whose points stand out by a white ring.
+        Trajectories whose points have a white ring.
     """
 
     trajectories: Trajectories
@@ -57,9 +57,9 @@ def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None =
         {0: "unlabelled"} | ({} if background is None else {background: "background"}) | dict(names or {})
     )
     legend = []
-    for value, count in zip(*np.unique(values, return_counts=True), strict=True):
-        text = f"{value} {called.get(int(value), '')}".rstrip()
-        legend.append((f"{text}: {count}", label_colour(int(value), background)))
+    for value, count in zip(*(part.tolist() for part in np.unique(values, return_counts=True)), strict=True):
+        text = f"{value} {called.get(value, '')}".rstrip()
+        legend.append((f"{text}: {count}", label_colour(value, background)))
     return Painting(clip.evaluated_trajectories, _label_colours(values, background), legend)
 
 
@@ -72,7 +72,10 @@ def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
     values, truth = np.asarray(predicted, dtype=np.int64), clip.labels.label
     if not clip.n_motions:
         return by_label(clip, values)
-    match, background = _match(values, truth), clip.labels.background
+    match, background = match_labels(values, truth), clip.labels.background
+    # Predicted labels without a motion get numbers after the motions'.
+    others = [label for label in np.unique(values[values > 0]).tolist() if label not in match]
+    match |= {label: int(truth.max()) + k for k, label in enumerate(others, start=1)}
     shown = np.array([match.get(value, 0) for value in values.tolist()], dtype=np.int64)
     wrong = (shown != truth) & (truth > 0)
     legend = []
@@ -86,14 +89,19 @@ def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
 
 
 def by_length(trajectories: Trajectories) -> Painting:
-    """Colour all trajectories by the number of frames they live, short violet to long yellow."""
-    lengths = trajectories.lengths
-    colours = _ramp(lengths, trajectories.n_frames)
-    ends = [1, max(1, trajectories.n_frames // 2), trajectories.n_frames]
-    shown = _ramp(np.array(ends), trajectories.n_frames)
+    """Colour all trajectories by the number of frames they live, short violet to long yellow (viridis)."""
+    longest = trajectories.n_frames
+    ends = [1, max(1, longest // 2), longest]
+    share = np.rint(255.0 * np.append(trajectories.lengths, ends) / max(1, longest)).clip(0, 255)
+    colours = cv2.applyColorMap(share.astype(np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
     names = [f"{end} frame" + "s" * (end > 1) for end in ends]
-    legend = [(name, _rgb(colour)) for name, colour in zip(names, shown, strict=True)]
-    return Painting(trajectories, colours, legend)
+    legend = list(zip(names, map(tuple, colours[-len(ends) :].tolist()), strict=True))
+    return Painting(trajectories, np.asarray(colours[: -len(ends)], dtype=np.uint8), legend)
+
+
+def _label_colours(label: IntArray, background: int | None) -> ByteArray:
+    colours = [label_colour(value, background) for value in label.tolist()]
+    return np.array(colours, dtype=np.uint8).reshape(-1, 3)
 
 
 def draw_frame(
@@ -125,8 +133,7 @@ def draw_frame(
     """
     chosen = options or DrawOptions()
     canvas = _canvas(painting.trajectories, picture, chosen)
-    if frame > 0 and chosen.trail > 0:
-        _draw_trails(canvas, painting, frame, chosen)
+    _draw_trails(canvas, painting, frame, chosen)
     _draw_points(canvas, painting, frame, chosen)
     _draw_legend(canvas, title, painting.legend, chosen.scale)
     return canvas
@@ -149,7 +156,7 @@ def _canvas(trajectories: Trajectories, picture: ByteArray | None, options: Draw
 
 
 def _extent(trajectories: Trajectories) -> tuple[int, int]:
-    """Width and height that hold every point, for clips that do not tell their image size."""
+    """Width and height that hold every point, for clips without an image size."""
     if not trajectories.visible.any():
         return 64, 48
     furthest = np.ceil(trajectories.xy[trajectories.visible].max(axis=0)) + 1
@@ -166,7 +173,7 @@ def _draw_trails(canvas: ByteArray, painting: Painting, frame: int, options: Dra
         begin = start + (len(seen) - int(np.argmin(seen[::-1]))) if not seen.all() else start
         points = _fixed_point(tracks.xy[row, begin : frame + 1], options.scale)
         if len(points) > 1:
-            colour = _rgb(painting.colours[row])
+            colour = painting.colours[row].tolist()
             cv2.polylines(canvas, [points], False, colour, options.scale, cv2.LINE_AA, _SHIFT)
 
 
@@ -175,9 +182,16 @@ def _draw_points(canvas: ByteArray, painting: Painting, frame: int, options: Dra
     points = _fixed_point(painting.trajectories.xy[rows, frame], options.scale)
     radius = round(options.radius * options.scale * (1 << _SHIFT))
     for row, point in zip(rows.tolist(), points.tolist(), strict=True):
-        cv2.circle(canvas, point, radius, _rgb(painting.colours[row]), cv2.FILLED, cv2.LINE_AA, _SHIFT)
+        colour = painting.colours[row].tolist()
+        cv2.circle(canvas, point, radius, colour, cv2.FILLED, cv2.LINE_AA, _SHIFT)
         if painting.ringed is not None and painting.ringed[row]:
             cv2.circle(canvas, point, 2 * radius, _WHITE, options.scale, cv2.LINE_AA, _SHIFT)
+
+
+def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int32]:
+    """Pixel coordinates in the enlarged picture, in OpenCV's fixed point."""
+    enlarged = (np.clip(xy, -1e4, 1e5) + 0.5) * scale - 0.5
+    return np.rint(enlarged * (1 << _SHIFT)).astype(np.int32)
 
 
 def _draw_legend(canvas: ByteArray, title: str, legend: Legend, scale: int) -> None:
@@ -194,35 +208,3 @@ def _draw_legend(canvas: ByteArray, title: str, legend: Legend, scale: int) -> N
     for number, (_, colour) in enumerate(legend, start=len(lines) - len(legend)):
         top = line * number + 5 * scale
         cv2.rectangle(canvas, (7 * scale, top), (17 * scale, top + 9 * scale), colour, cv2.FILLED)
-
-
-def _match(predicted: IntArray, truth: IntArray) -> dict[int, int]:
-    """Match predicted labels to motions, one to one; those left over get numbers after the motions'."""
-    match = match_labels(predicted, truth)
-    others = [label for label in np.unique(predicted[predicted > 0]).tolist() if label not in match]
-    return match | {label: int(truth.max()) + k for k, label in enumerate(others, start=1)}
-
-
-def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int32]:
-    """Pixel coordinates in the enlarged picture, in OpenCV's fixed point."""
-    enlarged = (np.clip(xy, -1e4, 1e5) + 0.5) * scale - 0.5
-    return np.rint(enlarged * (1 << _SHIFT)).astype(np.int32)
-
-
-def _label_colours(label: IntArray, background: int | None) -> ByteArray:
-    found, rows = np.unique(label, return_inverse=True)
-    colours = [label_colour(value, background) for value in found.tolist()]
-    return np.array(colours, dtype=np.uint8).reshape(-1, 3)[rows]
-
-
-def _ramp(lengths: IntArray, longest: int) -> ByteArray:
-    """Viridis: even in lightness, readable with a colour vision deficiency."""
-    if not len(lengths):
-        return np.zeros((0, 3), dtype=np.uint8)
-    share = np.rint(255.0 * lengths / max(1, longest)).clip(0, 255).astype(np.uint8)
-    return np.asarray(cv2.applyColorMap(share[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])
-
-
-def _rgb(colour: npt.ArrayLike) -> tuple[int, int, int]:
-    red, green, blue = np.asarray(colour).tolist()
-    return red, green, blue

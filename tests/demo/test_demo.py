@@ -6,8 +6,7 @@ import pytest
 import kt3dmoseg
 from kt3dmoseg import cli
 from kt3dmoseg.annotate import Annotation
-from kt3dmoseg.demo import DemoOptions, run_demo
-from kt3dmoseg.demo.outlines import annotation_of, outline
+from kt3dmoseg.demo import DemoOptions, annotation_of, outline, run_demo
 from kt3dmoseg.errors import InputFileError, UnknownNameError
 from kt3dmoseg.synthetic import SceneOptions, make_scene, track_errors
 from mseg.evaluation import score_submission, validate_submission

@@ -1,0 +1,281 @@
+"""The complete workflow on synthetic drives: render, annotate, build, segment, validate, score, report.
+
+Every step calls the public function behind a command, on files that a person would have, and names that
+command. Nothing is downloaded.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.options import option
+
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate import Annotation, KeyFrame
+    from kt3dmoseg.synthetic import Scene
+    from kt3dmoseg.types import Clip
+
+_DRIVES = 2
+_MARKER = ".kt3dmoseg-demo"
+_AFTER = 5  # frames after which tracks are compared with the truth
+_TRUE = 2.0  # pixels; a track that ends nearer to the truth has stayed on its point
+_KEY_EVERY = 3  # frames between key frames
+_LEAST_AREA = 24.0  # pixels; a smaller piece of an object is not outlined
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """What the demo makes."""
+
+    seed: int = option(0, "seed of the drives and of the methods", low=0)
+    width: int = option(828, "image width in pixels", low=64, high=4096)
+    height: int = option(250, "image height in pixels", low=32, high=4096)
+    frames: int = option(12, "frames per drive", low=6, high=200)
+    methods: tuple[str, ...] = option(("one_motion", "keradd", "subset"), "names of mseg.methods.list()")
+    runs: int = option(2, "runs per method, with different seeds", low=1, high=100)
+
+
+def run_demo(
+    output: str | os.PathLike[str] = "demo-out",
+    options: DemoOptions | None = None,
+    *,
+    tell: Callable[[str], None] = print,
+) -> dict[str, Path]:
+    """Run the complete workflow, from frames to a report.
+
+    Parameters
+    ----------
+    output : path
+        Folder for everything: absent, empty, or that of a former demo, which is replaced.
+    options : DemoOptions, optional
+        Seed, size, methods.
+    tell : callable
+        Called with every line of progress.
+
+    Returns
+    -------
+    dict of str to Path
+        Method -> its report.
+
+    Raises
+    ------
+    InputFileError
+        When the folder cannot be written or holds something else.
+    InvalidValueError, UnknownNameError
+        For no method, or an unknown one.
+    """
+    from mseg import methods
+
+    chosen, started = options or DemoOptions(), time.perf_counter()
+    if not chosen.methods:
+        raise InvalidValueError("methods", expected="at least one name", found="none")
+    for name in chosen.methods:
+        methods.create(name)
+    demo = _Demo(Path(output), chosen, tell)
+    demo.claim_folder()
+    scenes = demo.render()
+    demo.annotate(scenes)
+    demo.build(scenes)
+    submissions = demo.segment()
+    demo.validate(submissions)
+    demo.score(submissions)
+    reports = demo.report(submissions)
+    tell(f"\nDone in {time.perf_counter() - started:.0f} s. Open a report in a browser, for instance:")
+    tell(f"  {reports[chosen.methods[-1]].resolve()}")
+    tell(f"What is in a clip:  kt3dmoseg info {demo.dataset}")
+    return reports
+
+
+class _Demo:
+    """The steps, and the folders that they share."""
+
+    def __init__(self, folder: Path, options: DemoOptions, tell: Callable[[str], None]) -> None:
+        self.folder, self.options, self.tell, self.steps = folder, options, tell, 0
+        self.kitti, self.annotations = folder / "kitti", folder / "annotations"
+        self.dataset = folder / "dataset"
+
+    def step(self, title: str, command: str) -> None:
+        """Announce a step: what it does, and the command that does it on real data."""
+        self.steps += 1
+        self.tell(f"\n[{self.steps}/7] {title}")
+        self.tell(f"      $ {command}")
+
+    def result(self, line: str) -> None:
+        self.tell(f"      {line}")
+
+    def claim_folder(self) -> None:
+        """Make sure that nothing but a former demo is replaced."""
+        from kt3dmoseg.files import write_text
+
+        marker = self.folder / _MARKER
+        occupied = self.folder.is_dir() and not marker.exists() and any(self.folder.iterdir())
+        if occupied or (self.folder.exists() and not self.folder.is_dir()):
+            expected = "an empty folder, or a former demo's" if occupied else "a folder"
+            found = "other files" if occupied else "a file"
+            raise InputFileError(f"{self.folder}", expected=expected, found=found, fix="choose another")
+        write_text(marker, "kt3dmoseg demo replaces what is in this folder\n")
+
+    def render(self) -> dict[str, Scene]:
+        from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
+
+        self.step(
+            f"Render {_DRIVES} synthetic drives in the layout of KITTI raw",
+            "kt3dmoseg pull --accept-license          (real frames, from KITTI)",
+        )
+        root, scenes, chosen = _emptied(self.kitti), {}, self.options
+        size = {"width": chosen.width, "height": chosen.height, "frames": chosen.frames}
+        for number in range(_DRIVES):
+            seed = chosen.seed * _DRIVES + number
+            scene = make_scene(SceneOptions(**size, objects=2 + number % 2, seed=seed))
+            folder = write_drive(scene, root, drive=number + 1)
+            vehicles = ", ".join(v.name for v in scene.vehicles)
+            self.result(f"{folder.relative_to(self.folder)}: {scene.n_frames} frames; moving: {vehicles}")
+            scenes[folder.name.removesuffix("_sync")] = scene
+        return scenes
+
+    def annotate(self, scenes: dict[str, Scene]) -> None:
+        from kt3dmoseg.annotate import save_annotation
+
+        self.step(
+            "Outline the moving vehicles on every third frame (here from the scene's own knowledge)",
+            "kt3dmoseg label FRAMES                   (a page in the browser)",
+        )
+        for name, scene in scenes.items():
+            path = self.annotations / f"{name}.json"
+            save_annotation(path, annotation_of(scene, name))
+            self.result(f"{path.relative_to(self.folder)}: {len(scene.vehicles)} objects")
+
+    def build(self, scenes: dict[str, Scene]) -> None:
+        from kt3dmoseg.io import load
+        from kt3dmoseg.pipeline import build_dataset, find_sources
+
+        self.step(
+            "Track points through the frames, label the trajectories, write the dataset",
+            f"kt3dmoseg build --frames {self.kitti} --annotations {self.annotations} -o {self.dataset}",
+        )
+        sources = find_sources(self.kitti)
+        for outcome in build_dataset(sources, self.dataset, annotations=self.annotations, workers=1):
+            if outcome.status == "failed":
+                raise InputFileError(f"{outcome.path}: {outcome.reason}")
+            counts = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
+            self.result(f"{outcome.path.relative_to(self.folder)}: {counts or outcome.status}")
+        for name, scene in scenes.items():
+            for line in _against_truth(load(self.dataset / f"{name}.h5"), scene):
+                self.result(f"{name}: {line}")
+
+    def segment(self) -> dict[str, Path]:
+        from mseg.benchmark import predict
+
+        runs, submissions = self.options.runs, self.folder / "submissions"
+        self.step(
+            "Segment the trajectories by their motion; the predictions of a method are a submission",
+            f"mseg run {self.dataset} --method METHOD --seeds {runs} -o {submissions / 'METHOD'}",
+        )
+        written = {}
+        seeds = range(self.options.seed, self.options.seed + runs)
+        for method in self.options.methods:
+            begin = time.perf_counter()
+            written[method] = predict(self.dataset, _emptied(submissions / method), method, seeds=seeds)
+            self.result(f"{method}: {runs} runs in {time.perf_counter() - begin:.1f} s")
+        return written
+
+    def validate(self, submissions: dict[str, Path]) -> None:
+        from mseg.evaluation import validate_submission
+
+        self.step("Check the submissions", f"mseg validate SUBMISSION {self.dataset}")
+        for method, folder in submissions.items():
+            self.result(f"{method}: {str(validate_submission(folder, self.dataset)).splitlines()[0]}")
+
+    def score(self, submissions: dict[str, Path]) -> None:
+        from mseg.evaluation import score_submission
+        from mseg.evaluation.comparison import compare, comparison_table
+
+        self.step(
+            "Score and compare them",
+            f"mseg score SUBMISSION {self.dataset}; mseg compare SUBMISSION SUBMISSION {self.dataset}",
+        )
+        tables = [score_submission(folder, self.dataset) for folder in submissions.values()]
+        if len(tables) == 1:
+            self.result(f"mean error {100 * tables[0].per_clip().mean():.2f} %")
+            return
+        found = compare(tables)
+        for line in [*comparison_table(found).text().splitlines(), *(p.sentence for p in found.pairs)]:
+            self.result(line)
+
+    def report(self, submissions: dict[str, Path]) -> dict[str, Path]:
+        from mseg.evaluation.report import write_report
+
+        frames = _emptied(self.folder / "frames")
+        self.step(
+            "Write a report per method: tables, bars, trajectories on the frames",
+            f"mseg report SUBMISSION {self.dataset} --frames {frames} -o report.html",
+        )
+        for drive in sorted(self.kitti.glob("*/*_sync")):
+            shutil.copytree(drive / "image_00" / "data", frames / drive.name.removesuffix("_sync"))
+        reports = {}
+        for method, folder in submissions.items():
+            reports[method] = self.folder / f"report-{method}.html"
+            write_report(folder, self.dataset, reports[method], frames=frames)
+            self.result(str(reports[method]))
+        return reports
+
+
+def _emptied(folder: Path) -> Path:
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    return folder
+
+
+def _against_truth(clip: Clip, scene: Scene) -> list[str]:
+    """Compare tracks and labels with what only a synthetic scene knows."""
+    import numpy as np
+
+    from kt3dmoseg.synthetic import track_errors
+
+    middle, most = np.nanpercentile(track_errors(scene, clip.dense, _AFTER), [50, 90])
+    tracks = clip.evaluated_trajectories
+    true = track_errors(scene, tracks) < _TRUE
+    start = tracks.visible.argmax(axis=1)
+    seeds = np.column_stack([tracks.xy[np.arange(len(tracks)), start], start])
+    right = scene.labels(seeds).label == clip.labels.label
+    return [
+        f"{_AFTER} frames after their start tracks are off by {middle:.2f} px (median), "
+        f"{most:.1f} px (90th percentile)",
+        f"{100 * right[true].mean():.1f} % of the labels are right "
+        f"({true.sum()} tracks that stay on their point)",
+    ]
+
+
+def annotation_of(scene: Scene, clip: str) -> Annotation:
+    """Annotate a scene from its own knowledge of the vehicles' outlines, on every third frame."""
+    from kt3dmoseg.annotate import AnnotatedObject, Annotation
+
+    keys = sorted({*range(0, scene.n_frames, _KEY_EVERY), scene.n_frames - 1})
+    objects = []
+    for number, vehicle in enumerate(scene.vehicles, start=1):
+        frames = tuple(outline(scene, number + 1, frame) for frame in keys)
+        objects.append(AnnotatedObject(number, vehicle.name, vehicle.kind, number, frames))
+    return Annotation(clip, scene.image_size, scene.n_frames, tuple(objects), annotator="demo")
+
+
+def outline(scene: Scene, body: int, frame: int) -> KeyFrame:
+    """Outline a vehicle (its id in ``scene.ids``) as a person would: visible pieces, or hidden, or gone."""
+    import cv2
+    import numpy as np
+
+    from kt3dmoseg.annotate import KeyFrame
+
+    mask = (scene.ids(frame) == body).astype(np.uint8)
+    found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    pieces = [cv2.approxPolyDP(c, 0.7, closed=True)[:, 0] for c in found if cv2.contourArea(c) >= _LEAST_AREA]
+    if not pieces:
+        return KeyFrame(frame, "occluded" if mask.any() else "outside")
+    return KeyFrame(frame, "visible", tuple(tuple((float(x), float(y)) for x, y in p) for p in pieces))
