@@ -10,9 +10,7 @@ Grid(spacing=4)
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import inspect
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -31,6 +29,7 @@ def option(
     low: float | None = None,
     high: float | None = None,
     metavar: str = "",
+    rare: bool = False,
 ) -> Any:  # noqa: ANN401  # a dataclass field, which must pose as the field's own type
     """Make a dataclass field with its help text and inclusive bounds.
 
@@ -43,9 +42,11 @@ def option(
     low, high : float, optional
         Inclusive bounds of a number, checked by `check` and `from_mapping`.
     metavar : str
-        What stands for the value in ``--help``, for instance FOLDER.
+        Name of the value in ``--help``, for instance FOLDER.
+    rare : bool
+        Listed under ``--help-all`` only.
     """
-    about = {"help": help, "low": low, "high": high, "metavar": metavar}
+    about = {"help": help, "low": low, "high": high, "metavar": metavar, "rare": rare}
     return dataclasses.field(default=default, metadata=about)
 
 
@@ -54,7 +55,7 @@ class Preset:
     """Values of several options under one name.
 
     A dataclass offers presets in a class attribute `presets`, by name. Where one is asked for, its values
-    take the place of the defaults; what is given beside it goes before. It leaves no trace but these values.
+    replace the defaults; an option that is given by itself wins. Only the values are stored, not the preset.
 
     Parameters
     ----------
@@ -87,71 +88,44 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
     InvalidValueError
         For a value of the wrong type or out of bounds.
     """
-    hints = typing.get_type_hints(cls)
-    names = option_names(cls)
-    for key in values:
-        if key not in names:
-            raise unknown_name("option" if where else f"option of {cls.__name__}", key, names, where=where)
-    values = _with_presets(cls, values, where)
-    converted = {
-        key: _convert(value, hints[key], f"{where}: {key}" if where else key) for key, value in values.items()
-    }
-    return check(cls(**converted), where=where)
+    hints, known = typing.get_type_hints(cls), option_names(cls)
+    given: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in known:
+            raise unknown_name("option" if where else f"option of {cls.__name__}", key, known, where=where)
+        if key in presets(cls):
+            given = {**presets(cls)[key].values, **given} if _boolean(value, _at(where, key)) else given
+        else:
+            given[key] = _convert(value, hints[key], _at(where, key))
+    return check(cls(**given), where=where)
 
 
 def check(instance: T, *, where: str = "") -> T:
     """Return `instance` after checking the bounds of its fields."""
     for spec in dataclasses.fields(instance):  # type: ignore[arg-type]
         value, low, high = getattr(instance, spec.name), spec.metadata.get("low"), spec.metadata.get("high")
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            inside = (low is None or value >= low) and (high is None or value <= high)
-            if not inside:
-                bounds = " and ".join(
-                    t
-                    for t in (
-                        f">= {low}" if low is not None else "",
-                        f"<= {high}" if high is not None else "",
-                    )
-                    if t
-                )
-                raise InvalidValueError(
-                    f"{where}: {spec.name}" if where else spec.name,
-                    expected=f"a number {bounds}",
-                    found=repr(value),
-                )
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            continue
+        if (low is not None and not value >= low) or (high is not None and not value <= high):
+            bounds = [f"{sign} {bound}" for sign, bound in ((">=", low), ("<=", high)) if bound is not None]
+            raise InvalidValueError(
+                _at(where, spec.name), expected=f"a number {' and '.join(bounds)}", found=repr(value)
+            )
     return instance
+
+
+def _at(where: str, name: str) -> str:
+    return f"{where}: {name}" if where else name
+
+
+def presets(cls: type[Any]) -> Mapping[str, Preset]:
+    """Return the presets of an options dataclass, by name."""
+    return getattr(cls, "presets", {})
 
 
 def option_names(cls: type[Any]) -> list[str]:
     """Names of the options of a dataclass and of its presets, in order."""
-    return [*(spec.name for spec in dataclasses.fields(cls) if spec.init), *_presets(cls)]
-
-
-def add_arguments(parser: argparse.ArgumentParser, cls: type[Any], *, skip: Iterable[str] = ()) -> None:
-    """Add one flag ``--name`` per field of `cls`; absent flags leave no trace in the namespace."""
-    hints = typing.get_type_hints(cls)
-    group = parser.add_argument_group((inspect.getdoc(cls) or cls.__name__).partition("\n")[0].rstrip("."))
-    for name, preset in _presets(cls).items():
-        values = ", ".join(f"{key} {value}" for key, value in preset.values.items())
-        group.add_argument(
-            f"--{name}", action="store_true", default=argparse.SUPPRESS, help=f"{preset.help}: {values}"
-        )
-    for spec in dataclasses.fields(cls):
-        if spec.init and spec.name not in set(skip):
-            _add_argument(group, spec, hints[spec.name])
-
-
-def from_namespace(cls: type[T], namespace: argparse.Namespace) -> T:
-    """Build an options dataclass from parsed flags."""
-    given = {name: getattr(namespace, name) for name in option_names(cls) if hasattr(namespace, name)}
-    return from_mapping(cls, given)
-
-
-def add_parameters(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add ``-p NAME=VALUE``, for the parameters of `what`; `parse_assignments` reads them."""
-    common: dict[str, Any] = {"action": "append", "default": [], "metavar": "NAME=VALUE", "dest": "parameter"}
-    parser.add_argument("-p", "--parameter", help=f"parameter of {what}; may be repeated", **common)
-    parser.add_argument("--set", help=argparse.SUPPRESS, **common)  # an older name
+    return [*(spec.name for spec in dataclasses.fields(cls) if spec.init), *presets(cls)]
 
 
 def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
@@ -174,40 +148,6 @@ def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
 def describe(cls: type[Any]) -> list[tuple[str, str, str]]:
     """List (name, default, help) of every option, for help texts and docs."""
     return [(s.name, repr(s.default), s.metadata.get("help", "")) for s in dataclasses.fields(cls) if s.init]
-
-
-def _presets(cls: type[Any]) -> Mapping[str, Preset]:
-    return getattr(cls, "presets", {})
-
-
-def _with_presets(cls: type[Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Put the values of the presets that are asked for behind those that are given by themselves."""
-    presets = _presets(cls)
-    out = {key: value for key, value in values.items() if key not in presets}
-    for name, preset in presets.items():
-        if _boolean(values.get(name, False), f"{where}: {name}" if where else name):
-            out = {**preset.values, **out}
-    return out
-
-
-def _add_argument(group: Any, spec: dataclasses.Field[Any], hint: Any) -> None:  # noqa: ANN401
-    flag = "--" + spec.name.replace("_", "-")
-    text = f"{spec.metadata.get('help', '')}{_shown_default(spec.default)}".replace("%", "%%")
-    common: dict[str, Any] = {"dest": spec.name, "default": argparse.SUPPRESS, "help": text}
-    if hint is bool:
-        group.add_argument(flag, action=argparse.BooleanOptionalAction, **common)
-    else:
-        choices = typing.get_args(hint) if typing.get_origin(hint) is Literal else None
-        named = spec.metadata.get("metavar") or {int: "N", float: "X"}.get(hint, spec.name.upper())
-        shown = "{" + ",".join(map(str, choices)) + "}" if choices else named
-        group.add_argument(flag, metavar=shown, **common)
-
-
-def _shown_default(default: Any) -> str:  # noqa: ANN401
-    """Say a default in the form in which the flag takes it; nothing where there is none."""
-    if default is None or default == "":
-        return ""
-    return f" (default: {','.join(map(str, default)) if isinstance(default, tuple) else default})"
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401

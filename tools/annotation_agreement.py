@@ -24,7 +24,7 @@ from kt3dmoseg.annotate.agreement import Agreement, agree
 from kt3dmoseg.annotate.labelling import REASONS
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 from kt3dmoseg.files import write_text
-from kt3dmoseg.options import add_arguments, from_namespace, option_names
+from kt3dmoseg.options import describe, from_mapping, option_names
 from kt3dmoseg.types import Clip
 
 GOAL = 0.98
@@ -52,7 +52,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--examples", type=int, default=8, help="differing trajectories shown per group")
     parser.add_argument("--json", action="store_true", help="the table as JSON")
     parser.add_argument("-o", "--output", type=Path, help="write to this file instead of the terminal")
-    add_arguments(parser, LabelRule)
+    for name, default, text in describe(LabelRule):
+        parser.add_argument(
+            f"--{name.replace('_', '-')}", default=argparse.SUPPRESS, help=f"{text} ({default})"
+        )
     arguments = parser.parse_args(argv)
     try:
         found = _compare_all(arguments)
@@ -68,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _compare_all(arguments: argparse.Namespace) -> list[Comparison]:
-    rule = from_namespace(LabelRule, arguments)
+    rule = from_mapping(LabelRule, {k: v for k, v in vars(arguments).items() if k in option_names(LabelRule)})
     paths = io.dataset_paths(arguments.release)
     names = [name for name in paths if not arguments.clip or name in arguments.clip]
     there = [name for name in names if (arguments.annotations / f"{name}.json").exists()]

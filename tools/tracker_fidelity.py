@@ -26,7 +26,7 @@ from tracker_truth import Kinds
 from kt3dmoseg import load
 from kt3dmoseg.files import write_text
 from kt3dmoseg.flow import Flow, create
-from kt3dmoseg.options import add_parameters, parse_assignments
+from kt3dmoseg.options import parse_assignments
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 
 RAYS = 3  # squared: per pixel; with more of them the pictures hardly change (docs/synthetic.md)
@@ -39,7 +39,7 @@ def main() -> None:
     root = os.environ.get("KT3DMOSEG_DATA", Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--data", type=Path, default=Path(root), help="folder that holds kt3dmoseg/")
     parser.add_argument("--flow", default="dis")
-    add_parameters(parser, "the optical flow")
+    parser.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", help="parameter of the flow")
     parser.add_argument(
         "--track",
         action="append",
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--cache", metavar="FOLDER", help="keep the flow of real clips here (4 MB a field)")
     parser.add_argument("-o", "--output")
     arguments = parser.parse_args()
-    flow = create(arguments.flow, **parse_assignments(arguments.parameter))
+    flow = create(arguments.flow, **parse_assignments(arguments.p))
     given = parse_assignments(arguments.track)
     kinds: Kinds = {"given": given} if given else {"default": {}, "reliable": {"reliable": True}}
     data = arguments.data / "kt3dmoseg"

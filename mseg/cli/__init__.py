@@ -1,25 +1,27 @@
-"""The command line `mseg`: one module per command."""
+"""The command line `mseg`: one function per command."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kt3dmoseg import program
+from kt3dmoseg import app
 
 COMMANDS = {
-    "methods": ("mseg.cli.methods", "list the methods, or describe one"),
-    "run": ("mseg.cli.run", "segment clips with a method and write the predictions"),
-    "example-submission": ("mseg.cli.example_submission", "write a valid submission to start from"),
-    "validate": ("mseg.cli.validate", "say everything that is wrong with a submission"),
-    "score": ("mseg.cli.score", "score a submission"),
-    "compare": ("mseg.cli.compare", "compare submissions, with paired statistics"),
-    "report": ("mseg.cli.report", "write one self-contained HTML page about a submission"),
-    "leaderboard": ("mseg.cli.leaderboard", "keep and rank scored submissions"),
-    "benchmark": ("mseg.cli.benchmark", "methods x sequences x seeds, as a table"),
+    "methods": "mseg.cli.runs:methods",
+    "run": "mseg.cli.runs:run",
+    "example-submission": "mseg.cli.scores:example_submission",
+    "validate": "mseg.cli.scores:validate",
+    "score": "mseg.cli.scores:score",
+    "compare": "mseg.cli.scores:compare",
+    "report": "mseg.cli.scores:report",
+    "leaderboard": "mseg.cli.scores:leaderboard",
+    "benchmark": "mseg.cli.runs:benchmark",
 }
+_PURPOSE = "3D motion segmentation of point trajectories: methods, benchmarks, scores."
+
+program = app.application("mseg", _PURPOSE, COMMANDS)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `mseg` and return its exit code."""
-    purpose = "3D motion segmentation of point trajectories: methods, benchmarks, scores."
-    return program.main("mseg", purpose, COMMANDS, argv)
+    return app.main(program, argv)

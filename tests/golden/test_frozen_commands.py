@@ -78,10 +78,10 @@ def test_every_argument_is_still_taken(program, command, capsys):
 @pytest.mark.parametrize(("program", "command"), COMMANDS)
 def test_every_flag_is_listed_with_its_default(program, command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
-    code, text, err = call(capsys, program, *command.split(), "--help")
+    code, text, err = call(capsys, program, *command.split(), "--help-all")
     assert (code, err) == (0, "")
     listed = {}
-    for paragraph in re.split(r"\n(?=\s*-)", text):
+    for paragraph in re.split(r"\n(?=  \S)", text):
         for flag in re.findall(r"(?<![\w-])--?[a-z][a-z-]*", paragraph.strip().split("  ")[0]):
             listed[flag] = " ".join(paragraph.split())
     for option in FROZEN[program][command]["options"]:
@@ -108,7 +108,7 @@ def test_every_command_is_listed(program, capsys):
 @pytest.mark.parametrize(
     ("words", "code", "facts"),
     [
-        ([], 2, ["usage"]),
+        ([], 2, ["Usage"]),
         (["--version"], 0, ["0.1.0"]),
         (["nonsense"], 2, ["unknown command 'nonsense'", "known: "]),
         (["reprot"], 2, ["unknown command 'reprot'"]),

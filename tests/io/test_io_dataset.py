@@ -146,9 +146,9 @@ def test_info_of_nothing(tmp_path, capsys):
 def test_convert_says_what_is_lost(tmp_path, capsys):
     save(small_clip(), tmp_path / "tiny.h5")
     assert main(["convert", str(tmp_path / "tiny.h5"), str(tmp_path / "tiny.npz")]) == 0
-    assert capsys.readouterr().out.strip().endswith("written")
+    assert capsys.readouterr().err.strip().endswith("written")
     assert main(["convert", str(tmp_path / "tiny.npz"), str(tmp_path / "tiny.mat")]) == 0
-    lost = capsys.readouterr().out.split(": ")[-1].strip().split(", ")
+    lost = capsys.readouterr().err.split(": ")[-1].strip().split(", ")
     assert {"image size", "names of the motions", "camera", "timestamps", "provenance"} <= set(lost)
     assert not {"coordinates", "labels", "name", "which label is the background"} & set(lost)
 

@@ -132,7 +132,7 @@ def test_a_folder_of_pictures(file, tmp_path, capsys):
     names = sorted(path.name for path in (tmp_path / "shown").iterdir())
     assert names == [f"clip_{k:06d}.png" for k in range(1, FRAMES + 1)]
     assert cv2.imread(str(tmp_path / "shown" / names[0])).shape == (HEIGHT, WIDTH, 3)
-    assert "6 pictures" in capsys.readouterr().out
+    assert "6 pictures" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".avi"])
@@ -190,7 +190,7 @@ def test_a_prediction_in_one_picture(file, tmp_path, capsys):
     out = tmp_path / "one.png"
     assert main(["show", str(file), "--pred", str(tmp_path / "pred.csv"), "--at", "0", "-o", str(out)]) == 0
     assert tuple(cv2.imread(str(out))[58, 60, ::-1]) == label_colour(1, background=1)
-    assert capsys.readouterr().out == f"{out}: clip, 1 picture\n"
+    assert capsys.readouterr().err == f"{out}: clip, 1 picture\n"
 
 
 @pytest.mark.parametrize("name", ["c.mp4", "c.gif", "shown"])

@@ -78,7 +78,7 @@ def test_the_command_writes_what_track_returns(folder, tmp_path, capsys, suffix)
     command = ["track", str(folder), "-o", str(out), "--flow", "dis_medium", "--min-length", "3"]
     assert cli.main([*command, "-p", "preset=fast", "--cache", str(tmp_path / "cache")]) == 0
     wanted = kt3dmoseg.track(folder, kt3dmoseg.flow.create("dis_medium", preset="fast"), min_length=3)
-    assert f"{len(wanted)} trajectories in 6 frames" in capsys.readouterr().out
+    assert f"{len(wanted)} trajectories in 6 frames" in capsys.readouterr().err
     clip = kt3dmoseg.load(out)
     np.testing.assert_allclose(clip.dense.xy, wanted.xy, atol=1e-4)
     assert len(clip.evaluated) == len(wanted)

@@ -1,0 +1,470 @@
+"""Commands that make clips from frames, and that look at clips."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Group, Parameter
+
+from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Whole, flags, progress_bar
+from kt3dmoseg.demo import DemoOptions
+from kt3dmoseg.draw import DrawOptions
+from kt3dmoseg.pipeline.options import BuildOptions
+from kt3dmoseg.tracking.options import TrackOptions
+
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate.server.clip_session import ClipSession
+    from kt3dmoseg.draw import Painting
+    from kt3dmoseg.pipeline import Outcome, Source
+    from kt3dmoseg.types import ByteArray, Clip, Trajectories
+
+_ANNOTATIONS = Path("annotations")
+_FAILED = 2
+_PICTURE = ".png"
+_SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
+
+_ONE_CLIP = Group.create_ordered("One clip of a KITTI raw root")
+_Chosen = Parameter(group=_ONE_CLIP)
+
+
+@flags(DemoOptions)
+def demo(
+    *,
+    output: Annotated[Folder, Parameter(alias="-o")] = Path("demo-out"),
+    methods: Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))] | None = None,
+    **options: Any,  # noqa: ANN401
+) -> None:
+    """Go the whole way on synthetic drives: render, annotate, build, segment, validate, score, report.
+
+    Takes about a minute; nothing is downloaded. Every step says which command does it on real
+    data.
+
+    Parameters
+    ----------
+    output : path
+        Folder for everything.
+    methods : list of str
+        Names of mseg.methods.list() (default: one_motion keradd subset).
+    """
+    from kt3dmoseg.demo import run_demo
+    from kt3dmoseg.options import from_mapping
+
+    if methods is not None:  # words, with or without commas
+        options["methods"] = " ".join(methods).replace(",", " ").split()
+    run_demo(output, from_mapping(DemoOptions, options), tell=lambda line: print(line, flush=True))
+
+
+@flags(BuildOptions, TrackOptions)
+def build(
+    frames: Either,
+    *,
+    output: Annotated[Folder, Parameter(alias="-o")],
+    annotations: Folder | None = None,
+    masks: Folder | None = None,
+    workers: Whole | None = None,
+    force: Flag = False,
+    parameter: Parameters = (),
+    cache: Folder | None = None,
+    date: Annotated[str | None, _Chosen] = None,
+    drive: Annotated[str | None, _Chosen] = None,
+    camera: Annotated[Whole, _Chosen] = 0,
+    range_: Annotated[str | None, _Chosen, Parameter(name="--range", metavar="FIRST-LAST")] = None,
+    name: Annotated[Name, _Chosen] = "",
+    **options: Any,  # noqa: ANN401
+) -> int:
+    """Frames to dataset files: track, label, subsample; one HDF5 file per clip.
+
+    FRAMES is a folder with one folder of frames per clip, the frames of one clip, a video file, or a
+    KITTI raw root: the clips that pull or locate noted in its located.toml, else one clip per drive, or one
+    of your choice with --date, --drive, --camera and --range. Clips whose file is up to date are skipped; an
+    interrupted build is finished by the same command. Exit code 2 when a clip failed, after the others are
+    built.
+
+    Parameters
+    ----------
+    frames : path
+        Clips, one clip, a video or a KITTI raw root.
+    output : path
+        Folder of the files CLIP.h5.
+    annotations : path
+        Labels: FOLDER/CLIP.json (default: ./annotations when it exists; 'none' for no labels).
+    masks : path
+        Labels: FOLDER/CLIP/*.png, DAVIS indexed or KITTI MOTS.
+    workers : int
+        Processes (default: one per core).
+    force : bool
+        Build also what is up to date.
+    parameter : strings
+        Parameter of the optical flow; may be repeated.
+    cache : path
+        Keep and reuse flow fields here.
+    date : str
+        Day of the drive, 2011_09_26.
+    drive : str
+        Number of the drive, 5 or 0005.
+    camera : int
+        0, 1 gray; 2, 3 colour.
+    range_ : str
+        Frame numbers, both included.
+    name : str
+        Name of the clip (default: drive and range).
+    """
+    from kt3dmoseg.options import parse_assignments
+    from kt3dmoseg.pipeline import build_dataset, find_sources, kitti_sources
+
+    sources: list[Source]
+    if date or drive or range_ or camera or name:
+        sources = kitti_sources(frames, date=date, drive=drive, camera=camera, frames=range_, name=name)
+    else:
+        sources = find_sources(frames)
+    if annotations is None and _ANNOTATIONS.is_dir():
+        annotations = _ANNOTATIONS
+    with (
+        progress_bar("clip", desc="clips", position=0) as clips,
+        progress_bar("frame", desc="frames", position=1, leave=False) as tracked,
+    ):
+        frames_done = clips_done = 0
+
+        def progress(clip: str, done: int, total: int | None) -> None:
+            nonlocal frames_done
+            frames_done += 1
+            tracked(frames_done, None, f"{clip} {done}/{total or '?'}")
+
+        def report(outcome: Outcome) -> None:
+            nonlocal clips_done
+            clips_done += 1
+            _print_outcome(outcome)
+            clips(clips_done, len(sources))
+
+        outcomes = build_dataset(
+            sources,
+            output,
+            annotations=None if annotations == Path("none") else annotations,
+            masks=masks,
+            workers=workers,
+            force=force,
+            flow_parameters=parse_assignments(parameter),
+            cache=cache,
+            progress=progress,
+            report=report,
+            **options,
+        )
+    failed = sum(outcome.status == "failed" for outcome in outcomes)
+    built = sum(outcome.status == "built" for outcome in outcomes)
+    _warn_of_empty(outcomes, options.get("min_length", TrackOptions.min_length))
+    print(f"{built} built, {len(outcomes) - built - failed} up to date, {failed} failed: {output}")
+    return _FAILED if failed else 0
+
+
+def _print_outcome(outcome: Outcome) -> None:
+    from tqdm import tqdm
+
+    if outcome.status == "failed":
+        tqdm.write(f"kt3dmoseg: {outcome.name} failed: {outcome.reason}", file=sys.stderr)
+        return
+    line = f"{outcome.name}: {outcome.status}" + (f" ({outcome.reason})" if outcome.reason else "")
+    numbers = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
+    tqdm.write(f"{line}: {numbers}" if numbers else line)
+    sys.stdout.flush()  # a log file shows how far a long build is
+
+
+def _warn_of_empty(outcomes: list[Outcome], min_length: int | str) -> None:
+    empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
+    if empty:
+        names = ", ".join(f"{outcome.name} ({outcome.counts['frames']} frames)" for outcome in empty)
+        print(
+            f"kt3dmoseg: warning: no trajectories in {names}; a track must live --min-length {min_length} "
+            "frames, and starts only where the picture has structure",
+            file=sys.stderr,
+        )
+
+
+@flags(TrackOptions)
+def track(
+    frames: Folder,
+    *,
+    output: Annotated[File, Parameter(alias="-o")],
+    flow: Name = "dis",
+    parameter: Parameters = (),
+    cache: Folder | None = None,
+    colour: Literal["refuse", "luma"] = "refuse",
+    **options: Any,  # noqa: ANN401
+) -> None:
+    """Frames to dense point trajectories.
+
+    Writes every trajectory, unlabelled, in the format that the suffix of FILE names (.h5, .mat, .npz, .dat).
+
+    Parameters
+    ----------
+    frames : path
+        Folder of frames.
+    output : path
+        File to write.
+    flow : str
+        Optical flow.
+    parameter : strings
+        Parameter of the optical flow; may be repeated.
+    cache : path
+        Keep and reuse flow fields here.
+    colour : {"refuse", "luma"}
+        Colour frames: refuse them, or take their luma.
+    """
+    from dataclasses import asdict
+
+    from kt3dmoseg.files import check_writable
+    from kt3dmoseg.flow import create
+    from kt3dmoseg.io import save
+    from kt3dmoseg.io.formats import written_as
+    from kt3dmoseg.options import from_mapping, parse_assignments
+    from kt3dmoseg.tracking import track_clip
+
+    chosen = asdict(from_mapping(TrackOptions, options))
+    backend = create(flow, **parse_assignments(parameter))
+    written_as(output)
+    check_writable(output.parent)
+    with progress_bar("frame") as progress:
+        clip = track_clip(frames, backend, colour=colour, cache=cache, progress=progress, **chosen)
+    save(clip, output)
+    print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
+
+
+def label(
+    clip: Either,
+    /,
+    frames: Folder | None = None,
+    *,
+    tracks: Either | None = None,
+    annotations: Folder = _ANNOTATIONS,
+    annotator: Name = "",
+    compare: Folder | None = None,
+    masks: Folder | None = None,
+    kitti: Folder | None = None,
+    flow: Name = "dis",
+    host: str = "127.0.0.1",
+    port: Annotated[Whole, Parameter(show_default=False)] = 0,
+    no_browser: Flag = False,
+) -> None:
+    """Outline the moving objects of a clip in the browser.
+
+    CLIP is a folder of frames, a clip file (.h5, .mat), or a dataset: a folder with one of these per clip.
+    The page opens on this machine only; annotations are saved to <clip>.json while you draw.
+
+    Parameters
+    ----------
+    clip : path
+        Frames, a clip file, or a folder of them.
+    frames : path
+        Frames of a clip file, a folder with those of all clips, or a KITTI raw root.
+    tracks : path
+        Clip file or folder of them with trajectories to show.
+    annotations : path
+        Where <clip>.json are.
+    annotator : str
+        Name written into what is saved.
+    compare : path
+        Folder of another annotator's annotations.
+    masks : path
+        Folder of masks to propose regions from.
+    kitti : path
+        KITTI raw root to propose regions from tracklets.
+    flow : str
+        Flow that computes missing trajectories.
+    host : str
+        Address to listen on.
+    port : int
+        Port to listen on (default: a free one).
+    no_browser : bool
+        Print the address, open no browser.
+    """
+    from kt3dmoseg.annotate.server.app import serve
+    from kt3dmoseg.annotate.server.clip_session import ClipSession
+    from kt3dmoseg.annotate.server.routes import Routes
+    from kt3dmoseg.errors import InputFileError
+    from kt3dmoseg.flow import create
+    from kt3dmoseg.frames import find_clips
+
+    create(flow)
+    named = {"frames": frames, "tracks": tracks, "compare": compare, "masks": masks, "kitti": kitti}
+    for name, path in named.items():
+        if path is not None and not path.exists():
+            raise InputFileError(f"--{name} {path}", found="no such file or folder")
+    clips = find_clips(clip, annotations=annotations, frames=frames, tracks=tracks)
+    sessions = {name: ClipSession(source, _tracker(flow)) for name, source in clips.items()}
+    if len(sessions) == 1:
+        _read_once(*sessions.values())
+    routes = Routes(sessions, annotator=annotator, other=compare, masks=masks, kitti=kitti)
+    found = f"{len(clips)} clip{'s' * (len(clips) > 1)}; annotations in {annotations.resolve()}"
+
+    def ready(address: str) -> None:
+        print(found)
+        print(f"label at {address}  (Ctrl-C stops)", flush=True)
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(routes, host=host, port=port, ready=ready)
+
+
+def _read_once(session: ClipSession) -> None:
+    """Read the files of the only clip: what is wrong with them is reported here; of several, on the page."""
+    from collections import deque
+
+    from kt3dmoseg.io import load
+    from kt3dmoseg.io.images import read_frames
+
+    deque(read_frames(session.source.frames, "luma"), maxlen=0)
+    if session.source.tracks is not None:
+        load(session.source.tracks)
+    session.annotation()
+
+
+def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]:
+    def work(frames: Iterator[ByteArray], progress: Callable[[int, int | None], None]) -> Trajectories:
+        from kt3dmoseg.tracking import track
+
+        return track(frames, flow=flow, progress=progress)
+
+    return work
+
+
+@flags(DrawOptions)
+def show(
+    clip: File,
+    /,
+    frames: Folder | None = None,
+    *,
+    output: Annotated[Either | None, Parameter(alias="-o")] = None,
+    by: Literal["label", "length", "prediction"] | None = None,
+    pred: File | None = None,
+    at: Annotated[int | None, Parameter(metavar="I")] = None,
+    rate: float = 5.0,
+    **options: Any,  # noqa: ANN401
+) -> None:
+    """Draw trajectories with their trails on the frames, as pictures or a short video.
+
+    CLIP is any clip file. PATH is a folder (one PNG per frame), a single .png (of --at), or .mp4, .avi,
+    .gif, .apng, .webp.
+
+    Parameters
+    ----------
+    clip : path
+        Clip file.
+    frames : path
+        Frames, a folder with FOLDER/CLIP, or a KITTI raw root.
+    output : path
+        Where to write (default: CLIP's name, a folder).
+    by : {"label", "length", "prediction"}
+        What colours show (default: label, if labelled).
+    pred : path
+        Predicted labels: .csv track,label, .npz or .h5.
+    at : int
+        Only frame I of the clip, counted from 0.
+    rate : float
+        Pictures per second of a video.
+    """
+    from kt3dmoseg.draw import draw_frame
+    from kt3dmoseg.errors import InvalidValueError
+    from kt3dmoseg.frames import frames_of
+    from kt3dmoseg.io import load
+    from kt3dmoseg.io.fields import check_name
+    from kt3dmoseg.options import from_mapping
+
+    chosen = from_mapping(DrawOptions, options)
+    if not _SLOWEST <= rate <= _FASTEST:  # nor NaN
+        expected = f"a number above 0, from {_SLOWEST:g} to {_FASTEST:g}"
+        raise InvalidValueError("--rate", expected=expected, found=f"{rate}")
+    loaded = load(clip)
+    check_name(loaded.name, f"{clip}: name")
+    target = _target(output or Path(loaded.name))
+    if not loaded.n_frames:
+        raise InvalidValueError(f"{clip}", expected="a clip with frames", found="none")
+    if at is not None and not 0 <= at < loaded.n_frames:
+        raise InvalidValueError("--at", expected=f"0..{loaded.n_frames - 1}", found=str(at))
+    painting = _painting(loaded, by, pred)
+    pictures = [] if frames is None else frames_of(loaded, frames)
+
+    def drawn(frame: int) -> ByteArray:
+        title = f"{loaded.name}  frame {frame + 1}/{loaded.n_frames}"
+        return draw_frame(painting, frame, pictures[frame] if pictures else None, title, chosen)
+
+    count = _write(loaded, target, at, rate, drawn)
+    print(f"{target}: {loaded.name}, {count} picture{'s' * (count > 1)}", file=sys.stderr)
+
+
+def _target(path: Path) -> Path:
+    """Refuse a suffix that nothing is written as, before anything is drawn."""
+    from kt3dmoseg.errors import InvalidValueError
+    from kt3dmoseg.io.video import MOVING_SUFFIXES
+
+    if not path.is_dir() and path.suffix.lower() not in ("", _PICTURE, *MOVING_SUFFIXES):
+        known = ", ".join((*MOVING_SUFFIXES, _PICTURE))
+        expected = f"a suffix of {known}, or none for a folder"
+        raise InvalidValueError(f"{path}", expected=expected, found=repr(path.suffix))
+    return path
+
+
+def _painting(clip: Clip, by: str | None, prediction: Path | None) -> Painting:
+    from kt3dmoseg.draw import by_label, by_length, by_prediction
+    from kt3dmoseg.errors import InvalidValueError
+    from kt3dmoseg.io.predictions import read_prediction
+
+    by = by or ("prediction" if prediction else "label" if clip.n_motions else "length")
+    if by == "prediction":
+        if prediction is None:
+            raise InvalidValueError("--by prediction", expected="--pred FILE", found="none")
+        return by_prediction(clip, read_prediction(prediction, clip))
+    return by_label(clip, clip.labels.label, clip.labels.names) if by == "label" else by_length(clip.dense)
+
+
+def _write(clip: Clip, target: Path, at: int | None, rate: float, drawn: Callable[[int], ByteArray]) -> int:
+    """Write pictures or a video; return the number of pictures."""
+    from kt3dmoseg.io.video import write_moving, write_png
+
+    chosen = range(clip.n_frames) if at is None else [at]
+    suffix = "" if target.is_dir() else target.suffix.lower()
+    if suffix == _PICTURE:
+        write_png(target, drawn(clip.n_frames // 2 if at is None else at))
+        return 1
+    if suffix:
+        write_moving(target, map(drawn, chosen), rate)
+    else:
+        for frame in chosen:
+            write_png(target / f"{clip.name}_{frame + 1:06d}.png", drawn(frame))
+    return len(chosen)
+
+
+def info(path: Either, /) -> None:
+    """Say what is inside a clip, a folder of clips, a folder of frames, a video or a flow field.
+
+    Parameters
+    ----------
+    path : path
+        File or folder.
+    """
+    from kt3dmoseg.io.info import info
+
+    print(info(path))
+
+
+def convert(source: File, target: File, /) -> None:
+    """Convert a clip (.h5, .mat, .npz, .dat) or a flow field (.flo, .png, .npy, .npz).
+
+    The suffix of TARGET names the format; SOURCE is recognised by its content. The command says what the
+    format of TARGET cannot hold.
+
+    Parameters
+    ----------
+    source : path
+        File to read.
+    target : path
+        File to write.
+    """
+    from kt3dmoseg.io.formats import convert
+
+    lost = convert(source, target)
+    kept = f"; this format does not keep: {', '.join(lost)}" if lost else ""
+    print(f"{target}: written{kept}", file=sys.stderr)

@@ -1,0 +1,198 @@
+"""Commands that work on KITTI's drives and on what is published."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from kt3dmoseg.app import File, Folder, Url, flags, group
+from kt3dmoseg.kitti.options import LocateOptions, PullOptions
+
+Root = Annotated[Folder, Parameter(alias=("-o", "--root"))]
+
+
+@flags(PullOptions)
+def pull(
+    *clips: str,
+    output: Root = Path("kitti_raw"),
+    catalog: tuple[File, ...] = (),
+    **options: Any,  # noqa: ANN401
+) -> None:
+    """Fetch the clips' frames from KITTI raw, and nothing else.
+
+    Only the needed members of KITTI's zips are read: frames, their timestamps and GPS/IMU packets, the
+    calibration, and tracklets where there are any. Run it again after an interruption: it continues, and
+    fetches nothing twice. A second run that finds everything in place makes no request.
+
+    Parameters
+    ----------
+    clips : str
+        Clips of the catalog (default: all).
+    output : path
+        KITTI raw root to fill.
+    catalog : paths
+        A catalog of your own; may be repeated.
+    """
+    from kt3dmoseg.kitti import pull
+
+    pull(output, clips, catalogs=catalog, **options)
+
+
+@flags(LocateOptions)
+def locate(
+    *clips: str,
+    output: Root = Path("kitti_raw"),
+    catalog: tuple[File, ...] = (),
+    **options: Any,  # noqa: ANN401
+) -> None:
+    """Find the frame numbers of clips in their KITTI drives.
+
+    The directory of a drive's zip tells CRC32 and size of every frame; that is enough when the clip's frames
+    are KITTI's own files, and costs a few hundred kB. Otherwise the drive's frames are read and compared by
+    pixels; and, when the clip's own frames are given, by correlation. What is proved goes to located.toml in
+    the output folder, where `kt3dmoseg pull` and `kt3dmoseg build` find it.
+
+    Parameters
+    ----------
+    clips : str
+        Clips of the catalog (default: all).
+    output : path
+        Folder of located.toml.
+    catalog : paths
+        A catalog of your own; may be repeated.
+    """
+    from kt3dmoseg.kitti import locate
+
+    locate(output, clips, catalogs=catalog, **options)
+
+
+def fetch_release(*names: str, output: Root = Path("data"), mirror: Url | None = None) -> None:
+    """Fetch the 2018 release of KT3DMoSeg, and the other benchmarks, from their public homes.
+
+    Prints for each where it comes from, its licence, and what to do by hand when the page is gone.
+
+    Parameters
+    ----------
+    names : str
+        kt3dmoseg (default), hopkins155, hopkins12, mtpv62.
+    output : path
+        Folder to fill.
+    mirror : str
+        Address of a folder with the same files, one sub-folder per name.
+    """
+    from kt3dmoseg.kitti import fetch_release
+
+    fetch_release(output, names or ("kt3dmoseg",), mirror=mirror)
+
+
+catalog = group("catalog", "List the clips, check catalogs, add clips of your own.")
+
+
+@catalog.command(name="list")
+def list_clips(*, catalog: tuple[File, ...] = ()) -> None:
+    """Print the clips.
+
+    Parameters
+    ----------
+    catalog : paths
+        A catalog of your own; may be repeated.
+    """
+    from kt3dmoseg.catalog import load
+    from kt3dmoseg.catalog.models import format_numbers
+
+    entries = load(*catalog)
+    width = max(map(len, entries), default=4)
+    print(f"{'clip':<{width}}  {'drive':<21}  camera  frames  size       numbers")
+    for entry in entries.values():
+        size = "x".join(map(str, entry.size)) if entry.size else "unknown"
+        numbers = format_numbers(entry.numbers) if entry.numbers else "to be located"
+        columns = f"{entry.name:<{width}}  {entry.drive.name:<21}  {entry.camera:>6}  {entry.length:>6}"
+        print(f"{columns}  {size:<9}  {numbers}")
+
+
+@catalog.command
+def check(*catalogs: Path) -> None:
+    """Print every problem of catalogs.
+
+    Parameters
+    ----------
+    catalogs : path
+        Files (default: the built-in one).
+    """
+    from kt3dmoseg.catalog import BUILT_IN, parse
+    from kt3dmoseg.errors import FileFormatError
+
+    names: dict[str, str] = {}
+    wrong = 0
+    for path in catalogs or [BUILT_IN]:
+        entries, problems = parse(path)
+        problems += [f"clips.{name}: also in {names[name]}" for name in entries if name in names]
+        names |= dict.fromkeys(entries, str(path))
+        for problem in problems:
+            print(f"{path}: {problem}")
+        wrong += len(problems)
+        print(f"{path}: {len(entries)} clips, {len(problems)} problems")
+    if wrong:
+        raise FileFormatError("catalog check", found=f"{wrong} problems")
+
+
+@catalog.command
+def add(
+    name: str,
+    /,
+    frames: Folder | None = None,
+    *,
+    catalog: File,
+    date: str,
+    drive: str,
+    camera: str = "0",
+    numbers: str | None = None,
+) -> None:
+    """Add a clip to a catalog of your own.
+
+    kt3dmoseg catalog add MyClip --date 2011_09_26 --drive 5 --camera 2 --numbers 40-59 --catalog mine.toml
+    kt3dmoseg catalog add MyClip FRAMES --date 2011_09_26 --drive 5 --catalog mine.toml
+
+    Parameters
+    ----------
+    name : str
+        Name of the clip.
+    frames : path
+        Folder with the clip's PNG files, to locate them by.
+    catalog : path
+        The file to add to; made when missing.
+    date : str
+        Day of the drive, 2011_09_26.
+    drive : str
+        Number of the drive.
+    camera : str
+        0 gray left, 1 gray right, 2 colour left, 3 colour right.
+    numbers : str
+        Frame numbers, 40-59 or 40-59,80.
+    """
+    from kt3dmoseg.catalog import add
+    from kt3dmoseg.catalog.models import Drive, Entry, Fingerprint, check_camera, parse_numbers
+    from kt3dmoseg.errors import InvalidValueError
+
+    marks: tuple[Fingerprint, ...] = ()
+    size = None
+    if frames is not None:
+        from kt3dmoseg.kitti.locating import fingerprint_folder
+
+        marks, size = fingerprint_folder(frames)
+    chosen = None if numbers is None else parse_numbers(numbers)
+    if chosen is None and not marks:
+        raise InvalidValueError("catalog add", expected="--numbers or --frames", found="neither")
+    entry = Entry(
+        name=name,
+        drive=Drive(date, drive),  # type: ignore[arg-type]  # digits, too
+        camera=check_camera(camera),
+        length=len(chosen or marks),
+        size=size,
+        numbers=chosen,
+        frames=marks,
+    )
+    add(catalog, entry)
+    print(f"{catalog}: added {entry.name}, {entry.length} frames of {entry.drive.name}")

@@ -1,0 +1,5 @@
+"""Run as ``python -m mseg``."""
+
+from mseg.cli import main
+
+raise SystemExit(main())

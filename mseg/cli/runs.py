@@ -1,0 +1,203 @@
+"""Commands that run methods."""
+
+from __future__ import annotations
+
+import inspect
+import json as json_
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from kt3dmoseg.app import Either, Flag, Folder, Name, Parameters, Positive, progress_bar
+
+_PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
+_STDOUT = "-"
+
+Seeds = Annotated[Positive, Parameter(name="--seeds")]
+Names = Annotated[
+    tuple[str, ...], Parameter(metavar="NAME", consume_multiple=(1, None), show_default=" ".join)
+]
+Address = Annotated[str, Parameter(metavar="ADDRESS")]
+
+
+def methods(method: str = "", /, *, json: Flag = False) -> None:
+    """List the methods, or describe one: source, input, cost and parameters.
+
+    Parameters
+    ----------
+    method : str
+        Describe this one.
+    json : bool
+        Print JSON.
+    """
+    from mseg.methods import METHODS
+
+    names = [method] if method else METHODS.names()
+    if json:
+        print(json_.dumps([_described(name) for name in names], indent=1))
+    elif method:
+        found = _described(method)
+        print(f"{method}: {found['description']}\n\nparameters (-p name=value):")
+        for parameter in found["parameters"]:
+            print(f"  {parameter['name']} = {parameter['default']}\n      {parameter['help']}")
+    else:
+        width = max(map(len, names))
+        for name in names:
+            purpose = _described(name)["description"].partition("\n")[0]
+            print(f"{name:<{width}}  {purpose}")
+
+
+def _described(name: str) -> dict[str, Any]:
+    """Docstring and parameters of a method."""
+    from kt3dmoseg.options import describe
+    from mseg.methods import METHODS
+
+    try:
+        cls = METHODS.load(name)
+    except ImportError as error:
+        return {"name": name, "description": f"(not available: {error})", "parameters": []}
+    parameters = [dict(zip(("name", "default", "help"), row, strict=True)) for row in describe(cls)]
+    return {"name": name, "description": inspect.cleandoc(cls.__doc__ or ""), "parameters": parameters}
+
+
+def run(
+    data: Either,
+    /,
+    *,
+    output: Annotated[Folder, Parameter(alias="-o")],
+    method: Name = "subset",
+    n_motions: Positive | None = None,
+    seeds: Positive = 1,
+    parameter: Parameters = (),
+    workers: Positive = 1,
+    dask: Address = "",
+    quiet: Flag = False,
+) -> None:
+    """Segment every clip of a folder with a method and write the predictions.
+
+    The output is a submission: 'mseg validate' and 'mseg score' read it. What is there already is kept,
+    so an interrupted run goes on; a folder that holds predictions of another configuration is refused.
+
+    Parameters
+    ----------
+    data : path
+        Folder of clips, or one clip.
+    output : path
+        Where predictions go.
+    method : str
+        Method.
+    n_motions : int
+        Number of motions of every clip (default: that of its labels).
+    seeds : int
+        Number of seeds; several go to seed-0/, seed-1/, ...
+    parameter : strings
+        Parameter of a method, see 'mseg methods NAME'; may be repeated.
+    workers : int
+        Processes.
+    dask : str
+        Dask scheduler, tcp://host:8786.
+    quiet : bool
+        No progress bar.
+    """
+    from kt3dmoseg.options import parse_assignments
+    from mseg.benchmark import predict
+    from mseg.evaluation.layout import count
+    from mseg.evaluation.submission import FAILED
+
+    with progress_bar("task", quiet=quiet) as progress:
+        folder = predict(
+            data,
+            output,
+            method,
+            n_motions=n_motions,
+            seeds=seeds,
+            parameters=parse_assignments(parameter),
+            workers=workers,
+            dask=dask,
+            progress=progress,
+        )
+    failed = {path: path.read_text().strip() for path in sorted(folder.rglob(f"*{FAILED}"))}
+    lines = [f"failed: {path.relative_to(folder)}: {reason}" for path, reason in failed.items()]
+    lines.append(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))
+    lines.append(f"check it: mseg validate {folder} {data}\nscore it: mseg score {folder} {data}")
+    print("\n".join(lines), file=sys.stderr)
+
+
+def benchmark(
+    benchmark: str,
+    /,
+    *,
+    methods: Names = _PAPER,
+    data: Annotated[tuple[Folder, ...], Parameter(consume_multiple=(1, None))] = (),
+    cache: Folder = Path("out/benchmark"),
+    no_cache: Flag = False,
+    kernels: Folder | None = None,
+    json: Annotated[list[str] | None, Parameter(metavar="FILE", consume_multiple=(0, 1))] = None,
+    markdown: Flag = False,
+    seeds: Positive = 1,
+    parameter: Parameters = (),
+    workers: Positive = 1,
+    dask: Address = "",
+    quiet: Flag = False,
+) -> None:
+    """Run methods on every clip of a benchmark that is found, over several seeds, and print the tables.
+
+    Outcomes are kept in a folder (--cache), so that a re-run, or one with more methods or seeds, runs
+    only what is new. What is missing of the benchmark is listed; the published rows are for all of it.
+
+    Parameters
+    ----------
+    benchmark : str
+        Protocol: kt3dmoseg, hopkins155, hopkins12 or mtpv62.
+    methods : strings
+        Methods.
+    data : paths
+        Folders of clips (default: the protocol's folder in $KT3DMOSEG_DATA or ../shared/data).
+    cache : path
+        Outcomes.
+    no_cache : bool
+        Run everything, keep nothing.
+    kernels : path
+        Keep kernels there, for sweeps over alpha or fusion.
+    json : str
+        Everything as JSON: written to FILE in addition to the tables, or printed in their place.
+    markdown : bool
+        Print Markdown tables.
+    seeds : int
+        Number of seeds, counted from 0.
+    parameter : strings
+        Parameter of a method, see 'mseg methods NAME'; may be repeated.
+    workers : int
+        Processes.
+    dask : str
+        Dask scheduler, tcp://host:8786.
+    quiet : bool
+        No progress bar.
+    """
+    from kt3dmoseg.files import write_text
+    from kt3dmoseg.options import parse_assignments
+    from mseg.benchmark import run
+
+    with progress_bar("task", quiet=quiet) as progress:
+        result = run(
+            benchmark,
+            list(methods),
+            data=data,
+            seeds=seeds,
+            parameters=parse_assignments(parameter),
+            workers=workers,
+            dask=dask,
+            cache=None if no_cache else cache,
+            kernels=kernels,
+            progress=progress,
+        )
+    if json is not None:
+        everything = json_.dumps(result.as_dict(), indent=1)
+        if json in ([], [_STDOUT]):
+            print(everything)
+            return
+        write_text(json[0], everything + "\n")
+    tables = [result.per_clip(), result.summary()]
+    print("\n\n".join(t.markdown() if markdown else t.text() for t in tables))

@@ -1,0 +1,367 @@
+"""Commands that check, score, compare and rank submissions."""
+
+from __future__ import annotations
+
+import dataclasses
+import json as json_
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from kt3dmoseg.app import Either, File, Flag, Folder, Name, Positive, exclusive, group
+
+if TYPE_CHECKING:
+    from mseg.evaluation.comparison import Comparison
+    from mseg.evaluation.results import ScoreTable
+
+Benchmark = Annotated[Name, Parameter(help="Protocol (default: the submission's own).")]
+_FORM = Group.create_ordered("Form", validator=exclusive)
+Form = Annotated[Flag, Parameter(group=_FORM)]
+
+
+def example_submission(
+    data: Folder | None = None,
+    /,
+    *,
+    output: Annotated[Folder, Parameter(alias="-o")] = Path("example-submission"),
+    seeds: Positive = 1,
+    format: Literal["csv", "npz", "h5"] = "csv",
+    source: Annotated[Path | None, Parameter(name="--from", metavar="FILES")] = None,
+    method: Name = "",
+    benchmark: Name = "",
+) -> None:
+    """Write a valid submission to start from, or turn label files you already have into one.
+
+    Without --from the labels are a simple example: each clip is cut at the median horizontal position.
+    Without DATA a small made-up dataset is written as well, in OUT-data.
+
+    Parameters
+    ----------
+    data : path
+        Folder of clips; without it, small ones are made up.
+    output : path
+        Folder to write.
+    seeds : int
+        Write N runs, in seed-0, seed-1, ...
+    format : {"csv", "npz", "h5"}
+        File format.
+    source : path
+        Label files: .mat with ClusterIdx, or a folder of <clip>.txt, .csv, .mat or .dat.
+    method : str
+        Name of the method, for meta.toml.
+    benchmark : str
+        Protocol, for meta.toml.
+    """
+    from mseg.evaluation import example
+    from mseg.evaluation.layout import count
+
+    if source is not None:
+        wrote = example.from_label_files(
+            source, data, output, method=method or "unnamed", benchmark=benchmark, format=format
+        )
+    else:
+        wrote = example.example_submission(
+            data,
+            output,
+            seeds=seeds,
+            format=format,
+            method=method or "example: left and right",
+            benchmark=benchmark,
+        )
+    print(f"wrote {wrote.folder} ({count(wrote.clips, 'clip')})", file=sys.stderr)
+    print(f"check it: mseg validate {wrote.folder} {wrote.data}", file=sys.stderr)
+    print(f"score it: mseg score {wrote.folder} {wrote.data}", file=sys.stderr)
+
+
+def validate(submission: Either, data: Either, /, *, benchmark: Benchmark = "", json: Flag = False) -> int:
+    """Say everything that is wrong with a submission, numbered, with how to fix it.
+
+    Exit code 0: valid; 1: invalid; 2: wrong usage (no such file, no data).
+
+    Parameters
+    ----------
+    submission : path
+        Folder or zip.
+    data : path
+        Folder of clips with labels (or one clip file).
+    json : bool
+        Print the result as JSON.
+    """
+    from mseg.evaluation.validate import validate_submission
+
+    found = validate_submission(submission, data, benchmark=benchmark)
+    print(json_.dumps(found.as_dict(), indent=2) if json else str(found))
+    return 0 if found.ok else 1
+
+
+def score(
+    submission: Either,
+    data: Either,
+    /,
+    *,
+    benchmark: Benchmark = "",
+    force: Flag = False,
+    output: Annotated[File | None, Parameter(alias="-o")] = None,
+    json: Form = False,
+    csv: Form = False,
+    markdown: Form = False,
+    latex: Form = False,
+) -> int:
+    """Score a submission: the headline table, every clip, every metric.
+
+    A missing clip, or one on which the method failed, counts as fully wrong and is listed. A submission
+    with other problems is rejected with all of them (exit code 1); --force scores it all the same.
+
+    Parameters
+    ----------
+    submission : path
+        Folder or zip.
+    data : path
+        Folder of clips with labels (or one clip file).
+    force : bool
+        Count clips with problems as fully wrong.
+    output : path
+        Write there instead of printing.
+    json : bool
+        Everything, as JSON ('mseg compare' reads it).
+    csv : bool
+        One row per clip, as CSV.
+    markdown : bool
+        The headline table in Markdown.
+    latex : bool
+        The headline table in LaTeX.
+    """
+    from kt3dmoseg.files import write_text
+    from mseg.evaluation.scoring import score_validated
+    from mseg.evaluation.validate import validate_submission
+
+    checked = validate_submission(submission, data, benchmark=benchmark)
+    if not checked.ok:
+        print(checked, file=sys.stderr)
+        if not checked.scorable and not (force and checked.clips):
+            print("rejected: repair it, or score it as it is with --force", file=sys.stderr)
+            return 1
+    form = "json" if json else "csv" if csv else "markdown" if markdown else "latex" if latex else "text"
+    content = _rendered(score_validated(checked, force=force), form)
+    if output is None:
+        print(content)
+    else:
+        write_text(output, content + "\n")
+    return 0
+
+
+def _rendered(scores: ScoreTable, form: str) -> str:
+    from mseg.evaluation import tables
+    from mseg.evaluation.jsonform import to_json
+
+    if form == "json":
+        return json_.dumps(to_json(scores), indent=1)
+    if form == "csv":
+        return tables.per_clip(scores, scores.metrics).csv().rstrip()
+    if form == "markdown":
+        return tables.headline(scores).markdown()
+    if form == "latex":
+        return tables.headline(scores).latex()
+    parts = [tables.headline(scores), tables.per_clip(scores), tables.all_means(scores)]
+    return "\n\n".join(part.text() for part in parts)
+
+
+def compare(
+    first: Either,
+    /,
+    *others: Either,
+    data: Annotated[Folder | None, Parameter(metavar="DATA")] = None,
+    benchmark: Benchmark = "",
+    metric: str = "error",
+    json: Flag = False,
+) -> None:
+    """Compare submissions: a table and paired statistics, and whether the seed noise explains it.
+
+    Each of FIRST OTHERS... is a submission, or a file written by 'mseg score --json'. For submissions, the
+    data come last: mseg compare A B DATA (or --data DATA).
+
+    Parameters
+    ----------
+    first, others : path
+        Submissions or score files, then the data.
+    data : path
+        Folder of clips with labels; by default the last argument.
+    metric : str
+        What to compare by.
+    json : bool
+        Print the result as JSON.
+    """
+    from kt3dmoseg.errors import InvalidValueError
+    from mseg.evaluation.comparison import compare, comparison_table, pairs_table
+
+    paths = [first, *others]
+    if data is None and not all(map(_is_scores, paths)):
+        data = paths.pop()
+        if _is_scores(data):
+            expected, fix = "the data (a folder of clips)", "give the data last"
+            raise InvalidValueError(f"{data}", expected=expected, found="scores", fix=fix)
+    found = compare(_tables(paths, data, benchmark), metric=metric)
+    if json:
+        print(json_.dumps(_as_dict(found), indent=2))
+    else:
+        sentences = "\n".join(f"- {pair.sentence}" for pair in found.pairs)
+        print("\n\n".join([comparison_table(found).text(), pairs_table(found).text(), sentences]))
+
+
+def _is_scores(path: Path) -> bool:
+    return path.name.endswith(".json")
+
+
+def _tables(paths: list[Path], data: Path | None, benchmark: str) -> list[ScoreTable]:
+    from kt3dmoseg.errors import InvalidValueError
+    from mseg.evaluation.jsonform import load_scores
+    from mseg.evaluation.scoring import score_submission
+    from mseg.evaluation.validate import load_clips
+
+    if data is not None and (data / "meta.toml").exists():
+        expected, fix = "the data (a folder of clips)", "give the data last"
+        raise InvalidValueError(f"{data}", expected=expected, found="a submission", fix=fix)
+    clips = load_clips(data) if data is not None else {}
+    return [
+        load_scores(path) if _is_scores(path) else score_submission(path, clips, benchmark=benchmark)
+        for path in paths
+    ]
+
+
+def _as_dict(found: Comparison) -> dict[str, object]:
+    tables = zip(found.names, found.tables, strict=True)
+    return {
+        "metric": found.metric,
+        "means": {name: float(table.per_clip(found.metric).mean()) for name, table in tables},
+        "pairs": [dataclasses.asdict(pair) for pair in found.pairs],
+    }
+
+
+def report(
+    submission: Either,
+    data: Either,
+    /,
+    frames: Folder | None = None,
+    *,
+    benchmark: Benchmark = "",
+    output: Annotated[File, Parameter(alias="-o")] = Path("report.html"),
+    force: Flag = False,
+    latex: Flag = False,
+    markdown: Flag = False,
+    csv: Flag = False,
+    json: Flag = False,
+) -> None:
+    """Write one self-contained HTML page about a submission, which opens offline.
+
+    With --frames the trajectories are drawn on the pictures (FRAMES/<clip>/000001.png, ...). The table
+    is also written next to the page where asked for.
+
+    Parameters
+    ----------
+    submission : path
+        Folder or zip.
+    data : path
+        Folder of clips with labels (or one clip file).
+    frames : path
+        Pictures, one sub-folder per clip.
+    output : path
+        The page.
+    force : bool
+        Count clips with problems as fully wrong.
+    latex : bool
+        Also write the table as .tex.
+    markdown : bool
+        Also write the table as .md.
+    csv : bool
+        Also write .csv, global_results-*.csv and per-sequence_results-*.csv.
+    json : bool
+        Also write all scores as .json.
+    """
+    from mseg.evaluation.report import write_report
+
+    wanted = {"latex": latex, "markdown": markdown, "csv": csv, "json": json}
+    extras = [name for name, asked in wanted.items() if asked]
+    wrote = write_report(
+        submission, data, output, frames=frames, benchmark=benchmark, force=force, extras=extras
+    )
+    for path in wrote:
+        size = path.stat().st_size / 1000
+        shown = f"{size:.1f} kB" if size < 1000 else f"{size / 1000:.1f} MB"
+        print(f"wrote {path} ({shown})", file=sys.stderr)
+
+
+leaderboard = group("leaderboard", "Keep scored submissions in an SQLite file and rank them per benchmark.")
+Board = Annotated[File, Parameter(help="The leaderboard.")]
+Only = Annotated[Name, Parameter(help="Only this one.")]
+_BOARD = Path("leaderboard.sqlite")
+
+
+@leaderboard.command
+def add(
+    submission: Either, data: Folder | None = None, /, *, benchmark: Benchmark = "", db: Board = _BOARD
+) -> None:
+    """Score a submission and keep the scores.
+
+    Parameters
+    ----------
+    submission : path
+        Folder or zip, or a file written by 'mseg score --json'.
+    data : path
+        Folder of clips with labels.
+    """
+    from kt3dmoseg.errors import InvalidValueError
+    from mseg.evaluation.jsonform import load_scores
+    from mseg.evaluation.leaderboard import Leaderboard
+    from mseg.evaluation.scoring import score_submission
+
+    if data is not None:
+        scores = score_submission(submission, data, benchmark=benchmark)
+    elif _is_scores(submission):
+        scores = load_scores(submission)
+    else:
+        fix = "give it after the submission"
+        raise InvalidValueError("data", expected="a folder of clips", found="nothing", fix=fix)
+    number, new = Leaderboard(db, create=True).add(scores)
+    state = "complete" if scores.complete else f"{scores.benchmark.coverage(scores.names)}"
+    print(f"{'added' if new else 'already there'}: entry {number}, {scores.meta.method}, {state}")
+
+
+@leaderboard.command(name="list")
+def list_entries(*, db: Board = _BOARD) -> None:
+    """Print everything that is kept, oldest first."""
+    from mseg.evaluation.leaderboard import Leaderboard
+
+    print(Leaderboard(db, create=False).listing().text())
+
+
+@leaderboard.command
+def rank(*, benchmark: Only = "", db: Board = _BOARD) -> None:
+    """Print the ranks, per benchmark and data.
+
+    A partial submission, or one with failed clips, is listed below the complete ones, without a rank.
+    Scores on different data are never ranked together.
+    """
+    from mseg.evaluation.leaderboard import Leaderboard
+
+    tables = Leaderboard(db, create=False).ranked(benchmark)
+    print("\n\n".join(table.text() for table in tables))
+
+
+@leaderboard.command
+def export(
+    *, output: Annotated[File, Parameter(alias="-o")], benchmark: Only = "", db: Board = _BOARD
+) -> None:
+    """Write the ranks as a page or Markdown.
+
+    Parameters
+    ----------
+    output : path
+        Ends in .html or .md.
+    """
+    from mseg.evaluation.leaderboard import Leaderboard
+    from mseg.evaluation.leaderboard.export import export
+
+    export(Leaderboard(db, create=False), output, benchmark=benchmark)
+    print(f"wrote {output}", file=sys.stderr)

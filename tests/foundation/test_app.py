@@ -1,0 +1,294 @@
+"""What both command lines do alike: exit codes, mistakes, help, configuration files, completion."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import pytest
+from cyclopts import Parameter
+
+from kt3dmoseg import __version__, app
+from kt3dmoseg.cli import COMMANDS as DATASET_COMMANDS
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.options import Preset, from_mapping, option
+from mseg.cli import COMMANDS as MSEG_COMMANDS
+
+EVERY_COMMAND = [("kt3dmoseg", c) for c in DATASET_COMMANDS] + [("mseg", c) for c in MSEG_COMMANDS]
+
+
+@dataclass(frozen=True)
+class Example:
+    """What the tests set.
+
+    And more about it.
+    """
+
+    alpha: float = option(8.0, "power, 50 % of it", low=0)
+    rounds: int = option(3, "rounds", low=1, high=10)
+    kind: Literal["a", "b"] = option("a", "kind")
+    fast: bool = option(False, "speed")
+    limit: int | None = option(None, "limit")
+    scales: tuple[float, ...] = option((1.0,), "scales")
+    where: str = option("", "where they are", metavar="FOLDER")
+    depth: int = option(4, "how deep", rare=True)
+    presets: ClassVar = {"steep": Preset("high powers", {"alpha": 30.0, "rounds": 9})}
+
+
+seen: list[Any] = []
+
+
+@app.flags(Example)
+def hello(name: str, /, *, seeds: app.Positive = 1, count: app.Whole = 0, **options: Any) -> None:
+    """Say hello.
+
+    Parameters
+    ----------
+    name : str
+        Whom to greet.
+    count : int
+        How often.
+    """
+    if name == "nobody":
+        raise InvalidValueError("name", found="nobody")
+    if name == "ctrl-c":
+        raise KeyboardInterrupt
+    if name == "full":
+        raise OSError(28, "No space left on device", "/full/disk")
+    if name == "gone":
+        raise BrokenPipeError
+    seen.append(from_mapping(Example, options))
+    print("hello", name)
+
+
+things = app.group("things", "Keep things.")
+
+
+@things.command
+def add(*names: str, db: Annotated[app.File, Parameter(alias="-d")] = "things") -> None:
+    """Keep things."""
+    print("kept", *names, db)
+
+
+TABLE = {"hello": f"{__name__}:hello", "things": f"{__name__}:things"}
+
+
+@pytest.fixture
+def call(capsys):
+    program = app.application("prog", "A program.", TABLE)
+
+    def run(*words):
+        return app.main(program, words), *capsys.readouterr()
+
+    return run
+
+
+def parsed(call, *flags):
+    code, _, err = call("hello", "you", *flags)
+    assert (code, err) == (0, "")
+    return seen.pop()
+
+
+def test_exit_codes_and_single_lines(call):
+    assert call("hello", "you") == (0, "hello you\n", "")
+    assert call("hello", "nobody") == (2, "", "prog: name: found nobody\n")
+    assert call("hello", "ctrl-c") == (130, "", "prog: interrupted; what was finished is kept\n")
+    assert call("hello", "full") == (2, "", "prog: /full/disk: No space left on device\n")
+    code, _, err = call("helo")
+    assert (code, err) == (2, "prog: unknown command 'helo'; did you mean 'hello'?\n")
+
+
+def test_a_closed_pipe_is_no_error():
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_app as t\n"
+    code += "sys.exit(t.app.main(t.app.application('prog', '', t.TABLE), ['hello', 'gone']))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_program_lists_its_commands(call):
+    code, out, _ = call("--help")
+    assert code == 0
+    assert re.search(r"^  hello +Say hello$", out, flags=re.MULTILINE)
+    assert call() == (2, out, "")
+    assert call("--version") == (0, f"prog {__version__}\n", "")
+
+
+def test_no_flags_give_the_defaults(call):
+    assert parsed(call) == Example()
+
+
+def test_flags_have_the_types_of_the_fields(call):
+    flags = ["--alpha", "2", "--fast", "--kind", "b", "--limit", "4", "--scales", "1,2"]
+    assert parsed(call, *flags) == Example(2.0, 3, "b", True, 4, (1.0, 2.0))
+    assert parsed(call, "--no-fast", "--depth=5") == Example(depth=5)
+    assert parsed(call, "--rounds", "4", "--rounds", "5") == Example(rounds=5)
+
+
+@pytest.mark.parametrize(
+    ("flags", "alpha", "rounds"),
+    [
+        ([], 8, 3),
+        (["--steep"], 30, 9),
+        (["--steep", "--rounds", "4"], 30, 4),
+        (["--rounds", "4", "--steep"], 30, 4),
+    ],
+)
+def test_a_preset_is_its_values_and_single_options_win(flags, alpha, rounds, call):
+    assert parsed(call, *flags) == Example(alpha=alpha, rounds=rounds)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["hello", "x", "--seed", "3"], "unknown option '--seed'; did you mean '--seeds'?"),
+        (["hello", "x", "--seed=3"], "unknown option '--seed'; did you mean '--seeds'?"),
+        (["hello", "x", "--alp", "3"], "unknown option '--alp'; did you mean '--alpha'?"),
+        (["hello", "--sees=3"], "unknown option '--sees'; did you mean '--seeds'?"),
+        (["hello", "x", "--seeds", "two"], "argument --seeds: expected a whole number >= 1, found 'two'"),
+        (["hello", "x", "--seeds=0"], "argument --seeds: expected a whole number >= 1, found '0'"),
+        (["hello", "x", "--count", "two"], "argument --count: expected a whole number, found 'two'"),
+        (["hello", "x", "--count"], "argument --count: expected a value"),
+        (["hello", "x", "--kind", "c"], "argument --kind: expected one of a, b, found 'c'"),
+        (["hello", "x", "more"], "unexpected argument 'more'"),
+        (["hello"], "the following arguments are required: NAME"),
+        (["things", "add", "--bd", "x"], "unknown option '--bd'; did you mean '--db'?"),
+        (["things"], "things: expected a command: add, found none"),
+        (["things", "ad"], "unknown command 'ad'; did you mean 'add'?"),
+    ],
+)
+def test_a_mistake_in_the_arguments_is_one_line(words, message, call):
+    code, out, err = call(*words)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.startswith("prog")
+    assert err.count("\n") == 1
+
+
+def test_help_names_the_values_and_the_defaults(call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    _, out, _ = call("hello", "--help")
+    text = " ".join(out.split())
+    assert "Usage: prog hello [OPTIONS] NAME Say hello." in text
+    assert "NAME Whom to greet" in text
+    assert "--alpha X Power, 50 % of it (default: 8.0)" in text
+    assert "--kind {a,b} Kind (default: a)" in text
+    assert "--where FOLDER Where they are What" in text  # no default
+    assert "--scales SCALES Scales (default: 1.0)" in text
+    assert "--steep High powers: alpha 30.0, rounds 9" in text
+    assert "--fast, --no-fast Speed (default: False)" in text
+    assert "\nWhat the tests set:\n" in out
+
+
+def test_rare_options_have_a_help_of_their_own(call):
+    _, short, _ = call("hello", "--help")
+    assert "--depth" not in short
+    assert "1 more, with --help-all" in short
+    _, full, _ = call("hello", "--help-all")
+    assert "--depth N" in full
+    assert call("hello", "-h")[1] == short
+
+
+@pytest.fixture
+def config(tmp_path):
+    def write(text):
+        (tmp_path / "run.toml").write_text(text)
+        return str(tmp_path / "run.toml")
+
+    return write
+
+
+def test_a_file_gives_options_and_the_command_line_wins(call, config):
+    file = config('[hello]\nalpha = 2\nfast = true\nscales = "1,2"\ncount = 7\n[things.add]\ndb = "mine"\n')
+    assert parsed(call, "--config", file) == Example(alpha=2.0, fast=True, scales=(1.0, 2.0))
+    assert parsed(call, f"--config={file}", "--alpha", "3") == Example(3.0, fast=True, scales=(1.0, 2.0))
+    assert call("things", "add", "a", "--config", file)[1] == "kept a mine\n"
+    assert parsed(call) == Example()  # the next call does not remember the file
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[helo]\nalpha = 2", "unknown command 'helo'; did you mean 'hello'?"),
+        ("[hello]\nalhpa = 2", "unknown option 'alhpa'; did you mean 'alpha'?"),
+        ("[hello]\nseeds = 0", "expected a whole number >= 1, found '0'"),
+        ('[hello]\nkind = "c"', "expected one of a, b, found 'c'"),
+        ("[hello]\nrounds = 11", "rounds: expected a number >= 1 and <= 10, found 11"),
+        ("hello = 3", "hello: expected a table [hello], found 3"),
+        ("[things.ad]", "unknown command 'ad'; did you mean 'add'?"),
+        ("[hello", "expected TOML, found"),
+    ],
+)
+def test_a_mistake_in_the_file_is_one_line(text, message, call, config):
+    code, out, err = call("hello", "x", "--config", config(text))
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+    assert "run.toml" in err or "rounds" in err
+
+
+def test_a_file_that_is_not_there_is_one_line(call):
+    assert (
+        call("hello", "x", "--config", "none.toml")[2] == "prog: none.toml: found No such file or directory\n"
+    )
+    assert call("hello", "x", "--config")[2] == "prog: --config: expected a TOML file, found none\n"
+
+
+@pytest.mark.parametrize(("package", "command"), EVERY_COMMAND)
+def test_every_listed_command_has_help(package, command, capsys):
+    assert import_module(f"{package}.cli").main([command, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert f"Usage: {package} {command}" in out
+    assert "STR" not in out.partition("\n")[2]
+    assert "Parameters\n" not in out
+
+
+HEAVY = ("numpy", "cv2", "sklearn", "matplotlib", "pandas", "scipy", "h5py", "pykitti", "pydantic", "torch")
+
+
+@pytest.mark.parametrize(("package", "command"), [("kt3dmoseg", ""), ("mseg", ""), *EVERY_COMMAND])
+def test_help_is_fast_and_imports_nothing_heavy(package, command):
+    code = (
+        f"import sys; from {package}.cli import main; main({[*command.split(), '--help']!r})\n"
+        "import resource; used = resource.getrusage(resource.RUSAGE_SELF)\n"
+        f"print(used.ru_utime + used.ru_stime, *[m for m in {HEAVY} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    seconds, *heavy = done.stderr.split()
+    assert heavy == []
+    assert float(seconds) < 0.5
+
+
+@pytest.mark.parametrize("module", ["kt3dmoseg", "kt3dmoseg.cli", "mseg", "mseg.cli"])
+def test_a_program_is_also_a_module(module):
+    done = subprocess.run([sys.executable, "-m", module, "--version"], capture_output=True, text=True)
+    assert done.stdout == f"{module.partition('.')[0]} {__version__}\n"
+
+
+@pytest.mark.parametrize("package", ["kt3dmoseg", "mseg"])
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_installed_for_a_shell(package, shell, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("ZSH", raising=False)
+    monkeypatch.delenv("ZSH_CUSTOM", raising=False)
+    assert import_module(f"{package}.cli").main(["--install-completion", "--shell", shell]) == 0
+    assert "installed" in capsys.readouterr().out
+    [script] = [path for path in tmp_path.rglob("*") if path.is_file() and package in path.name]
+    text = script.read_text()
+    assert all(word in text for word in ("show", "--trail") if package == "kt3dmoseg")
+    assert all(word in text for word in ("leaderboard", "rank", "--seeds") if package == "mseg")
+
+
+def test_both_packages_list_and_resolve_their_public_names():
+    import kt3dmoseg
+    import mseg
+
+    for package in (kt3dmoseg, mseg):
+        for name in package.__all__:
+            assert getattr(package, name) is not None
+        with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+            _ = package.nothing
