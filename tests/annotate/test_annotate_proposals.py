@@ -12,8 +12,7 @@ import pytest
 from kt3dmoseg import synthetic
 from kt3dmoseg.annotate import Annotation, label_tracks, proposals
 from kt3dmoseg.annotate.formats.masks import mask_of
-from kt3dmoseg.annotate.proposals import tracklets
-from kt3dmoseg.annotate.proposals.outlines import outline
+from kt3dmoseg.annotate.proposals import outline, tracklets
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.types import Labels, Trajectories

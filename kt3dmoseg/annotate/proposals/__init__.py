@@ -11,25 +11,38 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kt3dmoseg.annotate.model import BACKGROUND, AnnotatedObject, Annotation, Motion
-from kt3dmoseg.annotate.proposals.outlines import objects_from_labels
+import cv2
+import numpy as np
+
+from kt3dmoseg.annotate.formats import load
+from kt3dmoseg.annotate.formats.masks import polygons_of
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, KeyFrame, Polygon
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.files import read_bytes, zip_bytes
 from kt3dmoseg.registry import Registry
-from kt3dmoseg.types import Labels, Trajectories
+from kt3dmoseg.types import BoolArray, FloatArray, Labels, Trajectories
 
 PROPOSERS = Registry(
     "proposer",
     {
         "residual": "kt3dmoseg.annotate.proposals.residual:propose",
         "tracklets": "kt3dmoseg.annotate.proposals.tracklets:propose",
-        "masks": "kt3dmoseg.annotate.proposals.from_masks:propose",
+        "masks": "kt3dmoseg.annotate.proposals:propose_masks",
     },
     group="kt3dmoseg.proposers",
 )
+_MAX_FILE = 64 << 20
+_MASK_FORMATS = ("davis", "mots_png")
+# Seeds lie 8 pixels apart where there is texture; smooth parts of a car leave gaps of some 30 pixels.
+_REACH = 16
+_SHRINK = 13
+_FEWEST = 8
+_EVERY = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What a proposer is told.
+    """What a proposer is given.
 
     Parameters
     ----------
@@ -42,7 +55,7 @@ class Request:
     frames : tuple of Path
         The clip's frames.
     masks : Path or None
-        Folder with masks, one sub-folder or zip file per clip.
+        Folder with masks, one sub-folder or text file per clip.
     kitti : Path or None
         KITTI raw root.
     """
@@ -79,21 +92,113 @@ def propose(name: str, request: Request) -> list[AnnotatedObject]:
     """
     answer = PROPOSERS.load(name)(request)
     found = objects_from_labels(request.trajectories, answer) if isinstance(answer, Labels) else list(answer)
-    return _renumbered(found, request.annotation)
-
-
-def _renumbered(found: list[AnnotatedObject], annotation: Annotation) -> list[AnnotatedObject]:
-    first_id = max((item.id for item in annotation.objects), default=0) + 1
-    first_motion = max(annotation.motions, default=0)
+    first_id = max((item.id for item in request.annotation.objects), default=0) + 1
+    used = max(request.annotation.motions, default=0)
     return [
         replace(
             item,
             id=first_id + k,
-            motion=_shifted(item.motion, first_motion),
+            motion=item.motion if item.motion in (BACKGROUND, REJECT) else item.motion + used,
         )
         for k, item in enumerate(found)
     ]
 
 
-def _shifted(motion: Motion, by: int) -> Motion:
-    return motion + by if isinstance(motion, int) and motion != BACKGROUND else motion
+def propose_masks(request: Request) -> list[AnnotatedObject]:
+    """Read ``<masks>/<clip>/*.png`` (DAVIS or MOTS) or ``<masks>/<clip>.txt`` (MOTS), as an import does.
+
+    Raises
+    ------
+    InputFileError
+        When no folder of masks was given, or it has none for this clip.
+    FileFormatError
+        When they are of neither format.
+    """
+    if request.masks is None:
+        raise InputFileError("masks", found="no folder of masks", fix="start with --masks FOLDER")
+    text = request.masks / f"{request.clip}.txt"
+    empty = request.annotation.emptied()
+    if text.is_file():
+        return list(load("mots_txt").parse(read_bytes(text, _MAX_FILE), empty, ()).objects)
+    files = sorted((request.masks / request.clip).glob("*.png"))
+    if not files:
+        raise InputFileError(f"{request.masks / request.clip}", expected="masks, *.png", found="none")
+    content = zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in files})
+    names = [frame.name for frame in request.frames]
+    problems = []
+    for name in _MASK_FORMATS:
+        try:
+            return list(load(name).parse(content, empty, names).objects)
+        except FileFormatError as error:
+            problems.append(error)
+    raise problems[0]
+
+
+def objects_from_labels(trajectories: Trajectories, labels: Labels) -> list[AnnotatedObject]:
+    """Outline the trajectories of every label but the background.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        Of the clip, with image size.
+    labels : Labels
+        One per trajectory; 0 is left out, `background` (by default 1) too.
+
+    Returns
+    -------
+    list of AnnotatedObject
+        The one with the most trajectories first; key frames on every 4th frame and where
+        visibility changes. Labels with fewer than 8 trajectories in every frame are left out.
+    """
+    background = labels.background or 1
+    motions = [int(m) for m in labels.motions if m != background]
+    motions.sort(key=lambda m: -int((labels.label == m).sum()))
+    objects: list[AnnotatedObject] = []
+    for motion in motions:
+        keys = _key_frames(trajectories, labels.label == motion)
+        if any(key.polygons for key in keys):
+            number = len(objects) + 1
+            name = labels.names.get(motion, f"proposal {number}")
+            objects.append(AnnotatedObject(number, name, "other", number, keys))
+    return objects
+
+
+def outline(points: FloatArray, image_size: tuple[int, int]) -> list[Polygon]:
+    """Outline the union of discs around points, shrunk back: a hull that follows concave shapes."""
+    width, height = image_size
+    canvas = np.zeros((height + 2 * _REACH, width + 2 * _REACH), dtype=np.uint8)
+    for x, y in np.rint(points).astype(int) + _REACH:
+        cv2.circle(canvas, (int(x), int(y)), _REACH, 1, -1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _SHRINK + 1, 2 * _SHRINK + 1))
+    inner = cv2.erode(canvas, disc)[_REACH:-_REACH, _REACH:-_REACH].astype(np.bool_)
+    return polygons_of(_largest_parts(inner), tolerance=1.0)
+
+
+def _key_frames(trajectories: Trajectories, rows: BoolArray) -> tuple[KeyFrame, ...]:
+    assert trajectories.image_size is not None
+    keys: list[KeyFrame] = []
+    counts = (trajectories.visible & rows[:, None]).sum(axis=0)
+    for frame, count in enumerate(counts):
+        if count < _FEWEST:
+            if not keys or keys[-1].visibility != "outside":
+                keys.append(KeyFrame(frame, "outside"))
+            continue
+        last = frame + 1 == len(counts) or counts[frame + 1] < _FEWEST
+        if not keys or keys[-1].visibility == "outside" or last or frame - keys[-1].frame >= _EVERY:
+            points = trajectories.xy[rows & trajectories.visible[:, frame], frame]
+            polygons = outline(points, trajectories.image_size)
+            if polygons:
+                keys.append(KeyFrame(frame, "visible", tuple(polygons)))
+    return tuple(keys) or (KeyFrame(0, "outside"),)
+
+
+def _largest_parts(mask: BoolArray) -> BoolArray:
+    """Drop parts smaller than a tenth of the largest: single stray trajectories."""
+    count, parts, statistics, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    if count < 2:
+        return mask
+    sizes = statistics[:, cv2.CC_STAT_AREA].copy()
+    sizes[0] = 0
+    kept = sizes >= 0.1 * sizes.max()
+    kept[0] = False
+    return np.asarray(kept[parts])

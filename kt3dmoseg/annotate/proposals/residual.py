@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.errors import InvalidValueError
@@ -38,7 +40,7 @@ def propose(request: Request) -> Labels:
     Raises
     ------
     InvalidValueError
-        When the clip has too few trajectories to tell a dominant motion.
+        When the clip has too few trajectories to find a dominant motion.
     """
     tracks = request.trajectories
     votes = np.zeros(len(tracks))
@@ -91,14 +93,13 @@ def _grouped(tracks: Trajectories, moving: BoolArray) -> IntArray:
     rows = np.flatnonzero(moving)
     label[rows] = 0
     pairs = _neighbours(tracks, rows)
-    parent = np.arange(len(tracks))
-    for a, b in pairs[_alike(tracks, pairs)]:
-        parent[_root(parent, int(a))] = _root(parent, int(b))
-    roots = np.array([_root(parent, int(row)) for row in rows], dtype=np.int64)
-    names, sizes = np.unique(roots, return_counts=True)
+    alike = pairs[_alike(tracks, pairs)]
+    links = coo_array((np.ones(len(alike)), alike.T), shape=(len(tracks), len(tracks)))
+    group = connected_components(links, directed=False)[1][rows]
+    names, sizes = np.unique(group, return_counts=True)
     large = names[np.argsort(-sizes, kind="stable")][: int((sizes >= _SMALLEST_GROUP).sum())]
-    for number, root in enumerate(large, start=2):
-        label[rows[roots == root]] = number
+    for number, name in enumerate(large, start=2):
+        label[rows[group == name]] = number
     return label
 
 
@@ -122,10 +123,3 @@ def _alike(tracks: Trajectories, pairs: IntArray) -> BoolArray:
     with np.errstate(invalid="ignore"):
         alike = (apart <= 1.0 + _SAME_MOTION * np.linalg.norm(a, axis=2)).sum(axis=1)
     return np.asarray(alike >= np.maximum(_SHARE * np.isfinite(apart).sum(axis=1), 1))
-
-
-def _root(parent: IntArray, row: int) -> int:
-    while parent[row] != row:
-        parent[row] = parent[parent[row]]
-        row = int(parent[row])
-    return row
