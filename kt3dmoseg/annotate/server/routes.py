@@ -18,11 +18,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import cv2
 import numpy as np
@@ -44,16 +44,8 @@ from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
 
-Endpoint: TypeAlias = Callable[[Request], Awaitable[Response]]
-
 # What every browser shows as it is; other pictures are sent as PNG.
-_SHOWN = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".jpeg": "image/jpeg",
-    ".webp": "image/webp",
-    ".bmp": "image/bmp",
-}
+_SHOWN = {f".{kind}": f"image/{kind}" for kind in ("png", "jpeg", "webp", "bmp")} | {".jpg": "image/jpeg"}
 _MAX_PICTURE = 1 << 28
 _MOST_DIFFERENCES = 2_000
 _ETAG = re.compile(r'"(\d{1,16})"')
@@ -103,28 +95,25 @@ class Routes:
     def table(self) -> list[Route]:
         """Return the routes for starlette."""
         clip = "/api/clips/{clip}"
-        table: list[tuple[str, str, Endpoint]] = [
-            ("GET", "/api/clips", self.clips),
-            ("GET", clip, self.clip),
-            ("GET", clip + "/frames/{frame:int}", self.frame),
-            ("GET", clip + "/tracks", self.tracks),
-            ("GET", clip + "/annotation", self.annotation),
-            ("PUT", clip + "/annotation", self.save),
-            ("POST", clip + "/regions", self.regions),
-            ("POST", clip + "/labels", self.labels),
-            ("POST", clip + "/proposals/{proposer}", self.propose),
-            ("POST", clip + "/compare", self.compare),
-            ("POST", clip + "/export/{format}", self.export),
-            ("POST", clip + "/import/{format}", self.read),
+        return [
+            Route("/api/clips", self._clips),
+            Route(clip, self._clip),
+            Route(clip + "/frames/{frame:int}", self._frame),
+            Route(clip + "/tracks", self._tracks),
+            Route(clip + "/annotation", self._annotation),
+            Route(clip + "/annotation", self._save, methods=["PUT"]),
+            Route(clip + "/regions", self._regions, methods=["POST"]),
+            Route(clip + "/labels", self._labels, methods=["POST"]),
+            Route(clip + "/proposals/{proposer}", self._propose, methods=["POST"]),
+            Route(clip + "/compare", self._compare, methods=["POST"]),
+            Route(clip + "/export/{format}", self._export, methods=["POST"]),
+            Route(clip + "/import/{format}", self._import, methods=["POST"]),
         ]
-        return [Route(path, endpoint, methods=[method]) for method, path, endpoint in table]
 
-    async def clips(self, _: Request) -> Response:
-        """List the clips with their progress."""
+    async def _clips(self, _: Request) -> Response:
         return JSONResponse({"clips": await run_in_threadpool(self.summaries.clips)})
 
-    async def clip(self, request: Request) -> Response:
-        """Send all that the page needs of one clip but the big arrays."""
+    async def _clip(self, request: Request) -> Response:
         session = self._session(request)
         annotation = await run_in_threadpool(session.annotation)
         return JSONResponse(
@@ -141,68 +130,64 @@ class Routes:
             }
         )
 
-    async def frame(self, request: Request) -> Response:
-        """Send one frame."""
+    async def _frame(self, request: Request) -> Response:
         frames, index = self._session(request).source.frames, request.path_params["frame"]
         if index >= len(frames):
             raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
         content, kind = await run_in_threadpool(_picture, frames[index])
-        keep = {"cache-control": "private, max-age=3600"}
-        return Response(content, media_type=kind, headers=keep)
+        return Response(content, media_type=kind, headers={"cache-control": "private, max-age=3600"})
 
-    async def tracks(self, request: Request) -> Response:
-        """Send the trajectories, or say how far they are."""
+    async def _tracks(self, request: Request) -> Response:
         found = await run_in_threadpool(self._session(request).trajectories)
         if isinstance(found, Progress):
-            status = 500 if found.error else 202
-            return JSONResponse(vars(found), status_code=status)
+            return JSONResponse(vars(found), status_code=500 if found.error else 202)
         content = np.ascontiguousarray(found.xy, dtype="<f4").tobytes()
         shape = {"x-shape": f"{len(found)},{found.n_frames}"}
         return Response(content, media_type="application/octet-stream", headers=shape)
 
-    async def annotation(self, request: Request) -> Response:
-        """Send the saved annotation."""
+    async def _annotation(self, request: Request) -> Response:
         found = await run_in_threadpool(self._session(request).annotation)
         return JSONResponse(to_json(found), headers=_etag(found))
 
-    async def save(self, request: Request) -> Response:
-        """Save an annotation that was made from the present revision."""
-        session = self._session(request)
+    async def _save(self, request: Request) -> Response:
         base = _if_match(request)
-        given = await self._annotation_of(request, session)
+        session, given = await self._given(request)
         mine = replace(given, revision=base, annotator=self.annotator or given.annotator)
         saved = await run_in_threadpool(save_revision, session.source.annotation, mine)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
-    async def regions(self, request: Request) -> Response:
-        """Send the regions of the annotation in the body, in every frame."""
-        return await self._answer(request, lambda session, given: {"regions": _shown(session.regions(given))})
+    async def _regions(self, request: Request) -> Response:
+        return await self._once_tracked(request, lambda clip, given: {"regions": _shown(clip.regions(given))})
 
-    async def labels(self, request: Request) -> Response:
-        """Label the trajectories by the annotation in the body."""
-        return await self._answer(request, lambda session, given: _outcome(session.labelled(given)))
+    async def _labels(self, request: Request) -> Response:
+        return await self._once_tracked(request, lambda clip, given: _outcome(clip.labelled(given)))
 
-    async def propose(self, request: Request) -> Response:
-        """Send proposed objects; the body is the annotation so far."""
-        session = self._session(request)
-        annotation = await self._annotation_of(request, session)
+    async def _once_tracked(
+        self, request: Request, work: Callable[[ClipSession, Annotation], dict[str, Any]]
+    ) -> Response:
+        found = self._session(request).trajectories()
+        if isinstance(found, Progress):
+            return JSONResponse(vars(found), status_code=202)
+        return JSONResponse(await run_in_threadpool(work, *await self._given(request)))
+
+    async def _propose(self, request: Request) -> Response:
+        session, annotation = await self._given(request)
 
         def work() -> list[AnnotatedObject]:
+            source = session.source
             asked = proposals.Request(
-                session.source.name, annotation, session.wait(), session.source.frames, self.masks, self.kitti
+                source.name, annotation, session.wait(), source.frames, self.masks, self.kitti
             )
             return proposals.propose(request.path_params["proposer"], asked)
 
         found = replace(annotation.emptied(), objects=tuple(await run_in_threadpool(work)))
         return JSONResponse({"objects": to_json(found)["objects"]})
 
-    async def compare(self, request: Request) -> Response:
-        """Compare the annotation in the body with the other annotator's."""
-        session = self._session(request)
+    async def _compare(self, request: Request) -> Response:
+        session, mine = await self._given(request)
         if self.other is None:
             raise HTTPException(404, "start with --compare FOLDER to compare two annotators")
         path = self.other / f"{session.source.name}.json"
-        mine = await self._annotation_of(request, session)
 
         def work() -> dict[str, Any]:
             theirs = load_annotation(path)
@@ -212,35 +197,24 @@ class Routes:
 
         return JSONResponse(await run_in_threadpool(work))
 
-    async def export(self, request: Request) -> Response:
-        """Send the annotation in the body as a file of another format."""
-        session = self._session(request)
-        annotation = await self._annotation_of(request, session)
+    async def _export(self, request: Request) -> Response:
+        session, annotation = await self._given(request)
         chosen = formats.load(request.path_params["format"])
         found = session.trajectories()
-        tracks = found if isinstance(found, Trajectories) else None
-        regions = await run_in_threadpool(formats.regions, annotation, tracks)
-        content = await run_in_threadpool(chosen.dump, annotation, regions, session.frame_names)
-        return Response(content, media_type=chosen.media_type)
 
-    async def read(self, request: Request) -> Response:
-        """Send what is in a file of another format, as an annotation of this clip."""
+        def work() -> bytes:
+            regions = formats.regions(annotation, found if isinstance(found, Trajectories) else None)
+            return chosen.dump(annotation, regions, session.frame_names)
+
+        return Response(await run_in_threadpool(work), media_type=chosen.media_type)
+
+    async def _import(self, request: Request) -> Response:
         session = self._session(request)
         chosen = formats.load(request.path_params["format"])
         content = await request.body()
-        like = await run_in_threadpool(session.annotation)
-        found = await run_in_threadpool(chosen.parse, content, like.emptied(), session.frame_names)
+        like = (await run_in_threadpool(session.annotation)).emptied()
+        found = await run_in_threadpool(chosen.parse, content, like, session.frame_names)
         return JSONResponse(to_json(found))
-
-    async def _answer(
-        self, request: Request, answer: Callable[[ClipSession, Annotation], dict[str, Any]]
-    ) -> Response:
-        session = self._session(request)
-        found = session.trajectories()
-        if isinstance(found, Progress):
-            return JSONResponse(vars(found), status_code=202)
-        annotation = await self._annotation_of(request, session)
-        return JSONResponse(await run_in_threadpool(answer, session, annotation))
 
     def _session(self, request: Request) -> ClipSession:
         session = self.sessions.get(request.path_params["clip"])
@@ -248,14 +222,16 @@ class Routes:
             raise HTTPException(404, "no such clip")
         return session
 
-    async def _annotation_of(self, request: Request, session: ClipSession) -> Annotation:
+    async def _given(self, request: Request) -> tuple[ClipSession, Annotation]:
+        """Return the clip of a request and the annotation in its body, which must be one of that clip."""
+        session = self._session(request)
         try:
             data = json.loads(await request.body())
         except (ValueError, RecursionError) as error:
             raise InvalidValueError("body", expected="an annotation in JSON", found=str(error)[:80]) from None
         annotation = from_json(data)
         await run_in_threadpool(session.check, annotation)
-        return annotation
+        return session, annotation
 
 
 def _picture(path: Path) -> tuple[bytes, str]:
