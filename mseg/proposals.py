@@ -5,13 +5,16 @@ Registered in the entry point group ``kt3dmoseg.proposers``, as any third party 
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.errors import TooFewPointsError
 from mseg.methods import segment
+
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate.proposals import Request
 
 # A person waits: enough trajectories to cover the frame, few enough for some seconds.
 _MOST = 700
@@ -21,21 +24,7 @@ _MOTIONS = 4
 _METHOD = "keradd"
 
 
-class ProposalRequest(Protocol):
-    """What the labelling page tells; see `kt3dmoseg.annotate.proposals.Request`."""
-
-    @property
-    def clip(self) -> str:
-        """Name of the clip."""
-        ...
-
-    @property
-    def trajectories(self) -> Trajectories:
-        """Trajectories of the whole clip."""
-        ...
-
-
-def propose(request: ProposalRequest) -> Labels:
+def propose(request: Request) -> Labels:
     """Segment a sample of the trajectories into four groups; the largest is taken as background.
 
     Returns

@@ -11,8 +11,6 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.matching import match_labels
 from kt3dmoseg.types import IntArray
 
-_UNLABELLED = 0
-
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
@@ -46,8 +44,8 @@ class Agreement:
         >>> round(agree([1, 1, 2, 0], [1, 1, 1, 1]).both, 3)
         0.667
         """
-        told = (self.a != _UNLABELLED) & (self.b != _UNLABELLED)
-        return float(np.mean((self.a == self.b)[told])) if told.any() else 1.0
+        labelled = (self.a != 0) & (self.b != 0)
+        return float(np.mean((self.a == self.b)[labelled])) if labelled.any() else 1.0
 
     @property
     def kappa(self) -> float:
@@ -95,14 +93,13 @@ def agree(a: npt.ArrayLike, b: npt.ArrayLike, *, match: bool = True) -> Agreemen
     """
     mine, other = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
     if mine.ndim != 1 or mine.shape != other.shape:
-        raise InvalidValueError(
-            "labels", expected="two vectors of one length", found=f"{mine.shape} and {other.shape}"
-        )
+        found = f"{mine.shape} and {other.shape}"
+        raise InvalidValueError("labels", expected="two vectors of one length", found=found)
     if not match:
         return Agreement(mine, other, {})
     matching = match_labels(mine, other)
     renamed = np.zeros_like(mine)
     spare = max(int(other.max(initial=0)), int(mine.max(initial=0))) + 1
-    for label in np.unique(mine[mine != _UNLABELLED]):
+    for label in np.unique(mine[mine != 0]):
         renamed[mine == label] = matching.get(int(label), spare + int(label))
     return Agreement(renamed, other, matching)

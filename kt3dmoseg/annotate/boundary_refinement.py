@@ -31,40 +31,26 @@ _MIN_STEPS = 3
 def decide_by_motion(
     trajectories: Trajectories,
     objects: Sequence[AnnotatedObject],
-    regions: Mapping[int, list[Region]],
+    depths: Mapping[int, FloatArray],
     *,
     halo: float,
     margin: float,
     ratio: float,
     least_gap: float,
 ) -> dict[int, Motion]:
-    """Decide the trajectories along outlines by their motion.
+    """Return row to motion (0 = background) of the trajectories that the rule decides.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        All trajectories of the clip.
-    objects : sequence of AnnotatedObject
-        Its objects; only those with a motion of their own take part.
-    regions : mapping of int to list of Region
-        The objects' regions in every frame.
-    halo, margin, ratio, least_gap : float
-        Constants of the rule; lengths in pixels.
-
-    Returns
-    -------
-    dict of int to int
-        Row to motion (0 = background), for the rows that the motion decides.
+    `depths` are those of `region_depths`, per object, with a reach of at least `halo`; lengths in pixels.
     """
-    depths = {item.id: _depths(trajectories, regions[item.id], halo) for item in objects}
     behind = trajectories.visible.copy()
-    for depth in depths.values():
-        behind &= np.isneginf(depth)
+    with np.errstate(invalid="ignore"):
+        for depth in depths.values():
+            behind &= depth < -halo
     decided: dict[int, Motion] = {}
     for item in objects:
         if item.motion in (BACKGROUND, REJECT):
             continue
-        depth = depths[item.id]
+        depth = np.where(depths[item.id] < -halo, -np.inf, depths[item.id])
         clear = np.nan_to_num(depth, nan=-np.inf) > margin
         rows = _along(depth, halo, margin)
         errors = np.array(
@@ -77,18 +63,18 @@ def decide_by_motion(
     return decided
 
 
-def _depths(trajectories: Trajectories, regions: Sequence[Region], halo: float) -> FloatArray:
-    """Signed distance (N, F) to the outline, positive inside; -inf beyond `halo`, NaN where unseen."""
+def region_depths(trajectories: Trajectories, regions: Sequence[Region], reach: float) -> FloatArray:
+    """Signed distance (N, F) to the outline, positive inside; -inf beyond `reach`, NaN where unseen."""
     depth = np.where(trajectories.visible, -np.inf, np.nan)
     for frame, region in enumerate(regions):
         if region.polygons:
             left, top, right, bottom = bounds(region.polygons)
             xy = trajectories.xy[:, frame]
             with np.errstate(invalid="ignore"):
-                near = (xy >= (left - halo, top - halo)) & (xy <= (right + halo, bottom + halo))
+                near = (xy >= (left - reach, top - reach)) & (xy <= (right + reach, bottom + reach))
             rows = np.flatnonzero(near.all(axis=1))
             distance = signed_distance(xy[rows], region.polygons)
-            depth[rows, frame] = np.where(distance >= -halo, distance, -np.inf)
+            depth[rows, frame] = np.where(distance >= -reach, distance, -np.inf)
     return depth
 
 

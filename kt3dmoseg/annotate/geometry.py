@@ -16,19 +16,7 @@ _SAME_CORNERS = 0.15
 
 
 def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Tell which points lie in a polygon, by the even-odd rule.
-
-    Parameters
-    ----------
-    points : (N, 2) float64
-        Pixels.
-    polygon : (P, 2) float64
-        Vertices; the last is joined to the first.
-
-    Returns
-    -------
-    (N,) bool
-    """
+    """Find which of the points (N, 2) lie in a closed polygon (P, 2), by the even-odd rule: (N,) bool."""
     x, y = points[:, :1], points[:, 1:]
     ax, ay = polygon.T
     bx, by = np.roll(polygon, -1, axis=0).T
@@ -39,22 +27,10 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
 
 
 def signed_distance(points: FloatArray, polygons: Sequence[FloatArray]) -> FloatArray:
-    """Distance of points to the boundary of a union of polygons, positive inside.
+    """Distance (N,) of points (N, 2) to the boundary of a union of polygons, positive inside, in pixels.
 
     Where polygons overlap, the deepest counts; this underestimates the true depth in the union,
-    which only matters closer to the boundary than the overlap is wide.
-
-    Parameters
-    ----------
-    points : (N, 2) float64
-        Pixels.
-    polygons : sequence of (P, 2) float64
-        The region; none = everything is infinitely far outside.
-
-    Returns
-    -------
-    (N,) float64
-        Pixels.
+    which only matters closer to the boundary than the overlap is wide. No polygon: infinitely far outside.
     """
     best = np.full(len(points), -np.inf)
     for polygon in polygons:
@@ -124,7 +100,7 @@ def _matched(a: FloatArray, b: FloatArray, count: int) -> tuple[FloatArray, Floa
 
 
 def _same_outline(a: FloatArray, b: FloatArray) -> bool:
-    """Whether vertex k of both is the same corner: one was edited from the other, not drawn anew."""
+    """Whether vertex k of both is the same corner: one was edited from the other."""
     gap = (a - a.mean(axis=0)) - (b - b.mean(axis=0))
     return bool(np.sqrt((gap**2).sum(axis=1).mean()) <= _SAME_CORNERS * np.sqrt(abs(area(a)) + 1))
 

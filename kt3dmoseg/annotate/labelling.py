@@ -20,9 +20,9 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from kt3dmoseg.annotate.boundary_refinement import decide_by_motion
-from kt3dmoseg.annotate.geometry import bounds, inside, signed_distance
-from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, Motion
+from kt3dmoseg.annotate.boundary_refinement import decide_by_motion, region_depths
+from kt3dmoseg.annotate.geometry import inside
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, Motion, Visibility
 from kt3dmoseg.annotate.propagation import ImageMotion, Region, TrackMotion, propagate
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import from_mapping, option
@@ -128,30 +128,30 @@ def label_tracks_detailed(
     ----------
     regions : mapping of int to list of Region, optional
         What `propagate` returned for the annotation, when that is known already.
-
-    Returns
-    -------
-    LabelledTracks
-        Labels, the reason of each trajectory, its votes, and the regions.
     """
     rule = from_mapping(LabelRule, options, where="label_tracks")
     _check_clip(trajectories, annotation)
     if regions is None:
         regions = propagate(annotation, motion or TrackMotion(trajectories))
+    reach = max(rule.margin, rule.halo)
+    depths = {key: region_depths(trajectories, of_object, reach) for key, of_object in regions.items()}
     candidates: tuple[Motion, ...] = (BACKGROUND, *annotation.motions, REJECT)
     votes = np.zeros((len(trajectories), len(candidates)))
     contested = np.zeros(len(trajectories), dtype=np.bool_)
     for frame in range(trajectories.n_frames):
         rows = np.flatnonzero(trajectories.visible[:, frame])
-        points = trajectories.xy[rows, frame]
-        weight, torn = _votes(points, annotation, regions, frame, candidates, rule)
+        inner = [
+            (item.motion, regions[item.id][frame].visibility, depths[item.id][rows, frame])
+            for item in annotation.objects
+        ]
+        weight, torn = _votes(len(rows), inner, candidates, rule.margin)
         votes[rows] += weight
         contested[rows] |= torn
     choice, reason = _decide(votes, contested, trajectories.lengths > 0, rule)
     decided = decide_by_motion(
         trajectories,
         annotation.objects,
-        regions,
+        depths,
         halo=rule.halo,
         margin=rule.margin,
         ratio=rule.ratio,
@@ -170,43 +170,28 @@ def label_tracks_detailed(
 
 
 def _votes(
-    points: FloatArray,
-    annotation: Annotation,
-    regions: Mapping[int, list[Region]],
-    frame: int,
+    count: int,
+    regions: Sequence[tuple[Motion, Visibility, FloatArray]],
     candidates: Sequence[Motion],
-    rule: LabelRule,
+    margin: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Weights (n, K) of the points' votes in one frame, and which points two motions claim (n,)."""
-    depth = np.full((len(points), len(candidates)), -np.inf)
-    hidden = np.zeros(len(points), dtype=np.bool_)
-    for item in annotation.objects:
-        region = regions[item.id][frame]
-        inner = _depth(points, region, rule.margin)
-        if region.visibility == "occluded":
+    """Weights (n, K) of votes in one frame, and where two motions claim a point (n,), from depths (n,)."""
+    depth = np.full((count, len(candidates)), -np.inf)
+    hidden = np.zeros(count, dtype=np.bool_)
+    for motion, visibility, inner in regions:
+        if visibility == "occluded":
             hidden |= inner > 0
         else:
-            column = candidates.index(item.motion)
+            column = candidates.index(motion)
             depth[:, column] = np.maximum(depth[:, column], inner)
     static, moving, rejected = depth[:, 0], depth[:, 1:-1], depth[:, -1]
     outside = -np.maximum(moving.max(axis=1, initial=-np.inf), rejected)
     background = np.maximum(np.minimum(static, -rejected), outside)
     uncovered = np.minimum(moving, -np.maximum(static, rejected)[:, None])
-    weight = np.clip(np.column_stack([background, uncovered, rejected]) / rule.margin, 0.0, 1.0)
+    weight = np.clip(np.column_stack([background, uncovered, rejected]) / margin, 0.0, 1.0)
     torn = (uncovered > 0).sum(axis=1) > 1
     weight[hidden | torn] = 0.0
     return np.asarray(weight), np.asarray(torn)
-
-
-def _depth(points: FloatArray, region: Region, margin: float) -> FloatArray:
-    """Signed distance to the region's boundary; -inf for what is clearly farther out than `margin`."""
-    depth = np.full(len(points), -np.inf)
-    if region.polygons:
-        left, top, right, bottom = bounds(region.polygons)
-        low, high = (left - margin, top - margin), (right + margin, bottom + margin)
-        near = ((points >= low) & (points <= high)).all(axis=1)
-        depth[near] = signed_distance(points[near], region.polygons)
-    return depth
 
 
 def _decide(
@@ -233,15 +218,10 @@ def _names(annotation: Annotation) -> dict[int, str]:
 
 
 def _check_clip(trajectories: Trajectories, annotation: Annotation) -> None:
+    where = f"trajectories of {annotation.clip}"
     if trajectories.n_frames != annotation.n_frames:
-        raise InvalidValueError(
-            f"trajectories of {annotation.clip}",
-            expected=f"{annotation.n_frames} frames, as the annotation has",
-            found=f"{trajectories.n_frames}",
-        )
+        expected = f"{annotation.n_frames} frames, as the annotation has"
+        raise InvalidValueError(where, expected=expected, found=f"{trajectories.n_frames}")
     if trajectories.image_size not in (None, annotation.image_size):
-        raise InvalidValueError(
-            f"trajectories of {annotation.clip}",
-            expected=f"image size {annotation.image_size}, as the annotation has",
-            found=f"{trajectories.image_size}",
-        )
+        expected = f"image size {annotation.image_size}, as the annotation has"
+        raise InvalidValueError(where, expected=expected, found=f"{trajectories.image_size}")

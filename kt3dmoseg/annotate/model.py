@@ -1,8 +1,9 @@
 """The annotation of a clip: objects whose regions are drawn on key frames, and single marks; as JSON.
 
 Everything is immutable and hashable, so that one edit shares all that it did not touch with the
-annotation before it. pydantic checks the fields, wherever they come from; the bounds are those of what a
-person draws, and keep a hostile file from costing memory or time. annotations/SCHEMA.json is `json_schema`.
+annotation before it. pydantic checks the fields, wherever they come from, and InvalidValueError names the
+one that is wrong; the bounds are those of what a person draws, and keep a hostile file from costing memory
+or time. annotations/SCHEMA.json is `json_schema`.
 Writing is deterministic, one polygon a line, so that a revision reads well in a diff.
 """
 
@@ -87,14 +88,7 @@ _Name: TypeAlias = Annotated[_Text, Field(min_length=1, pattern=r"\S")]
 @dataclass_transform(frozen_default=True)
 def _checked(cls: type[T]) -> type[T]:
     """Make a frozen dataclass whose fields pydantic checks, with errors of this package."""
-
-    def shorten(schema: dict[str, Any]) -> None:
-        schema["description"] = schema["description"].partition("\n\nRaises\n")[0]
-        for field in schema["properties"].values():
-            field.pop("title", None)
-
-    config = ConfigDict(extra="forbid", regex_engine="python-re", json_schema_extra=shorten)
-    made: Any = dataclass(frozen=True, config=config)(cls)
+    made: Any = dataclass(frozen=True, config=ConfigDict(extra="forbid", regex_engine="python-re"))(cls)
     plain = made.__init__
 
     @wraps(plain)
@@ -119,11 +113,6 @@ class KeyFrame:
     polygons : sequence of sequences of (x, y)
         The region in pixels, the union of the polygons; at least one where visible, none outside.
         In an occluded frame it may show where the hidden object is.
-
-    Raises
-    ------
-    InvalidValueError
-        The message names the field.
     """
 
     frame: _Frame
@@ -216,11 +205,6 @@ class Annotation:
         Version of annotations/PROTOCOL.md that was followed.
     revision : int
         Grows with every save.
-
-    Raises
-    ------
-    InvalidValueError
-        The message names the field.
     """
 
     clip: _Name
@@ -255,18 +239,12 @@ class Annotation:
         return sorted(m for m in used if m != REJECT and m >= 1)
 
     def object(self, object_id: int) -> AnnotatedObject:
-        """Return the object of that id.
-
-        Raises
-        ------
-        InvalidValueError
-            When there is none.
-        """
-        for candidate in self.objects:
-            if candidate.id == object_id:
-                return candidate
-        known = ", ".join(str(o.id) for o in self.objects) or "none"
-        raise InvalidValueError("object", expected=f"an id among: {known}", found=str(object_id))
+        """Return the object of that id; raises InvalidValueError when there is none."""
+        by_id = {item.id: item for item in self.objects}
+        if object_id not in by_id:
+            known = ", ".join(map(str, by_id)) or "none"
+            raise InvalidValueError("object", expected=f"an id among: {known}", found=str(object_id))
+        return by_id[object_id]
 
     def emptied(self) -> Annotation:
         """Return the annotation of the same clip without objects and marks."""
@@ -300,13 +278,7 @@ def load_annotation(path: str | os.PathLike[str]) -> Annotation:
 
 
 def save_annotation(path: str | os.PathLike[str], annotation: Annotation) -> None:
-    """Write an annotation atomically.
-
-    Raises
-    ------
-    InputFileError
-        When the file cannot be written.
-    """
+    """Write an annotation atomically; raises InputFileError when the file cannot be written."""
     write_text(path, dumps(annotation))
 
 
@@ -317,7 +289,7 @@ def dumps(annotation: Annotation) -> str:
 
 def to_json(annotation: Annotation) -> dict[str, Any]:
     """Return an annotation as JSON-able values; coordinates rounded to 1/100 pixel."""
-    marks = [{"frame": m.frame, "motion": m.motion, "polygon": _rounded(m.polygon)} for m in annotation.marks]
+    marks = annotation.marks
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -328,18 +300,12 @@ def to_json(annotation: Annotation) -> dict[str, Any]:
         "image_size": list(annotation.image_size),
         "n_frames": annotation.n_frames,
         "objects": [_object_to_json(item) for item in annotation.objects],
-        "marks": marks,
+        "marks": [{"frame": m.frame, "motion": m.motion, "polygon": _rounded(m.polygon)} for m in marks],
     }
 
 
 def from_json(data: object) -> Annotation:
-    """Build an annotation from parsed JSON.
-
-    Raises
-    ------
-    InvalidValueError
-        When a field is missing, unknown, or of a wrong type or value; the message names it.
-    """
+    """Build an annotation from parsed JSON; raises InvalidValueError, which names the field."""
     if not isinstance(data, Mapping):
         raise InvalidValueError("annotation", expected="a JSON object", found=repr(data)[:80])
     rest = dict(data)

@@ -51,23 +51,9 @@ def colour_of(motion: Motion) -> Colour:
 def draw_view(
     frame: ByteArray, view: View, shown: Iterable[tuple[AnnotatedObject, Region]] = (), *, title: str = ""
 ) -> ByteArray:
-    """Draw a part of a gray frame with the outlines of regions and rulers in pixels.
+    """Draw a part of a gray frame (H, W) with the outlines of regions and rulers in pixels.
 
-    Parameters
-    ----------
-    frame : (H, W) uint8
-        The frame.
-    view : View
-        Which part, and how large.
-    shown : iterable of (AnnotatedObject, Region)
-        What to outline: solid where drawn by a person, thin where propagated.
-    title : str
-        Text in the corner.
-
-    Returns
-    -------
-    (h, w, 3) uint8
-        BGR.
+    Outlines are solid where drawn by a person, thin where propagated. Returns (h, w, 3) uint8, BGR.
     """
     canvas = _enlarged(frame, view)
     for item, region in shown:
@@ -89,28 +75,20 @@ def view_around(region: Region, *, padding: float, scale: float) -> View:
 
 def contact_sheets(tiles: Sequence[ByteArray], width: int = 1600, height: int = 1500) -> list[ByteArray]:
     """Arrange pictures in rows on sheets of at most `width` x `height` screen pixels, or one picture."""
-    rows: list[list[ByteArray]] = [[]]
-    for tile in tiles:
-        if rows[-1] and sum(t.shape[1] for t in rows[-1]) + tile.shape[1] > width:
-            rows.append([])
-        rows[-1].append(tile)
-    total = max(sum(t.shape[1] for t in row) for row in rows)
-    sheets: list[list[ByteArray]] = [[]]
-    for row in (_row(tiles, total) for tiles in rows):
-        if sheets[-1] and sum(r.shape[0] for r in sheets[-1]) + row.shape[0] > height:
-            sheets.append([])
-        sheets[-1].append(row)
-    return [np.concatenate(rows) for rows in sheets]
+    return _strips(_strips(tiles, width, axis=1), height, axis=0)
 
 
-def _row(tiles: Sequence[ByteArray], width: int) -> ByteArray:
-    height = max(tile.shape[0] for tile in tiles)
-    out = np.zeros((height, width, 3), dtype=np.uint8)
-    x = 0
-    for tile in tiles:
-        out[: tile.shape[0], x : x + tile.shape[1]] = tile
-        x += tile.shape[1]
-    return out
+def _strips(pictures: Sequence[ByteArray], limit: int, axis: int) -> list[ByteArray]:
+    """Join pictures along an axis, beginning another strip at the limit; strips are of one size across."""
+    across = max(picture.shape[1 - axis] for picture in pictures)
+    strips: list[list[ByteArray]] = [[]]
+    for picture in pictures:
+        missing = [(0, 0), (0, 0), (0, 0)]
+        missing[1 - axis] = (0, across - picture.shape[1 - axis])
+        if strips[-1] and sum(p.shape[axis] for p in strips[-1]) + picture.shape[axis] > limit:
+            strips.append([])
+        strips[-1].append(np.pad(picture, missing))
+    return [np.concatenate(strip, axis=axis) for strip in strips]
 
 
 def _enlarged(frame: ByteArray, view: View) -> ByteArray:
@@ -145,8 +123,8 @@ def _outline(canvas: ByteArray, view: View, item: AnnotatedObject, region: Regio
     if region.polygons:
         left, top = view.to_screen(np.array([bounds(region.polygons)[:2]]))[0]
         hidden = " (occluded)" if region.visibility == "occluded" else ""
-        place = (max(2, int(left)), max(12, int(top) - 4))
-        _write(canvas, f"{item.motion}: {item.name}{hidden}", place, colour, 0.42)
+        corner = (max(2, int(left)), max(12, int(top) - 4))
+        _write(canvas, f"{item.motion}: {item.name}{hidden}", corner, colour, 0.42)
 
 
 def _rulers(framed: ByteArray, view: View) -> None:
@@ -163,8 +141,8 @@ def _rulers(framed: ByteArray, view: View) -> None:
         _write(framed, str(y), (2, at + 4), _INK, 0.38)
 
 
-def _write(picture: ByteArray, text: str, place: tuple[int, int], colour: Colour, size: float) -> None:
+def _write(picture: ByteArray, text: str, corner: tuple[int, int], colour: Colour, size: float) -> None:
     # OpenCV's fonts know ASCII only.
     plain = text.encode("ascii", "replace").decode()
-    cv2.putText(picture, plain, place, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 3, cv2.LINE_AA)
-    cv2.putText(picture, plain, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+    cv2.putText(picture, plain, corner, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 3, cv2.LINE_AA)
+    cv2.putText(picture, plain, corner, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)

@@ -97,20 +97,7 @@ class ImageMotion(Protocol):
     """Where points of the image went."""
 
     def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
-        """Correspondences of the region's content between frame `i` and a neighbouring frame `j`.
-
-        Parameters
-        ----------
-        region : sequence of (P, 2) float64
-            Polygons in frame `i`, pixels.
-        i, j : int
-            Frames, ``abs(i - j) == 1``.
-
-        Returns
-        -------
-        x1, x2 : (n, 2) float64
-            Positions in frame `i` and in frame `j`; possibly none.
-        """
+        """Positions (n, 2) in frame `i`, inside the polygons (P, 2) of a region, and in its neighbour `j`."""
         ...
 
 
@@ -170,18 +157,7 @@ class NoMotion:
 
 
 def fit_similarity(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
-    """Fit a similarity robustly: ``x2 = A x1 + t`` with A a scaled rotation.
-
-    Parameters
-    ----------
-    x1, x2 : (n, 2) float64
-        Corresponding points in pixels.
-
-    Returns
-    -------
-    (2, 3) float64 or None
-        ``[A | t]``; None for fewer than 4 correspondences.
-    """
+    """Fit a similarity to points (n, 2), robustly: (2, 3) ``[A | t]``, or None for fewer than 4."""
     if len(x1) < _ENOUGH:
         return None
     models, _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
@@ -189,24 +165,11 @@ def fit_similarity(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
 
 
 def fit_similarities(x1: FloatArray, x2: FloatArray, known: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Fit many similarities at once, each robustly.
+    """Fit similarities ``x2 = A x1 + t``, A a scaled rotation, to B sets of points (B, n, 2), robustly.
 
     Iteratively reweighted least squares with Tukey's biweight (Beaton and Tukey 1974), started at
-    the median displacement, so that up to nearly half of the points may follow another motion.
-
-    Parameters
-    ----------
-    x1, x2 : (B, n, 2) float64
-        Corresponding points in pixels.
-    known : (B, n) bool
-        Which of them count.
-
-    Returns
-    -------
-    models : (B, 2, 3) float64
-        ``[A | t]`` each.
-    ok : (B,) bool
-        False for fewer than 4 correspondences.
+    the median displacement, so that up to nearly half of the points may follow another motion. `known`
+    (B, n) are the points that count. Returns ``[A | t]`` (B, 2, 3), and whether there were 4 or more (B,).
     """
     z1, z2 = x1[..., 0] + 1j * x1[..., 1], x2[..., 0] + 1j * x2[..., 1]
     shift = _median((x2 - x1)[..., 0], known) + 1j * _median((x2 - x1)[..., 1], known)

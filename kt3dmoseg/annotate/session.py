@@ -52,24 +52,14 @@ class StaleRevisionError(KT3DMoSegError):
 
 
 def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annotation:
-    """Write `annotation` as the next revision of a file, if it was made from the present one.
+    """Write `annotation` as the next revision of a file, and return what was written.
 
-    Parameters
-    ----------
-    path : path
-        The annotation file; one that does not exist, or no longer, is written whatever the revision.
-    annotation : Annotation
-        With the revision that it was made from.
-
-    Returns
-    -------
-    Annotation
-        What was written, with its new revision.
+    A file that does not exist, or no longer, is written whatever the revision.
 
     Raises
     ------
     StaleRevisionError
-        When the file holds another revision.
+        When the file holds another revision than that which `annotation` was made from.
     InputFileError, FileFormatError
         When the file cannot be written, or what is there is no annotation.
     """
@@ -84,13 +74,7 @@ def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annot
 
 
 class AnnotationSession:
-    """An annotation being edited; an edit that is refused leaves it as it was.
-
-    Parameters
-    ----------
-    annotation : Annotation
-        Where to start.
-    """
+    """An annotation being edited; an edit that raises InvalidValueError leaves it as it was."""
 
     def __init__(self, annotation: Annotation) -> None:
         self._now = annotation
@@ -117,13 +101,7 @@ class AnnotationSession:
     def add_object(
         self, name: str, frame: int, polygons: Drawn, *, motion: Motion, kind: Kind = "car", note: str = ""
     ) -> int:
-        """Add an object with its first key frame and return its id.
-
-        Raises
-        ------
-        InvalidValueError
-            The message names the field, as for every edit.
-        """
+        """Add an object with its first key frame and return its id; see `AnnotatedObject`."""
         number = max((item.id for item in self._now.objects), default=0) + 1
         key = KeyFrame(frame, polygons=_polygons(polygons))
         item = AnnotatedObject(number, name, kind, motion, (key,), note)
@@ -161,14 +139,7 @@ class AnnotationSession:
         return self._step(self._undone, self._done)
 
     def save(self, path: str | os.PathLike[str]) -> int:
-        """Write the annotation as the next revision of the file and return that revision.
-
-        Raises
-        ------
-        StaleRevisionError
-            When the file holds another revision than the one that this session started from or
-            saved last: somebody else saved in between.
-        """
+        """Write the annotation as the next revision of the file and return that; see `save_revision`."""
         self._now = save_revision(path, self._now)
         return self._now.revision
 

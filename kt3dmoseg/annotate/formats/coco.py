@@ -20,10 +20,11 @@ from kt3dmoseg.annotate.formats.foreign import (
     ForeignObject,
     assemble,
     check_frame,
+    check_shape,
     frame_indices,
     with_centre_origin,
 )
-from kt3dmoseg.annotate.formats.masks import add_mask, check_shape, decode_rle, encode_rle, mask_of
+from kt3dmoseg.annotate.formats.masks import add_mask, decode_rle, encode_rle, mask_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError

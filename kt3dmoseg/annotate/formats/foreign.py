@@ -51,17 +51,10 @@ class ForeignObject:
 def assemble(
     found: Mapping[int | str, ForeignObject], like: Annotation, *, outside_between: bool = True
 ) -> Annotation:
-    """Make the annotation of the objects of a file.
+    """Make the annotation of the objects of a file, by id; when one has none but a name, all are numbered.
 
-    Parameters
-    ----------
-    found : mapping
-        The objects by id; when one has no id of at least 1 but a text, all are numbered from 1 on.
-        An object without a motion gets one of its own.
-    like : Annotation
-        An empty annotation of the clip.
-    outside_between : bool
-        Whether an object is outside in the frames in which it was not found.
+    An object without a motion gets one of its own. `outside_between` makes an object outside in the frames
+    in which it was not found.
     """
     numbered = all(isinstance(key, int) and key >= 1 for key in found)
     motions = own_motions(item.motion for item in found.values())
@@ -123,16 +116,17 @@ def check_frame(frame: int, like: Annotation, where: str) -> None:
         raise FileFormatError(where, expected=f"frames 0 to {like.n_frames - 1}", found=f"frame {frame}")
 
 
+def check_shape(shape: tuple[int, ...], like: Annotation, where: str) -> None:
+    """Raise FileFormatError for a mask of another size than the clip's frames."""
+    width, height = like.image_size
+    if shape != (height, width):
+        raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=f"shape {shape}")
+
+
 def unzip_frames(
     content: bytes, suffix: str, like: Annotation, names: Sequence[str], what: str
 ) -> dict[int, bytes]:
-    """Return the files of a zip archive by frame, as they are named or numbered.
-
-    Raises
-    ------
-    FileFormatError
-        When it is no zip archive, a file is too large, or a frame is given twice or unknown.
-    """
+    """Return the files of a zip archive by frame, as they are named or numbered; FileFormatError if not."""
     out: dict[int, bytes] = {}
     with _opened(content, suffix, what) as archive:
         files = list(archive.sizes)
@@ -156,13 +150,7 @@ def unzip_only(content: bytes, suffix: str, what: str) -> bytes:
 
 
 def frame_indices(files: Sequence[str], names: Sequence[str], what: str) -> list[int]:
-    """Find the frame of each file: by the frames' names when all are named so, else by its last number.
-
-    Raises
-    ------
-    FileFormatError
-        When a name has no number.
-    """
+    """Find the frame of each file: by the frames' names when all are named so, else by its last number."""
     stems = [PurePosixPath(file).stem for file in files]
     known = {PurePosixPath(name).stem: k for k, name in enumerate(names)}
     if all(stem in known for stem in stems):

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from kt3dmoseg.annotate.formats import AnnotationFormat
-from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble, check_frame, unzip_frames
+from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble, check_frame, check_shape, unzip_frames
 from kt3dmoseg.annotate.geometry import area, bounds, inside
 from kt3dmoseg.annotate.model import (
     BACKGROUND,
@@ -35,7 +35,6 @@ from kt3dmoseg.annotate.model import (
     MAX_POINTS,
     MAX_POLYGONS,
     REJECT,
-    AnnotatedObject,
     Annotation,
     Polygon,
 )
@@ -81,23 +80,15 @@ def mask_of(polygons: Sequence[FloatArray], image_size: tuple[int, int]) -> Bool
 
 
 def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
-    """Return the outlines of a mask, one polygon per 4-connected part.
+    """Return the outlines of a mask (H, W), one polygon per 4-connected part.
 
     Of more parts than a region may have, the largest; of more corners than a polygon may have, every
-    second, or third...
-
-    Parameters
-    ----------
-    mask : (H, W) bool
-        The pixels.
-    tolerance : float
-        Leave out corners closer than this to the simplified outline, pixels; 0 = exact.
+    second, or third... Corners closer than `tolerance` pixels to the simplified outline are left out.
     """
     parts, _ = ndimage.label(mask)
     boxes = ndimage.find_objects(parts)
     sizes = np.bincount(parts.ravel())[1:]
     out = []
-    # In reading order; of more parts than a region may have, the largest.
     for k in np.sort(np.argsort(-sizes, kind="stable")[:MAX_POLYGONS]):
         rows, columns = boxes[k]
         loops = [_straightened(loop) for loop in _loops(parts[rows, columns] == k + 1)]
@@ -121,21 +112,15 @@ def simplify(polygon: FloatArray, tolerance: float) -> FloatArray:
 def label_image(
     annotation: Annotation, regions: Regions, frame: int, values: Mapping[int, int]
 ) -> npt.NDArray[np.int64]:
-    """Paint the visible objects of one frame into an image.
+    """Paint the visible objects of one frame into an (H, W) image, each with its value; 0 = background.
 
-    Parameters
-    ----------
-    annotation, regions
-        The objects and their regions in every frame.
-    frame : int
-        Which frame.
-    values : mapping of object id to int
-        Value to paint; 0 = background. Later objects cover earlier ones, static ones cover moving
-        ones, rejected ones cover all, as in `label_tracks`.
+    Later objects cover earlier ones, static ones cover moving ones, rejected ones cover all, as in
+    `label_tracks`.
     """
     width, height = annotation.image_size
     image = np.zeros((height, width), dtype=np.int64)
-    for item in sorted(annotation.objects, key=_layer):
+    layers = {REJECT: 2, BACKGROUND: 1}
+    for item in sorted(annotation.objects, key=lambda item: layers.get(item.motion, 0)):
         region = regions[item.id][frame]
         if region.visibility == "visible":
             image[mask_of(region.polygons, annotation.image_size)] = values[item.id]
@@ -146,10 +131,6 @@ def _label_images(
     annotation: Annotation, regions: Regions, values: Mapping[int, int]
 ) -> Iterator[npt.NDArray[np.int64]]:
     return (label_image(annotation, regions, frame, values) for frame in range(annotation.n_frames))
-
-
-def _layer(item: AnnotatedObject) -> int:
-    return 2 if item.motion == REJECT else int(item.motion == BACKGROUND)
 
 
 def _loops(part: BoolArray) -> list[list[Corner]]:
@@ -204,13 +185,7 @@ def _joined(loops: list[FloatArray]) -> FloatArray:
 
 
 def encode_rle(mask: BoolArray) -> str:
-    """Return the compressed run lengths of an (H, W) mask, as in COCO; pycocotools makes them.
-
-    Raises
-    ------
-    MissingDependencyError
-        When pycocotools is not installed.
-    """
+    """Return the compressed run lengths of an (H, W) mask, as in COCO; pycocotools makes them."""
     found: bytes = _pycocotools().encode(np.asfortranarray(mask, dtype=np.uint8))["counts"]
     return found.decode()
 
@@ -218,12 +193,7 @@ def encode_rle(mask: BoolArray) -> str:
 def decode_rle(runs: str | Sequence[int], height: int, width: int, where: str = "RLE") -> BoolArray:
     """Return the (height, width) mask of run lengths as in COCO, compressed or as a list of numbers.
 
-    Raises
-    ------
-    FileFormatError
-        When they are damaged or do not fill the mask.
-    MissingDependencyError
-        When pycocotools is not installed.
+    Raises FileFormatError when they are damaged or do not fill the mask.
     """
     size = height * width
     problem = FileFormatError(
@@ -263,27 +233,12 @@ def _pycocotools() -> ModuleType:
     return module
 
 
-def check_shape(shape: tuple[int, ...], like: Annotation, where: str) -> None:
-    """Raise FileFormatError for a mask of another size than the clip's frames."""
-    width, height = like.image_size
-    if shape != (height, width):
-        raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=f"shape {shape}")
-
-
 def add_mask(
     found: dict[int, ForeignObject], number: int, frame: int, mask: BoolArray, where: str
 ) -> ForeignObject | None:
-    """Add the pixels of an object in one frame: of the outlines only, so that no file fills the memory.
+    """Add the outlines of an object in one frame, not its pixels, so that no file fills the memory.
 
-    Returns
-    -------
-    ForeignObject or None
-        The object; None when the mask is empty.
-
-    Raises
-    ------
-    FileFormatError
-        When there are more objects than an annotation may have.
+    Returns the object, None when the mask is empty; raises FileFormatError when there are too many.
     """
     polygons = polygons_of(mask)
     if not polygons:

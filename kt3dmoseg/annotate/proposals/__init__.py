@@ -69,19 +69,7 @@ class Request:
 
 
 def propose(name: str, request: Request) -> list[AnnotatedObject]:
-    """Ask a proposer for objects.
-
-    Parameters
-    ----------
-    name : str
-        A name in `PROPOSERS`.
-    request : Request
-        The clip.
-
-    Returns
-    -------
-    list of AnnotatedObject
-        With ids and motion numbers that the annotation does not use yet.
+    """Ask a proposer of `PROPOSERS` for objects, with ids and motions that the annotation does not use yet.
 
     Raises
     ------
@@ -105,15 +93,7 @@ def propose(name: str, request: Request) -> list[AnnotatedObject]:
 
 
 def propose_masks(request: Request) -> list[AnnotatedObject]:
-    """Read ``<masks>/<clip>/*.png`` (DAVIS or MOTS) or ``<masks>/<clip>.txt`` (MOTS), as an import does.
-
-    Raises
-    ------
-    InputFileError
-        When no folder of masks was given, or it has none for this clip.
-    FileFormatError
-        When they are of neither format.
-    """
+    """Read ``<masks>/<clip>/*.png`` (DAVIS or MOTS) or ``<masks>/<clip>.txt`` (MOTS), as an import does."""
     if request.masks is None:
         raise InputFileError("masks", found="no folder of masks", fix="start with --masks FOLDER")
     text = request.masks / f"{request.clip}.txt"
@@ -135,20 +115,10 @@ def propose_masks(request: Request) -> list[AnnotatedObject]:
 
 
 def objects_from_labels(trajectories: Trajectories, labels: Labels) -> list[AnnotatedObject]:
-    """Outline the trajectories of every label but the background.
+    """Outline the trajectories of every label but 0 and the background, by default 1; the largest first.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Of the clip, with image size.
-    labels : Labels
-        One per trajectory; 0 is left out, `background` (by default 1) too.
-
-    Returns
-    -------
-    list of AnnotatedObject
-        The one with the most trajectories first; key frames on every 4th frame and where
-        visibility changes. Labels with fewer than 8 trajectories in every frame are left out.
+    Key frames are on every 4th frame and where visibility changes. Labels with fewer than 8 trajectories
+    in every frame are left out.
     """
     background = labels.background or 1
     motions = [int(m) for m in labels.motions if m != background]

@@ -35,13 +35,7 @@ _SMALLEST_GROUP = 12
 
 
 def propose(request: Request) -> Labels:
-    """Label groups of trajectories that move by themselves; see `kt3dmoseg.annotate.proposals`.
-
-    Raises
-    ------
-    InvalidValueError
-        When the clip has too few trajectories to find a dominant motion.
-    """
+    """Label groups of trajectories that move by themselves; see `kt3dmoseg.annotate.proposals`."""
     tracks = request.trajectories
     votes = np.zeros(len(tracks))
     seen = np.zeros(len(tracks))

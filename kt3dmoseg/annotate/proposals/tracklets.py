@@ -31,15 +31,7 @@ _KIND_OF = {"person (sitting)": "pedestrian"}
 
 
 def propose(request: Request) -> list[AnnotatedObject]:
-    """Propose the tracklets that move in the world; see `kt3dmoseg.annotate.proposals`.
-
-    Raises
-    ------
-    InputFileError
-        When no KITTI root was given, or the drive or its tracklets are not there.
-    InvalidValueError
-        When the clip is not in the catalog or its frames are not those of the drive.
-    """
+    """Propose the tracklets that move in the world; see `kt3dmoseg.annotate.proposals`."""
     if request.kitti is None:
         raise InputFileError("tracklets", found="no KITTI folder", fix="start with --kitti FOLDER")
     drive, numbers = _drive(request, request.kitti)
@@ -49,33 +41,24 @@ def propose(request: Request) -> list[AnnotatedObject]:
     for tracklet, moves in zip(tracklets, moving, strict=True):
         keys = _key_frames(drive, tracklet, numbers)
         if moves and any(key.polygons for key in keys):
-            number = len(objects) + 1
-            kind = tracklet.kind.lower()
-            objects.append(
-                AnnotatedObject(
-                    number,
-                    f"{kind} {number}",
-                    known_kind(_KIND_OF.get(kind, kind)),
-                    number,
-                    keys,
-                    "from a KITTI tracklet",
-                )
-            )
+            number, kind = len(objects) + 1, tracklet.kind.lower()
+            name, ours = f"{kind} {number}", known_kind(_KIND_OF.get(kind, kind))
+            objects.append(AnnotatedObject(number, name, ours, number, keys, "from a KITTI tracklet"))
     return objects
 
 
 def _drive(request: Request, root: Path) -> tuple[RawDrive, tuple[int, ...]]:
     """Find the clip's drive and frame numbers: from where its frames lie, else from the catalog."""
-    places = [_RAW.search(frame.resolve().as_posix()) for frame in request.frames]
-    if places and all(places):
-        date, drive, camera = places[0].group("date", "drive", "camera")  # type: ignore[union-attr]  # all() saw it
-        numbers = tuple(int(place.group("number")) for place in places if place)
+    found = [match for frame in request.frames if (match := _RAW.search(frame.resolve().as_posix()))]
+    if found and len(found) == len(request.frames):
+        date, drive, camera = found[0].group("date", "drive", "camera")
+        numbers = tuple(int(match.group("number")) for match in found)
         return RawDrive(root, date, int(drive), int(camera)), numbers
     entry = catalog.load().get(request.clip)
     if entry is None:
         raise InvalidValueError("tracklets", expected="a clip of the catalog", found=request.clip)
-    found = RawDrive(root, entry.drive.date, entry.drive.number, entry.camera)
-    return found, entry.numbers or _numbers(request.frames, found)
+    listed = RawDrive(root, entry.drive.date, entry.drive.number, entry.camera)
+    return listed, entry.numbers or _numbers(request.frames, listed)
 
 
 def _numbers(frames: tuple[Path, ...], drive: RawDrive) -> tuple[int, ...]:
@@ -102,10 +85,10 @@ def _moving(drive: RawDrive, tracklets: list[Tracklet], numbers: tuple[int, ...]
     out = []
     for tracklet in tracklets:
         there = [k for k, number in enumerate(numbers) if number in tracklet.numbers]
-        place = np.array(
+        at = np.array(
             [poses[k] @ np.append(tracklet.translation[tracklet.row(numbers[k])], 1.0) for k in there]
         ).reshape(-1, 4)
-        out.append(bool(len(place)) and float(np.ptp(place[:, :2], axis=0).max()) > _PARKED)
+        out.append(bool(len(at)) and float(np.ptp(at[:, :2], axis=0).max()) > _PARKED)
     return out
 
 
