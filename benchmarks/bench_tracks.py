@@ -14,7 +14,7 @@ import pytest
 from kt3dmoseg import flow
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.tracking import track
-from kt3dmoseg.tracking.trajectories import TrackStore
+from kt3dmoseg.tracking.trajectories import RunTrajectories
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +41,9 @@ def test_ten_pairs(benchmark, pair, options):
 
 def test_layout_of_1000_frames(benchmark):
     """100,000 positions in a clip of 1,000 frames."""
-    store = TrackStore()
+    positions = []
     rng = np.random.default_rng(0)
     for frame in range(1000):
         ids = np.arange(4 * frame, 4 * frame + 100)
-        store.append(ids, rng.uniform(0, 300, (100, 2)))
-    benchmark.pedantic(store.finish, args=(4_096, 5, (1242, 375)), rounds=5)
+        positions.append((ids, rng.uniform(0, 300, (100, 2))))
+    benchmark.pedantic(RunTrajectories, args=(positions, 4_096, 5, (1242, 375)), rounds=5)

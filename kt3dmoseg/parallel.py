@@ -68,9 +68,9 @@ def run_tasks(
     Parameters
     ----------
     work : callable
-        A function of a module, called as ``work(task, progress)``.
+        Called as ``work(task, progress)``; pickled when it leaves this process, as the tasks are.
     tasks : sequence
-        What to do; pickled when it leaves this process.
+        What to do.
     lost : callable
         Called in this process as ``lost(task, reason)``, for the result of a task whose workers died three
         times.

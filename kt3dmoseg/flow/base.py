@@ -102,18 +102,8 @@ def smooth(image: Float32Array, sigma: float) -> Float32Array:
     A Gaussian is approximated: the kernel is (1 + a |x|) exp(-a |x|) with a = 2.5 / (sqrt(pi) sigma),
     normalised (Deriche, "Fast algorithms for low-level vision", PAMI 1990). Its tails are longer
     than a Gaussian's: its standard deviation is 2 / a = 1.42 sigma. It is usually run as a recursive filter;
-    at these widths a finite kernel cut where it has fallen to about 1e-4 is quicker.
-
-    Parameters
-    ----------
-    image : (H, W) float32
-        Image; beyond its border it is mirrored.
-    sigma : float
-        Width in pixels, as above.
-
-    Returns
-    -------
-    (H, W) float32
+    at these widths a finite kernel cut where it has fallen to about 1e-4 is quicker. Beyond its
+    border the image (H, W) is mirrored; `sigma` is in pixels.
     """
     if sigma <= 0:
         return image

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
@@ -41,7 +42,7 @@ class FlowFiles:
             When a folder or field is missing or cannot be read.
         """
         check_pair(a, b)
-        path = self._find(a, b)
+        path = self._find(sha256_arrays(a), sha256_arrays(b))
         field = read_flow(path)
         if field.shape[:2] != a.shape:
             height, width = a.shape
@@ -50,9 +51,8 @@ class FlowFiles:
             )
         return field
 
-    def _find(self, a: ByteArray, b: ByteArray) -> Path:
-        first, second = sha256_arrays(a), sha256_arrays(b)
-        for number, pair in enumerate(zip(self._digests[:-1], self._digests[1:], strict=True)):
+    def _find(self, first: str, second: str) -> Path:
+        for number, pair in enumerate(pairwise(self._checksums)):
             if pair == (first, second):
                 return self._forward[number]
             if pair == (second, first):
@@ -62,8 +62,8 @@ class FlowFiles:
         )
 
     @cached_property
-    def _digests(self) -> list[str]:
-        return [sha256_arrays(read_frame(path)) for path in frame_paths(Path(self._folder("frames")))]
+    def _checksums(self) -> list[str]:
+        return [sha256_arrays(read_frame(path)) for path in frame_paths(self._folder("frames"))]
 
     @cached_property
     def _forward(self) -> list[Path]:
@@ -74,26 +74,22 @@ class FlowFiles:
         return self._fields("backward")
 
     def _fields(self, which: str) -> list[Path]:
-        folder = Path(self._folder(which))
-        paths = (
-            sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOW_SUFFIXES)
-            if folder.is_dir()
-            else []
-        )
-        wanted = len(self._digests) - 1
+        folder = self._folder(which)
+        inside = sorted(folder.iterdir()) if folder.is_dir() else []
+        paths = [path for path in inside if path.suffix.lower() in FLOW_SUFFIXES]
+        wanted = len(self._checksums) - 1
         if len(paths) != wanted:
             raise InputFileError(
                 str(folder), expected=f"{wanted} flow files, one per pair of frames", found=str(len(paths))
             )
         return paths
 
-    def _folder(self, which: str) -> str:
-        value: str = getattr(self, which)
-        if not value:
-            raise InvalidValueError(
-                f"flow files: {which}",
-                expected="a folder",
-                found="none",
-                fix=f"give {which}=FOLDER, on the command line -p {which}=FOLDER",
-            )
-        return value
+    def _folder(self, which: str) -> Path:
+        if value := getattr(self, which):
+            return Path(value)
+        raise InvalidValueError(
+            f"flow files: {which}",
+            expected="a folder",
+            found="none",
+            fix=f"give {which}=FOLDER, on the command line -p {which}=FOLDER",
+        )

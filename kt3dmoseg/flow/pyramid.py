@@ -143,21 +143,9 @@ def sharpen(
     (Barnes, Shechtman, Finkelstein, Goldman, SIGGRAPH 2009); the cost with its cap is common in stereo
     (Hosni, Rhemann, Bleyer, Rother, Gelautz, PAMI 2013).
 
-    Parameters
-    ----------
-    a, b : (H, W) uint8
-        Frames.
-    field : (H, W, 2) float32
-        Motion from `a` to `b`.
-    reach : sequence of int
-        Distances in pixels of the neighbours: left, right, above and below at each.
-    share, floor : float
-        The first change must bring the mean difference under ``share * difference - floor``, so that
-        noise moves nothing; further ones need only be better.
-
-    Returns
-    -------
-    (H, W, 2) float32
+    `reach` lists distances in pixels of the neighbours: left, right, above and below at each. The first
+    change must bring the mean difference under ``share * difference - floor``, so that noise moves nothing;
+    further ones need only be better.
     """
     difference = _Difference(a, b)
     limit = np.asarray(difference(field) * np.float32(share) - np.float32(floor), np.float32)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ import numpy as np
 from kt3dmoseg.annotate import label_tracks, load_annotation
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_file, sha256_files
-from kt3dmoseg.flow import Flow, create
-from kt3dmoseg.frames import FrameInfo, FrameSource, find_sources
+from kt3dmoseg.flow import create
+from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.pipeline.masks import by_frame, label_by_masks, mask_paths
 from kt3dmoseg.pipeline.options import Settings
 from kt3dmoseg.pipeline.provenance import inputs_of
@@ -72,21 +72,13 @@ def build_clip(
             raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
         source = found[0]
     check_usage(settings, annotation, masks)
-    job = prepare(source, label_source(source.name, annotation, masks), settings)
-    return job.build(cache=cache, progress=progress)
+    return Job(source, label_files(source.name, annotation, masks), settings).build(cache, progress)
 
 
 def check_usage(
     settings: Settings, annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
 ) -> None:
     """Find what is wrong for every clip alike, before the first one is read.
-
-    Parameters
-    ----------
-    settings : Settings
-        Names the flow backend and its parameters.
-    annotation, masks : path or None
-        As in `label_source`.
 
     Raises
     ------
@@ -101,80 +93,59 @@ def check_usage(
             raise InputFileError(f"{given}", expected=what, found="no such file or folder")
 
 
-@dataclass(frozen=True)
-class LabelSource:
-    """Where a clip's labels come from: the file of an annotation, files of masks, or nothing."""
-
-    annotation: Path | None = None
-    masks: tuple[Path, ...] = ()
-
-    def checksums(self) -> dict[str, str]:
-        """Return the sha256 of the annotation or of the masks together."""
-        if self.annotation is not None:
-            return {"annotation": sha256_file(self.annotation)}
-        return {"masks": sha256_files(self.masks)} if self.masks else {}
-
-    def label(self, trajectories: Trajectories, numbers: IntArray, name: str) -> Labels | None:
-        """Label trajectories; None when there is nothing to label them by."""
-        if self.annotation is not None:
-            return label_tracks(trajectories, load_annotation(self.annotation))
-        if self.masks:
-            return label_by_masks(trajectories, by_frame(self.masks, numbers.tolist(), name))
-        return None
-
-
-def label_source(
+def label_files(
     name: str, annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
-) -> LabelSource:
-    """Find what a clip is labelled by: an annotation takes precedence over masks.
+) -> dict[str, list[Path]]:
+    """Find what a clip is labelled by: its file under "annotation", else its files under "masks", or nothing.
 
-    Parameters
-    ----------
-    name : str
-        Name of the clip.
-    annotation : path or None
-        A file, or a folder that may hold ``<name>.json``.
-    masks : path or None
-        A folder of masks, or of one such folder per clip.
+    An annotation is a file, or a folder that may hold ``<name>.json``; masks are a folder of them, or of one
+    such folder per clip.
     """
     if annotation is not None:
         file = Path(annotation) / f"{name}.json" if Path(annotation).is_dir() else Path(annotation)
         if file.is_file():
-            return LabelSource(annotation=file)
-    return LabelSource(masks=tuple(mask_paths(masks, name)) if masks is not None else ())
+            return {"annotation": [file]}
+    found = [] if masks is None else mask_paths(masks, name)
+    return {"masks": found} if found else {}
 
 
-@dataclass(frozen=True)
 class Job:
-    """One clip to build, checked but not computed; its inputs are known."""
+    """One clip to build, checked and described (`inputs`), without a frame decoded."""
 
-    source: FrameSource
-    info: FrameInfo
-    labels: LabelSource
-    settings: Settings
-    flow: Flow
-    inputs: Mapping[str, Any]
+    def __init__(self, source: FrameSource, labels: Mapping[str, Sequence[Path]], settings: Settings) -> None:
+        self.source, self.labels, self.settings = source, labels, settings
+        self.info = source.inspect()
+        self.flow = create(settings.build.flow, **settings.flow_parameters)
+        hashed = {
+            kind: sha256_file(paths[0]) if kind == "annotation" else sha256_files(paths)
+            for kind, paths in labels.items()
+        }
+        self.inputs = inputs_of(source.name, self.info.description, hashed, settings, self.flow)
 
-    def build(self, *, cache: str | os.PathLike[str] | None = None, progress: Progress | None = None) -> Clip:
+    def build(self, cache: str | os.PathLike[str] | None, progress: Progress | None) -> Clip:
         """Track, label, subsample."""
-        name, info = self.source.name, self.info
-        dense = self._track(cache, progress)
-        numbers = np.arange(dense.n_frames) if info.numbers is None else np.array(info.numbers)
-        evaluated, labels = self._choose(self.labels.label(dense, numbers, name), len(dense))
-        provenance = {"format": "kt3dmoseg-build", "inputs": dict(self.inputs)}
-        return Clip(name, dense, evaluated, labels, numbers, info.timestamps, info.camera, provenance)
-
-    def _track(self, cache: str | os.PathLike[str] | None, progress: Progress | None) -> Trajectories:
-        total = None if self.info.numbers is None else len(self.info.numbers)
-        frames = self.source.frames(self.settings.build.colour)
+        info, total = self.info, None if self.info.numbers is None else len(self.info.numbers)
         report = None if progress is None else lambda done, _: progress(done, total)
+        frames, options = self.source.frames(self.settings.build.colour), asdict(self.settings.tracks)
         try:
-            return track(frames, self.flow, cache=cache, progress=report, **asdict(self.settings.tracks))
+            dense = track(frames, self.flow, cache=cache, progress=report, **options)
         except InvalidValueError as error:  # of the frames' arrays: say whose they are
             raise InvalidValueError(f"{self.source.where}: {error}") from None
+        numbers = np.arange(dense.n_frames) if info.numbers is None else np.array(info.numbers)
+        evaluated, labels = self._evaluated(self._label(dense, numbers), len(dense))
+        provenance = {"format": "kt3dmoseg-build", "inputs": self.inputs}
+        return Clip(
+            self.source.name, dense, evaluated, labels, numbers, info.timestamps, info.camera, provenance
+        )
 
-    def _choose(self, labels: Labels | None, count: int) -> tuple[IntArray, Labels]:
-        """Return the evaluated rows and their labels."""
+    def _label(self, dense: Trajectories, numbers: IntArray) -> Labels | None:
+        if annotation := self.labels.get("annotation"):
+            return label_tracks(dense, load_annotation(annotation[0]))
+        if masks := self.labels.get("masks"):
+            return label_by_masks(dense, by_frame(masks, numbers.tolist(), self.source.name))
+        return None
+
+    def _evaluated(self, labels: Labels | None, count: int) -> tuple[IntArray, Labels]:
         if labels is None:
             return np.arange(count), Labels(np.zeros(count, dtype=np.int64))
         chosen = self.settings.build
@@ -182,11 +153,3 @@ class Job:
         rng = np.random.default_rng([chosen.seed, *self.source.name.encode()])
         rows = subsample_background(labels, rng, chosen.fraction, chosen.smallest)
         return rows, Labels(labels.label[rows], labels.background, labels.names)
-
-
-def prepare(source: FrameSource, labels: LabelSource, settings: Settings) -> Job:
-    """Check a clip's sources and describe them, without decoding a frame."""
-    info = source.inspect()
-    flow = create(settings.build.flow, **settings.flow_parameters)
-    inputs = inputs_of(source.name, info.description, labels.checksums(), settings, flow)
-    return Job(source, info, labels, settings, flow, inputs)

@@ -17,31 +17,13 @@ from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.parallel import Progress, run_tasks
-from kt3dmoseg.pipeline.clip import check_usage, label_source, prepare
+from kt3dmoseg.pipeline.clip import Job, check_usage, label_files
 from kt3dmoseg.pipeline.masks import has_masks
 from kt3dmoseg.pipeline.options import Settings
 from kt3dmoseg.pipeline.provenance import why_build
 
 FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
 """Called after each frame with the clip, frames done, frames in all or None."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """What a worker is sent: one clip of a build."""
-
-    source: FrameSource
-    output: Path
-    annotations: Path | None
-    masks: Path | None
-    settings: Settings
-    cache: Path | None
-    force: bool
-
-    @property
-    def target(self) -> Path:
-        """The clip's file."""
-        return self.output / f"{self.source.name}.h5"
 
 
 @dataclass(frozen=True)
@@ -130,43 +112,55 @@ def build_dataset(
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     _check_names(sources)
     check_usage(settings, annotations, masks)
-    _check_masks(sources, _path(masks))
-    count = _worker_count(workers, len(sources))
+    _check_masks(sources, masks)
+    if workers is not None and workers < 1:
+        raise InvalidValueError("workers", expected="at least 1", found=str(workers))
+    count = workers or len(os.sched_getaffinity(0))
     with _sole_writer(Path(output)) as folder:
-        shared = (folder, _path(annotations), _path(masks), settings, _path(cache), force)
-        tasks = [Task(source, *shared) for source in sources]
+        build = _Build(folder, annotations, masks, settings, cache, force)
         outcomes = []
-        for _, outcome in run_tasks(build_task, tasks, lost=_lost, workers=count, progress=progress):
+        for _, outcome in run_tasks(build, sources, lost=build.lost, workers=count, progress=progress):
             outcomes.append(outcome)
             if report is not None:
                 report(outcome)
     return sorted(outcomes, key=lambda outcome: outcome.name)
 
 
-def build_task(task: Task, progress: Progress) -> Outcome:
-    """Build one clip unless its file is up to date; an error becomes a failed outcome."""
-    cv2.setNumThreads(1)  # also with one worker, which is the calling process
-    name, target = task.source.name, task.target
-    try:
-        job = prepare(task.source, label_source(name, task.annotations, task.masks), task.settings)
-        reason = why_build(target, job.inputs, force=task.force)
-        if not reason:
-            return Outcome(name, "up to date", "", target, {})
-        clip = job.build(cache=task.cache, progress=lambda done, total: progress(name, done, total))
-        _remove_partial(target)
-        hdf5.write(clip, target)
-    except MissingDependencyError:  # the same for every clip
-        raise
-    except KT3DMoSegError as error:
-        return Outcome(name, "failed", str(error), target, {})
-    sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
-    counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
-    return Outcome(name, "built", reason, target, counts)
+@dataclass(frozen=True)
+class _Build:
+    """What workers do with each clip; one that is up to date is left alone, an error is a failed outcome."""
 
+    output: Path
+    annotations: str | os.PathLike[str] | None
+    masks: str | os.PathLike[str] | None
+    settings: Settings
+    cache: str | os.PathLike[str] | None
+    force: bool
 
-def _lost(task: Task, reason: str) -> Outcome:
-    advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
-    return Outcome(task.source.name, "failed", f"{reason}; {advice}", task.target, {})
+    def __call__(self, source: FrameSource, progress: Progress) -> Outcome:
+        cv2.setNumThreads(1)  # also with one worker, which is the calling process
+        name, target = source.name, self.output / f"{source.name}.h5"
+        try:
+            job = Job(source, label_files(name, self.annotations, self.masks), self.settings)
+            reason = why_build(target, job.inputs, force=self.force)
+            if not reason:
+                return Outcome(name, "up to date", "", target, {})
+            clip = job.build(self.cache, lambda done, total: progress(name, done, total))
+            for partial in self.output.glob(f".{target.name}.*.part"):  # of a build that was killed
+                partial.unlink(missing_ok=True)
+            hdf5.write(clip, target)
+        except MissingDependencyError:  # the same for every clip
+            raise
+        except KT3DMoSegError as error:
+            return Outcome(name, "failed", str(error), target, {})
+        sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
+        counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
+        return Outcome(name, "built", reason, target, counts)
+
+    def lost(self, source: FrameSource, reason: str) -> Outcome:
+        advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
+        target = self.output / f"{source.name}.h5"
+        return Outcome(source.name, "failed", f"{reason}; {advice}", target, {})
 
 
 @contextmanager
@@ -187,12 +181,6 @@ def _sole_writer(output: Path) -> Iterator[Path]:
                 folder.rmdir()  # succeeds only when it is empty
 
 
-def _remove_partial(target: Path) -> None:
-    """Remove what a killed process wrote of this very file; no other build is at work here."""
-    for partial in target.parent.glob(f".{target.name}.*.part"):
-        partial.unlink(missing_ok=True)
-
-
 def _check_names(sources: Sequence[FrameSource]) -> None:
     names = [source.name for source in sources]
     for name in names:
@@ -205,10 +193,11 @@ def _check_names(sources: Sequence[FrameSource]) -> None:
         )
 
 
-def _check_masks(sources: Sequence[FrameSource], masks: Path | None) -> None:
+def _check_masks(sources: Sequence[FrameSource], given: str | os.PathLike[str] | None) -> None:
     """Check that masks belong to clips by name: one clip's must not label all, nor a wrong folder none."""
-    if masks is None:
+    if given is None:
         return
+    masks = Path(given)
     if len(sources) > 1 and has_masks(masks):
         raise InvalidValueError(
             f"{masks}",
@@ -220,13 +209,3 @@ def _check_masks(sources: Sequence[FrameSource], masks: Path | None) -> None:
         raise InputFileError(
             f"{masks}", expected=f"masks (.png) there, or in {masks / sources[0].name}", found="none"
         )
-
-
-def _worker_count(workers: int | None, clips: int) -> int:
-    if workers is not None and workers < 1:
-        raise InvalidValueError("workers", expected="at least 1", found=str(workers))
-    return min(workers or len(os.sched_getaffinity(0)), max(1, clips))
-
-
-def _path(path: str | os.PathLike[str] | None) -> Path | None:
-    return None if path is None else Path(path)

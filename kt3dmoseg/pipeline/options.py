@@ -33,15 +33,7 @@ class Settings:
 
     @classmethod
     def of(cls, options: dict[str, Any], flow_parameters: dict[str, Any] | None = None) -> Settings:
-        """Sort keywords into the two groups of options.
-
-        Raises
-        ------
-        UnknownNameError
-            For a misspelt option, with the nearest name.
-        InvalidValueError
-            For a value of the wrong type or out of bounds.
-        """
+        """Sort keywords into the two groups of options; a misspelt one is an `UnknownNameError`."""
         own, tracker = option_names(BuildOptions), option_names(TrackOptions)
         for name in options:
             if name not in (*own, *tracker):

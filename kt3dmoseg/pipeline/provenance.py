@@ -25,18 +25,8 @@ def inputs_of(
 ) -> dict[str, Any]:
     """Everything that the bytes of a built clip depend on, as JSON values.
 
-    Parameters
-    ----------
-    name : str
-        Name of the clip.
-    source : mapping
-        Description of its frames, with their sha256.
-    labels : mapping of str to str
-        sha256 of the annotation or the masks, when there are any.
-    settings : Settings
-        All options.
-    flow : Flow
-        The backend; null stands for one that depends on more than its parameters.
+    `source` describes its frames, `labels` holds the sha256 of what labels it; a null flow stands for a
+    backend that depends on more than its parameters.
     """
     return {
         "name": name,
@@ -50,16 +40,7 @@ def inputs_of(
 
 
 def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -> str:
-    """Explain why a clip's file must be written; empty when it is up to date.
-
-    Parameters
-    ----------
-    target : Path
-        The file, whether it exists or not.
-    wanted : mapping
-        The inputs, as of `inputs_of`, that it should be built from.
-    force : bool
-        It is written in any case.
+    """Explain why a clip's file must be written, or why anyway by `force`; empty when it is up to date.
 
     Raises
     ------

@@ -43,20 +43,10 @@ def doubled(frame: ByteArray) -> Float32Array:
 
 
 class Window:
-    """A disc of pixels with weights that fall off with the distance from its centre.
+    """A disc of P pixels with weights that fall off with the distance from its centre.
 
-    Parameters
-    ----------
-    radius : int
-        R in pixels. The weights are a Gaussian of sigma R / 2: what lies beyond an outline at the rim
-        counts little.
-
-    Attributes
-    ----------
-    lattice : (3, P) float32
-        x and y of its pixels from its centre, and 1.
-    weight : (P,) float32
-        Their weights; the sum is 1.
+    The `weight`, (P,) float32 with sum 1, is a Gaussian of sigma R / 2: what lies beyond an outline at the
+    rim counts little. `lattice` (3, P) holds x and y of the pixels from the centre, and 1.
     """
 
     def __init__(self, radius: int) -> None:
@@ -71,18 +61,9 @@ class Window:
         self.weight = cast(Float32Array, weight / weight.sum())
 
     def look(self, image: Float32Array, place: FloatArray) -> Float32Array:
-        """Gray values at A d + x for all offsets d.
+        """Gray values (N, P) at A d + x for all offsets d in a `doubled` frame, whose edge is continued.
 
-        Parameters
-        ----------
-        image : (2H, 2W) float32
-            A frame, `doubled`; beyond its border its edge goes on.
-        place : (N, 2, 3) float64
-            A and x, in pixels, side by side.
-
-        Returns
-        -------
-        (N, P) float32
+        `place` (N, 2, 3) float64 holds A and x in pixels, side by side.
         """
         return _look(image, place, self._look_disc)
 
@@ -121,14 +102,9 @@ def _look(image: Float32Array, place: FloatArray, spread: Float32Array) -> Float
 class Starts(NamedTuple):
     """What is known of N patches from their start.
 
-    Attributes
-    ----------
-    patch : (N, 3, P) float32
-        T less its weighted mean, its x- and its y-derivative.
-    variance : (N,) float32
-        Weighted mean of T^2.
-    inverse : (N, 6, 6) float32
-        Takes the right side of the equations to the change of place; see `correction`.
+    `patch` (N, 3, P) holds T less its weighted mean and its x- and y-derivative, `variance` (N,) the weighted
+    mean of T^2, and `inverse` (N, 6, 6) takes the right side of the equations in `correction` to the change
+    of place.
     """
 
     patch: Float32Array
@@ -140,12 +116,12 @@ class Starts(NamedTuple):
         return Starts(*(field[rows] for field in self))
 
     def put(self, rows: npt.NDArray[np.intp], others: Starts) -> None:
-        """Put others in the place of some of them."""
+        """Overwrite some of them."""
         for field, values in zip(self, others, strict=True):
             field[rows] = values
 
     def and_more(self, count: int) -> Starts:
-        """Return these and place for so many others."""
+        """Return these and room for so many others."""
         return Starts(*(np.concatenate([f, np.zeros((count, *f.shape[1:]), f.dtype)]) for f in self))
 
 
@@ -163,7 +139,7 @@ def prepare(patch: Float32Array, window: Window, options: TrackOptions) -> Start
 
 
 def _normal(patch: Float32Array, window: Window) -> FloatArray:
-    """H, (N, 8, 8), from the moments over the window of T, Tx, Ty and of their products."""
+    """H (N, 8, 8) from the moments over the window of T, Tx, Ty and of their products."""
     count, pixels = len(patch), len(window.weight)
     weighted = window.lattice * window.weight
     second = (window.lattice[:, None] * weighted).reshape(9, pixels).T
@@ -197,24 +173,10 @@ def correction(rest: Float32Array, start: Starts, window: Window, options: Track
     taken out of it before, so the last two of the right side are 0. rho is the Lorentzian of scale
     `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2) with the r of g = 0, so
     what is hidden or belongs to another object counts less. That H is the one without rho, known from the
-    start, changes the length of the step, not where it ends. P holds A where the patch does not tell:
+    start, changes the length of the step, not where it ends. P holds A where the patch does not determine it:
     `anchor_stiffness` on the diagonal at B.
 
-    Parameters
-    ----------
-    rest : (N, P) float32
-        r for g = 0, less its weighted mean.
-    start : Starts
-        T, and the six rows and columns of (H + P)^-1 that belong to the place.
-    window : Window
-        Offsets d and their weights.
-    options : TrackOptions
-        `anchor_scale`.
-
-    Returns
-    -------
-    (N, 2, 3) float32
-        [B t], in pixels.
+    `rest` (N, P) is r for g = 0, less its weighted mean. Returns [B t], (N, 2, 3), in pixels.
     """
     weight = window.weight / (1 + (rest / options.anchor_scale) ** 2)
     total, texture, pull = weight.sum(axis=1), weight * start.patch[:, 0], weight * rest
@@ -236,11 +198,6 @@ class Appearance:
     The errors of single steps add up along a trajectory; the patch in which it started does not change
     (Shi and Tomasi, CVPR 1994, compare with the first frame for this reason). And where forward and
     backward flow agree on an error, as beyond the outline of an object, what the point shows changes.
-
-    Parameters
-    ----------
-    options : TrackOptions
-        `patch_radius`, `anchor` and the names that begin with it, `appearance` and `appearance_floor`.
     """
 
     def __init__(self, options: TrackOptions) -> None:
@@ -279,7 +236,7 @@ class Appearance:
     def follow(
         self, forward: Float32Array, xy: FloatArray, target: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Correct the step of the live trajectories into this frame, and say which look like their start.
+        """Correct the step of the live trajectories into this frame; find which look like their start.
 
         The affine map from the start's patch to the present one is carried along by the flow,
         A <- (1 + grad w) A: a camera that drives forward enlarges what it sees by some percent per frame.
@@ -290,19 +247,9 @@ class Appearance:
         `appearance` * variance + `appearance_floor`. The change is the weighted mean of (I - T)^2, the
         variance that of T^2, with the present patch I and the start's T, both less their means.
 
-        Parameters
-        ----------
-        forward : (H, W, 2) float32
-            Flow from the frame before to this one.
-        xy, target : (L, 2) float64
-            Positions in the frame before, and where the flow leads.
-
-        Returns
-        -------
-        xy : (L, 2) float64
-            Positions in this frame.
-        alike : (L,) bool
-            All True when `appearance` is 0.
+        `forward` (H, W, 2) is the flow from the frame before, `xy` (L, 2) are the positions there and
+        `target` (L, 2) where it leads. Returns the positions (L, 2) in this frame, and which (L,) are alike:
+        all when `appearance` is 0.
         """
         affine = (np.eye(2) + gradient(forward, xy, _REACH)) @ self._affine
         place, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)

@@ -14,24 +14,11 @@ from kt3dmoseg.types import BoolArray, Float32Array, FloatArray
 def step(
     xy: FloatArray, forward: Float32Array, backward: Float32Array, options: TrackOptions
 ) -> tuple[FloatArray, BoolArray]:
-    """Follow the flow from one frame to the next.
+    """Follow the forward flow from points (N, 2) of one frame to the next; the flows are (H, W, 2).
 
-    Parameters
-    ----------
-    xy : (N, 2) float64
-        Positions in the first frame.
-    forward, backward : (H, W, 2) float32
-        Flow from the first frame to the second, and back.
-    options : TrackOptions
-        Constants of the tests.
-
-    Returns
-    -------
-    target : (N, 2) float64
-        Positions in the second frame, x + w(x) with w interpolated bilinearly (Sundaram, Brox,
-        Keutzer 2010, eq. 2).
-    alive : (N,) bool
-        False where a trajectory stops: outside the frame, inconsistent or at a motion boundary.
+    Returns the targets (N, 2), x + w(x) with w interpolated bilinearly (Sundaram, Brox, Keutzer 2010, eq. 2),
+    and which are alive (N,): trajectories stop outside the frame, where the backward flow disagrees, and at
+    motion boundaries.
     """
     w = sample(forward, xy)
     target = xy + w

@@ -20,11 +20,20 @@ from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame, read_frames
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking.appearance import Appearance
-from kt3dmoseg.tracking.linking import step
+from kt3dmoseg.tracking.linking import inside, step
 from kt3dmoseg.tracking.options import TrackOptions
-from kt3dmoseg.tracking.starts import GivenStarts, GridStarts
-from kt3dmoseg.tracking.trajectories import TrackStore
-from kt3dmoseg.types import ByteArray, Clip, Float32Array, FloatArray, IntArray, Labels, Trajectories
+from kt3dmoseg.tracking.seeding import new_seeds
+from kt3dmoseg.tracking.trajectories import RunTrajectories
+from kt3dmoseg.types import (
+    BoolArray,
+    ByteArray,
+    Clip,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Labels,
+    Trajectories,
+)
 
 Progress: TypeAlias = Callable[[int, int | None], None]
 Frames: TypeAlias = "str | os.PathLike[str] | Iterable[ByteArray | str | os.PathLike[str]]"
@@ -79,25 +88,19 @@ def track(
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
     store = None if cache is None else FlowCache(Path(cache))
-    starts = GridStarts(settings) if seeds is None else GivenStarts(seeds)
     items = frame_paths(frames) if isinstance(frames, (str, os.PathLike)) else frames
     total = len(items) if isinstance(items, Sized) else None
-    run = _Run(starts, settings)
+    run = _Run(settings, None if seeds is None else _checked(seeds))
     before: ByteArray | None = None
-    done = 0
-    for frame in _gray_frames(items):
+    for number, frame in enumerate(_gray_frames(items)):
         run.look_at(frame)
         if before is not None:
             run.advance(*flow_pair(backend, before, frame, store))
-        run.start(frame)
-        before, done = frame, done + 1
+        run.start(number, frame)
+        before = frame
         if progress is not None:
-            progress(done, total)
-    if before is None or done < 2:
-        raise InvalidValueError("frames", expected="at least 2 frames", found=str(done))
-    starts.check_end(done)
-    height, width = before.shape
-    return run.positions.finish(starts.count, settings.min_length if seeds is None else 0, (width, height))
+            progress(number + 1, total)
+    return run.finish(before)
 
 
 def track_clip(
@@ -185,11 +188,13 @@ def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterato
 class _Run:
     """The live trajectories while frames go by."""
 
-    def __init__(self, starts: GridStarts | GivenStarts, options: TrackOptions) -> None:
-        self.starts, self.options, self.positions = starts, options, TrackStore()
+    def __init__(self, options: TrackOptions, seeds: FloatArray | None) -> None:
+        self.options, self.seeds = options, seeds
+        self.count = 0 if seeds is None else len(seeds)
         self.ids: IntArray = np.zeros(0, dtype=np.int64)
         self.xy: FloatArray = np.zeros((0, 2))
         self.looks = Appearance(options) if options.appearance or options.anchor else None
+        self.frames: list[tuple[IntArray, FloatArray]] = []
 
     def look_at(self, frame: ByteArray) -> None:
         if self.looks is not None:
@@ -204,9 +209,45 @@ class _Run:
             self.looks.keep(alike)
             self.ids, self.xy = self.ids[alike], self.xy[alike]
 
-    def start(self, frame: ByteArray) -> None:
-        ids, xy = self.starts.next(frame, self.xy)
+    def start(self, number: int, frame: ByteArray) -> None:
+        if self.seeds is None:
+            xy = new_seeds(frame, self.xy, self.options)
+            ids = np.arange(self.count, self.count + len(xy))
+            self.count += len(xy)
+        else:
+            now = self.seeds[:, 2] == number
+            height, width = frame.shape
+            outside = now & ~inside(self.seeds[:, :2], frame.shape)
+            _reject(self.seeds, outside, f"a point in the {width}x{height} frame")
+            ids = np.flatnonzero(now)
+            xy = self.seeds[ids, :2]
         if self.looks is not None:
             self.looks.add(xy)
         self.ids, self.xy = np.concatenate([self.ids, ids]), np.concatenate([self.xy, xy])
-        self.positions.append(self.ids, self.xy)
+        self.frames.append((self.ids, self.xy))
+
+    def finish(self, last: ByteArray | None) -> Trajectories:
+        done = len(self.frames)
+        if last is None or done < 2:
+            raise InvalidValueError("frames", expected="at least 2 frames", found=str(done))
+        if self.seeds is not None:
+            late = self.seeds[:, 2] >= done
+            _reject(self.seeds, late, f"a frame number below {done}, the number of frames")
+        least = self.options.min_length if self.seeds is None else 0
+        height, width = last.shape
+        return RunTrajectories(self.frames, self.count, least, (width, height))
+
+
+def _checked(seeds: npt.ArrayLike) -> FloatArray:
+    out = np.asarray(seeds, dtype=np.float64)
+    if out.ndim != 2 or out.shape[1] != 3:
+        raise InvalidValueError("seeds", expected="shape (S, 3): x, y, frame", found=f"{out.shape}")
+    whole = np.isfinite(out).all(axis=1) & (out[:, 2] == np.trunc(out[:, 2]))
+    _reject(out, ~whole | (out[:, 2] < 0), "finite x, y and a whole frame number >= 0")
+    return out
+
+
+def _reject(seeds: FloatArray, bad: BoolArray, expected: str) -> None:
+    if bad.any():
+        row = int(np.flatnonzero(bad)[0])
+        raise InvalidValueError(f"seed {row}", expected=expected, found=str(seeds[row].tolist()))

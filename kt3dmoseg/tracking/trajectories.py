@@ -20,27 +20,35 @@ class RunTrajectories(Trajectories):
 
     Parameters
     ----------
-    start, length : (N,) int64
-        First frame and number of frames of each.
-    points : (P, 2) float64
-        Positions, run after run; P is the sum of the lengths.
-    n_frames : int
-        F.
+    frames : list of (ids, xy)
+        Per frame the identities (L,) int64, below `count`, and positions (L, 2) float64 of what is visible.
+    count : int
+        Number of identities.
+    min_length : int
+        Trajectories that are visible in fewer frames are dropped.
     image_size : (W, H)
         Size of the frames in pixels.
     """
 
     def __init__(
         self,
-        start: IntArray,
-        length: IntArray,
-        points: FloatArray,
-        n_frames: int,
+        frames: list[tuple[IntArray, FloatArray]],
+        count: int,
+        min_length: int,
         image_size: tuple[int, int],
     ) -> None:
-        self._start, self._lengths, self._points, self._n_frames = start, length, points, n_frames
-        self._offset = np.cumsum(length) - length
-        object.__setattr__(self, "track_id", frozen(np.arange(len(start)), np.int64))
+        ids = np.concatenate([ids for ids, _ in frames])
+        length = np.bincount(ids, minlength=count)
+        kept = length >= min_length
+        start = np.zeros(count, dtype=np.int64)
+        for frame in reversed(range(len(frames))):
+            start[frames[frame][0]] = frame
+        order = np.argsort(ids, kind="stable")  # by trajectory, then by frame
+        order = order[kept[ids[order]]]
+        self._start, self._lengths, self._n_frames = start[kept], length[kept], len(frames)
+        self._points = np.concatenate([xy for _, xy in frames])[order]
+        self._offset = np.cumsum(self._lengths) - self._lengths
+        object.__setattr__(self, "track_id", frozen(np.arange(len(self._start)), np.int64))
         object.__setattr__(self, "image_size", image_size)
 
     def __len__(self) -> int:
@@ -96,36 +104,6 @@ class RunTrajectories(Trajectories):
         visible = np.zeros(xy.shape[:2], dtype=np.bool_)
         visible[row, self._start[rows][row] + step] = True
         return xy, visible
-
-
-class TrackStore:
-    """Collect live trajectories per frame; `finish` gives them as `Trajectories`."""
-
-    def __init__(self) -> None:
-        self._frames: list[tuple[IntArray, FloatArray]] = []
-
-    def append(self, ids: IntArray, xy: FloatArray) -> None:
-        """Add the next frame: identities (L,) and positions (L, 2) of the live trajectories."""
-        self._frames.append((ids, xy))
-
-    def finish(self, count: int, min_length: int, image_size: tuple[int, int]) -> Trajectories:
-        """Give `count` trajectories; those visible in fewer than `min_length` frames are dropped.
-
-        Returns
-        -------
-        Trajectories
-            In the order of their identities, numbered from 0.
-        """
-        ids = np.concatenate([ids for ids, _ in self._frames])
-        length = np.bincount(ids, minlength=count)
-        kept = length >= min_length
-        start = np.zeros(count, dtype=np.int64)
-        for frame in reversed(range(len(self._frames))):
-            start[self._frames[frame][0]] = frame
-        order = np.argsort(ids, kind="stable")  # by trajectory, then by frame
-        order = order[kept[ids[order]]]
-        points = np.concatenate([xy for _, xy in self._frames])[order]
-        return RunTrajectories(start[kept], length[kept], points, len(self._frames), image_size)
 
 
 def subsample_background(

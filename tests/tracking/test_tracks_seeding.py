@@ -8,7 +8,7 @@ import pytest
 
 from kt3dmoseg.flow.base import smooth
 from kt3dmoseg.tracking import TrackOptions
-from kt3dmoseg.tracking.starts import GridStarts, grid, smaller_eigenvalue, structured, uncovered
+from kt3dmoseg.tracking.seeding import grid, new_seeds, smaller_eigenvalue, structured, uncovered
 
 DEFAULT = TrackOptions()
 
@@ -68,7 +68,7 @@ def test_smoothing_keeps_constants_and_has_its_width():
 def test_flat_frames_have_nothing_to_start_on(rng):
     half = np.full((96, 128), 100, np.uint8)
     half[:, 64:] = cv2.GaussianBlur(rng.integers(0, 255, (96, 64), dtype=np.uint8), (0, 0), 1.5)
-    _, seeds = GridStarts(DEFAULT).next(half, np.zeros((0, 2)))
+    seeds = new_seeds(half, np.zeros((0, 2)), DEFAULT)
     assert len(seeds) > 20
     assert (seeds[:, 0] > 56).all()
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kt3dmoseg.io import hdf5
-from kt3dmoseg.tracking.trajectories import TrackStore
+from kt3dmoseg.tracking.trajectories import RunTrajectories
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
 
@@ -22,23 +22,23 @@ def _lives(draw):
 
 @st.composite
 def stores(draw):
-    """A store, its number of trajectories, and the dense arrays it stands for."""
+    """Positions frame by frame, the number of trajectories, and the same as dense arrays."""
     frames, lives = _lives(draw)
     rng = np.random.default_rng(0)
     xy = np.full((len(lives), frames, 2), np.nan)
-    store = TrackStore()
+    store = []
     for frame in range(frames):
         ids = rng.permutation([k for k, (start, end) in enumerate(lives) if start <= frame < end])
         ids = ids.astype(np.int64)
         xy[ids, frame] = rng.random((len(ids), 2))
-        store.append(ids, xy[ids, frame])
+        store.append((ids, xy[ids, frame]))
     return store, len(lives), xy
 
 
 @given(stores(), st.integers(0, 4))
 def test_runs_are_the_dense_arrays(made, min_length):
     store, count, xy = made
-    tracks = store.finish(count, min_length, (64, 48))
+    tracks = RunTrajectories(store, count, min_length, (64, 48))
     kept = np.isfinite(xy[..., 0]).sum(axis=1) >= min_length
     dense = Trajectories(xy[kept], np.isfinite(xy[kept, :, 0]), image_size=(64, 48))
     assert isinstance(tracks, Trajectories)
@@ -65,13 +65,13 @@ def test_runs_are_the_dense_arrays(made, min_length):
 
 def test_a_long_clip_is_written_in_the_memory_of_its_points(tmp_path):
     frames, alive, life = 1000, 60, 12
-    store, count = TrackStore(), frames * alive // life
+    store, count = [], frames * alive // life
     for frame in range(frames):
         ids = np.arange(count)[(np.arange(count) * life // alive <= frame)]
         ids = ids[frame < ids * life // alive + life]
-        store.append(ids, np.full((len(ids), 2), float(frame)))
+        store.append((ids, np.full((len(ids), 2), float(frame))))
     tracemalloc.start()
-    dense = store.finish(count, 5, (640, 480))
+    dense = RunTrajectories(store, count, 5, (640, 480))
     clip = Clip("long", dense, np.arange(len(dense)), Labels(np.zeros(len(dense), dtype=np.int64)))
     hdf5.write(clip, tmp_path / "long.h5")
     peak = tracemalloc.get_traced_memory()[1]
