@@ -21,9 +21,9 @@ from threadpoolctl import threadpool_limits
 
 from kt3dmoseg.io import load
 from kt3dmoseg.types import Clip
-from mseg.benchmark.data import find_clips
+from mseg.benchmark import find_clips
 from mseg.evaluation import load_protocol
-from mseg.evaluation.layout import TextTable
+from mseg.evaluation.results import ResultsTable
 from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 from mseg.methods.paper import Subset
 from mseg.types import ModelKind
@@ -66,7 +66,7 @@ def main(arguments: list[str]) -> None:
         f"Single-precision matrix product on this core: {rate:.0f} GFLOP/s.",
         f"Of the kernels, the products of marks over visible points alone: {products:.3f} s per view.",
     ]
-    print(TextTable(f"{clip.name}, {shape}: CPU seconds", columns, rows, notes).text())
+    print(ResultsTable(f"{clip.name}, {shape}: CPU seconds", columns, rows, notes).text())
 
 
 def times(clip: Clip) -> dict[str, float]:

@@ -3,7 +3,8 @@
 Usage: python tools/make_codabench_bundle.py DATA -o bundle.zip [--benchmark kt3dmoseg] [--image IMAGE]
 
 DATA is the folder of clips with their labels; it becomes the reference data, which participants do
-not see. The image must have Python 3.11 or newer; numpy, scipy and h5py are installed where missing.
+not see. The image must have Python 3.11 or newer; numpy, scipy, h5py, pandas, pydantic and jinja2
+are installed where missing.
 """
 
 from __future__ import annotations
@@ -23,12 +24,20 @@ from kt3dmoseg.io import dataset_paths
 from kt3dmoseg.io.images import encode_indices
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import load_protocol
-from mseg.evaluation.validate import choose_protocol
+from mseg.evaluation.validation import choose_protocol
 
 # What the scoring program imports; the other sub-packages (methods, trackers, servers) stay out.
 _PARTS = {
     kt3dmoseg: ("*.py", "io/**/*"),
     mseg: ("*.py", "evaluation/**/*", "protocols/*.toml"),
+}
+_PACKAGES = {
+    "numpy": ">=1.26",
+    "scipy": ">=1.12",
+    "h5py": ">=3.10",
+    "pandas": ">=2.1",
+    "pydantic": ">=2.7",
+    "jinja2": ">=3.1",
 }
 _COLUMNS = ("error", "error_median", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f", "failed")
 
@@ -41,7 +50,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 
 if __name__ == "__main__":
-    if not all(map(find_spec, ("numpy", "scipy", "h5py"))):  # a plain Python image
+    if not all(map(find_spec, {packages!r})):  # a plain Python image
         subprocess.check_call([sys.executable, "-m", "pip", "install", "-q", "-r", HERE / "requirements.txt"])
     sys.path.insert(0, str(HERE))
     from mseg.evaluation.codabench import main
@@ -104,8 +113,8 @@ def scoring_program(benchmark: str) -> dict[str, bytes]:
     """Files of the scoring program: a start script and the part of the packages that scores."""
     out = {
         "metadata.yaml": b"command: python /app/program/score.py /app/input /app/output\n",
-        "score.py": SCORE_PY.format(benchmark=benchmark).encode(),
-        "requirements.txt": b"numpy>=1.26\nscipy>=1.12\nh5py>=3.10\n",
+        "score.py": SCORE_PY.format(benchmark=benchmark, packages=tuple(_PACKAGES)).encode(),
+        "requirements.txt": "".join(f"{name}{version}\n" for name, version in _PACKAGES.items()).encode(),
     }
     for package, patterns in _PARTS.items():
         root = Path(package.__file__ or "").parent

@@ -25,7 +25,8 @@ from kt3dmoseg.options import parse_assignments
 from mseg import methods
 from mseg.benchmark import BenchmarkResult, Configuration, run
 from mseg.benchmark.results import published_name
-from mseg.evaluation.layout import TextTable, count
+from mseg.evaluation.protocol import count
+from mseg.evaluation.results import ResultsTable
 
 BENCHMARKS = ("hopkins155", "hopkins12", "mtpv62", "kt3dmoseg")
 _COMMAND = "python tools/reproduce_table1.py"
@@ -48,10 +49,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def comparison(result: BenchmarkResult) -> TextTable:
+def comparison(result: BenchmarkResult) -> ResultsTable:
     """Lay out our figures beside the published ones, one row per configuration."""
     protocol = result.protocol
-    groups = [(g, result.protocol.members(g, result.motions)) for g in protocol.groups]
+    groups = [(g, result.protocol.clips_of(g, result.motions)) for g in protocol.groups]
     present = [(g, [result.clips.index(name) for name in names]) for g, names in groups if names]
     columns = ["method"]
     for group, rows in present:
@@ -69,12 +70,12 @@ def comparison(result: BenchmarkResult) -> TextTable:
         lines.append([configuration.title, *cells, str(len(failed))])
     seeds = count(len(result.seeds), "seed")
     title = f"{protocol.title}: {protocol.coverage(result.clips)}, {seeds}; error in %"
-    return TextTable(title, columns, lines, _notes(result))
+    return ResultsTable(title, columns, lines, _notes(result))
 
 
 def _reproduce(
     name: str, configurations: list[Configuration], arguments: argparse.Namespace
-) -> TextTable | None:
+) -> ResultsTable | None:
     try:
         result = run(
             name,

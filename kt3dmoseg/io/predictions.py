@@ -1,27 +1,99 @@
-"""Predicted labels of one clip, to be looked at: `track` and `label`, joined by id.
+"""Predicted labels of one clip: the vectors `track` and `label`, from CSV, npz or HDF5, joined by id.
 
-Scoring reads them in mseg, which reports every fault; here the first one stops.
+Everything that is wrong with a file is listed at once, as `Problem`; nothing is unpickled, and sizes
+are checked before anything is read.
 """
 
 from __future__ import annotations
 
+import io
+import math
 import os
-import re
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.npz import read_npz
 from kt3dmoseg.types import Clip, IntArray
 
-_MAX_FILE = 1 << 27
-_HEADER = "track,label"
-_ROW = re.compile(r"\s*(-?[0-9]{1,18})\s*,\s*(-?[0-9]{1,18})\s*")  # 18 digits fit into 64 bits
+MAX_FILE_BYTES = 32 << 20
+MAX_ROWS = 1_000_000
+_NAMES = ("track", "label")
+_MAX_CELL = 64
+_MAX_NPY_HEADER = 4096
+_SAME = 0.5
+_FIX_ARRAYS = "save two integer vectors: np.savez(file, track=ids, label=labels)"
+_FIX_HEADER = "make the first line 'track,label' and write one 'id,label' line per evaluated trajectory"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong with predictions, and what to do about it.
+
+    Parameters
+    ----------
+    code : str
+        Stable short name, for scripts.
+    file : str
+        File concerned; empty when it is about all of them.
+    clip : str
+        Clip concerned; empty when it is about all of them.
+    expected, found, fix : str
+        What was expected, what is there, how to repair it.
+    """
+
+    code: str
+    file: str = ""
+    clip: str = ""
+    expected: str = ""
+    found: str = ""
+    fix: str = ""
+
+    def __str__(self) -> str:
+        """Give the problem in one line."""
+        where = ", ".join(part for part in (self.file, self.clip and f"clip {self.clip}") if part)
+        facts = (self.expected and f"expected {self.expected}", self.found and f"found {self.found}")
+        line = f"[{self.code}] {where or 'submission'}: {', '.join(fact for fact in facts if fact)}"
+        return " ".join((f"{line}; {self.fix}" if self.fix else line).split())
+
+    def as_dict(self) -> dict[str, str]:
+        """Give the fields as a plain mapping."""
+        return asdict(self)
+
+
+def numbered(problems: Sequence[Problem]) -> str:
+    """Lay problems out as a numbered list, one line each."""
+    width = len(str(len(problems)))
+    return "\n".join(f"{i:>{width}}. {problem}" for i, problem in enumerate(problems, start=1))
+
+
+def first_few(items: Sequence[object], limit: int = 5) -> str:
+    """Name the first few items and the number of the others."""
+    shown = ", ".join(str(item) for item in items[:limit])
+    return shown if len(items) <= limit else f"{shown} and {len(items) - limit} more"
+
+
+@dataclass(eq=False)
+class Prediction:
+    """What a prediction file holds.
+
+    Parameters
+    ----------
+    track, label : (n,) int64
+        Ids of trajectories and their labels, in the order of the file; empty when unreadable.
+    problems : list of Problem
+        Everything that is wrong with the file by itself.
+    """
+
+    track: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    label: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    problems: list[Problem] = field(default_factory=list)
 
 
 def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
@@ -45,67 +117,324 @@ def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
     InputFileError
         When the file cannot be read.
     FileFormatError
-        When it is of another form, or not of this clip.
+        When it is of another form, or not of this clip; with everything that is wrong.
     """
-    where = os.fspath(path)
-    reader = _READERS.get(Path(path).suffix.lower())
-    if reader is None:
-        raise InvalidValueError(where, expected=f"a suffix of {', '.join(_READERS)}", found=Path(path).suffix)
-    track, label = (_vector(values, where) for values in reader(where))
-    if len(track) != len(label) or len(np.unique(track)) != len(track):
-        raise FileFormatError(where, expected="one label for each track", found=f"{len(track)}, {len(label)}")
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InvalidValueError(f"{file}", expected=f"a suffix of {', '.join(SUFFIXES)}", found=file.suffix)
+    found = parse_prediction(read_bytes(file, MAX_FILE_BYTES), file.name.lower(), clip.name)
+    labels, problems = join_labels(found, clip, file.name)
+    if labels is None:
+        raise FileFormatError(f"{file}: {numbered(problems)}")
+    return labels
+
+
+def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
+    """Read a prediction file, listing everything that is wrong with it.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+    file : str
+        Its name; the ending, in lower case, chooses the format.
+    clip : str
+        The name of the clip it is for.
+    """
+    columns = _Columns(file, clip)
+    _PARSERS[Path(file).suffix](content, columns)
+    track, label = columns.arrays.get("track"), columns.arrays.get("label")
+    if track is not None and label is not None:
+        if not len(track):
+            columns.bad("empty-file", "one label per trajectory", "empty vectors", "write them")
+        columns.check_values()
+        if not columns.problems:
+            return Prediction(track.astype(np.int64), label.astype(np.int64))
+    return Prediction(problems=columns.problems)
+
+
+def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | None, list[Problem]]:
+    """Bring predicted labels into the order of ``clip.evaluated``.
+
+    Parameters
+    ----------
+    found : Prediction
+        Ids and labels as predicted.
+    clip : Clip
+        The clip that they are for.
+    file : str
+        Where they come from, for messages.
+
+    Returns
+    -------
+    labels : (n,) int64 or None
+        None when the file has problems or the ids do not match.
+    problems : list of Problem
+    """
+    if found.problems:
+        return None, found.problems
     wanted = clip.dense.track_id[clip.evaluated]
-    if len(other := np.setxor1d(wanted, track)):
-        raise FileFormatError(
-            where,
-            expected=f"labels of the {len(wanted)} evaluated tracks of {clip.name}",
-            found=f"{'none' if other[0] in wanted else 'one'} of track {other[0]}",
-            fix="give the prediction of this very clip",
+    problems = []
+    ids, first, counts = np.unique(found.track, return_index=True, return_counts=True)
+    label = found.label[first]
+    if (counts > 1).any():
+        twice = ids[counts > 1].tolist()
+        text = f"{len(twice)} given more than once (track {first_few(twice)})"
+        fix = "keep one row per trajectory"
+        problems.append(Problem("duplicate-rows", file, clip.name, "each trajectory once", text, fix))
+    if not np.array_equal(ids, np.sort(wanted)):
+        code, text, fix = _usual_mistake(ids, label, wanted, clip) or _difference(ids, wanted)
+        expected = f"the {len(wanted)} evaluated trajectories"
+        problems.append(Problem(code, file, clip.name, expected, text, fix))
+    return (None, problems) if problems else (label[np.searchsorted(ids, wanted)], [])
+
+
+def _usual_mistake(
+    ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip
+) -> tuple[str, str, str] | None:
+    """Recognise what is often written instead of the ids: code, what was found, repair."""
+    n, found = len(wanted), len(ids)
+    if found > n and np.array_equal(ids, np.sort(clip.dense.track_id)):
+        text = f"{found} labels: those are all trajectories of the clip"
+        return "all-trajectories", text, "keep the evaluated ones (clip.dense.track_id[clip.evaluated])"
+    if 2 * found < n and np.isin(label, wanted).mean() > _SAME:
+        fix = "swap the columns: track first, then label"
+        return "swapped-columns", "the ids in the column label", fix
+    if found == n and np.array_equal(ids - 1, np.sort(wanted)):
+        text = "ids that are each one larger, counted from 1 as in MATLAB"
+        return "one-based-ids", text, "subtract 1 from every track"
+    if found == n and ids[0] in (0, 1) and np.array_equal(ids - ids[0], np.arange(n)):
+        text = f"row numbers {ids[0]}..{ids[-1]} instead of track ids"
+        return "row-numbers", text, "write clip.dense.track_id[clip.evaluated] as track"
+    return None
+
+
+def _difference(ids: IntArray, wanted: IntArray) -> tuple[str, str, str]:
+    """Say which ids are missing and which do not belong: code, what was found, repair."""
+    missing, extra = np.setdiff1d(wanted, ids), np.setdiff1d(ids, wanted)
+    parts = [
+        f"{len(missing)} missing (track {first_few(missing.tolist())})" if len(missing) else "",
+        f"{len(extra)} that are not evaluated (track {first_few(extra.tolist())})" if len(extra) else "",
+    ]
+    found = " and ".join(part for part in parts if part)
+    if len(missing) > _SAME * len(wanted):
+        fix = "most ids do not fit: these look like labels for another clip or another version of the data"
+        return "other-trajectories", found, fix
+    return "trajectories", found, "write one row per evaluated trajectory, by its track id"
+
+
+class _Columns:
+    """The two columns of a file as far as they could be read, and what is wrong with them."""
+
+    def __init__(self, file: str, clip: str) -> None:
+        self.file, self.clip = file, clip
+        self.arrays: dict[str, npt.NDArray[Any]] = {}
+        self.problems: list[Problem] = []
+
+    def bad(self, code: str, expected: str, found: str, fix: str) -> None:
+        self.problems.append(Problem(code, self.file, self.clip, expected, found, fix))
+
+    def check_names(self, present: Sequence[str]) -> None:
+        missing = " and ".join(f"'{name}'" for name in _NAMES if name not in present)
+        if missing:
+            found = first_few(present) or "no array"
+            self.bad("missing-array", f"arrays named {missing}", found, _FIX_ARRAYS)
+
+    def accepts_shape(self, shape: tuple[int, ...], name: str) -> bool:
+        rows = len(self.arrays["track"]) if name == "label" and "track" in self.arrays else None
+        if len(shape) != 1:
+            fix = "transpose or flatten it: labels.ravel()" if len(shape) == 2 else _FIX_ARRAYS
+            self.bad("transposed", f"'{name}' of shape (n,)", f"shape {shape}", fix)
+        elif shape[0] > MAX_ROWS:
+            self.bad("too-large", f"at most {MAX_ROWS} values in '{name}'", f"{shape[0]}", _FIX_ARRAYS)
+        elif rows not in (None, shape[0]):
+            self.bad("ragged", f"as many labels as tracks ({rows})", f"{shape[0]}", _FIX_ARRAYS)
+        else:
+            return True
+        return False
+
+    def check_values(self) -> None:
+        """Name every kind of value that is no whole number >= 0."""
+        for name, values in self.arrays.items():
+            wanted = f"whole numbers >= 0 as {name}"
+            if values.dtype.kind not in "iuf":
+                self.bad("not-a-number", wanted, f"values of type {values.dtype}", "write integers")
+                continue
+            before = len(self.problems)
+            numbers = values.astype(np.float64)
+            finite = np.isfinite(numbers)
+            huge = np.abs(np.where(finite, numbers, 0)) >= 2**53
+            outlier = "give every trajectory a label; if 0 is meant as outlier, say outliers = true"
+            for code, wrong, what, fix in (
+                ("nan", np.isnan(numbers), "NaN", outlier),
+                ("infinite", np.isinf(numbers), "infinite values", "write whole numbers"),
+                ("too-big", huge, "huge numbers", "keep below 2^53"),
+                ("negative", numbers < 0, "negative numbers", "motions are 1, 2, ...; 0 is an outlier"),
+            ):
+                if wrong.any():
+                    self.bad(code, wanted, f"{what} in {int(wrong.sum())} of {len(wrong)} rows", fix)
+            if values.dtype.kind == "f" and len(self.problems) == before:
+                fractions = numbers[numbers != np.round(numbers)]
+                example = float((fractions if len(fractions) else numbers)[0])
+                found = f"floating-point numbers such as {example!r}"
+                self.bad("float", wanted, found, "write integers, 2 and not 2.0")
+
+
+def _guarded(kind: str, parse: Callable[[bytes, _Columns], None]) -> Callable[[bytes, _Columns], None]:
+    """Turn whatever a library raises on hostile bytes into a problem."""
+
+    def guarded(content: bytes, out: _Columns) -> None:
+        try:
+            parse(content, out)
+        except Exception as error:  # zipfile, numpy and libhdf5 raise anything
+            reason = str(error) if isinstance(error, KT3DMoSegError) else type(error).__name__
+            found = f"a file that starts with {content[:8]!r} and cannot be read ({reason[:200]})"
+            out.problems.clear()
+            out.arrays.clear()
+            out.bad("unreadable", kind, found, _FIX_ARRAYS)
+
+    return guarded
+
+
+def _npz(content: bytes, out: _Columns) -> None:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        files = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        out.check_names(list(files))
+        for name in _NAMES:
+            if name in files:
+                with archive.open(files[name]) as stream:
+                    _npy(stream, files[name].file_size, name, out)
+
+
+def _npy(stream: Any, size: int, name: str, out: _Columns) -> None:  # noqa: ANN401  # a binary stream
+    version = np.lib.format.read_magic(stream)
+    read_header = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }[version]
+    shape, _, dtype = read_header(stream, max_header_size=_MAX_NPY_HEADER)
+    if dtype.hasobject:
+        found = "an array of Python objects (a pickle), which is never opened"
+        out.bad("object-array", f"integers in '{name}'", found, "save labels.astype(np.int64)")
+    elif out.accepts_shape(shape, name):
+        count = math.prod(shape)
+        if dtype.itemsize * count > size:
+            out.bad("truncated", f"{count} values in '{name}'", "fewer bytes", _FIX_ARRAYS)
+        else:
+            out.arrays[name] = np.frombuffer(stream.read(dtype.itemsize * count), dtype=dtype, count=count)
+
+
+def _h5(content: bytes, out: _Columns) -> None:
+    """Read plain datasets of this very file."""
+    import h5py
+
+    from kt3dmoseg.io.hdf5 import read_array
+
+    with h5py.File(io.BytesIO(content), "r") as file:
+        present = [name for name in file if name in _NAMES] or list(file)[:10]
+        out.check_names(present)
+        for name in _NAMES:
+            if name not in present:
+                continue
+            dataset = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+            if not isinstance(dataset, h5py.Dataset):
+                expected = f"a dataset '{name}' in this file"
+                out.bad("not-a-dataset", expected, "a link or group", _FIX_ARRAYS)
+            elif dataset.dtype.kind not in "iuf":
+                out.bad("not-a-number", f"integers in '{name}'", f"type {dataset.dtype}", _FIX_ARRAYS)
+            elif out.accepts_shape(dataset.shape, name):
+                out.arrays[name] = read_array(file, name, "file", dataset.dtype.str, 1)
+
+
+def _csv(content: bytes, out: _Columns) -> None:
+    """Read ``track,label`` rows.
+
+    A byte order mark, Windows line ends, blanks around values, empty lines and the columns in the
+    order ``label,track`` are accepted.
+    """
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return out.bad("encoding", "UTF-8 text", "other bytes", "save the file as plain UTF-8 CSV")
+    rows = {i: line.split(",") for i, line in enumerate(text.splitlines(), start=1) if line.strip()}
+    if not rows:
+        return out.bad("empty-file", "'track,label' and rows", "an empty file", _FIX_HEADER)
+    first = next(iter(rows))
+    head = [cell.strip().strip('"').lower() for cell in rows[first]]
+    if sorted(head) == sorted(_NAMES):
+        del rows[first]
+        return _csv_columns(out, rows, head)
+    if head[0] in _NAMES and len(head) > 2:
+        found = f"{len(rows)} lines of up to {len(head)} values"
+        fix = "transpose the table: two columns, track and label"
+        return out.bad("transposed", "one row per trajectory", found, fix)
+    return _csv_without_header(out, rows, head, ",".join(rows[first]))
+
+
+def _csv_without_header(out: _Columns, rows: dict[int, list[str]], head: list[str], line: str) -> None:
+    """Say why the first line is not the header, then read on as far as it makes sense."""
+    separator = next((s for s in ";\t |" if s in line.strip()), "")
+    if len(head) == 1 and separator:
+        name = {" ": "blanks", "\t": "tabs"}.get(separator, f"'{separator}'")
+        out.bad("separator", "values separated by commas", name, "separate the values by commas")
+    elif len(head) == 1 and _is_number(head[0]):
+        fix = (
+            f"{_FIX_HEADER}; or turn label files into a submission with "
+            "'mseg example-submission DATA --from FOLDER -o OUT'"
         )
-    order = np.argsort(track)
-    return label[order][np.searchsorted(track[order], wanted)]
+        out.bad("label-only", "two columns, track and label", f"{len(rows)} lines of one value", fix)
+    elif len(head) > 2 and len(rows) <= 2:
+        out.bad("transposed", "one row per trajectory", f"{len(rows)} long lines", "transpose the table")
+    elif len(head) == 2 and all(map(_is_number, head)):
+        out.bad("no-header", "the first line 'track,label'", f"'{','.join(head)}'", _FIX_HEADER)
+        _csv_columns(out, rows, list(_NAMES))
+    else:
+        out.bad("header", "the first line 'track,label'", f"'{line[:60]}'", _FIX_HEADER)
 
 
-def _csv(where: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    lines = read_bytes(where, _MAX_FILE).decode("utf-8-sig", errors="replace").splitlines()
-    if not lines or lines[0].strip() != _HEADER:
-        raise FileFormatError(where, expected=f"the header {_HEADER}", found=repr("".join(lines[:1])[:40]))
-    numbered = ((number, line) for number, line in enumerate(lines[1:], start=2) if line.strip())
-    rows = np.array([_row(line, f"{where}: line {number}") for number, line in numbered], dtype=np.int64)
-    return rows.reshape(-1, 2)[:, 0], rows.reshape(-1, 2)[:, 1]
+def _csv_columns(out: _Columns, rows: dict[int, list[str]], names: list[str]) -> None:
+    ragged = [number for number, row in rows.items() if len(row) != 2]
+    if ragged:
+        found = f"another number in line {first_few(ragged)}"
+        return out.bad("ragged", "two values in every line", found, _FIX_HEADER)
+    if not rows:
+        return out.bad("empty-file", "one row per trajectory", "only a header", _FIX_HEADER)
+    columns = dict(zip(names, zip(*rows.values(), strict=True), strict=True))
+    for name in _NAMES:
+        values = _numbers(columns[name])
+        if values is not None:
+            out.arrays[name] = values
+    if len(out.arrays) < 2:
+        lines = [number for number, row in rows.items() if not all(map(_is_number, row))]
+        cell = next(cell for row in rows.values() for cell in row if not _is_number(cell))
+        found = f"{cell.strip()[:40]!r} (line {first_few(lines)})"
+        out.bad("not-a-number", "whole numbers", found, "write the motion's number, not its name")
+    return None
 
 
-def _row(line: str, where: str) -> tuple[int, int]:
-    found = _ROW.fullmatch(line)
-    if found is None:
-        raise FileFormatError(where, expected="two whole numbers", found=repr(line[:40]))
-    return int(found[1]), int(found[2])
+def _numbers(cells: Sequence[str]) -> npt.NDArray[Any] | None:
+    """Convert text to int64 where possible, else to float64; None when some are no numbers."""
+    # Python would take 1_0 for 10; numpy would make every cell as wide as the widest.
+    if max(map(len, cells)) > _MAX_CELL or "_" in "".join(cells):
+        return None
+    try:
+        return np.array(cells, dtype=np.str_).astype(np.int64)
+    except (ValueError, OverflowError):
+        pass
+    try:
+        return np.array([float(cell) for cell in cells], dtype=np.float64)
+    except ValueError:
+        return None
 
 
-def _npz(where: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    arrays = read_npz(where, {"track", "label"})
-    if len(arrays) != 2:
-        raise FileFormatError(where, expected="the arrays track and label", found=", ".join(arrays) or "none")
-    return arrays["track"], arrays["label"]
+def _is_number(cell: str) -> bool:
+    return _numbers([cell]) is not None
 
 
-def _hdf5(where: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    from kt3dmoseg.io.hdf5 import open_hdf5, read_array
-
-    with open_hdf5(where) as file:
-        return read_array(file, "track", where, "i8", 1), read_array(file, "label", where, "i8", 1)
-
-
-def _vector(values: npt.NDArray[Any], where: str) -> IntArray:
-    if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise FileFormatError(
-            where, expected="vectors of whole numbers", found=f"{values.dtype} {values.shape}"
-        )
-    return values.astype(np.int64)
-
-
-_READERS: dict[str, Callable[[str], tuple[npt.NDArray[Any], npt.NDArray[Any]]]] = {
+_PARSERS: dict[str, Callable[[bytes, _Columns], None]] = {
     ".csv": _csv,
-    ".npz": _npz,
-    ".h5": _hdf5,
+    ".npz": _guarded("an npz archive of numpy", _npz),
+    ".h5": _guarded("an HDF5 file", _h5),
 }
+SUFFIXES = tuple(_PARSERS)

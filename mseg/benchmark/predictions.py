@@ -12,15 +12,12 @@ from typing import Any
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import check_writable, write_text
-from kt3dmoseg.parallel import algorithm_version
-from kt3dmoseg.types import Clip
-from mseg.benchmark.execution import execute
+from kt3dmoseg.parallel import algorithm_version, run_tasks
 from mseg.benchmark.runner import Progress, configure
-from mseg.benchmark.store import key
-from mseg.benchmark.tasks import Configuration, Outcome, Task, seed_numbers
-from mseg.evaluation import SubmissionMeta, fingerprint, write_failure, write_meta, write_prediction
-from mseg.evaluation.submission import FAILED
-from mseg.evaluation.validate import load_clips
+from mseg.benchmark.tasks import Task, lost_task, outcome_key, run_task, seed_numbers
+from mseg.evaluation import SubmissionMeta, clip_checksum, write_failure, write_meta, write_prediction
+from mseg.evaluation.submission import FAILED, file_of
+from mseg.evaluation.validation import load_clips
 from mseg.methods import create
 
 # Which configuration made the predictions; hidden, so no part of the submission.
@@ -76,54 +73,70 @@ def predict(
         raise InvalidValueError("n_motions", expected="1 or more, or None", found=str(n_motions))
     folder = Path(output)
     configuration = configure([method], parameters or {})[0]
+    made: Any = create(configuration.method, **configuration.parameters)
     wanted = seed_numbers(seeds)
+    layout = {seed: None if len(wanted) == 1 else seed for seed in wanted}
     clips = load_clips(data)
-    told = {name: n_motions or clip.n_motions or None for name, clip in clips.items()}
+    given = {name: n_motions or clip.n_motions or None for name, clip in clips.items()}
     keys = {
-        (name, seed): key(configuration, clip, told[name], seed)
+        (name, seed): outcome_key(configuration, clip, given[name], seed)
         for name, clip in clips.items()
         for seed in wanted
     }
     check_writable(folder)
-    record = _open_record(folder, configuration, n_motions, "seed-N" if len(wanted) > 1 else "flat")
-    layout = {seed: None if len(wanted) == 1 else seed for seed in wanted}
+    record = _open_record(
+        folder,
+        {
+            "method": configuration.method,
+            "parameters": {name: repr(value) for name, value in asdict(made).items()},
+            "code": algorithm_version(type(made)) or "",
+            "n_motions": n_motions,
+            "layout": "seed-N" if len(wanted) > 1 else "flat",
+        },
+    )
     tasks = [
-        Task(clips[name].without_labels(), told[name], seed, ((k, configuration),))
-        for (name, seed), k in keys.items()
-        if not (record["done"].get(k) and _exists(folder, name, layout[seed]))
+        Task(clips[name].without_labels(), given[name], seed, ((key, configuration),))
+        for (name, seed), key in keys.items()
+        if key not in record["done"] or not _exists(folder, name, layout[seed])
     ]
-    for done, (task, outcomes) in enumerate(execute(tasks, workers=workers, dask=dask), 1):
-        _write(folder, task, outcomes[0], layout[task.seed])
-        record["done"][outcomes[0].key] = outcomes[0].seconds
+    results = run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask)
+    for done, (task, (outcome,)) in enumerate(results, 1):
+        if outcome.labels is None:
+            write_failure(folder, task.clip, outcome.reason, seed=layout[task.seed])
+        else:
+            write_prediction(folder, task.clip, outcome.labels, seed=layout[task.seed])
+        record["done"][outcome.key] = outcome.seconds
         write_text(folder / _RECORD, json.dumps(record, indent=1))
         if progress:
             progress(done, len(tasks), task.name)
-    seconds = sum(record["done"].get(k, 0.0) for k in keys.values()) / len(wanted)
-    write_meta(folder, _meta(configuration, clips, seconds, given=all(told.values())))
+    seconds = sum(record["done"].get(key, 0.0) for key in keys.values()) / len(wanted)
+    meta = SubmissionMeta(
+        configuration.title,
+        authors=("mseg",),
+        n_motions_given=all(given.values()),
+        hardware=f"{platform.machine()}, one core per clip",
+        seconds=round(seconds, 3),
+        baseline=configuration.method in ("one_motion", "prevalence"),
+        outliers=True,
+        fingerprints={name: clip_checksum(clip) for name, clip in clips.items()},
+        parameters={name: str(value) for name, value in asdict(made).items()},
+    )
+    write_meta(folder, meta)
     return folder
 
 
-def _open_record(
-    folder: Path, configuration: Configuration, n_motions: int | None, layout: str
-) -> dict[str, Any]:
+def _open_record(folder: Path, configuration: Mapping[str, Any]) -> dict[str, Any]:
     """Read what an earlier run left, refusing to mix two configurations."""
-    wanted = {
-        "method": configuration.method,
-        "parameters": {k: repr(v) for k, v in _parameters(configuration).items()},
-        "code": algorithm_version(type(create(configuration.method, **configuration.parameters))) or "",
-        "n_motions": n_motions,
-        "layout": layout,
-    }
     path = folder / _RECORD
     if not path.is_file():
-        return {"configuration": wanted, "done": {}}
+        return {"configuration": configuration, "done": {}}
     record: dict[str, Any] = json.loads(path.read_text())
-    if record["configuration"] != wanted:
-        was = record["configuration"]
-        differs = [k for k in wanted if was.get(k) != wanted[k]]
+    was = record["configuration"]
+    differs = [key for key in configuration if was.get(key) != configuration[key]]
+    if differs:
         raise InvalidValueError(
             str(folder),
-            expected=f"no predictions, or those of this configuration ({configuration.title})",
+            expected=f"no predictions, or those of this configuration ({configuration['method']})",
             found=f"predictions of another ({was.get('method')}; differs in {', '.join(differs)})",
             fix="write to another folder",
         )
@@ -131,33 +144,4 @@ def _open_record(
 
 
 def _exists(folder: Path, clip: str, seed: int | None) -> bool:
-    place = folder if seed is None else folder / f"seed-{seed}"
-    return any((place / f"{clip}{ending}").is_file() for ending in (".csv", FAILED))
-
-
-def _write(folder: Path, task: Task, outcome: Outcome, seed: int | None) -> None:
-    if outcome.labels is None:
-        write_failure(folder, task.clip, outcome.reason, seed=seed)
-    else:
-        write_prediction(folder, task.clip, outcome.labels, seed=seed)
-
-
-def _parameters(configuration: Configuration) -> dict[str, Any]:
-    method: Any = create(configuration.method, **configuration.parameters)
-    return asdict(method)
-
-
-def _meta(
-    configuration: Configuration, clips: Mapping[str, Clip], seconds: float, *, given: bool
-) -> SubmissionMeta:
-    return SubmissionMeta(
-        configuration.title,
-        authors=("mseg",),
-        n_motions_given=given,
-        hardware=f"{platform.machine()}, one core per clip",
-        seconds=round(seconds, 3),
-        baseline=configuration.method in ("one_motion", "prevalence"),
-        outliers=True,
-        fingerprints={name: fingerprint(clip) for name, clip in clips.items()},
-        parameters={k: str(v) for k, v in _parameters(configuration).items()},
-    )
+    return any(file_of(folder, clip, seed, ending).is_file() for ending in (".csv", FAILED))

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.types import FloatArray
 from mseg.benchmark.tasks import Configuration
 from mseg.evaluation import Group, Protocol
-from mseg.evaluation.layout import TextTable, count
-from mseg.evaluation.problems import first_few
-from mseg.evaluation.statistics import standard_deviation
+from mseg.evaluation.protocol import count, share
+
+if TYPE_CHECKING:
+    from mseg.evaluation.results import ResultsTable
 
 _LISTED = 12  # clips named in a note
 
@@ -69,44 +69,33 @@ class BenchmarkResult:
     def mean(self, method: str, group: str = "all") -> float:
         """Mean error over clips and seeds, a fraction, of the first configuration of that method."""
         row = [c.method for c in self.configurations].index(method)
-        return float(self.errors[row, self._members(self.protocol.group(group))].mean())
+        clips = self.protocol.clips_of(self.protocol.group(group), self.motions)
+        return float(self.errors[row, [self.clips.index(name) for name in clips]].mean())
 
-    def summary(self) -> TextTable:
+    def summary(self) -> ResultsTable:
         """One row per configuration: mean, spread over seeds and median of every group, and time."""
-        groups = [(g, self._members(g)) for g in self.protocol.groups]
-        present = [(g, rows) for g, rows in groups if rows]
-        columns = ["method"]
-        for group, rows in present:
-            columns += [f"{group.title} ({_of(len(rows), group.n_clips)}): mean", "sd seeds", "median"]
-        columns += ["CPU s", "failed"]
-        lines: list[list[str]] = []
-        for m, configuration in enumerate(self.configurations):
-            cells = [cell for _, rows in present for cell in _statistics(self.errors[m, rows])]
-            failed = sum(configuration == c for c, *_ in self.failures)
-            lines.append(
-                [configuration.title, *cells, f"{self.seconds[m].sum(axis=0).mean():.2f}", str(failed)]
-            )
-        lines += self._published([group for group, _ in present])
-        return TextTable(f"{self._heading()}: classification error in %", columns, lines, self._notes())
+        from mseg.evaluation.results import error_table
 
-    def per_clip(self) -> TextTable:
+        failed = [str(sum(c == wrong for wrong, *_ in self.failures)) for c in self.configurations]
+        known = (published_name(self.protocol, c.method) for c in self.configurations)
+        return error_table(
+            f"{self._heading()}: classification error in %",
+            self.protocol,
+            self.motions,
+            self._errors(),
+            [name for name in dict.fromkeys(known) if name],
+            extra={"CPU s": self._seconds(), "failed": failed},
+            notes=self._notes(),
+        )
+
+    def per_clip(self) -> ResultsTable:
         """One row per clip: mean over seeds of every configuration, with the spread over seeds."""
-        columns = ["clip", "motions", *(c.title for c in self.configurations)]
-        lines = []
-        for i, (name, motions) in enumerate(self.motions.items()):
-            cells = [_with_spread(self.errors[m, i]) for m in range(len(self.configurations))]
-            lines.append([name, str(motions), *cells])
-        means = [_with_spread(self.errors[m].mean(axis=0)) for m in range(len(self.configurations))]
-        medians = [f"{100 * np.median(self.errors[m].mean(axis=1)):.2f}" for m in range(len(means))]
-        seconds = [f"{self.seconds[m].sum(axis=0).mean():.2f}" for m in range(len(means))]
-        number = _of(len(self.clips), self.protocol.n_clips)
-        lines += [
-            [f"mean of {number}", "", *means],
-            [f"median of {number}", "", *medians],
-            ["CPU s", "", *seconds],
-        ]
-        note = [] if len(self.seeds) < 2 else ["mean over seeds +- standard deviation over seeds"]
-        return TextTable(f"{self._heading()}: error in % per clip", columns, lines, note)
+        from mseg.evaluation.results import clip_table
+
+        title = f"{self._heading()}: error in % per clip"
+        total = share(len(self.clips), self.protocol.n_clips)
+        last = [["CPU s", "", *self._seconds()]]
+        return clip_table(title, self._errors(), self.motions, total=total, last=last)
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as plain values, for JSON."""
@@ -124,33 +113,24 @@ class BenchmarkResult:
             ],
         }
 
-    def _members(self, group: Group) -> list[int]:
-        names = self.protocol.members(group, self.motions)
-        return [self.clips.index(name) for name in names]
+    def _errors(self) -> dict[str, FloatArray]:
+        return {c.title: self.errors[m] for m, c in enumerate(self.configurations)}
+
+    def _seconds(self) -> list[str]:
+        return [f"{seconds.sum(axis=0).mean():.2f}" for seconds in self.seconds]
 
     def _heading(self) -> str:
         seeds = count(len(self.seeds), "seed")
         return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {seeds}"
-
-    def _published(self, groups: list[Group]) -> list[list[str]]:
-        """Rows of the published table for the methods that were run."""
-        lines: list[list[str]] = []
-        for configuration in self.configurations:
-            name = published_name(self.protocol, configuration.method)
-            published = self.protocol.published.get(name)
-            if published and not any(line[0] == f"published {name}" for line in lines):
-                cells = [c for g in groups for c in _published_cells(published.get(g.name, {}))]
-                lines.append([f"published {name}", *cells, "", ""])
-        return lines
 
     def _notes(self) -> list[str]:
         notes = []
         if len(self.clips) < self.protocol.n_clips:
             notes.append("A part of the benchmark; published rows are for the whole of it.")
         for group in self.protocol.groups:
-            rows = self._members(group)
-            if len(rows) < group.n_clips:
-                notes.append(f"{group.title}: {_missing(group, [self.clips[r] for r in rows])}.")
+            present = self.protocol.clips_of(group, self.motions)
+            if len(present) < group.n_clips:
+                notes.append(f"{group.title}: {_missing(group, present)}.")
         if self.others:
             notes.append(f"Not counted: {first_few(self.others, _LISTED)}.")
         notes += [
@@ -160,37 +140,9 @@ class BenchmarkResult:
         return notes
 
 
-def _statistics(errors: FloatArray) -> list[str]:
-    spread = standard_deviation(errors.mean(axis=0))
-    return [
-        f"{100 * errors.mean():.2f}",
-        "-" if spread is None else f"{100 * spread:.2f}",
-        f"{100 * np.median(errors.mean(axis=1)):.2f}",
-    ]
-
-
-def _with_spread(errors: FloatArray) -> str:
-    spread = standard_deviation(errors)
-    mean = f"{100 * errors.mean():.2f}"
-    return mean if spread is None else f"{mean} +- {100 * spread:.2f}"
-
-
-def _published_cells(values: Mapping[str, float]) -> list[str]:
-    mean, median = values.get("mean"), values.get("median")
-    return [
-        "-" if mean is None else f"{mean:.2f}",
-        "",
-        "-" if median is None else f"{median:.2f}",
-    ]
-
-
 def _missing(group: Group, present: list[str]) -> str:
     absent = [name for name in group.clips if name not in present]
     if group.unknown:
         return "which clips it holds was never published"
     what = f" ({first_few(absent, _LISTED)})" if absent else ""
     return f"{group.n_clips - len(present)} of {group.n_clips} clips are missing{what}"
-
-
-def _of(present: int, total: int) -> str:
-    return f"all {total}" if present == total else f"{present} of {total}"

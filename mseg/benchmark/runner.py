@@ -9,16 +9,29 @@ from typing import Any
 
 import numpy as np
 
-from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.io import load
+from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.io import dataset_paths, load
+from kt3dmoseg.parallel import Cache, run_tasks
 from kt3dmoseg.types import Clip
-from mseg.benchmark.data import find_clips
-from mseg.benchmark.execution import execute
 from mseg.benchmark.results import BenchmarkResult
-from mseg.benchmark.store import Store, key
-from mseg.benchmark.tasks import Configuration, Outcome, Task, seed_numbers
-from mseg.evaluation import classification_error, load_protocol
+from mseg.benchmark.tasks import (
+    Configuration,
+    Outcome,
+    Task,
+    keep_outcome,
+    lost_task,
+    outcome_key,
+    read_outcome,
+    run_task,
+    seed_numbers,
+)
+from mseg.evaluation import Protocol, classification_error, load_protocol
 from mseg.methods import create
+
+VARIABLE = "KT3DMOSEG_DATA"
+_SHARED = Path("..") / "shared" / "data"
+# MTPV62 takes 50 of its 62 clips from Hopkins155.
+_BORROWED = {"mtpv62": ("hopkins155",)}
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of tasks done, their total, and the name of the last."""
@@ -83,23 +96,62 @@ def run(
         raise InvalidValueError("benchmark", expected="at least one method and one seed", found="none")
     paths, others = find_clips(protocol, data)
     clips = {name: load(path) for name, path in paths.items()}
-    store = Store(Path(cache) if cache else None)
     keys = {
-        (configuration.title, name, seed): key(configuration, clip, clip.n_motions, seed)
+        (configuration.title, name, seed): outcome_key(configuration, clip, clip.n_motions, seed)
         for configuration in configurations
         for name, clip in clips.items()
         for seed in wanted
     }
-    outcomes = {k: kept for k in keys.values() if (kept := store.read(k))}
+    store = Cache(cache)
+    outcomes = {key: outcome for key in keys.values() if (outcome := read_outcome(store, key))}
     tasks = _tasks(configurations, clips, wanted, keys, outcomes, str(kernels or ""))
-    for done, (task, results) in enumerate(execute(tasks, workers=workers, dask=dask), 1):
-        for outcome in results:
-            store.write(outcome)
+    results = run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask)
+    for done, (task, made) in enumerate(results, 1):
+        for outcome in made:
             outcomes[outcome.key] = outcome
+            keep_outcome(store, outcome)
         if progress:
             progress(done, len(tasks), task.name)
-    found = {where: outcomes[k] for where, k in keys.items()}
-    return _result(protocol.name, configurations, clips, wanted, found, others)
+    found = {where: outcomes[key] for where, key in keys.items()}
+    return _result(protocol, configurations, clips, wanted, found, others)
+
+
+def find_clips(
+    protocol: Protocol, data: Sequence[str | os.PathLike[str]] = ()
+) -> tuple[dict[str, Path], list[str]]:
+    """Find the clips of a benchmark.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The benchmark.
+    data : sequence of paths
+        Folders of clips; of clips of one name the first counts. By default the folder that the
+        protocol names (and for MTPV62 that of Hopkins155) in ``$KT3DMOSEG_DATA``, or else in
+        ``../shared/data``.
+
+    Returns
+    -------
+    clips : dict of str to Path
+        The clips that belong to the benchmark, sorted by name.
+    others : list of str
+        Names of clips that lie there and do not belong to it.
+
+    Raises
+    ------
+    InputFileError
+        When a folder is missing or none of its clips belongs to the benchmark.
+    """
+    folders = [Path(folder) for folder in data] or _default_folders(protocol)
+    found: dict[str, Path] = {}
+    for folder in folders:
+        found = {**dataset_paths(folder), **found}
+    clips = {name: found[name] for name in sorted(found) if protocol.holds(name)}
+    if not clips:
+        raise InputFileError(
+            ", ".join(map(str, folders)), expected=f"clips of {protocol.title}", found="none"
+        )
+    return clips, sorted(set(found) - set(clips))
 
 
 def configure(
@@ -112,23 +164,34 @@ def configure(
     UnknownNameError
         For an unknown method, or a parameter that none of them has.
     """
-    made = []
-    used: set[str] = set()
-    names = [m for m in methods if isinstance(m, str)]
+    made, used, first = [], set[str](), ""
     for method in methods:
         if isinstance(method, Configuration):
             create(method.method, **method.parameters)
             made.append(method)
             continue
-        fields = vars(create(method))
-        own = {k: v for k, v in parameters.items() if k in fields}
+        first = first or method
+        own = {k: v for k, v in parameters.items() if k in vars(create(method))}
         used |= set(own)
         create(method, **own)
         made.append(Configuration(method, own))
-    for name in parameters:
+    for name, value in parameters.items():
         if name not in used:
-            create(names[0] if names else "subset", **{name: parameters[name]})
+            create(first or "subset", **{name: value})
     return tuple(made)
+
+
+def _default_folders(protocol: Protocol) -> list[Path]:
+    named = os.environ.get(VARIABLE)
+    root = Path(named) if named else _SHARED
+    folder = root / protocol.data
+    if not folder.is_dir():
+        raise InputFileError(
+            str(folder), expected=f"the clips of {protocol.title}", found="no such folder",
+            fix=f"give --data DIR, or set {VARIABLE} to the folder that holds {protocol.data}/",
+        )  # fmt: skip
+    borrowed = (root / name for name in _BORROWED.get(protocol.name, ()))
+    return [folder, *(other for other in borrowed if other.is_dir())]
 
 
 def _tasks(
@@ -154,7 +217,7 @@ def _tasks(
 
 
 def _result(
-    benchmark: str,
+    protocol: Protocol,
     configurations: tuple[Configuration, ...],
     clips: Mapping[str, Clip],
     seeds: tuple[int, ...],
@@ -164,22 +227,15 @@ def _result(
     shape = (len(configurations), len(clips), len(seeds))
     errors, seconds = np.ones(shape), np.full(shape, np.nan)
     failures = []
-    for m, configuration in enumerate(configurations):
-        for i, (name, clip) in enumerate(clips.items()):
-            for s, seed in enumerate(seeds):
-                outcome = outcomes[configuration.title, name, seed]
-                seconds[m, i, s] = outcome.seconds
-                if outcome.labels is None:
-                    failures.append((configuration, name, seed, outcome.reason))
-                else:
-                    errors[m, i, s] = classification_error(clip.labels.label, outcome.labels)
+    for m, i, s in np.ndindex(shape):
+        configuration, (name, clip), seed = configurations[m], list(clips.items())[i], seeds[s]
+        outcome = outcomes[configuration.title, name, seed]
+        seconds[m, i, s] = outcome.seconds
+        if outcome.labels is None:
+            failures.append((configuration, name, seed, outcome.reason))
+        else:
+            errors[m, i, s] = classification_error(clip.labels.label, outcome.labels)
+    motions = {name: clip.n_motions for name, clip in clips.items()}
     return BenchmarkResult(
-        load_protocol(benchmark),
-        configurations,
-        {name: clip.n_motions for name, clip in clips.items()},
-        seeds,
-        errors,
-        seconds,
-        tuple(failures),
-        tuple(others),
+        protocol, configurations, motions, seeds, errors, seconds, tuple(failures), tuple(others)
     )

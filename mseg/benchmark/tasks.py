@@ -1,19 +1,24 @@
-"""The unit of work: several methods on one clip with one seed."""
+"""The unit of work: several methods on one clip with one seed; its outcomes, and where they are kept."""
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
+import scipy
 
 from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.parallel import Cache, algorithm_version, cache_key
 from kt3dmoseg.types import Clip, IntArray
-from mseg.methods import segment
+from mseg.methods import create, segment
 from mseg.methods.kernel_cache import kernel_cache
+
+_THIS_PROCESS = uuid4().hex
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class Outcome:
     Parameters
     ----------
     key : str
-        Of the configuration, clip and seed, see `mseg.benchmark.store.key`.
+        Of the configuration, clip and seed, see `outcome_key`.
     labels : (n,) int64 or None
         None when it failed.
     seconds : float
@@ -68,7 +73,7 @@ class Task:
     clip : Clip
         The sequence, without labels.
     n_motions : int or None
-        What the methods are told.
+        Number of motions given to the methods.
     seed : int
         Seed of every configuration.
     work : tuple of (key, Configuration)
@@ -94,7 +99,7 @@ def seed_numbers(seeds: int | Sequence[int]) -> tuple[int, ...]:
     return tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
 
 
-def run_task(task: Task) -> list[Outcome]:
+def run_task(task: Task, progress: Callable[..., None] | None = None) -> list[Outcome]:
     """Run a task; a method that cannot segment the clip gives an outcome with a reason."""
     with kernel_cache(task.kernels or None) as cache:
         outcomes = []
@@ -111,21 +116,49 @@ def lost_task(task: Task, reason: str) -> list[Outcome]:
     return [Outcome(key, None, float("nan"), reason) for key, _ in task.work]
 
 
-def _reason(error: Exception, clip: str) -> str:
-    """Say why in one line, without the clip's name: whoever tells it stands the name before it."""
-    said = " ".join(str(error).split()) or type(error).__name__
-    return re.sub(rf"^{re.escape(clip)}[:,] ", "", said)
-
-
 def _attempt(task: Task, configuration: Configuration) -> tuple[IntArray | None, str]:
+    name, clip = configuration.method, task.clip
     try:
-        result = segment(
-            task.clip,
-            configuration.method,
-            n_motions=task.n_motions,
-            seed=task.seed,
-            **configuration.parameters,
-        )
+        result = segment(clip, name, n_motions=task.n_motions, seed=task.seed, **configuration.parameters)
     except (KT3DMoSegError, MemoryError, np.linalg.LinAlgError) as error:
-        return None, _reason(error, task.clip.name)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        return None, re.sub(rf"^{re.escape(clip.name)}[:,] ", "", reason)  # whoever shows it names the clip
     return np.array(result.labels), ""
+
+
+def outcome_key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: int) -> str:
+    """Hash of method, all its parameters, the clip's content, number of motions, seed and versions.
+
+    The versions are those of numpy, scipy and the method's code (`kt3dmoseg.parallel.algorithm_version`).
+    No other process finds the outcomes of a method whose code states no version. All seeds of a method
+    that draws nothing have one key.
+    """
+    method: Any = create(configuration.method, **configuration.parameters)
+    camera = None if clip.camera is None else clip.camera.K
+    return cache_key(
+        {
+            "method": configuration.method,
+            "parameters": asdict(method),
+            "clip": clip.name,
+            "content": [clip.dense.xy, clip.dense.visible, clip.evaluated, clip.dense.image_size, camera],
+            "n_motions": n_motions,
+            "seed": 0 if getattr(method, "deterministic", False) else seed,
+            "versions": [np.__version__, scipy.__version__, algorithm_version(type(method)) or _THIS_PROCESS],
+        }
+    )
+
+
+def read_outcome(cache: Cache, key: str) -> Outcome | None:
+    """Return a kept outcome, when it is there."""
+    kept = cache.get(key)
+    if kept is None:
+        return None
+    reason = str(kept["reason"])
+    return Outcome(key, None if reason else kept["labels"].astype(np.int64), float(kept["seconds"]), reason)
+
+
+def keep_outcome(cache: Cache, outcome: Outcome) -> None:
+    """Keep an outcome; one of a worker that died is not kept, since it says nothing of the method."""
+    if not np.isnan(outcome.seconds):
+        labels = np.zeros(0, dtype=np.int64) if outcome.labels is None else outcome.labels
+        cache.put(outcome.key, {"labels": labels, "seconds": outcome.seconds, "reason": outcome.reason})

@@ -103,7 +103,7 @@ def run(
     """
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
-    from mseg.evaluation.layout import count
+    from mseg.evaluation.protocol import count
     from mseg.evaluation.submission import FAILED
 
     with progress_bar("task", quiet=quiet) as progress:

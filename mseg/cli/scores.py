@@ -14,7 +14,7 @@ from kt3dmoseg.app import Either, File, Flag, Folder, Name, Positive, exclusive,
 
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import Comparison
-    from mseg.evaluation.results import ScoreTable
+    from mseg.evaluation.scoring import ScoreTable
 
 Benchmark = Annotated[Name, Parameter(help="Protocol (default: the submission's own).")]
 _FORM = Group.create_ordered("Form", validator=exclusive)
@@ -55,7 +55,7 @@ def example_submission(
         Protocol, for meta.toml.
     """
     from mseg.evaluation import example
-    from mseg.evaluation.layout import count
+    from mseg.evaluation.protocol import count
 
     if source is not None:
         wrote = example.from_label_files(
@@ -89,7 +89,7 @@ def validate(submission: Either, data: Either, /, *, benchmark: Benchmark = "", 
     json : bool
         Print the result as JSON.
     """
-    from mseg.evaluation.validate import validate_submission
+    from mseg.evaluation.validation import validate_submission
 
     found = validate_submission(submission, data, benchmark=benchmark)
     print(json_.dumps(found.as_dict(), indent=2) if json else str(found))
@@ -135,7 +135,7 @@ def score(
     """
     from kt3dmoseg.files import write_text
     from mseg.evaluation.scoring import score_validated
-    from mseg.evaluation.validate import validate_submission
+    from mseg.evaluation.validation import validate_submission
 
     checked = validate_submission(submission, data, benchmark=benchmark)
     if not checked.ok:
@@ -153,18 +153,18 @@ def score(
 
 
 def _rendered(scores: ScoreTable, form: str) -> str:
-    from mseg.evaluation import tables
-    from mseg.evaluation.jsonform import to_json
+    from mseg.evaluation import results
+    from mseg.evaluation.scoring import to_json
 
     if form == "json":
         return json_.dumps(to_json(scores), indent=1)
     if form == "csv":
-        return tables.per_clip(scores, scores.metrics).csv().rstrip()
+        return results.per_clip(scores, scores.metrics).csv().rstrip()
     if form == "markdown":
-        return tables.headline(scores).markdown()
+        return results.headline(scores).markdown()
     if form == "latex":
-        return tables.headline(scores).latex()
-    parts = [tables.headline(scores), tables.per_clip(scores), tables.all_means(scores)]
+        return results.headline(scores).latex()
+    parts = [results.headline(scores), results.per_clip(scores), results.all_means(scores)]
     return "\n\n".join(part.text() for part in parts)
 
 
@@ -216,9 +216,8 @@ def _is_scores(path: Path) -> bool:
 
 def _tables(paths: list[Path], data: Path | None, benchmark: str) -> list[ScoreTable]:
     from kt3dmoseg.errors import InvalidValueError
-    from mseg.evaluation.jsonform import load_scores
-    from mseg.evaluation.scoring import score_submission
-    from mseg.evaluation.validate import load_clips
+    from mseg.evaluation.scoring import load_scores, score_submission
+    from mseg.evaluation.validation import load_clips
 
     if data is not None and (data / "meta.toml").exists():
         expected, fix = "the data (a folder of clips)", "give the data last"
@@ -312,9 +311,8 @@ def add(
         Folder of clips with labels.
     """
     from kt3dmoseg.errors import InvalidValueError
-    from mseg.evaluation.jsonform import load_scores
     from mseg.evaluation.leaderboard import Leaderboard
-    from mseg.evaluation.scoring import score_submission
+    from mseg.evaluation.scoring import load_scores, score_submission
 
     if data is not None:
         scores = score_submission(submission, data, benchmark=benchmark)
@@ -360,8 +358,7 @@ def export(
     output : path
         Ends in .html or .md.
     """
-    from mseg.evaluation.leaderboard import Leaderboard
-    from mseg.evaluation.leaderboard.export import export
+    from mseg.evaluation.leaderboard import Leaderboard, export
 
     export(Leaderboard(db, create=False), output, benchmark=benchmark)
     print(f"wrote {output}", file=sys.stderr)

@@ -1,7 +1,7 @@
 """Submissions, their validation, metrics, statistics and reports.
 
 A submission is a folder or zip of predictions (`mseg.evaluation.submission`); `validate_submission`
-tells everything that is wrong with it, `score_submission` scores it, `score` does so for paths and
+lists everything that is wrong with it, `score_submission` scores it, `score` does so for paths and
 bare arrays.
 """
 
@@ -16,52 +16,54 @@ from kt3dmoseg.lazy import lazy
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import compare as compare
     from mseg.evaluation.example import example_submission as example_submission
-    from mseg.evaluation.label_vectors import read_label_files as read_label_files
+    from mseg.evaluation.label_import import read_label_files as read_label_files
     from mseg.evaluation.leaderboard import Leaderboard as Leaderboard
     from mseg.evaluation.protocol import Group as Group
     from mseg.evaluation.protocol import Protocol as Protocol
     from mseg.evaluation.protocol import list_protocols as list_protocols
     from mseg.evaluation.protocol import load_protocol as load_protocol
-    from mseg.evaluation.reading import Submission as Submission
-    from mseg.evaluation.reading import read_submission as read_submission
     from mseg.evaluation.report import write_report as write_report
-    from mseg.evaluation.results import ClipScore as ClipScore
-    from mseg.evaluation.results import ScoreTable as ScoreTable
+    from mseg.evaluation.scoring import ClipScore as ClipScore
+    from mseg.evaluation.scoring import ScoreTable as ScoreTable
     from mseg.evaluation.scoring import score as score
     from mseg.evaluation.scoring import score_submission as score_submission
+    from mseg.evaluation.submission import Submission as Submission
     from mseg.evaluation.submission import SubmissionMeta as SubmissionMeta
+    from mseg.evaluation.submission import clip_checksum as clip_checksum
     from mseg.evaluation.submission import fingerprint as fingerprint
+    from mseg.evaluation.submission import read_submission as read_submission
     from mseg.evaluation.submission import write_failure as write_failure
     from mseg.evaluation.submission import write_meta as write_meta
     from mseg.evaluation.submission import write_prediction as write_prediction
     from mseg.evaluation.submission import write_submission as write_submission
-    from mseg.evaluation.validate import Validation as Validation
-    from mseg.evaluation.validate import validate_submission as validate_submission
+    from mseg.evaluation.validation import Validation as Validation
+    from mseg.evaluation.validation import validate_submission as validate_submission
 
 _PUBLIC = {
     "compare": "comparison",
     "example_submission": "example",
+    "read_label_files": "label_import",
     "Leaderboard": "leaderboard",
-    "read_label_files": "label_vectors",
-    "write_report": "report",
     "Group": "protocol",
     "Protocol": "protocol",
     "list_protocols": "protocol",
     "load_protocol": "protocol",
-    "Submission": "reading",
-    "read_submission": "reading",
-    "ClipScore": "results",
-    "ScoreTable": "results",
+    "write_report": "report",
+    "ClipScore": "scoring",
+    "ScoreTable": "scoring",
     "score": "scoring",
     "score_submission": "scoring",
+    "Submission": "submission",
     "SubmissionMeta": "submission",
+    "clip_checksum": "submission",
     "fingerprint": "submission",
+    "read_submission": "submission",
     "write_failure": "submission",
     "write_meta": "submission",
     "write_prediction": "submission",
     "write_submission": "submission",
-    "Validation": "validate",
-    "validate_submission": "validate",
+    "Validation": "validation",
+    "validate_submission": "validation",
 }
 
 __all__ = [*_PUBLIC, "classification_error"]  # noqa: PLE0604
@@ -76,7 +78,7 @@ def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
         True motions; 0 = unlabelled, not counted at all.
     pred : (n,) int
         Predicted groups, numbered as they like. 0 = outlier: always wrong. More groups than
-        motions: those left over are wrong; fewer: so are the motions left over.
+        motions: those without a motion are wrong; fewer: so are the motions without a group.
 
     Returns
     -------

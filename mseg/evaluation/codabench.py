@@ -11,9 +11,8 @@ from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.files import write_text
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.report import report_html
-from mseg.evaluation.results import ScoreTable
-from mseg.evaluation.scoring import score_validated
-from mseg.evaluation.validate import validate_submission
+from mseg.evaluation.scoring import ScoreTable, score_validated
+from mseg.evaluation.validation import validate_submission
 
 SCORES = "scores.json"
 DETAILS = "detailed_results.html"
@@ -56,5 +55,5 @@ def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
 
 def leaderboard_values(scores: ScoreTable) -> dict[str, float]:
     """Give the numbers of the leaderboard's columns; fractions in per cent, failed = clip runs."""
-    out = {name: scores[name] * (100 if metric.percent else 1) for name, metric in all_metrics().items()}
+    out = {name: scores[name] * metric.scale for name, metric in all_metrics().items()}
     return out | {"error_median": 100 * scores.summary().median, "failed": float(len(scores.failures))}

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from mseg.evaluation.layout import TextTable
 from mseg.evaluation.metrics import METRICS, Metric
-from mseg.evaluation.results import ScoreTable
+from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
+
+if TYPE_CHECKING:
+    from mseg.evaluation.results import ResultsTable
 
 _SIGNIFICANT = 0.05
 _NOISE = 2.0
@@ -46,7 +49,7 @@ class Pair:
     p: float
     p_holm: float
     seed_sd: float | None
-    sentence: str
+    sentence: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,49 +93,45 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
     """
     if len(tables) < 2:
         raise InvalidValueError("compare", expected="two submissions or more", found=str(len(tables)))
-    _same_data(tables)
+    _check_same_data(tables)
     spec: Metric = METRICS.load(metric)
-    values = [table.matrix(metric) for table in tables]
     names = _unique_names([table.meta.method for table in tables])
-    index = list(combinations(range(len(tables)), 2))
+    values = [table.matrix(metric) for table in tables]
     means = [v.mean(axis=1) for v in values]
-    p_values = [wilcoxon_p(means[i] - means[j]) for i, j in index]
     sds = [standard_deviation(v.mean(axis=0)) for v in values]
+    index = list(combinations(range(len(tables)), 2))
+    p_values = [wilcoxon_p(means[i] - means[j]) for i, j in index]
     pairs = []
     for (i, j), p, p_holm in zip(index, p_values, holm(p_values), strict=True):
-        difference = means[i] - means[j]
-        noise = _noise_of(sds[i], sds[j])
-        pair = Pair(
-            names[i], names[j], float(difference.mean()), bootstrap_mean(difference), p, p_holm, noise, ""
-        )
-        pairs.append(_with_sentence(pair, spec, len(difference)))
+        delta, sd_i, sd_j = means[i] - means[j], sds[i], sds[j]
+        noise = None if sd_i is None or sd_j is None else float(np.hypot(sd_i, sd_j))
+        mean, interval = float(delta.mean()), bootstrap_mean(delta)
+        pair = Pair(names[i], names[j], mean, interval, p, p_holm, noise)
+        pairs.append(replace(pair, sentence=_sentence(pair, spec, len(delta))))
     return Comparison(metric, names, tables, pairs)
 
 
-def comparison_table(comparison: Comparison) -> TextTable:
-    """Lay out the submissions side by side: per clip, then mean, median, sd over seeds."""
+def comparison_table(comparison: Comparison) -> ResultsTable:
+    """Lay out the submissions, one column each: every clip, mean and median, with the spread over seeds."""
+    from mseg.evaluation.results import clip_table, failure_notes
+
     spec: Metric = METRICS.load(comparison.metric)
-    scale = 100 if spec.percent else 1
     first = comparison.tables[0]
-    values = [table.per_clip(comparison.metric) for table in comparison.tables]
-    rows = [[name, *(f"{scale * v[i]:.2f}" for v in values)] for i, name in enumerate(first.names)]
-    rows.append(["mean", *(f"{scale * v.mean():.2f}" for v in values)])
-    rows.append(["median", *(f"{scale * np.median(v):.2f}" for v in values)])
-    sds = [standard_deviation(t.matrix(comparison.metric).mean(axis=0)) for t in comparison.tables]
-    rows.append(["sd over seeds", *("-" if sd is None else f"{scale * sd:.2f}" for sd in sds)])
-    unit = " in %" if spec.percent else ""
+    named = dict(zip(comparison.names, comparison.tables, strict=True))
+    values = {name: table.matrix(comparison.metric) for name, table in named.items()}
     notes = [f"Scored: {first.benchmark.coverage(first.names)}."]
-    for name, table in zip(comparison.names, comparison.tables, strict=True):
-        notes += [
-            f"{name}: {c.clip} (seed {c.seed}) counts as fully wrong: {c.reason}." for c in table.failures
-        ]
+    for name, table in named.items():
+        notes += failure_notes(table, name)
+    unit = " in %" if spec.percent else ""
     title = f"{first.benchmark.title}: {spec.title}{unit}, {spec.better} is better"
-    return TextTable(title, ["clip", *comparison.names], rows, notes)
+    return clip_table(title, values, first.motions, scale=spec.scale, notes=notes)
 
 
-def pairs_table(comparison: Comparison) -> TextTable:
+def pairs_table(comparison: Comparison) -> ResultsTable:
     """Lay out the paired statistics."""
-    scale = 100 if METRICS.load(comparison.metric).percent else 1
+    from mseg.evaluation.results import ResultsTable
+
+    scale = METRICS.load(comparison.metric).scale
     rows = [
         [
             f"{pair.first} - {pair.second}",
@@ -145,25 +144,20 @@ def pairs_table(comparison: Comparison) -> TextTable:
         for pair in comparison.pairs
     ]
     columns = ["pair", "difference", "95 % over clips", "seed sd", "Wilcoxon p", "Holm p"]
-    return TextTable("Paired over clips", columns, rows)
+    return ResultsTable("Paired over clips", columns, rows)
 
 
-def _same_data(tables: Sequence[ScoreTable]) -> None:
+def _check_same_data(tables: Sequence[ScoreTable]) -> None:
     first = tables[0]
     for table in tables[1:]:
-        same = table.provenance.dataset_sha256 == first.provenance.dataset_sha256
-        if not same or table.names != first.names:
+        data, here = table.provenance.dataset_sha256, first.provenance.dataset_sha256
+        if data != here or table.names != first.names:
             raise InvalidValueError(
                 f"{table.meta.method} and {first.meta.method}",
                 expected="scores on the same clips and labels",
-                found=f"dataset {table.provenance.dataset_sha256[:16]} and "
-                f"{first.provenance.dataset_sha256[:16]}",
+                found=f"dataset {data[:16]} and {here[:16]}",
                 fix="score both on the same data; versions are never mixed",
             )
-
-
-def _noise_of(first: float | None, second: float | None) -> float | None:
-    return None if first is None or second is None else float(np.hypot(first, second))
 
 
 def _unique_names(names: Sequence[str]) -> list[str]:
@@ -174,37 +168,24 @@ def _unique_names(names: Sequence[str]) -> list[str]:
     ]
 
 
-def _with_sentence(pair: Pair, spec: Metric, n_clips: int) -> Pair:
-    return replace(pair, sentence=_sentence(pair, spec, n_clips))
-
-
 def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:
     if pair.difference == 0:
         return f"{pair.first} and {pair.second} have the same mean."
-    scale, unit = (100, " points") if spec.percent else (1, "")
-    ahead, behind = pair.first, pair.second
+    unit = " points" if spec.percent else ""
+    better, worse = pair.first, pair.second
     if (pair.difference > 0) == (spec.better == "lower"):
-        ahead, behind = behind, ahead
-    size = f"{scale * abs(pair.difference):.2f}{unit}"
-    return (
-        f"{ahead} is better than {behind} by {size} on average over {n_clips} clips. "
-        f"{_noise_sentence(pair, scale, unit)} {_test_sentence(pair, n_clips)}"
-    )
-
-
-def _noise_sentence(pair: Pair, scale: int, unit: str) -> str:
+        better, worse = worse, better
+    size = f"{spec.scale * abs(pair.difference):.2f}{unit}"
+    text = f"{better} is better than {worse} by {size} on average over {n_clips} clips. "
     if pair.seed_sd is None:
-        return "Whether that is larger than the seed noise cannot be said: one of them has a single seed."
-    larger = abs(pair.difference) > _NOISE * pair.seed_sd
-    verdict = "The difference is larger than" if larger else "The difference is not larger than"
-    return (
-        f"{verdict} the seed noise ({_NOISE:g} standard deviations over seeds, "
-        f"each {scale * pair.seed_sd:.2f}{unit})."
-    )
-
-
-def _test_sentence(pair: Pair, n_clips: int) -> str:
+        text += "Whether that is larger than the seed noise is unknown: one of them has a single seed. "
+    else:
+        larger = "larger" if abs(pair.difference) > _NOISE * pair.seed_sd else "not larger"
+        text += (
+            f"The difference is {larger} than the seed noise ({_NOISE:g} standard deviations over seeds, "
+            f"each {spec.scale * pair.seed_sd:.2f}{unit}). "
+        )
     if 2 / 2**n_clips >= _SIGNIFICANT:  # the smallest p-value that so many clips can give
-        return f"Whether it is consistent over clips, {n_clips} of them cannot tell."
+        return f"{text}Whether it is consistent over clips, {n_clips} clips are too few to show."
     verdict = "is consistent" if pair.p_holm < _SIGNIFICANT else "could be chance"
-    return f"Over the clips it {verdict} (Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})."
+    return f"{text}Over the clips it {verdict} (Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})."

@@ -1,16 +1,19 @@
-"""The table of true motions against predicted groups, from which every metric is computed."""
+"""The table of true motions against predicted groups, and the best assignment of groups to motions."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import permutations
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import IntArray
-from mseg.evaluation.assignment import best_assignment
+from kt3dmoseg.types import FloatArray, IntArray
+
+_MAX_SEARCH = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +118,9 @@ def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | 
     table = np.bincount(row * len(groups) + column, minlength=len(motions) * len(groups))
     table = table.reshape(len(motions), len(groups)).astype(np.int64)
     none = groups == 0
-    place = np.flatnonzero(motions == background) if background is not None else np.empty(0, np.int64)
-    return Contingency(
-        table[:, ~none],
-        table[:, none].sum(axis=1),
-        motions,
-        groups[~none],
-        int(place[0]) if place.size else None,
-    )
+    named = np.flatnonzero(motions == background) if background is not None else np.empty(0, np.int64)
+    static = int(named[0]) if named.size else None
+    return Contingency(table[:, ~none], table[:, none].sum(axis=1), motions, groups[~none], static)
 
 
 def label_vector(values: npt.ArrayLike, name: str) -> IntArray:
@@ -147,3 +145,82 @@ def label_vector(values: npt.ArrayLike, name: str) -> IntArray:
     if array.size and (array.min() < 0 or array.max() > np.iinfo(np.int64).max // 2):
         raise InvalidValueError(name, expected="labels >= 0", found=f"{array.min()}..{array.max()}")
     return array.astype(np.int64)
+
+
+def best_assignment(counts: IntArray) -> IntArray:
+    """Choose a different group for each motion so that most trajectories agree.
+
+    Solves the rectangular assignment problem max sum_i counts[i, a(i)] over one-to-one maps a
+    (Kuhn 1955). For as many groups as motions this is the search over all permutations of the
+    Hopkins155 code, at cubic instead of factorial cost. Among equally good assignments the one
+    with the larger sum of intersections over unions is taken.
+
+    Parameters
+    ----------
+    counts : (M, G) int64
+        Trajectories of motion i in group j; M and G may differ.
+
+    Returns
+    -------
+    (M,) int64
+        Column chosen for each row; -1 where a motion gets no group or shares nothing with it.
+
+    Examples
+    --------
+    Motion 1 has 3 + 2 trajectories, motion 2 has 4 + 0. Group 0 for motion 1 would agree on
+    3 + 0, group 1 for motion 1 on 2 + 4.
+
+    >>> best_assignment(np.array([[3, 2], [4, 0]])).tolist()
+    [1, 0]
+    """
+    union = counts.sum(axis=1, keepdims=True) + counts.sum(axis=0, keepdims=True) - counts
+    overlap = counts / np.maximum(union, 1)
+    # Each overlap is at most 1, so all of them together weigh less than one trajectory.
+    return assign(counts + overlap / (2 * max(1, min(counts.shape))))
+
+
+def assign(gain: FloatArray) -> IntArray:
+    """Maximise the sum of gains over one-to-one choices of a column per row.
+
+    Parameters
+    ----------
+    gain : (M, G) float64
+        Non-negative gains.
+
+    Returns
+    -------
+    (M,) int64
+        The columns; -1 where a row is left without one or gains nothing.
+    """
+    chosen = np.full(len(gain), -1, dtype=np.int64)
+    if not gain.size:
+        return chosen
+    # A fixed order of the columns makes the choice independent of how groups are numbered.
+    order = np.lexsort(gain)
+    rows, columns = _solve(gain[:, order])
+    chosen[rows] = order[columns]
+    chosen[gain[np.arange(len(gain)), chosen] <= 0] = -1
+    return chosen
+
+
+def _solve(gain: FloatArray) -> tuple[IntArray, IntArray]:
+    """Find the best one-to-one choice: by search when it is small, else with scipy.
+
+    The search spares the import of scipy.optimize, which takes longer than scoring a benchmark.
+    """
+    few, many = sorted(gain.shape)
+    if math.perm(many, few) > _MAX_SEARCH:
+        from scipy.optimize import linear_sum_assignment
+
+        rows, columns = linear_sum_assignment(gain, maximize=True)
+        return rows, columns
+    wide = gain if len(gain) == few else gain.T
+    choices = _choices(many, few)
+    best = choices[np.argmax(wide[np.arange(few), choices].sum(axis=1))]
+    return (np.arange(few), best) if len(gain) == few else (best, np.arange(few))
+
+
+@cache
+def _choices(many: int, few: int) -> IntArray:
+    """Every ordered choice of `few` out of `many`, (P, few)."""
+    return np.array(list(permutations(range(many), few)), dtype=np.int64)

@@ -13,10 +13,10 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
-from mseg.evaluation.label_vectors import read_label_files
+from mseg.evaluation.label_import import read_label_files
 from mseg.evaluation.protocol import Protocol
-from mseg.evaluation.submission import FileFormat, SubmissionMeta, fingerprint, write_submission
-from mseg.evaluation.validate import choose_protocol, load_clips
+from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
+from mseg.evaluation.validation import choose_protocol, load_clips
 
 _MADE_UP = {"example_two": 2, "example_three": 3}
 _SIZE = (320, 240)
@@ -89,7 +89,7 @@ def from_label_files(
     benchmark: str = "",
     format: FileFormat = "csv",
 ) -> Written:
-    """Turn label files into a submission; see `mseg.evaluation.label_vectors`."""
+    """Turn label files into a submission; see `mseg.evaluation.label_import`."""
     if data is None:
         raise InvalidValueError(
             "data", expected="the folder of clips that the labels are for", found="nothing"
@@ -154,7 +154,7 @@ def _is_zero_based(label: IntArray) -> bool:
 
 
 def _version(protocol: Protocol, clips: Mapping[str, Clip]) -> str:
-    return protocol.version_of({n: fingerprint(c) for n, c in clips.items()}) or "unnamed"
+    return protocol.version_of({n: clip_checksum(c) for n, c in clips.items()}) or "unnamed"
 
 
 @contextmanager

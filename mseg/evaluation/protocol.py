@@ -12,8 +12,6 @@ from typing import Any
 
 from kt3dmoseg.registry import unknown_name
 
-_FOLDER = "protocols"
-
 
 @dataclass(frozen=True)
 class Group:
@@ -76,7 +74,7 @@ class Protocol:
     prevalence : mapping of str to float
         Error in per cent of the one-motion baseline on clips, where known.
     versions : mapping of str to mapping of str to str
-        Dataset version -> clip -> `mseg.evaluation.fingerprint`, where known.
+        Dataset version -> clip -> `mseg.evaluation.clip_checksum`, where known.
     names : str
         Regular expression by which clips of a benchmark that lists none are recognised.
     data : str
@@ -119,20 +117,20 @@ class Protocol:
         """Names of all clips; empty where the benchmark is defined by a rule."""
         return self.group("all").clips
 
-    def version_of(self, fingerprints: Mapping[str, str]) -> str:
+    def version_of(self, checksums: Mapping[str, str]) -> str:
         """Recognise the dataset version of the clips at hand; empty when it is none that is known."""
         for version, known in self.versions.items():
-            listed = [name for name in fingerprints if name in known]
-            if listed and all(fingerprints[name] == known[name] for name in listed):
+            listed = [name for name in checksums if name in known]
+            if listed and all(checksums[name] == known[name] for name in listed):
                 return version
         return ""
 
-    def contradicts(self, version: str, fingerprints: Mapping[str, str]) -> bool:
+    def contradicts(self, version: str, checksums: Mapping[str, str]) -> bool:
         """Whether the clips at hand are known not to be of a version."""
-        here, known = self.version_of(fingerprints), self.versions.get(version, {})
-        return (here not in ("", version)) or any(known.get(n, f) != f for n, f in fingerprints.items())
+        here, known = self.version_of(checksums), self.versions.get(version, {})
+        return (here not in ("", version)) or any(known.get(n, c) != c for n, c in checksums.items())
 
-    def members(self, group: Group, motions: Mapping[str, int]) -> list[str]:
+    def clips_of(self, group: Group, motions: Mapping[str, int]) -> list[str]:
         """Names of the clips at hand that belong to a group.
 
         Parameters
@@ -146,16 +144,23 @@ class Protocol:
 
     def coverage(self, clips: Iterable[str]) -> str:
         """Say how much of the benchmark is at hand: ``"14 of 22 clips"`` or ``"all 22 clips"``."""
-        present = sum(self.holds(name) for name in clips)
-        return (
-            f"all {self.n_clips} clips" if present == self.n_clips else f"{present} of {self.n_clips} clips"
-        )
+        return f"{share(sum(self.holds(name) for name in clips), self.n_clips)} clips"
+
+
+def count(number: int, noun: str) -> str:
+    """Count something: "1 clip", "2 clips"."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def share(present: int, total: int) -> str:
+    """Say how many of all: "all 22", "14 of 22"."""
+    return f"all {total}" if present == total else f"{present} of {total}"
 
 
 def list_protocols() -> list[str]:
     """Names of the benchmark protocols that the package knows."""
-    entries = files("mseg").joinpath(_FOLDER).iterdir()
-    return sorted(e.name.removesuffix(".toml") for e in entries if e.name.endswith(".toml"))
+    found = files("mseg").joinpath("protocols").iterdir()
+    return sorted(each.name.removesuffix(".toml") for each in found if each.name.endswith(".toml"))
 
 
 @cache
@@ -176,7 +181,7 @@ def load_protocol(name: str) -> Protocol:
     """
     if name not in list_protocols():
         raise unknown_name("benchmark", name, list_protocols())
-    text = files("mseg").joinpath(_FOLDER, f"{name}.toml").read_text(encoding="utf-8")
+    text = files("mseg").joinpath("protocols", f"{name}.toml").read_text(encoding="utf-8")
     return _protocol(name, tomllib.loads(text))
 
 

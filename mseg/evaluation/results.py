@@ -1,216 +1,309 @@
-"""Scores as data: per clip and seed, averaged over clips and seeds, per group of the protocol."""
+"""The one results table: scores, comparisons, benchmark runs and leaderboards, laid out on pandas.
+
+Cells are texts, rounded as they are printed; figures to compute with are in `ScoreTable`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
+import pandas as pd
 
-from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.types import FloatArray
-from mseg.evaluation.contingency import Contingency
-from mseg.evaluation.layout import count
-from mseg.evaluation.problems import Problem
-from mseg.evaluation.protocol import Group, Protocol, protocol_of_clips
-from mseg.evaluation.statistics import Interval, bootstrap_mean, standard_deviation
-from mseg.evaluation.submission import SubmissionMeta
+from mseg.evaluation.metrics import all_metrics
+from mseg.evaluation.protocol import Group, Protocol, share
+from mseg.evaluation.scoring import ScoreTable
+from mseg.evaluation.statistics import standard_deviation
 
-
-@dataclass(frozen=True)
-class Provenance:
-    """What was scored on what.
-
-    Parameters
-    ----------
-    dataset_version, dataset_sha256 : str
-        Version by name, and the hash over names, trajectories and labels of the clips scored.
-    submission_sha256 : str
-        Hash over the files of the submission.
-    toolkit_version : str
-        Version of this package.
-    """
-
-    dataset_version: str
-    dataset_sha256: str
-    submission_sha256: str
-    toolkit_version: str
+MAIN_METRICS = ("error", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f")
+ABSENT = "-"
 
 
 @dataclass(frozen=True, eq=False)
-class ClipScore:
-    """Scores of one clip and one seed.
+class ResultsTable:
+    """Rows of texts under headings.
 
     Parameters
     ----------
-    clip, seed : str, int
-        Which.
-    n_motions, n : int
-        True motions and scored trajectories.
-    values : mapping of str to float
-        Every metric by name.
-    n_found : int
-        Predicted groups among the scored trajectories.
-    prevalence : float
-        Classification error of putting every trajectory into the largest motion.
-    reason : str
-        Why there are no labels; empty when there are.
-    table : Contingency or None
-        The counts behind the values, where they are at hand.
+    title : str
+        What the table shows, with its unit.
+    columns : sequence of str
+        Headings; the first column is set left, the others right.
+    rows : sequence of sequence of str
+        As many cells as columns.
+    notes : sequence of str
+        Lines below the table.
     """
 
-    clip: str
-    seed: int
-    n_motions: int
-    n: int
-    values: Mapping[str, float]
-    n_found: int = 0
-    prevalence: float = 1.0
-    reason: str = ""
-    table: Contingency | None = None
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    notes: Sequence[str] = ()
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """The cells as a data frame of texts."""
+        return pd.DataFrame(list(self.rows), columns=list(self.columns), dtype=object)
+
+    def text(self) -> str:
+        """Lay out for a terminal."""
+        lines = ["  ".join(self.columns)]
+        if self.rows:
+            # As the index, named by the columns, the first column is set left; two blanks part columns.
+            frame = self.frame.iloc[:, 1:]
+            frame.index = pd.Index([row[0] for row in self.rows])
+            frame.columns.name = self.columns[0]
+            widths = [max(map(len, cells)) for cells in zip(self.columns, *self.rows, strict=True)]
+            text = frame.to_string(col_space=[1 + width for width in widths[1:]])
+            lines = [line.rstrip() for line in text.splitlines()]
+        return "\n".join([self.title, "", *lines, *self.notes])
+
+    def markdown(self) -> str:
+        """Lay out as a Markdown table."""
+        rule = ["---", *["---:"] * (len(self.columns) - 1)]
+        rows = [[cell.replace("|", "\\|") for cell in row] for row in (self.columns, *self.rows)]
+        lines = ["| " + " | ".join(row) + " |" for row in (rows[0], rule, *rows[1:])]
+        notes = [f"- {note}" for note in self.notes]
+        return "\n".join([f"**{self.title}**", "", *lines, "", *notes]).rstrip()
+
+    def latex(self) -> str:
+        """Lay out as a LaTeX table for the package booktabs."""
+        form = "l" + "r" * (len(self.columns) - 1)
+        comments = [f"% {text}" for text in (self.title, *self.notes)]
+        body = self.frame.to_latex(index=False, escape=True, column_format=form).rstrip()
+        return "\n".join([*comments, body])
+
+    def csv(self) -> str:
+        """Lay out as comma-separated values, without title and notes."""
+        return self.frame.to_csv(index=False, lineterminator="\n")
 
 
-@dataclass(frozen=True)
-class Summary:
-    """One metric over the clips of a group.
+def headline(scores: ScoreTable, *, published: bool = True) -> ResultsTable:
+    """Classification error per group of the benchmark, and the published rows.
 
     Parameters
     ----------
-    mean, median : float
-        Over clips, of the means over seeds.
-    pooled : float
-        Mean over clips weighted by their numbers of scored trajectories; for the classification
-        error this is the error over all trajectories together.
-    seed_sd : float or None
-        Standard deviation over seeds of the mean over clips; None with one seed.
-    interval : Interval
-        95 % bootstrap interval of the mean over clips.
+    scores : ScoreTable
+        One submission.
+    published : bool
+        Add the rows of Table 1 of Xu et al. 2018, where the benchmark has them.
     """
-
-    mean: float
-    median: float
-    pooled: float
-    seed_sd: float | None
-    interval: Interval
+    rows = {scores.meta.method: scores.matrix()}
+    names = list(scores.benchmark.published) if published else []
+    title = f"{scores.benchmark.title}: classification error in %"
+    return error_table(title, scores.benchmark, scores.motions, rows, names, notes=headline_notes(scores))
 
 
-_BARE = SubmissionMeta("labels")
-_UNKNOWN = Provenance("", "", "", "")
-
-
-@dataclass(frozen=True, eq=False)
-class ScoreTable:
-    """All scores of a submission.
+def error_table(
+    title: str,
+    protocol: Protocol,
+    motions: Mapping[str, int],
+    errors: Mapping[str, FloatArray],
+    published: Sequence[str],
+    *,
+    extra: Mapping[str, Sequence[str]] | None = None,
+    notes: Sequence[str] = (),
+) -> ResultsTable:
+    """One row per method: mean with its spread over seeds, and median, for every group of a benchmark.
 
     Parameters
     ----------
-    clips : tuple of ClipScore
-        Every clip and seed; failed and missing ones included.
-    meta : SubmissionMeta
-        What the submission says about itself.
-    protocol : Protocol or None
-        The benchmark; None = the clips scored, one group.
-    provenance : Provenance
-        Versions and hashes.
-    problems : tuple of Problem
-        What was wrong but did not prevent scoring.
+    title : str
+        Title of the table.
+    protocol : Protocol
+        The benchmark.
+    motions : mapping of str to int
+        The clips scored, in order, and their true numbers of motions.
+    errors : mapping of str to (clips, seeds) float64
+        Method -> classification error, a fraction.
+    published : sequence of str
+        Rows of the published table to add.
+    extra : mapping, optional
+        More columns: heading -> one cell per method.
+    notes : sequence of str
+        Lines below the table.
     """
+    order = {name: row for row, name in enumerate(motions)}
+    groups = [(group, [order[n] for n in protocol.clips_of(group, motions)]) for group in protocol.groups]
+    columns = ["method"]
+    for group, clips in groups:
+        columns += [f"{group.title} ({share(len(clips), group.n_clips)}): mean", "median"]
+    more = dict(extra or {})
+    rows = []
+    for i, (method, values) in enumerate(errors.items()):
+        cells = [cell for _, clips in groups for cell in _mean_and_median(values[clips])]
+        rows.append([method, *cells, *(column[i] for column in more.values())])
+    for method in published:
+        cells = []
+        for group, _ in groups:
+            known = published_for(protocol, group).get(method, {})
+            cells += [f"{known[key]:.2f}" if key in known else ABSENT for key in ("mean", "median")]
+        rows.append([f"published {method} (all {protocol.n_clips})", *cells, *("" for _ in more)])
+    return ResultsTable(title, [*columns, *more], rows, notes)
 
-    clips: tuple[ClipScore, ...]
-    meta: SubmissionMeta = _BARE
-    protocol: Protocol | None = None
-    provenance: Provenance = _UNKNOWN
-    problems: tuple[Problem, ...] = ()
 
-    def __str__(self) -> str:
-        """One line per metric, the mean over clips and seeds."""
-        width = max(map(len, self.metrics))
-        counts = f"mean over {count(len(self.names), 'clip')} and {count(len(self.seeds), 'seed')}"
-        return "\n".join([counts, *(f"{name:<{width}}  {self[name]:.4f}" for name in self.metrics)])
+def clip_table(
+    title: str,
+    values: Mapping[str, FloatArray],
+    motions: Mapping[str, int],
+    *,
+    scale: int = 100,
+    total: str = "",
+    last: Sequence[Sequence[str]] = (),
+    notes: Sequence[str] = (),
+) -> ResultsTable:
+    """One row per clip, one column per method: mean over seeds, with the spread over seeds.
 
-    def __getitem__(self, metric: str) -> float:
-        """Mean of a metric over clips and seeds.
+    Parameters
+    ----------
+    title : str
+        Title of the table.
+    values : mapping of str to (clips, seeds) float64
+        Method -> a metric.
+    motions : mapping of str to int
+        The clips, in order, and their true numbers of motions.
+    scale : int
+        Factor of what is printed.
+    total : str
+        What mean and median are over, such as "14 of 22".
+    last : sequence of rows
+        More rows at the end.
+    notes : sequence of str
+        Lines below the table.
+    """
+    rows = [
+        [clip, str(n), *(_with_spread(v[i], scale) for v in values.values())]
+        for i, (clip, n) in enumerate(motions.items())
+    ]
+    means = [_with_spread(v.mean(axis=0), scale) for v in values.values()]
+    medians = [f"{scale * np.median(v.mean(axis=1)):.2f}" for v in values.values()]
+    of = f" of {total}" if total else ""
+    rows += [[f"mean{of}", "", *means], [f"median{of}", "", *medians], *map(list, last)]
+    several = any(v.shape[1] > 1 for v in values.values())
+    spread = ["mean over seeds ± standard deviation over seeds"] if several else []
+    return ResultsTable(title, ["clip", "motions", *values], rows, [*spread, *notes])
 
-        Raises
-        ------
-        UnknownNameError
-            When there is no such metric.
-        """
-        return float(self.per_clip(metric).mean())
 
-    @property
-    def error(self) -> float:
-        """Mean classification error over clips and seeds, a fraction."""
-        return self["error"]
-
-    @property
-    def metrics(self) -> list[str]:
-        """Names of the metrics."""
-        return list(self.clips[0].values)
-
-    @cached_property
-    def names(self) -> list[str]:
-        """Names of the clips, in order."""
-        return list(dict.fromkeys(c.clip for c in self.clips))
-
-    @cached_property
-    def seeds(self) -> list[int]:
-        """The seeds, in order."""
-        return list(dict.fromkeys(c.seed for c in self.clips))
-
-    @property
-    def failures(self) -> list[ClipScore]:
-        """Clips and seeds without labels."""
-        return [c for c in self.clips if c.reason]
-
-    @property
-    def benchmark(self) -> Protocol:
-        """The protocol, or one made of the clips scored."""
-        return self.protocol or protocol_of_clips(self.names)
-
-    @property
-    def complete(self) -> bool:
-        """Whether the whole benchmark is there and no clip failed."""
-        present = sum(map(self.benchmark.holds, self.names))
-        return not self.failures and present == self.benchmark.n_clips
-
-    def of(self, clip: str, seed: int | None = None) -> ClipScore:
-        """Return the scores of a clip; of the first seed unless told."""
-        wanted = self.seeds[0] if seed is None else seed
-        return self._by_key[clip, wanted]
-
-    def matrix(self, metric: str = "error") -> FloatArray:
-        """Values of a metric, (clips, seeds) float64."""
-        if metric not in self.clips[0].values:
-            raise unknown_name("metric", metric, self.metrics)
-        return np.array([[self._by_key[n, s].values[metric] for s in self.seeds] for n in self.names])
-
-    def per_clip(self, metric: str = "error") -> FloatArray:
-        """Mean over seeds of a metric, (clips,) float64, in the order of `names`."""
-        return np.asarray(self.matrix(metric).mean(axis=1), dtype=np.float64)
-
-    def groups(self) -> Iterator[tuple[Group, list[str]]]:
-        """Yield the groups of the protocol and the names of the clips scored in each."""
-        motions = {name: self.of(name).n_motions for name in self.names}
-        for group in self.benchmark.groups:
-            yield group, self.benchmark.members(group, motions)
-
-    def summary(self, metric: str = "error", clips: list[str] | None = None) -> Summary:
-        """Summarise a metric over clips: one or more of `names`, by default all."""
-        wanted = self.names if clips is None else clips
-        rows = [self.names.index(name) for name in wanted]
-        values = self.matrix(metric)[rows]
-        weights = np.array([self.of(name).n for name in wanted], dtype=np.float64)
-        means = values.mean(axis=1)
-        return Summary(
-            float(means.mean()),
-            float(np.median(means)),
-            float(np.average(means, weights=weights)),
-            standard_deviation(values.mean(axis=0)),
-            bootstrap_mean(means),
+def headline_notes(scores: ScoreTable) -> list[str]:
+    """Say what is needed to read the headline rightly: coverage, failures, versions, seeds."""
+    protocol, summary = scores.benchmark, scores.summary()
+    notes = [f"Scored: {protocol.coverage(scores.names)}{_coverage_of_groups(scores)}."]
+    if len(scores.names) < protocol.n_clips:
+        notes.append("A part of the benchmark: the published figures are for all of it.")
+    version, wanted = scores.provenance.dataset_version, protocol.published_dataset_version
+    if protocol.published and wanted and version != wanted:
+        notes.append(
+            f"Data version {version!r}; published figures are for version {wanted!r}: not comparable."
         )
+    low, high = summary.interval
+    sd = "" if summary.seed_sd is None else f", sd over seeds {100 * summary.seed_sd:.2f}"
+    notes.append(
+        f"{len(scores.seeds)} seed{'s' if sd else ''}{sd}; "
+        f"95 % bootstrap interval over clips {100 * low:.2f} to {100 * high:.2f}; "
+        f"all trajectories pooled {100 * summary.pooled:.2f}."
+    )
+    return notes + failure_notes(scores)
 
-    @cached_property
-    def _by_key(self) -> dict[tuple[str, int], ClipScore]:
-        return {(c.clip, c.seed): c for c in self.clips}
+
+def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:
+    """Name the clips and seeds without labels, and why."""
+    who = f"{method} on " if method else ""
+    return [f"Counted as fully wrong: {who}{c.clip} (seed {c.seed}): {c.reason}." for c in scores.failures]
+
+
+def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> ResultsTable:
+    """Every clip, means over seeds, with the prevalence baseline."""
+    specs = all_metrics()
+    columns = ["clip", "n", "motions", "found", "prevalence", *(specs[m].title for m in metrics)]
+    values = {m: scores.per_clip(m) for m in metrics}
+    rows = []
+    for i, name in enumerate(scores.names):
+        runs = [scores.of(name, seed) for seed in scores.seeds]
+        mark = " *" if any(run.reason for run in runs) else ""
+        found = "/".join(map(str, sorted({run.n_found for run in runs})))
+        facts = [str(runs[0].n), str(runs[0].n_motions), found, f"{100 * runs[0].prevalence:.2f}"]
+        rows.append([name + mark, *facts, *(specs[m].show(float(values[m][i])) for m in metrics)])
+    notes = ["* failed or missing: the worst score."] if scores.failures else []
+    return ResultsTable("Per clip, fractions in %", columns, rows, notes)
+
+
+def all_means(scores: ScoreTable) -> ResultsTable:
+    """Every metric: mean, median and pooled over clips, sd over seeds, 95 % interval."""
+    rows = []
+    for name, metric in all_metrics().items():
+        summary = scores.summary(name)
+        values = [metric.show(v) for v in (summary.mean, summary.median, summary.pooled)]
+        spread = ABSENT if summary.seed_sd is None else metric.show(summary.seed_sd)
+        interval = " to ".join(map(metric.show, summary.interval))
+        rows.append([metric.title, metric.better, *values, spread, interval])
+    columns = ["metric", "better", "mean", "median", "pooled", "sd over seeds", "95 % over clips"]
+    return ResultsTable("Over all clips scored, fractions in %", columns, rows)
+
+
+def davis_files(scores: ScoreTable) -> dict[str, str]:
+    """Name and content of the two files that DAVIS scripts look for: fractions, one row per clip."""
+    frame = pd.DataFrame({f"{m}-Mean": scores.per_clip(m) for m in scores.metrics}, index=scores.names)
+    means = pd.DataFrame({f"{m}-Mean": [scores[m]] for m in scores.metrics})
+    form = "%.6f"
+    name = scores.benchmark.name
+    return {
+        f"global_results-{name}.csv": means.to_csv(index=False, float_format=form, lineterminator="\n"),
+        f"per-sequence_results-{name}.csv": frame.to_csv(
+            index_label="Sequence", float_format=form, lineterminator="\n"
+        ),
+    }
+
+
+def published_for(protocol: Protocol, group: Group) -> dict[str, dict[str, float]]:
+    """Return the published mean and median (in %) of each method on a group of the benchmark."""
+    found = {method: dict(parts.get(group.name, {})) for method, parts in protocol.published.items()}
+    return {method: values for method, values in found.items() if values}
+
+
+def meta_lines(scores: ScoreTable) -> list[tuple[str, str]]:
+    """List what the submission says about itself and what it was scored on, as (name, value)."""
+    meta, source = scores.meta, scores.provenance
+    lines = [
+        ("method", meta.method),
+        ("authors", ", ".join(meta.authors)),
+        ("link", meta.link),
+        ("number of motions", "given" if meta.n_motions_given else "found by the method"),
+        ("hardware", meta.hardware),
+        ("time per seed", f"{meta.seconds:g} s" if meta.seconds else ""),
+        ("parameters", ", ".join(f"{k} = {v}" for k, v in meta.parameters.items())),
+        ("dataset version", source.dataset_version),
+        ("dataset sha256", source.dataset_sha256[:16]),
+        ("submission sha256", source.submission_sha256[:16]),
+        ("toolkit", source.toolkit_version),
+    ]
+    return [(name, value) for name, value in lines if value]
+
+
+def _mean_and_median(values: FloatArray) -> list[str]:
+    """Show the mean over clips and seeds with its spread, and the median over clips."""
+    if not len(values):
+        return [ABSENT, ABSENT]
+    means = values.mean(axis=1)
+    sd = standard_deviation(values.mean(axis=0))
+    spread = "" if sd is None else f" ±{100 * sd:.2f}"
+    return [f"{100 * means.mean():.2f}{spread}", f"{100 * np.median(means):.2f}"]
+
+
+def _with_spread(values: FloatArray, scale: int) -> str:
+    spread = standard_deviation(values)
+    mean = f"{scale * values.mean():.2f}"
+    return mean if spread is None else f"{mean} ±{scale * spread:.2f}"
+
+
+def _coverage_of_groups(scores: ScoreTable) -> str:
+    groups = list(scores.groups())
+    if len(groups) == 1:
+        return ""
+    parts = [
+        f"{group.title} "
+        + ("which clips is not published" if group.unknown else f"{len(names)} of {group.n_clips}")
+        for group, names in groups
+    ]
+    return " (" + ", ".join(parts) + ")"

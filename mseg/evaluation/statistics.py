@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,50 @@ class Interval(NamedTuple):
 
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One metric over the clips of a group.
+
+    Parameters
+    ----------
+    mean, median : float
+        Over clips, of the means over seeds.
+    pooled : float
+        Mean over clips weighted by their numbers of scored trajectories; for the classification
+        error this is the error over all trajectories together.
+    seed_sd : float or None
+        Standard deviation over seeds of the mean over clips; None with one seed.
+    interval : Interval
+        95 % bootstrap interval of the mean over clips.
+    """
+
+    mean: float
+    median: float
+    pooled: float
+    seed_sd: float | None
+    interval: Interval
+
+
+def summarise(values: FloatArray, weights: FloatArray) -> Summary:
+    """Summarise a metric.
+
+    Parameters
+    ----------
+    values : (clips, seeds) float64
+        The metric.
+    weights : (clips,) float64
+        Numbers of scored trajectories.
+    """
+    means = values.mean(axis=1)
+    return Summary(
+        float(means.mean()),
+        float(np.median(means)),
+        float(np.average(means, weights=weights)),
+        standard_deviation(values.mean(axis=0)),
+        bootstrap_mean(means),
+    )
 
 
 def bootstrap_mean(values: FloatArray, *, level: float = _LEVEL, seed: int = 0) -> Interval:

@@ -1,4 +1,4 @@
-"""The layout of a submission, version 1, and how to write one.
+"""A submission, format version 1: its layout, how to write one, and how to read one without trusting it.
 
 ::
 
@@ -12,35 +12,56 @@ Predictions of several seeds lie in one folder per seed, ``seed-0/Seq005_Clip01.
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import os
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Literal, TypeAlias
+import stat
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cache
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.catalog import quoted
-from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import atomic_path, sha256_arrays, write_bytes, write_text
-from kt3dmoseg.types import Clip, IntArray
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import (
+    SafeZip,
+    ZipFault,
+    ZipLimits,
+    atomic_path,
+    read_bytes,
+    sha256_arrays,
+    write_bytes,
+    write_text,
+)
+from kt3dmoseg.io.predictions import MAX_FILE_BYTES, SUFFIXES, Prediction, Problem, parse_prediction
+from kt3dmoseg.registry import nearest
+from kt3dmoseg.types import Clip
 from mseg.evaluation.contingency import label_vector
+from mseg.evaluation.protocol import list_protocols
 
 FORMAT_VERSION = 1
 META = "meta.toml"
 FAILED = ".failed"
 FileFormat: TypeAlias = Literal["csv", "npz", "h5"]
 FORMATS: tuple[FileFormat, ...] = ("csv", "npz", "h5")
-SEED_FOLDER = re.compile(r"seed-(\d{1,18})")
+LIMITS = ZipLimits(files=50_000, file_bytes=MAX_FILE_BYTES, total_bytes=512 << 20, depth=4)
+_SEED_FOLDER = re.compile(r"seed-(\d{1,18})")
 _CLIP_NAME = re.compile(r"\w[\w .-]{0,127}")
+_TEXT_LIMIT = 2000
+_IGNORED_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
+_LABEL_FILES = (".mat", ".dat", ".txt", ".npy", ".pkl", ".pickle", ".tsv", ".xlsx")
+_EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
 
 
 @dataclass(frozen=True)
 class SubmissionMeta:
-    """What a submission says about itself.
+    """What a submission says about itself; the fields of ``meta.toml``.
 
     Parameters
     ----------
@@ -54,7 +75,7 @@ class SubmissionMeta:
     benchmark : str
         Name of the protocol, see `list_protocols`; empty = the one that the clips belong to.
     n_motions_given : bool
-        Whether the method was told the number of motions of each clip.
+        Whether the method was given the number of motions of each clip.
     link : str
         Paper or code.
     hardware : str
@@ -66,7 +87,7 @@ class SubmissionMeta:
     baseline : bool
         One label for a whole clip is meant; otherwise it is refused as a sign of a mistake.
     fingerprints : mapping of str to str
-        Clip -> `fingerprint` of the trajectories that were segmented; `write_prediction`'s data.
+        Clip -> `clip_checksum` of the trajectories that were segmented.
     parameters : mapping of str to str
         Options of the method, free.
     """
@@ -85,11 +106,11 @@ class SubmissionMeta:
     parameters: Mapping[str, str] = field(default_factory=dict)
 
 
-def fingerprint(clip: Clip) -> str:
+def clip_checksum(clip: Clip) -> str:
     """Identify the evaluated trajectories of a clip: 16 hexadecimal digits.
 
     Ids and visibility count exactly, positions as float32, so that the same data in another file
-    format has the same fingerprint; the order of the trajectories and the labels do not count.
+    format has the same checksum; the order of the trajectories and the labels do not count.
     """
     tracks = clip.evaluated_trajectories
     order = np.argsort(tracks.track_id)
@@ -97,11 +118,17 @@ def fingerprint(clip: Clip) -> str:
     return sha256_arrays(tracks.track_id[order], tracks.visible[order], xy[order])[:16]
 
 
+fingerprint = clip_checksum  # its public name up to version 0.1
+
+
+# --- writing ----------------------------------------------------------------------------------
+
+
 def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
     """Write ``meta.toml``; returns its path."""
     path = Path(folder) / META
-    lines = [f"format_version = {FORMAT_VERSION}"]
     values = asdict(meta)
+    lines = [f"format_version = {FORMAT_VERSION}"]
     lines += [f"{key} = {_toml(value)}" for key, value in values.items() if not isinstance(value, dict)]
     for key, value in values.items():
         if isinstance(value, dict) and value:
@@ -143,17 +170,22 @@ def write_prediction(
         raise InvalidValueError(
             f"labels of {clip.name}", expected=f"{len(clip.evaluated)}", found=f"{len(label)}"
         )
-    path = _place(folder, clip.name, seed) / f"{_safe(clip.name)}.{format}"
+    path = file_of(folder, clip.name, seed, f".{format}")
     track = clip.dense.track_id[clip.evaluated]
     if format == "csv":
-        write_text(path, _csv(track, label))
+        rows = "\n".join(f"{t},{v}" for t, v in zip(track.tolist(), label.tolist(), strict=True))
+        write_text(path, f"track,label\n{rows}\n")
     elif format == "npz":
         buffer = io.BytesIO()
         np.savez_compressed(buffer, track=track, label=label)
         write_bytes(path, buffer.getvalue())
     else:
-        _write_h5(path, track, label)
-    path.with_name(f"{clip.name}{FAILED}").unlink(missing_ok=True)
+        import h5py
+
+        with atomic_path(path) as temporary, h5py.File(temporary, "w") as stream:
+            stream.create_dataset("track", data=track)
+            stream.create_dataset("label", data=label)
+    file_of(folder, clip.name, seed, FAILED).unlink(missing_ok=True)
     return path
 
 
@@ -161,7 +193,7 @@ def write_failure(
     folder: str | os.PathLike[str], clip: Clip, reason: str, *, seed: int | None = None
 ) -> Path:
     """Record that the method failed on a clip, and why; it will count as fully wrong."""
-    path = _place(folder, clip.name, seed) / f"{_safe(clip.name)}{FAILED}"
+    path = file_of(folder, clip.name, seed, FAILED)
     write_text(path, " ".join(reason.split()) + "\n")
     return path
 
@@ -185,7 +217,7 @@ def write_submission(
     predictions : mapping
         Clip name -> labels for a single run, or seed -> clip name -> labels.
     meta : SubmissionMeta
-        What to say about it; the fingerprints of the clips are added.
+        What to say about it; the checksums of the clips are added.
     format : {"csv", "npz", "h5"}
         File format of the predictions.
 
@@ -204,41 +236,27 @@ def write_submission(
                     f"predictions of {name}", expected="a clip", found="none of that name"
                 )
             write_prediction(folder, by_name[name], labels, seed=seed, format=format)
-    prints = {name: fingerprint(clip) for name, clip in by_name.items()}
-    write_meta(folder, _with_fingerprints(meta, prints))
+    checksums = {name: clip_checksum(clip) for name, clip in by_name.items()}
+    write_meta(folder, replace(meta, fingerprints={**checksums, **meta.fingerprints}))
     return Path(folder)
 
 
-def _with_fingerprints(meta: SubmissionMeta, prints: Mapping[str, str]) -> SubmissionMeta:
-    return SubmissionMeta(**{**vars(meta), "fingerprints": {**prints, **meta.fingerprints}})
+def file_of(folder: str | os.PathLike[str], clip: str, seed: int | None, ending: str) -> Path:
+    """Path of a clip's file in a submission.
 
-
-def _place(folder: str | os.PathLike[str], clip: str, seed: int | None) -> Path:
-    return Path(folder) if seed is None else Path(folder) / f"seed-{seed}"
-
-
-def _safe(name: str) -> str:
-    if not _CLIP_NAME.fullmatch(name) or ".." in name:
+    Raises
+    ------
+    InvalidValueError
+        When the clip's name cannot be a file name.
+    """
+    if not _CLIP_NAME.fullmatch(clip) or ".." in clip:
         raise InvalidValueError(
             "clip name",
             expected="a plain file name: letters, digits, space, '.', '_', '-'",
-            found=repr(name),
+            found=repr(clip),
             fix="rename the clip",
         )
-    return name
-
-
-def _csv(track: IntArray, label: IntArray) -> str:
-    rows = "\n".join(f"{t},{v}" for t, v in zip(track.tolist(), label.tolist(), strict=True))
-    return f"track,label\n{rows}\n"
-
-
-def _write_h5(path: Path, track: IntArray, label: IntArray) -> None:
-    import h5py
-
-    with atomic_path(path) as temporary, h5py.File(temporary, "w") as stream:
-        stream.create_dataset("track", data=track)
-        stream.create_dataset("label", data=label)
+    return (Path(folder) if seed is None else Path(folder) / f"seed-{seed}") / f"{clip}{ending}"
 
 
 def _toml(value: object) -> str:
@@ -248,4 +266,331 @@ def _toml(value: object) -> str:
         return repr(value)
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return quoted(str(value))
+    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+# --- reading ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Submission:
+    """What a submission holds, before it is compared with the data.
+
+    Parameters
+    ----------
+    meta : SubmissionMeta
+        Who, how, on which data.
+    predictions : mapping of (seed, clip) to Prediction
+        Seed 0 when the files lie in no seed folder.
+    failures : mapping of (seed, clip) to str
+        Clips on which the method failed, and why.
+    files : mapping of (seed, clip) to str
+        The file of each.
+    problems : list of Problem
+        Everything that is wrong so far.
+    sha256 : str
+        Hash over names and contents, the same for a folder and its zip.
+    """
+
+    meta: SubmissionMeta
+    predictions: Mapping[tuple[int, str], Prediction] = field(default_factory=dict)
+    failures: Mapping[tuple[int, str], str] = field(default_factory=dict)
+    files: Mapping[tuple[int, str], str] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    sha256: str = ""
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds, ascending."""
+        return sorted({seed for seed, _ in (*self.predictions, *self.failures)})
+
+    @property
+    def clips(self) -> list[str]:
+        """Names of the clips, of any seed, sorted."""
+        return sorted({clip for _, clip in (*self.predictions, *self.failures)})
+
+
+def read_submission(path: str | os.PathLike[str]) -> Submission:
+    """Read a submission from a folder or a zip, in memory; what is wrong with it is listed, not raised.
+
+    Raises
+    ------
+    InputFileError
+        When there is nothing at `path`.
+    """
+    reader = _Reader(Path(path))
+    if reader.names or not reader.problems:  # else it is no zip, or too large, and that is all to say
+        reader.read()
+    return Submission(
+        reader.meta, reader.predictions, reader.failures, reader.files, reader.problems, reader.sha256
+    )
+
+
+class _Reader:
+    """The files of a folder or zip that are safe to read, and what was read from them."""
+
+    def __init__(self, path: Path) -> None:
+        self.meta = SubmissionMeta("unnamed")
+        self.predictions: dict[tuple[int, str], Prediction] = {}
+        self.failures: dict[tuple[int, str], str] = {}
+        self.files: dict[tuple[int, str], str] = {}
+        self.problems: list[Problem] = []
+        self.names: list[str] = []
+        self.prefix = self.sha256 = ""
+        self._digest = hashlib.sha256()
+        self._content: Callable[[str], bytes]
+        if path.is_dir():
+            self._open_folder(path)
+        elif path.exists():
+            self._open_zip(path)
+        else:
+            raise InputFileError(f"{path}", expected="a submission (folder or zip)", found="nothing there")
+
+    def read(self) -> None:
+        """Read every file."""
+        self._find_root()
+        name = self.prefix + META
+        if name in self.names and (content := self._read(name)) is not None:
+            self.meta, problems = parse_meta(content)
+            self.problems += problems
+        at_top = in_folders = 0
+        for name in self.names:
+            if name.startswith(self.prefix) and name != self.prefix + META:
+                path = PurePosixPath(name[len(self.prefix) :])
+                seed = self._seed(name, path)
+                if seed is not None:
+                    in_folders += len(path.parts) > 1
+                    at_top += len(path.parts) == 1 and path.suffix.lower() in (*SUFFIXES, FAILED)
+                    self._read_file(name, path, seed)
+        if at_top and in_folders:
+            expected = "all predictions at the top, or all in seed-<number> folders"
+            found = f"{at_top} at the top and {in_folders} in seed folders"
+            fix = "move the files at the top into a seed folder of their own"
+            self._bad("mixed-seeds", "", expected, found, fix)
+        if not at_top and not in_folders:
+            self._bad("no-predictions", "", f"one file per clip ({', '.join(SUFFIXES)})", "none", _EXAMPLE)
+        self.sha256 = self._digest.hexdigest()
+
+    def _bad(self, code: str, file: str, expected: str, found: str, fix: str) -> None:
+        self.problems.append(Problem(code, file, expected=expected, found=found, fix=fix))
+
+    def _open_folder(self, root: Path) -> None:
+        self._content = lambda name: read_bytes(root / name, MAX_FILE_BYTES)
+        total = 0
+        for folder, subfolders, files in os.walk(root, followlinks=False):
+            subfolders.sort()
+            for each in sorted([*files, *subfolders]):
+                path = Path(folder) / each
+                name = path.relative_to(root).as_posix()
+                if path.is_symlink():
+                    fix = "put the file itself there (zip follows links by default; cp -L does too)"
+                    self._bad("symlink", name, "a plain file", "a symbolic link", fix)
+                elif each in files and not _ignored(name):
+                    total += self._accept(name, path.stat(follow_symlinks=False))
+            subfolders[:] = [s for s in subfolders if not _ignored(s)]
+            if len(self.names) > LIMITS.files or total > LIMITS.total_bytes:
+                self.names.clear()
+                self._too_large("", f"over {LIMITS.files} files or {LIMITS.total_bytes >> 20} MiB")
+                break
+        self.names.sort()
+
+    def _accept(self, name: str, status: os.stat_result) -> int:
+        """Take a file of a folder when it is a plain one of moderate size; return its size."""
+        if not stat.S_ISREG(status.st_mode):
+            self._bad("special-file", name, "a plain file", "a device or pipe", "remove it")
+            return 0
+        if status.st_size > MAX_FILE_BYTES:
+            self._too_large(name, f"{status.st_size} bytes")
+            return 0
+        self.names.append(name)
+        return status.st_size
+
+    def _too_large(self, file: str, found: str) -> None:
+        whole = f"at most {LIMITS.files} files and {LIMITS.total_bytes >> 20} MiB"
+        expected = f"at most {MAX_FILE_BYTES >> 20} MiB" if file else whole
+        fix = "only meta.toml and prediction files belong here, with one label per evaluated trajectory"
+        self._bad("too-large", file, expected, found, fix)
+
+    def _open_zip(self, path: Path) -> None:
+        faults: list[ZipFault] = []
+        archive = SafeZip(path, LIMITS, path.name, faults=faults)
+        self.names = [name for name in archive.sizes if not _ignored(name)]
+        self._content = archive.read
+        for code, file, expected, found, fix in faults:
+            if code == "not-a-zip":
+                fix = "make it with: cd my-submission && zip -r ../my-submission.zip ."
+                self._bad(code, path.name, "a folder, or a zip of its content", found, fix)
+            elif code == "too-large":
+                self._too_large(file, found)
+            else:
+                self._bad(code, file, expected, found, fix)
+
+    def _find_root(self) -> None:
+        """Find where meta.toml lies: at the top, or one folder down when the folder itself was zipped."""
+        if META in self.names:
+            return
+        below = [n for n in self.names if PurePosixPath(n).name == META]
+        tops = {PurePosixPath(n).parts[0] for n in self.names}
+        if len(below) == 1 and len(tops) == 1:
+            self.prefix = below[0].removesuffix(META)
+            folder = self.prefix.rstrip("/")
+            found = f"everything inside the folder {self.prefix}"
+            fix = f"zip the content, not the folder: cd {folder} && zip -r ../{folder}.zip ."
+            self._bad("wrapped-folder", below[0], f"{META} at the top", found, fix)
+        else:
+            near = next((n for n in self.names if n.lower() == META), "")
+            found = f"{near} (lower case is needed)" if near else "none"
+            self._bad("no-meta", META, f"{META} at the top", found, _EXAMPLE)
+
+    def _read(self, name: str) -> bytes | None:
+        try:
+            content = self._content(name)
+        except KT3DMoSegError as error:
+            self._bad("unreadable", name, "a readable file", str(error), "make the archive again")
+            return None
+        self._digest.update(f"{name[len(self.prefix) :]}\0{len(content)}\0".encode())
+        self._digest.update(content)
+        return content
+
+    def _seed(self, name: str, path: PurePosixPath) -> int | None:
+        if len(path.parts) == 1:
+            return 0
+        folder = _SEED_FOLDER.fullmatch(path.parts[0])
+        if folder and len(path.parts) == 2:
+            return int(folder[1])
+        expected = "files at the top, or in folders seed-0, seed-1, ..."
+        fix = "name the folders seed-<number>, or move the files to the top"
+        self._bad("unknown-folder", name, expected, f"the folder {path.parent}", fix)
+        return None
+
+    def _read_file(self, name: str, path: PurePosixPath, seed: int) -> None:
+        suffix = path.suffix.lower()
+        if suffix not in (*SUFFIXES, FAILED):
+            self._unknown_file(name, path)
+            return
+        content = self._read(name)
+        if content is None:
+            return
+        key = (seed, path.name[: -len(suffix)])
+        if key in self.files:
+            found = f"also {self.files[key]}"
+            self._bad("duplicate-clip", name, "one file per clip and seed", found, "keep one of them")
+            return
+        self.files[key] = name
+        if suffix == FAILED:
+            reason = " ".join(content.decode("utf-8", "replace").split())[:300]
+            self.failures[key] = reason or "no reason given"
+        else:
+            self.predictions[key] = parse_prediction(content, name[: -len(suffix)] + suffix, key[1])
+            self.problems += self.predictions[key].problems
+
+    def _unknown_file(self, name: str, path: PurePosixPath) -> None:
+        suffix = path.suffix.lower()
+        if suffix in (".txt", ".md", "") and path.name.lower().startswith(("readme", "licen")):
+            return
+        expected = f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}"
+        convert = (
+            "make it a csv 'track,label'; for label files (.mat, .txt, .dat) "
+            "'mseg example-submission DATA --from FILES -o OUT' does it"
+        )
+        fix = convert if suffix in _LABEL_FILES else "remove it"
+        self._bad("unknown-file", name, expected, path.suffix or "no ending", fix)
+
+
+def _ignored(name: str) -> bool:
+    """Whether the file is hidden, or an operating system left it there: no part of the submission."""
+    return any(part in _IGNORED_NAMES or part.startswith(".") for part in PurePosixPath(name).parts)
+
+
+def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
+    """Read ``meta.toml``.
+
+    Returns
+    -------
+    meta : SubmissionMeta
+        With defaults where a field is missing or wrong.
+    problems : list of Problem
+    """
+    problems: list[Problem] = []
+
+    def bad(field: str, expected: str, found: str, fix: str = _EXAMPLE) -> None:
+        expected = f"{field} = {expected}" if field else expected
+        problems.append(Problem("meta-field", META, expected=expected, found=found[:80], fix=fix))
+
+    try:
+        raw = tomllib.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        found = f"a syntax error: {' '.join(str(error).split())[:160]}"
+        return SubmissionMeta("unnamed"), [
+            Problem("meta-syntax", META, expected="TOML", found=found, fix=_EXAMPLE)
+        ]
+    version = raw.pop("format_version", None)
+    if version != FORMAT_VERSION or isinstance(version, bool):
+        bad("format_version", str(FORMAT_VERSION), repr(version))
+    wrong = _wrong_fields(raw)
+    for name, expected in wrong.items():
+        if expected:
+            bad(name, expected, repr(raw[name]))
+        else:
+            meant = nearest(name, [each.name for each in fields(SubmissionMeta)])
+            fix = f"did you mean {meant!r}?" if meant else f"put it under [parameters]; {_EXAMPLE}"
+            bad("", "a known field", repr(name), fix)
+    _check_required(raw, bad)
+    values = {"method": "unnamed", **{name: value for name, value in raw.items() if name not in wrong}}
+    return SubmissionMeta(**{**values, "authors": tuple(values.get("authors", ("unnamed",)))}), problems
+
+
+def _wrong_fields(raw: Mapping[str, Any]) -> dict[str, str]:
+    """Name the fields of ``meta.toml`` of the wrong kind, and what each must be; "" = unknown."""
+    from pydantic import ValidationError
+
+    try:
+        _meta_model().model_validate(raw)
+    except ValidationError as error:
+        kinds = {each.name: str(each.type) for each in fields(SubmissionMeta)}
+        names = dict.fromkeys(str(each["loc"][0]) for each in error.errors(include_url=False))
+        return {name: _EXPECTED[kinds[name]] if name in kinds else "" for name in names}
+    return {}
+
+
+_EXPECTED = {
+    "str": "a text",
+    "bool": "true or false",
+    "float": "seconds >= 0",
+    "tuple[str, ...]": 'a list of names, ["A. Author"]',
+    "Mapping[str, str]": "a table of texts",
+}
+
+
+@cache
+def _meta_model() -> Any:  # noqa: ANN401  # a pydantic model
+    """Make the model of `SubmissionMeta`'s fields, each optional; imported late, so that help stays fast."""
+    from pydantic import ConfigDict, Field, create_model
+
+    text = Annotated[str, Field(max_length=_TEXT_LIMIT)]
+    kinds: dict[str, Any] = {
+        "str": text,
+        "bool": bool,
+        "float": Annotated[float, Field(ge=0, allow_inf_nan=False)],
+        "tuple[str, ...]": Annotated[list[text], Field(max_length=_TEXT_LIMIT)],
+        "Mapping[str, str]": dict[str, text],
+    }
+    strict = ConfigDict(strict=True, extra="forbid")
+    members: dict[str, Any] = {f.name: (kinds[str(f.type)], None) for f in fields(SubmissionMeta)}
+    return create_model("Meta", __config__=strict, **members)
+
+
+def _check_required(raw: Mapping[str, Any], bad: Callable[..., None]) -> None:
+    for name, example in (("method", '"My method"'), ("authors", '["A. Author"]')):
+        if not raw.get(name):
+            bad(name, example, "nothing")
+    if "n_motions_given" not in raw:
+        fix = "say whether the method was given the number of motions"
+        bad("n_motions_given", "true or false", "nothing", fix)
+    benchmark = raw.get("benchmark", "")
+    if isinstance(benchmark, str) and benchmark not in ("", "custom", *list_protocols()):
+        meant = nearest(benchmark, list_protocols())
+        fix = f"did you mean {meant!r}?" if meant else ""
+        bad("benchmark", "one of " + ", ".join(list_protocols()), repr(benchmark), fix)
+    if not raw.get("dataset_version") and not raw.get("fingerprints"):
+        bad("dataset_version", '"2018", the version of the data that was segmented', "nothing")

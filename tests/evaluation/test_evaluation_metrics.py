@@ -9,10 +9,8 @@ from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score, p
 
 from kt3dmoseg.errors import InvalidValueError
 from mseg.evaluation import classification_error
-from mseg.evaluation.assignment import best_assignment
-from mseg.evaluation.contingency import contingency
-from mseg.evaluation.metrics import METRICS, all_metrics
-from mseg.evaluation.metrics import motions as per_motion
+from mseg.evaluation.contingency import best_assignment, contingency
+from mseg.evaluation.metrics import METRICS, all_metrics, per_motion
 
 NAMES = METRICS.names()
 labels = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 5)), min_size=1, max_size=60).filter(
@@ -97,9 +95,10 @@ def test_motions_as_scikit_learn(pairs):
     }
     renamed = np.array([names.get(int(p), 99) for p in pred])
     p, r, f, _ = precision_recall_fscore_support(truth, renamed, labels=table.motions, zero_division=0)
-    np.testing.assert_allclose(per_motion.precision_per_motion(table), p)
-    np.testing.assert_allclose(per_motion.recall_per_motion(table), r)
-    np.testing.assert_allclose(per_motion.f_per_motion(table), f)
+    found = per_motion(table)
+    np.testing.assert_allclose(found["precision"], p)
+    np.testing.assert_allclose(found["recall"], r)
+    np.testing.assert_allclose(found["f_measure"], f)
     assert classification_error(truth, pred) == pytest.approx(np.mean(truth != renamed))
 
 

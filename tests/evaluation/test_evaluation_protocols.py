@@ -36,7 +36,7 @@ def test_misspelt_benchmark():
 def test_hopkins155_counts_two_and_three_motions_and_never_dancing():
     protocol = load_protocol("hopkins155")
     motions = {"cars1": 2, "1R2RC": 3, "1R2RC_g12": 2, "dancing": 5}
-    members = {g.name: protocol.members(g, motions) for g in protocol.groups}
+    members = {g.name: protocol.clips_of(g, motions) for g in protocol.groups}
     assert members == {
         "two": ["cars1", "1R2RC_g12"],
         "three": ["1R2RC"],
@@ -48,7 +48,7 @@ def test_hopkins155_counts_two_and_three_motions_and_never_dancing():
 def test_mtpv62_parts():
     protocol = load_protocol("mtpv62")
     motions = {"MTPV_data_Boat": 2, "Hopkins50_cars1": 2, "1R2RC": 3, "1R2RC_g12": 2, "dancing": 5}
-    members = {g.name: protocol.members(g, motions) for g in protocol.groups}
+    members = {g.name: protocol.clips_of(g, motions) for g in protocol.groups}
     assert members["missing"] == ["MTPV_data_Boat"]
     assert members["hopkins"] == ["Hopkins50_cars1", "1R2RC"]
     assert members["perspective"] == []
@@ -77,7 +77,7 @@ def test_real_data_fall_into_their_groups(data_root, folder, name, coverage, gro
     assert guess_protocol(paths) == protocol
     motions = {n: kt3dmoseg.load(p).n_motions if name == "hopkins155" else 2 for n, p in paths.items()}
     assert protocol.coverage(motions) == coverage
-    assert {g.name: len(protocol.members(g, motions)) for g in protocol.groups} == groups
+    assert {g.name: len(protocol.clips_of(g, motions)) for g in protocol.groups} == groups
 
 
 @pytest.mark.data

@@ -11,8 +11,7 @@ import mseg.cli
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.types import Labels
 from mseg.evaluation import SubmissionMeta, score_submission, write_submission
-from mseg.evaluation.leaderboard import Leaderboard
-from mseg.evaluation.leaderboard.export import export
+from mseg.evaluation.leaderboard import Leaderboard, export
 
 
 def scored(folder, method, wrong, clips=CLIPS):
@@ -89,7 +88,7 @@ def test_adds_from_several_processes_lose_nothing(tmp_path):
         "import sys, dataclasses as d\n"
         "from mseg.evaluation import score\n"
         "from mseg.evaluation.leaderboard import Leaderboard\n"
-        "from mseg.evaluation.results import Provenance\n"
+        "from mseg.evaluation.scoring import Provenance\n"
         "worker = int(sys.argv[1])\n"
         f"for i in range({each}):\n"
         "    table = score(truth=[1, 1, 2], pred=[1, 2, 2])\n"

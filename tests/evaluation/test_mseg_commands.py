@@ -69,7 +69,7 @@ def test_a_leaderboard_is_not_made_for_nothing(tmp_path, capsys):
 
 
 def test_an_output_that_cannot_be_written_is_told_before_the_work(data, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(predictions, "execute", None)
+    monkeypatch.setattr(predictions, "run_tasks", None)
     (tmp_path / "file").write_text("")
     said = usage_error(capsys, "run", data, "-o", str(tmp_path / "file"))
     assert "cannot write" in said

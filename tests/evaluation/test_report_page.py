@@ -16,9 +16,8 @@ from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.types import Clip, Labels
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation import SubmissionMeta, score_submission, write_failure, write_submission
-from mseg.evaluation.layout import TextTable
 from mseg.evaluation.report import write_report
-from mseg.evaluation.tables import headline, per_clip
+from mseg.evaluation.results import ResultsTable, headline, per_clip
 
 
 @pytest.fixture
@@ -174,12 +173,13 @@ def test_tables_beside_the_page(submission, tmp_path):
 
 
 def test_layouts_escape():
-    table = TextTable("T", ["a_b", "x|y"], [["50 %", "c,d"]], ["note"])
+    table = ResultsTable("T", ["a_b", "x|y"], [["50 %", "c,d"]], ["note"])
     assert r"a\_b & x|y \\" in table.latex()
     assert r"50 \% & c,d \\" in table.latex()
     assert "| a_b | x\\|y |" in table.markdown()
     assert table.csv() == 'a_b,x|y\n50 %,"c,d"\n'
-    assert table.text().splitlines() == ["T", "", "a_b   x|y", "----  ---", "50 %  c,d", "note"]
+    assert table.text().splitlines() == ["T", "", "a_b   x|y", "50 %  c,d", "note"]
+    assert ResultsTable("T", ["a", "b"], []).text().splitlines() == ["T", "", "a  b"]
 
 
 def test_background_unknown_and_few_labels(tmp_path):

@@ -147,21 +147,43 @@ def test_predictions_are_joined_by_id(suffix, tmp_path):
 
 def test_predictions_of_another_clip_are_refused(tmp_path):
     _write(tmp_path / "a.csv", [0, 2, 5], [1, 1, 1])
-    with pytest.raises(FileFormatError, match="found none of track 3; give the prediction of this very clip"):
+    with pytest.raises(
+        FileFormatError, match=r"a.csv, clip tiny: .* found 1 missing \(track 3\); write one row"
+    ):
         read_prediction(tmp_path / "a.csv", small_clip())
     _write(tmp_path / "a.csv", [0, 2, 3, 5, 77], [1, 1, 1, 1, 1])
-    with pytest.raises(FileFormatError, match="4 evaluated tracks of tiny, found one of track 77; give the"):
+    with pytest.raises(
+        FileFormatError, match=r"the 4 evaluated .* found 1 that are not evaluated \(track 77\)"
+    ):
         read_prediction(tmp_path / "a.csv", small_clip())
     (tmp_path / "b.csv").write_text("1\n2\n")
-    with pytest.raises(FileFormatError, match="header track,label"):
+    with pytest.raises(FileFormatError, match="make the first line 'track,label'"):
         read_prediction(tmp_path / "b.csv", small_clip())
     with pytest.raises(InvalidValueError, match="suffix"):
         read_prediction(tmp_path / "b.txt", small_clip())
 
 
-@pytest.mark.parametrize("row", ["2,nan", "2", "2,1,1", "2,1.5", "2," + 30 * "9", "1_0,2"])
-def test_a_bad_row_of_a_prediction_is_told_with_its_line(row, tmp_path):
+def test_everything_wrong_with_a_prediction_is_listed(tmp_path):
+    _write(tmp_path / "a.csv", [0, 2, -3, 5], [1, 1, 1, -1])
+    with pytest.raises(
+        FileFormatError, match=r"a.csv: 1. \[negative\] .* as track.* 2. \[negative\] .* as label"
+    ):
+        read_prediction(tmp_path / "a.csv", small_clip())
+
+
+@pytest.mark.parametrize(
+    ("row", "code", "found"),
+    [
+        ("2,nan", "nan", "NaN in 1 of 2 rows"),
+        ("2", "ragged", "line 4"),
+        ("2,1,1", "ragged", "line 4"),
+        ("2,1.5", "float", "such as 1.5"),
+        ("2," + 30 * "9", "too-big", "1 of 2 rows"),
+        ("1_0,2", "not-a-number", r"'1_0' \(line 4\)"),
+    ],
+)
+def test_a_bad_row_of_a_prediction_is_named(row, code, found, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(f"track,label\n0,1\n\n{row}\n")
-    with pytest.raises(FileFormatError, match=f"line 4: expected two whole numbers, found '{row}'"):
+    with pytest.raises(FileFormatError, match=rf"\[{code}\] .*found .*{found}"):
         read_prediction(path, small_clip())

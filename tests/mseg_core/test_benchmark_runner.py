@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import multiprocessing
 import os
 import signal
 
@@ -15,11 +14,19 @@ from numpy.testing import assert_array_equal
 import mseg
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 from kt3dmoseg.io import save
+from kt3dmoseg.parallel import Cache, run_tasks
 from kt3dmoseg.types import Clip, Labels
-from mseg.benchmark import Configuration, execution, find_clips, predict, run
+from mseg.benchmark import Configuration, find_clips, predict, run
 from mseg.benchmark import runner as runner_module
-from mseg.benchmark.store import Store, key
-from mseg.benchmark.tasks import Outcome, Task, run_task
+from mseg.benchmark.tasks import (
+    Outcome,
+    Task,
+    keep_outcome,
+    lost_task,
+    outcome_key,
+    read_outcome,
+    run_task,
+)
 from mseg.cli import main
 from mseg.evaluation import load_protocol
 from mseg.methods import METHODS, create
@@ -76,44 +83,35 @@ def tasks(make_clip):
     ]
 
 
-def test_a_killed_process_costs_nothing(tasks):
-    results = []
-    for item in execution.execute(tasks, workers=2):
-        if not results:
-            os.kill(multiprocessing.active_children()[0].pid, signal.SIGKILL)
-        results.append(item)
-    _same_labels(tasks, results)
-
-
 def test_a_killed_dask_worker_costs_nothing(tasks):
     distributed = pytest.importorskip("distributed")
     results = []
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
-        for item in execution.execute(tasks, dask=cluster.scheduler_address):
+        for item in run_tasks(run_task, tasks, lost=lost_task, dask=cluster.scheduler_address):
             if not results:
                 os.kill(cluster.workers[0].process.pid, signal.SIGKILL)
             results.append(item)
     _same_labels(tasks, results)
 
 
-def test_no_scheduler_there(tasks, monkeypatch):
+def test_no_scheduler_there(data, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(execution, "_CONNECT_SECONDS", 1)
+    monkeypatch.setattr("kt3dmoseg.parallel._CONNECT_SECONDS", 1)
     with pytest.raises(InputFileError, match="a Dask scheduler"):
-        list(execution.execute(tasks, dask="tcp://127.0.0.1:9"))
+        run("kt3dmoseg", ["one_motion"], data=[data], dask="tcp://127.0.0.1:9")
 
 
-def test_processes_that_keep_dying_are_told(tasks, monkeypatch):
-    def broken(*_):
-        raise execution.BrokenProcessPool
-        yield
+def test_tasks_whose_workers_died_count_as_failed(data, monkeypatch, tmp_path):
+    def dying(work, tasks, *, lost, **_):
+        return ((task, lost(task, "its worker processes died 3 times")) for task in tasks)
 
-    monkeypatch.setattr(execution, "_one_pool", broken)
-    results = list(execution.execute(tasks, workers=2))
-    assert len(results) == len(tasks)
-    assert all("died 3 times" in outcome.reason for _, outcomes in results for outcome in outcomes)
+    monkeypatch.setattr(runner_module, "run_tasks", dying)
+    result = run("kt3dmoseg", ["affine"], data=[data], cache=tmp_path / "cache")
+    assert result.mean("affine") == 1
+    assert all("died 3 times" in reason for *_, reason in result.failures)
+    assert not (tmp_path / "cache").exists()  # it says nothing of the method
 
 
 def test_cached_outcomes_are_not_run_again(serial, data, tmp_path, monkeypatch):
@@ -126,7 +124,7 @@ def test_cached_outcomes_are_not_run_again(serial, data, tmp_path, monkeypatch):
     assert len(done) == 6
     assert_array_equal(again.errors, serial.errors)
     monkeypatch.setattr(
-        runner_module, "execute", lambda tasks, **_: pytest.fail("ran") if tasks else iter(())
+        runner_module, "run_tasks", lambda _, tasks, **__: pytest.fail("ran") if tasks else iter(())
     )
     assert_array_equal(run("kt3dmoseg", ["affine", "subset"], **kwargs).errors, serial.errors)
 
@@ -136,7 +134,7 @@ def test_a_method_that_draws_nothing_runs_once_for_all_seeds(data, make_clip):
     result = run("kt3dmoseg", ["one_motion"], data=[data], seeds=2, progress=lambda *a: done.append(a))
     assert len(done) == len(CLIPS)
     assert_array_equal(result.errors[..., 0], result.errors[..., 1])
-    assert key(Configuration("one_motion"), make_clip(), 2, 0) == key(
+    assert outcome_key(Configuration("one_motion"), make_clip(), 2, 0) == outcome_key(
         Configuration("one_motion"), make_clip(), 2, 1
     )
 
@@ -153,15 +151,15 @@ def test_methods_that_draw_nothing(make_clip, name):
 def test_keys_tell_everything_apart(make_clip):
     clip, other = make_clip(), make_clip(seed=1)
     keys = [
-        key(Configuration("affine"), clip, 2, 0),
-        key(Configuration("homography"), clip, 2, 0),
-        key(Configuration("affine", {"alpha": 9.0}), clip, 2, 0),
-        key(Configuration("affine"), other, 2, 0),
-        key(Configuration("affine"), clip, 3, 0),
-        key(Configuration("affine"), clip, 2, 1),
+        outcome_key(Configuration("affine"), clip, 2, 0),
+        outcome_key(Configuration("homography"), clip, 2, 0),
+        outcome_key(Configuration("affine", {"alpha": 9.0}), clip, 2, 0),
+        outcome_key(Configuration("affine"), other, 2, 0),
+        outcome_key(Configuration("affine"), clip, 3, 0),
+        outcome_key(Configuration("affine"), clip, 2, 1),
     ]
     assert len(set(keys)) == len(keys)
-    assert key(Configuration("affine", {"alpha": 8.0}), clip, 2, 0) == keys[0]
+    assert outcome_key(Configuration("affine", {"alpha": 8.0}), clip, 2, 0) == keys[0]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,29 +174,29 @@ def test_a_method_of_another_package_is_known_by_its_version(make_clip, monkeypa
     for package, stated in (("pytest", None), ("pytest", 2), ("pytest", 3), ("a_loose_file", None)):
         monkeypatch.setattr(Theirs, "__module__", f"{package}.velocity")
         monkeypatch.setattr(Theirs, "ALGORITHM_VERSION", stated, raising=False)
-        keys.append(key(Configuration("theirs"), clip, 2, 0))
+        keys.append(outcome_key(Configuration("theirs"), clip, 2, 0))
     assert len(set(keys)) == len(keys)
-    monkeypatch.setattr("mseg.benchmark.store._THIS_PROCESS", "another process")
-    assert key(Configuration("theirs"), clip, 2, 0) != keys[-1]
+    monkeypatch.setattr("mseg.benchmark.tasks._THIS_PROCESS", "another process")
+    assert outcome_key(Configuration("theirs"), clip, 2, 0) != keys[-1]
 
 
 def test_our_methods_are_known_by_the_version_of_the_algorithms(make_clip, monkeypatch):
     clip, keys = make_clip(), []
     for version in (1, 2, 1):
         monkeypatch.setattr("mseg.methods.ALGORITHM_VERSION", version)
-        keys.append(key(Configuration("subset"), clip, 2, 0))
+        keys.append(outcome_key(Configuration("subset"), clip, 2, 0))
     assert keys[0] == keys[2] != keys[1]
 
 
-def test_store_keeps_failures_but_not_deaths(tmp_path):
-    store = Store(tmp_path / "cache")
-    store.write(Outcome("failed", None, 1.0, "too few points"))
-    store.write(Outcome("died", None, float("nan"), "worker died"))
-    kept = store.read("failed")
+def test_failures_are_kept_but_not_deaths(tmp_path):
+    cache = Cache(tmp_path / "cache")
+    keep_outcome(cache, Outcome("failed", None, 1.0, "too few points"))
+    keep_outcome(cache, Outcome("died", None, float("nan"), "worker died"))
+    kept = read_outcome(cache, "failed")
     assert kept is not None
     assert (kept.labels, kept.reason) == (None, "too few points")
-    assert store.read("died") is None
-    assert store.read("never seen") is None
+    assert read_outcome(cache, "died") is None
+    assert read_outcome(cache, "never kept") is None
 
 
 def test_a_failure_counts_as_fully_wrong(data, make_clip, tmp_path):

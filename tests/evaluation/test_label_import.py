@@ -10,7 +10,7 @@ import kt3dmoseg
 import mseg.cli
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from mseg.evaluation import score_submission, validate_submission
-from mseg.evaluation.label_vectors import (
+from mseg.evaluation.label_import import (
     read_brox_labels,
     read_cluster_idx,
     read_label_files,

@@ -8,16 +8,19 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from kt3dmoseg.errors import FileFormatError, InputFileError
-from mseg.evaluation.jsonform import from_json, to_json
-from mseg.evaluation.layout import TextTable
-from mseg.evaluation.leaderboard.ranking import Board, Entry, make_board
-from mseg.evaluation.results import ScoreTable
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.files import write_text
+from mseg.evaluation.protocol import list_protocols, load_protocol
+from mseg.evaluation.scoring import ScoreTable, from_json, to_json
+
+if TYPE_CHECKING:
+    from mseg.evaluation.results import ResultsTable
 
 _VERSION = 1
 _WAIT_SECONDS = 60.0
@@ -43,7 +46,83 @@ CREATE TABLE entries (
     UNIQUE ({", ".join(_SAME)})
 )
 """
-_COLUMNS = [field.name for field in fields(Entry)]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One scored submission.
+
+    Parameters
+    ----------
+    id, added : int, str
+        Number and time (UTC, ISO 8601) of the entry.
+    benchmark, method : str
+        What was scored on what.
+    dataset_version, dataset_sha256, submission_sha256, toolkit_version : str
+        Provenance, see `Provenance`.
+    clips, clips_in_full : int
+        Clips scored, and in the whole benchmark.
+    failed, seeds : int
+        Clip runs counted as fully wrong, and number of seeds.
+    mean, median : float
+        Classification error over clips, fractions.
+    """
+
+    id: int
+    added: str
+    benchmark: str
+    method: str
+    dataset_version: str
+    dataset_sha256: str
+    submission_sha256: str
+    toolkit_version: str
+    clips: int
+    clips_in_full: int
+    failed: int
+    seeds: int
+    mean: float
+    median: float
+
+
+@dataclass(frozen=True)
+class Board:
+    """Entries that may be compared: one benchmark, one and the same data.
+
+    Parameters
+    ----------
+    title, about : str
+        The benchmark; how much of it, and which data.
+    ranked : list of (int or None, Entry)
+        Best first; None for entries with failed or missing clips, which come last.
+    """
+
+    title: str
+    about: str
+    ranked: list[tuple[int | None, Entry]]
+
+    def table(self) -> ResultsTable:
+        """Lay the board out."""
+        from mseg.evaluation.results import ResultsTable
+
+        rows = [
+            [
+                "-" if rank is None else str(rank),
+                entry.method,
+                f"{100 * entry.mean:.2f}",
+                f"{100 * entry.median:.2f}",
+                str(entry.seeds),
+                str(entry.failed) if entry.failed else "",
+                entry.added[:10],
+                entry.submission_sha256[:8],
+            ]
+            for rank, entry in self.ranked
+        ]
+        columns = ["rank", "method", "mean", "median", "seeds", "failed", "added", "submission"]
+        return ResultsTable(f"{self.title}: {self.about}", columns, rows)
+
+    def marks(self) -> dict[int, str]:
+        """Class of the rows that have no rank, for the page."""
+        return {i: "unranked" for i, (rank, _) in enumerate(self.ranked) if rank is None}
 
 
 class Leaderboard:
@@ -98,7 +177,8 @@ class Leaderboard:
     def entries(self) -> list[Entry]:
         """Everything that is kept, oldest first."""
         with self._transaction() as connection:
-            rows = connection.execute(f"SELECT {', '.join(_COLUMNS)} FROM entries ORDER BY id").fetchall()
+            columns = ", ".join(field.name for field in fields(Entry))
+            rows = connection.execute(f"SELECT {columns} FROM entries ORDER BY id").fetchall()
         return [Entry(*row) for row in rows]
 
     def scores(self, number: int) -> ScoreTable:
@@ -120,14 +200,16 @@ class Leaderboard:
         wanted = [e for e in self.entries() if benchmark in ("", e.benchmark)]
         wanted.sort(key=lambda e: (e.benchmark, -e.clips, e.dataset_sha256))
         keyed = groupby(wanted, key=lambda e: (e.benchmark, e.dataset_sha256))
-        return [make_board(list(entries)) for _, entries in keyed]
+        return [_board(list(entries)) for _, entries in keyed]
 
-    def ranked(self, benchmark: str = "") -> list[TextTable]:
+    def ranked(self, benchmark: str = "") -> list[ResultsTable]:
         """Lay out `boards`."""
         return [board.table() for board in self.boards(benchmark)]
 
-    def listing(self) -> TextTable:
+    def listing(self) -> ResultsTable:
         """Lay out `entries`, with their provenance."""
+        from mseg.evaluation.results import ResultsTable
+
         rows = [
             [
                 str(e.id),
@@ -145,7 +227,7 @@ class Leaderboard:
             for e in self.entries()
         ]
         columns = ["id", "added", "benchmark", "method", "mean %", "clips", "failed", "version", "data"]
-        return TextTable(f"{self.path.name}", [*columns, "submission", "toolkit"], rows)
+        return ResultsTable(self.path.name, [*columns, "submission", "toolkit"], rows)
 
     def _prepare(self) -> None:
         """Make the table unless another process has; refuse a file that is something else."""
@@ -181,17 +263,48 @@ class Leaderboard:
                 connection.close()  # rolls back what was not committed
 
 
+def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str = "") -> None:
+    """Write the ranked boards to a file ending in ``.html`` (a page that needs nothing else) or ``.md``.
+
+    Raises
+    ------
+    InvalidValueError
+        For another ending.
+    """
+    boards = board.boards(benchmark)
+    note = "Entries with failed or missing clips have no rank and come last; different data are never mixed."
+    suffix = Path(path).suffix.lower()
+    if suffix in (".html", ".htm"):
+        from mseg.evaluation.report import render
+
+        write_text(path, render("leaderboard.html", boards=boards, note=note))
+    elif suffix == ".md":
+        write_text(path, "\n\n".join(["# Leaderboard", *(b.table().markdown() for b in boards), note]) + "\n")
+    else:
+        raise InvalidValueError(os.fspath(path), expected="a file ending in .html or .md", found=repr(suffix))
+
+
+def _board(entries: list[Entry]) -> Board:
+    """Rank entries of one benchmark and one data set: mean error, failures last and without a rank."""
+    first = entries[0]
+    known = first.benchmark in list_protocols()
+    name = load_protocol(first.benchmark).title if known else "Clips of no benchmark"
+    full = first.clips == first.clips_in_full
+    amount = f"all {first.clips} clips" if full else f"{first.clips} of {first.clips_in_full} clips, a part"
+    about = f"{amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"
+    ordered = sorted(entries, key=lambda e: (e.failed > 0, e.mean, e.id))
+    clean = [e.mean for e in ordered if not e.failed]
+    return Board(name, about, [(None if e.failed else 1 + clean.index(e.mean), e) for e in ordered])
+
+
 def _row(scores: ScoreTable) -> dict[str, str | int | float]:
     """Everything that is kept of a submission's scores, by column."""
-    source, summary = scores.provenance, scores.summary()
+    summary = scores.summary()
     return {
         "added": datetime.now(UTC).isoformat(timespec="seconds"),
         "benchmark": scores.benchmark.name,
         "method": scores.meta.method,
-        "dataset_version": source.dataset_version,
-        "dataset_sha256": source.dataset_sha256,
-        "submission_sha256": source.submission_sha256,
-        "toolkit_version": source.toolkit_version,
+        **asdict(scores.provenance),
         "clips": len(scores.names),
         "clips_in_full": scores.benchmark.n_clips,
         "failed": len(scores.failures),

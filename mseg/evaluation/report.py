@@ -1,0 +1,344 @@
+"""One self-contained page about a submission: tables, bars, confusions, overlays.
+
+The page is ``static/report.html``, a jinja2 template with automatic escaping; here is what it shows.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.files import write_text
+from kt3dmoseg.types import ByteArray, Clip, IntArray
+from mseg.evaluation import results
+from mseg.evaluation.contingency import Contingency
+from mseg.evaluation.metrics import per_motion
+from mseg.evaluation.protocol import count
+from mseg.evaluation.scoring import ClipScore, ScoreTable, score_validated, to_json
+from mseg.evaluation.validation import Validation, validate_submission
+
+# What identifies a run rather than describes it: behind a click.
+_ORIGIN = ("parameters", "dataset sha256", "submission sha256", "toolkit")
+_MAX_DOTS = 30
+_STEPS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20, 0.25)
+_MISSING = -32768
+_MAX_WIDTH = 960
+_QUALITY = 72
+_TALL = 2.0
+
+
+def write_report(
+    submission: str | os.PathLike[str],
+    data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],
+    path: str | os.PathLike[str],
+    *,
+    frames: str | os.PathLike[str] | None = None,
+    benchmark: str = "",
+    force: bool = False,
+    extras: Sequence[str] = (),
+) -> list[Path]:
+    """Validate and score a submission and write the page about it.
+
+    Parameters
+    ----------
+    submission : path
+        Folder or zip.
+    data : path, mapping or iterable of Clip
+        The clips with their labels.
+    path : path
+        The page, ``report.html``.
+    frames : path, optional
+        Folder with one sub-folder of numbered pictures per clip; without it points are drawn on
+        a plain ground.
+    benchmark : str
+        Protocol; by default the submission's own.
+    force : bool
+        Report an invalid submission, its faulty clips counted as fully wrong.
+    extras : sequence of {"latex", "markdown", "csv", "json"}
+        Tables to write next to the page; "csv" includes the two DAVIS-style files.
+
+    Returns
+    -------
+    list of Path
+        The files written, the page first.
+
+    Raises
+    ------
+    RejectedSubmissionError
+        When the submission is invalid and not `force`.
+    InputFileError
+        When the frames of a clip are incomplete, or there are none of any clip.
+    """
+    checked = validate_submission(submission, data, benchmark=benchmark)
+    scores = score_validated(checked, force=force)
+    page = Path(path)
+    contents = {page.name: report_html(checked, scores, frames=frames)}
+    if "latex" in extras:
+        contents[f"{page.stem}.tex"] = results.headline(scores).latex() + "\n"
+    if "markdown" in extras:
+        contents[f"{page.stem}.md"] = results.headline(scores).markdown() + "\n"
+    if "csv" in extras:
+        contents[f"{page.stem}.csv"] = results.per_clip(scores, scores.metrics).csv()
+        contents |= results.davis_files(scores)
+    if "json" in extras:
+        contents[f"{page.stem}.json"] = json.dumps(to_json(scores), indent=1) + "\n"
+    for name, content in contents.items():
+        write_text(page.with_name(name), content)
+    return [page.with_name(name) for name in contents]
+
+
+def report_html(
+    checked: Validation,
+    scores: ScoreTable,
+    *,
+    frames: str | os.PathLike[str] | None = None,
+    overlays: bool = True,
+) -> str:
+    """Make the page from a validated and scored submission.
+
+    Without `overlays` it holds scores only: nothing from which true labels could be read.
+    """
+    means = dict(zip(scores.names, scores.per_clip(), strict=True))
+    order = sorted(scores.names, key=lambda name: -means[name])
+    pictures = _pictures(checked, order, Path(frames)) if frames is not None else {}
+    facts = {name: value for name, value in results.meta_lines(scores) if name != "method"}
+    prevalence = [scores.of(name).prevalence for name in order]
+    return render(
+        "report.html",
+        scores=scores,
+        benchmark=scores.benchmark,
+        coverage=scores.benchmark.coverage(scores.names),
+        origin={name: facts.pop(name) for name in _ORIGIN if name in facts},
+        facts=facts,
+        cards=_cards(scores),
+        failures=scores.failures,
+        bars=[_bar(scores, name) for name in order],
+        step=_step(float(scores.matrix().max()), *prevalence),
+        published=_published(scores),
+        sections=[_section(checked, scores, name, pictures.get(name, [])) for name in order]
+        if overlays
+        else [],
+        headline=results.headline(scores),
+        all_means=results.all_means(scores),
+        per_clip=results.per_clip(scores),
+    )
+
+
+def render(template: str, **values: object) -> str:
+    """Fill in a template of ``static/``."""
+    return str(_environment().get_template(template).render(**values))
+
+
+@cache
+def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
+    from jinja2 import Environment, FileSystemLoader
+
+    loader = FileSystemLoader(Path(__file__).with_name("static"))
+    made = Environment(loader=loader, autoescape=True, trim_blocks=True)
+    made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
+    made.filters["mean"] = np.mean
+    made.filters["percent"] = lambda value, digits=2: f"{100 * value:.{digits}f}"
+    # Where a value lies along a bar's axis, which four steps fill.
+    made.filters["along"] = lambda value, step: f"{25 * min(4.0, value / step):.2f}%"
+    return made
+
+
+def _step(*values: float) -> float:
+    """Round distance of the axis' lines, four of which hold all values."""
+    return next((step for step in _STEPS if 4 * step >= max(values)), _STEPS[-1])
+
+
+def _cards(scores: ScoreTable) -> list[tuple[str, str]]:
+    summary = scores.summary()
+    low, high = summary.interval
+    prevalence = sum(scores.of(n).prevalence for n in scores.names) / len(scores.names)
+    cards = [
+        (f"{100 * summary.mean:.2f} %", f"mean error, {scores.benchmark.coverage(scores.names)}"),
+        (f"{100 * summary.median:.2f} %", "median error"),
+        (f"{100 * low:.1f}–{100 * high:.1f} %", "95 % interval of the mean, over clips"),
+        (f"{100 * prevalence:.2f} %", "prevalence baseline, same clips"),
+    ]
+    if summary.seed_sd is not None:
+        cards.insert(2, (f"± {100 * summary.seed_sd:.2f}", f"sd over {len(scores.seeds)} seeds"))
+    if scores.failures:
+        cards.append((f"{len({c.clip for c in scores.failures})}", "failed or missing clips"))
+    return cards
+
+
+def _bar(scores: ScoreTable, name: str) -> dict[str, Any]:
+    """Describe a clip's bar: the mean over seeds, dots for the seeds, a line at the prevalence baseline."""
+    runs = scores.matrix()[scores.names.index(name)]
+    return {
+        "name": name,
+        "mean": runs.mean(),
+        "prevalence": scores.of(name).prevalence,
+        "seeds": runs[:_MAX_DOTS] if len(runs) > 1 else [],
+        "failed": any(scores.of(name, seed).reason for seed in scores.seeds),
+    }
+
+
+def _published(scores: ScoreTable) -> list[dict[str, Any]]:
+    """Per group of the benchmark, the mean error among the published means, best first."""
+    groups = []
+    for group, names in scores.groups():
+        known = results.published_for(scores.benchmark, group) if names else {}
+        if known:
+            own = (scores.summary("error", names).mean, f"{scores.meta.method} (this submission)", "own")
+            rows = sorted([own, *((v["mean"] / 100, method, "") for method, v in known.items())])
+            groups.append({"title": group.title, "rows": rows, "step": _step(*(v for v, *_ in rows))})
+    return groups
+
+
+def _pictures(checked: Validation, order: Sequence[str], folder: Path) -> dict[str, list[ByteArray]]:
+    """Read the frames of every clip that has some in the folder, (H, W) gray."""
+    from kt3dmoseg.frames import frame_folder, frames_of
+
+    clips = [checked.clips[name] for name in order]
+    found = {clip.name: frames_of(clip, folder) for clip in clips if frame_folder(clip, folder)}
+    if not found:
+        raise InputFileError(
+            f"{folder}",
+            expected=f"a folder of pictures per clip, such as {order[0]}, or the KITTI raw root of the build",
+            found="none of any clip",
+        )
+    return found
+
+
+def _section(
+    checked: Validation, scores: ScoreTable, name: str, pictures: Sequence[ByteArray]
+) -> dict[str, Any]:
+    """Collect what is shown of a clip; tables are of the first seed, the overlay offers all."""
+    clip = checked.clips[name]
+    runs = [scores.of(name, seed) for seed in scores.seeds]
+    first = next((run for run in runs if run.table is not None), None)
+    drawn = {run.seed: labels for run in runs if (labels := _drawn(checked, clip, run))}
+    width, height = _size(clip, pictures)
+    scale = min(10.0, 32000 / max(width, height))
+    section = {
+        "name": name,
+        "run": runs[0],
+        "errors": [run.values["error"] for run in runs],
+        "failed": [run for run in runs if run.reason],
+        "drawn": list(drawn),
+        "tall": width < _TALL * height,
+        "canvases": ("truth", "prediction") if drawn else ("truth",),
+        "middle": clip.n_frames // 2,  # where most trajectories are visible
+        "payload": {
+            "width": width,
+            "height": height,
+            "n_frames": clip.n_frames,
+            "scale": scale,
+            "numbers": clip.frame_numbers.tolist(),
+            "xy": _packed_positions(clip, scale),
+            "truth": _packed(_ranks(clip.labels.label)),
+            "runs": list(drawn.values()),
+            "frames": [_jpeg(picture) for picture in pictures],
+        },
+    }
+    if first is None or first.table is None:
+        return section
+    note = f", seed {first.seed}" if len(runs) > 1 else ""
+    return section | _confusion(first.table, clip.labels.names) | {"note": note}
+
+
+def _confusion(table: Contingency, names: Mapping[int, str]) -> dict[str, Any]:
+    """Collect the counts of motions in groups, assigned groups first, and the scores of each motion."""
+    order, colours = shown_groups(table), group_colours(table)
+    scores = np.column_stack(list(per_motion(table).values()))
+    motions = []
+    for i, motion in enumerate(table.motions):
+        name = names.get(int(motion), "") or ("background" if table.background == i else "")
+        shares = table.counts[i] / table.sizes[i]
+        match = table.assignment[i]
+        cells = [{"n": table.counts[i, j], "share": shares[j], "match": match == j} for j in order]
+        motions.append(
+            {
+                "title": f"{motion} {name}".rstrip(),
+                "n": table.sizes[i],
+                "cells": cells,
+                "outliers": table.unassigned[i],
+                "scores": scores[i],
+            }
+        )
+    return {
+        "groups": [{"label": table.groups[j], "colour": colours[j]} for j in order],
+        "outliers": bool(table.unassigned.any()),
+        "motions": motions,
+        "found": count(len(table.groups), "group"),
+    }
+
+
+def shown_groups(table: Contingency) -> list[int]:
+    """Order predicted groups for display: assigned ones by motion, then the others by size."""
+    assigned = [int(j) for j in table.assignment if j >= 0]
+    free = [j for j in range(len(table.groups)) if j not in assigned]
+    return assigned + sorted(free, key=lambda j: -int(table.counts[:, j].sum()))
+
+
+def group_colours(table: Contingency) -> dict[int, int]:
+    """Give an assigned group the colour number of its motion, the others numbers of their own."""
+    colours = {int(j): i + 1 for i, j in enumerate(table.assignment) if j >= 0}
+    free = [j for j in shown_groups(table) if j not in colours]
+    return colours | {j: len(table.motions) + 1 + k for k, j in enumerate(free)}
+
+
+# --- the overlay: positions, labels and frames packed for the page's script -------------------------
+
+
+def _drawn(checked: Validation, clip: Clip, run: ClipScore) -> dict[str, str] | None:
+    """Colours and errors of a run's trajectories; None when it has no labels."""
+    labels, table = checked.labels.get((run.seed, run.clip)), run.table
+    if labels is None or table is None:
+        return None
+    colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
+    for j, value in group_colours(table).items():
+        colour[table.groups[j]] = value
+    shown, truth = colour[labels], _ranks(clip.labels.label)
+    return {"shown": _packed(shown), "wrong": _packed(((truth > 0) & (shown != truth)).astype(np.int64))}
+
+
+def _ranks(label: IntArray) -> IntArray:
+    """Renumber the motions 1..M in ascending order; 0 stays 0."""
+    motions = np.unique(label[label > 0])
+    return np.where(label > 0, np.searchsorted(motions, label) + 1, 0)
+
+
+def _packed(values: IntArray) -> str:
+    return base64.b64encode(np.minimum(values, 255).astype(np.uint8).tobytes()).decode()
+
+
+def _packed_positions(clip: Clip, scale: float) -> str:
+    tracks = clip.evaluated_trajectories
+    steps = np.rint(np.where(tracks.visible[..., None], tracks.xy, 0.0) * scale)
+    small = np.clip(steps, -32767, 32767).astype("<i2")
+    small[~tracks.visible] = _MISSING
+    return base64.b64encode(small.tobytes()).decode()
+
+
+def _size(clip: Clip, pictures: Sequence[ByteArray]) -> tuple[int, int]:
+    if clip.dense.image_size is not None:
+        return clip.dense.image_size
+    if pictures:
+        height, width = pictures[0].shape
+        return width, height
+    xy = clip.dense.xy[clip.dense.visible]
+    far = np.ceil(xy.max(axis=0)) if len(xy) else np.ones(2)
+    return int(max(1, far[0] + 1)), int(max(1, far[1] + 1))
+
+
+def _jpeg(picture: ByteArray) -> str:
+    import cv2
+
+    height, width = picture.shape
+    size = (_MAX_WIDTH, round(height * _MAX_WIDTH / width))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if width > _MAX_WIDTH else picture
+    _, content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode()

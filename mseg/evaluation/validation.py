@@ -1,0 +1,242 @@
+"""Comparing a submission with the data: every problem at once, and the labels that can be scored."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from kt3dmoseg.io.predictions import Problem, first_few, join_labels, numbered
+from kt3dmoseg.registry import nearest
+from kt3dmoseg.types import Clip, IntArray
+from mseg.evaluation.protocol import (
+    Protocol,
+    count,
+    guess_protocol,
+    list_protocols,
+    load_protocol,
+    protocol_of_clips,
+)
+from mseg.evaluation.submission import META, Submission, SubmissionMeta, clip_checksum, read_submission
+
+# With these a submission is invalid but can be scored: a missing clip counts as fully wrong, a clip
+# with one label as what it is. Anything else forbids scoring.
+_SCORABLE = frozenset({"missing-clip", "one-label"})
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """What `validate_submission` found.
+
+    Parameters
+    ----------
+    submission : Submission
+        What was read.
+    protocol : Protocol
+        The benchmark against which it was checked.
+    clips : mapping of str to Clip
+        The labelled clips that must be predicted.
+    labels : mapping of (seed, clip) to (n,) int64
+        Valid predictions in the order of ``clip.evaluated``.
+    problems, notes : list of Problem
+        What makes it invalid; what is worth knowing but does not.
+    """
+
+    submission: Submission
+    protocol: Protocol
+    clips: Mapping[str, Clip]
+    labels: dict[tuple[int, str], IntArray] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    notes: list[Problem] = field(default_factory=list)
+
+    @cached_property
+    def checksums(self) -> dict[str, str]:
+        """`clip_checksum` of every clip."""
+        return {name: clip_checksum(clip) for name, clip in self.clips.items()}
+
+    @property
+    def ok(self) -> bool:
+        """Whether the submission is valid."""
+        return not self.problems
+
+    @property
+    def scorable(self) -> bool:
+        """Whether it can be scored: valid, or wrong only in clips that are missing or have one label."""
+        return bool(self.clips) and all(problem.code in _SCORABLE for problem in self.problems)
+
+    def __str__(self) -> str:
+        """Give the verdict, the numbered problems and the notes."""
+        runs = count(len(self.submission.seeds), "seed")
+        what = f"{count(len(self.clips), 'clip')}, {runs}, {self.protocol.title}"
+        lines = [f"valid: {what}" if self.ok else f"invalid: {count(len(self.problems), 'problem')}"]
+        lines += [numbered(self.problems)] if self.problems else []
+        lines += [f"note: {note}" for note in self.notes]
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, object]:
+        """Give the result as JSON values."""
+        return {
+            "valid": self.ok,
+            "benchmark": self.protocol.name,
+            "clips": sorted(self.clips),
+            "seeds": self.submission.seeds,
+            "sha256": self.submission.sha256,
+            "problems": [{"number": i, **p.as_dict()} for i, p in enumerate(self.problems, start=1)],
+            "notes": [note.as_dict() for note in self.notes],
+        }
+
+
+def validate_submission(
+    submission: str | os.PathLike[str] | Submission,
+    data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],
+    *,
+    benchmark: str = "",
+) -> Validation:
+    """Check a submission against the clips it is for.
+
+    Parameters
+    ----------
+    submission : path or Submission
+        Folder or zip, see `mseg.evaluation.submission`.
+    data : path, mapping or iterable of Clip
+        The clips; a path is read with `kt3dmoseg.load_dataset` (a single clip file will do).
+    benchmark : str
+        Name of the protocol; by default the submission's own, else the one its clips belong to.
+
+    Returns
+    -------
+    Validation
+        Never raises for what is wrong inside the submission.
+
+    Raises
+    ------
+    InputFileError
+        When there is nothing at one of the paths, or the data hold no clip.
+    UnknownNameError
+        When there is no such benchmark.
+    """
+    read = submission if isinstance(submission, Submission) else read_submission(submission)
+    given = load_clips(data)
+    own = read.meta.benchmark if read.meta.benchmark in ("custom", *list_protocols()) else ""
+    protocol = choose_protocol(benchmark or own, given)
+    clips = {name: clip for name, clip in given.items() if protocol.holds(name) and clip.n_motions}
+    out = Validation(read, protocol, clips, problems=list(read.problems))
+    if not clips:
+        expected, found = f"labelled clips of {protocol.title}", first_few(list(given)) or "none"
+        fix = "give the data that the submission is for, or another --benchmark"
+        out.problems.append(Problem("no-data", expected=expected, found=found, fix=fix))
+    for name in read.clips:
+        if name not in clips:
+            _check_extra(name, given, out)
+    for seed in read.seeds:
+        for name in clips:
+            if (seed, name) not in read.predictions and (seed, name) not in read.failures:
+                out.problems.append(_missing(name, f"seed-{seed}" if len(read.seeds) > 1 else ""))
+    if clips:
+        _check_version(read.meta, out)
+    _check_labels(out)
+    return out
+
+
+def load_clips(data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip]) -> dict[str, Clip]:
+    """Return clips by name, in the order of their names, from a path, a mapping or clips."""
+    if isinstance(data, (str, os.PathLike)):
+        from kt3dmoseg.io import load, load_dataset
+
+        if os.path.isfile(data):  # noqa: PTH113  # a str or path in
+            clip = load(data)
+            return {clip.name: clip}
+        return load_dataset(data)
+    by_name = dict(data) if isinstance(data, Mapping) else {clip.name: clip for clip in data}
+    return dict(sorted(by_name.items()))
+
+
+def choose_protocol(name: str, clips: Iterable[str]) -> Protocol:
+    """Return the protocol of that name; without one, the protocol that the clips belong to."""
+    names = list(clips)
+    if name == "custom":
+        return protocol_of_clips(names)
+    return load_protocol(name) if name else guess_protocol(names)
+
+
+def _check_labels(out: Validation) -> None:
+    """Join every prediction to its clip, and keep the labels that can be scored."""
+    read = out.submission
+    for (seed, name), prediction in read.predictions.items():
+        if name not in out.clips or prediction.problems:
+            continue
+        file = read.files[seed, name]
+        found, problems = join_labels(prediction, out.clips[name], file)
+        if found is not None:
+            problems = _label_problems(found, name, file, read.meta)
+            if all(problem.code in _SCORABLE for problem in problems):
+                out.labels[seed, name] = found
+        out.problems.extend(problems)
+    for key, reason in read.failures.items():
+        if key[1] in out.clips:
+            fix = "it counts as fully wrong"
+            out.notes.append(Problem("failed", read.files[key], key[1], found=reason, fix=fix))
+
+
+def _label_problems(label: IntArray, clip: str, file: str, meta: SubmissionMeta) -> list[Problem]:
+    """Find labels that cannot be meant: counted from 0, all the same, nearly all different."""
+    out = []
+    groups = np.unique(label)
+    if groups[0] == 0 and not meta.outliers:
+        based = np.array_equal(groups, np.arange(len(groups))) and len(groups) > 1
+        found = f"labels {first_few(groups.tolist())}" + (", which look 0-based" if based else "")
+        fix = "add 1 to every label; if 0 is meant as outlier: outliers = true in meta.toml"
+        code = "zero-based" if based else "zero-label"
+        out.append(Problem(code, file, clip, "motions 1, 2, ...", found, fix))
+    if len(groups) == 1 and len(label) > 1 and not meta.baseline:
+        found = f"all {len(label)} labels are {groups[0]}"
+        fix = "look whether the labels were written at all; if it is meant: baseline = true in meta.toml"
+        out.append(Problem("one-label", file, clip, "two motions or more", found, fix))
+    if len(groups) > max(2, len(label) // 2):
+        found = f"{len(groups)} different labels for {len(label)} trajectories"
+        fix = "look whether the columns track and label are swapped"
+        out.append(Problem("too-many-groups", file, clip, "a few groups", found, fix))
+    return out
+
+
+def _check_extra(name: str, given: Mapping[str, Clip], out: Validation) -> None:
+    """Say of a predicted clip that is not scored whether that is a mistake."""
+    protocol = out.protocol
+    file = next(file for (_, clip), file in out.submission.files.items() if clip == name)
+    if name in given or protocol.holds(name):
+        reason = "it never counts" if name in protocol.exclude else "no labels for it in the data here"
+        out.notes.append(Problem("not-scored", file, name, found=reason))
+        return
+    same = next((n for n in given if n.lower() == name.lower()), None)
+    if same:
+        problem = Problem("wrong-case", file, name, f"the name {same}", name, f"rename the file to {same}")
+    else:
+        stem = name.removesuffix("_Tracks").removesuffix("_truth")
+        meant = stem if stem in given else nearest(name, given)
+        fix = f"did you mean {meant}?" if meant else "remove it"
+        problem = Problem("extra-clip", file, name, f"one of {first_few(list(given))}", name, fix)
+    out.problems.append(problem)
+
+
+def _missing(name: str, folder: str) -> Problem:
+    fix = f"add it, or {name}.failed with the reason; as it is the clip counts as fully wrong"
+    return Problem("missing-clip", folder, name, f"a file for clip {name}", "none", fix)
+
+
+def _check_version(meta: SubmissionMeta, out: Validation) -> None:
+    """Recognise a submission that was made on other trajectories, by their checksums or the version."""
+    for name, found in meta.fingerprints.items():
+        if name in out.checksums and found != out.checksums[name]:
+            expected = f"trajectories with fingerprint {out.checksums[name]}"
+            fix = "the submission was made on another version of the data: segment these trajectories"
+            out.problems.append(Problem("dataset-version", META, name, expected, found[:40], fix))
+    version = meta.dataset_version
+    if version and out.protocol.contradicts(version, out.checksums):
+        here = out.protocol.version_of(out.checksums)
+        expected = f"dataset_version = {here!r}" if here else "the version of the data given here"
+        fix = "segment these data, or validate against the version that was segmented"
+        found = f"{version!r}, which these data are not"
+        out.problems.append(Problem("dataset-version", META, expected=expected, found=found, fix=fix))
