@@ -10,11 +10,10 @@ from __future__ import annotations
 import os
 
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import read_bytes, sha256_file, write_text
-from kt3dmoseg.io.fields import clip_name
+from kt3dmoseg.files import read_bytes, write_text
+from kt3dmoseg.io.fields import clip_name, origin
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
 
 _MAX_FILE = 1 << 30
@@ -26,7 +25,7 @@ _LAYOUT = "nFrames, nTracks, then per track 'label length' and length times 'x y
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write all trajectories; those that are not evaluated get label 0.
 
-    Coordinates keep every bit. Which rows are evaluated, ids, image size and the rest have no place
+    Coordinates keep every bit. Which rows are evaluated, ids, image size and the rest cannot be kept
     in the format.
     """
     label = np.zeros(len(clip.dense), dtype=np.int64)
@@ -50,69 +49,49 @@ def read(path: str | os.PathLike[str]) -> Clip:
     InputFileError
         When the file cannot be read.
     """
-    where = os.fspath(path)
-    numbers = _numbers(read_bytes(path, _MAX_FILE), where)
-    frames, count = _counts(numbers, where)
-    label, starts, lengths = _walk(numbers, count, where)
-    xy, visible = _fill(numbers, starts, lengths, frames, where)
+    numbers, frames, tracks = _parse(path)
+    xy, visible = _fill(numbers, tracks, frames, os.fspath(path))
     return Clip(
         name=clip_name(path),
         dense=Trajectories(xy, visible),
-        evaluated=np.arange(count),
-        labels=Labels(np.maximum(label, 0)),
-        provenance={
-            "format": "brox-dat",
-            "source": os.path.basename(where),  # noqa: PTH119  # a str in, a str out
-            "sha256": sha256_file(path),
-        },
+        evaluated=np.arange(len(xy)),
+        labels=Labels(np.maximum(tracks[:, 0], 0)),
+        provenance=origin(path, "brox-dat"),
     )
 
 
 def read_labels(path: str | os.PathLike[str]) -> IntArray:
-    """Read only the label of each track, as the file has it: -1 where there is none.
+    """Read only the label of each track, as the file has it: -1 where there is none; raises as `read`."""
+    return _parse(path)[2][:, 0]
 
-    Raises
-    ------
-    FileFormatError, InputFileError
-        As `read`.
-    """
+
+def _parse(path: str | os.PathLike[str]) -> tuple[FloatArray, int, IntArray]:
+    """Return the numbers of the file, nFrames, and label, start and length (nTracks, 3) of each track."""
     where = os.fspath(path)
-    numbers = _numbers(read_bytes(path, _MAX_FILE), where)
-    return _walk(numbers, _counts(numbers, where)[1], where)[0]
-
-
-def _numbers(content: bytes, where: str) -> FloatArray:
-    tokens = content.split()
+    tokens = read_bytes(path, _MAX_FILE).split()
     try:
         numbers = np.array(tokens, dtype="S32").astype(np.float64) if tokens else np.zeros(0)
     except ValueError as error:
         raise FileFormatError(where, expected=f"numbers: {_LAYOUT}", found=str(error)) from None
     if max(map(len, tokens), default=0) > 32 or not np.isfinite(numbers).all():
         raise FileFormatError(where, expected="finite numbers of at most 32 digits", found="another token")
-    return numbers
-
-
-def _counts(numbers: FloatArray, where: str) -> tuple[int, int]:
     if len(numbers) < 2:
         raise FileFormatError(where, expected=_LAYOUT, found=f"{len(numbers)} numbers; the file is truncated")
     frames, count = (_whole(numbers[i], where, what) for i, what in enumerate(("nFrames", "nTracks")))
-    if count > (len(numbers) - 2) // 2:
-        raise FileFormatError(
-            f"{where}: nTracks", expected=f"at most {(len(numbers) - 2) // 2} in this file", found=str(count)
-        )
+    most = (len(numbers) - 2) // 2
+    if count > most:
+        raise FileFormatError(f"{where}: nTracks", expected=f"at most {most} in this file", found=str(count))
     limit = min(_MAX_CELLS, max(_CELLS_FREE, _CELLS_PER_TOKEN * len(numbers)))
     if frames * max(count, 1) > limit:
         found = f"{frames} frames x {count} tracks"
         raise FileFormatError(
             f"{where}: nFrames", expected=f"at most {limit} positions in this file", found=found
         )
-    return frames, count
+    return numbers, frames, _tracks(numbers, count, where)
 
 
-def _walk(numbers: FloatArray, count: int, where: str) -> tuple[IntArray, IntArray, IntArray]:
-    """Return label, index of the first coordinate and length of each track."""
-    heads = np.zeros((count, 3), dtype=np.int64)
-    at = 2
+def _tracks(numbers: FloatArray, count: int, where: str) -> IntArray:
+    tracks, at = np.zeros((count, 3), dtype=np.int64), 2
     for row in range(count):
         if at + 2 > len(numbers):
             raise FileFormatError(
@@ -120,44 +99,35 @@ def _walk(numbers: FloatArray, count: int, where: str) -> tuple[IntArray, IntArr
             )
         label = _whole(numbers[at], where, f"label of track {row}", low=-1)
         length = _whole(numbers[at + 1], where, f"length of track {row}")
-        heads[row] = label, at + 2, length
+        tracks[row] = label, at + 2, length
         at += 2 + 3 * length
         if at > len(numbers):
             raise FileFormatError(
                 f"{where}: track {row}", expected=f"{length} points", found="the end of the file"
             )
     if at != len(numbers):
-        raise FileFormatError(
-            where, expected=f"the end after {count} tracks", found=f"{len(numbers) - at} more numbers"
-        )
-    return heads[:, 0], heads[:, 1], heads[:, 2]
+        found = f"{len(numbers) - at} more numbers"
+        raise FileFormatError(where, expected=f"the end after {count} tracks", found=found)
+    return tracks
 
 
-def _fill(
-    numbers: FloatArray, starts: IntArray, lengths: IntArray, frames: int, where: str
-) -> tuple[FloatArray, BoolArray]:
-    row = np.repeat(np.arange(len(starts)), lengths)
-    within = np.arange(len(row)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    points = numbers[(np.repeat(starts, lengths) + 3 * within)[:, None] + np.arange(3)]
-    frame = points[:, 2]
-    _check_frames(row, frame, frames, where)
-    index = frame.astype(np.int64)
-    xy = np.full((len(starts), frames, 2), np.nan)
-    visible = np.zeros((len(starts), frames), dtype=np.bool_)
-    xy[row, index] = points[:, :2]
-    visible[row, index] = True
-    if visible.sum() != len(row):
-        raise FileFormatError(where, expected="one point per track and frame", found="a frame given twice")
-    return xy, visible
-
-
-def _check_frames(row: IntArray, frame: npt.NDArray[np.float64], frames: int, where: str) -> None:
+def _fill(numbers: FloatArray, tracks: IntArray, frames: int, where: str) -> tuple[FloatArray, BoolArray]:
+    _, starts, lengths = tracks.T
+    points = np.delete(numbers, [0, 1, *(starts - 2), *(starts - 1)]).reshape(-1, 3)
+    row, frame = np.repeat(np.arange(len(tracks)), lengths), points[:, 2]
     bad = (frame < 0) | (frame >= frames) | (frame != np.floor(frame))
     if bad.any():
-        first = int(np.flatnonzero(bad)[0])
+        found = f"{frame[bad][0]:g}"
         raise FileFormatError(
-            f"{where}: track {row[first]}", expected=f"frames 0..{frames - 1}", found=f"{frame[first]:g}"
+            f"{where}: track {row[bad][0]}", expected=f"frames 0..{frames - 1}", found=found
         )
+    index = frame.astype(np.int64)
+    xy = np.full((len(tracks), frames, 2), np.nan)
+    visible = np.zeros((len(tracks), frames), dtype=np.bool_)
+    xy[row, index], visible[row, index] = points[:, :2], True
+    if np.count_nonzero(visible) != len(row):
+        raise FileFormatError(where, expected="one point per track and frame", found="a frame given twice")
+    return xy, visible
 
 
 def _whole(value: float, where: str, what: str, low: int = 0) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -9,23 +10,24 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
-from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import atomic_path, write_bytes
 from kt3dmoseg.io.images import quiet_opencv
 from kt3dmoseg.types import ByteArray
 
 _VIDEO = {".mp4": "mp4v", ".avi": "MJPG"}
-_ANIMATION = (".gif", ".apng", ".webp")
+_ANIMATION = {".gif": "GIF", ".apng": "PNG", ".webp": "WEBP"}
 VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
 MOVING_SUFFIXES = (*_VIDEO, *_ANIMATION)
-# FFmpeg's AV_LOG_QUIET, which OpenCV reads once: a damaged video is our one line to tell.
+# FFmpeg's AV_LOG_QUIET, which OpenCV reads once: a damaged video is reported in one line of ours.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 @contextmanager
 def open_video(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
-    """Open a video for reading; whether that worked, its ``isOpened`` tells."""
+    """Open a video for reading; its ``isOpened`` says whether that worked."""
     with quiet_opencv():
         # OpenCV's other readers write to standard error what they do not understand.
         video = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG)
@@ -61,14 +63,17 @@ def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], ra
         For another suffix.
     InputFileError
         When the file cannot be written.
-    MissingDependencyError
-        When this OpenCV cannot write animations (before 4.12).
     """
     suffix = Path(path).suffix.lower()
     if suffix in _VIDEO:
         _write_video(path, pictures, rate, suffix)
     elif suffix in _ANIMATION:
-        _write_animation(path, pictures, rate, suffix)
+        images, buffer = [Image.fromarray(picture) for picture in pictures], io.BytesIO()
+        if not images:
+            raise InputFileError(f"{os.fspath(path)}: there are no pictures to write")
+        options = {"duration": round(1000 / rate), "loop": 0, "lossless": True}
+        images[0].save(buffer, _ANIMATION[suffix], save_all=True, append_images=images[1:], **options)
+        write_bytes(path, buffer.getvalue())
     else:
         known = ", ".join(MOVING_SUFFIXES)
         raise InvalidValueError(os.fspath(path), expected=f"a suffix of {known}", found=repr(suffix))
@@ -77,69 +82,33 @@ def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], ra
 def _write_video(
     path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float, suffix: str
 ) -> None:
-    with _named(path, suffix) as temporary, quiet_opencv():
-        writer, count = None, 0
-        for picture in map(_even, pictures):
-            if writer is None:
-                size = picture.shape[1], picture.shape[0]
-                writer = cv2.VideoWriter(os.fspath(temporary), _four_letters(_VIDEO[suffix]), rate, size)
-                if not writer.isOpened():
-                    raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write this video", fix="try .avi")
-            writer.write(np.ascontiguousarray(picture[..., ::-1]))
-            count += 1
-        if writer is not None:
-            writer.release()
-        _check_video(temporary, count, path)
-
-
-def _even(picture: ByteArray) -> ByteArray:
-    """Repeat the last row or column of an odd size: these codecs would drop it (4:2:0 chroma)."""
-    height, width = picture.shape[:2]
-    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-
-
-def _check_video(written: Path, count: int, path: str | os.PathLike[str]) -> None:
-    """Read a video back: OpenCV does not tell when the disk is full."""
-    found = 0
-    with open_video(written) as video:
-        while video.grab():
-            found += 1
-    if found < count:
-        raise InputFileError(
-            f"{os.fspath(path)}: cannot write", found=f"{found} of {count} pictures", fix="is the disk full?"
-        )
-
-
-def _write_animation(
-    path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float, suffix: str
-) -> None:
-    if not hasattr(cv2, "imencodeanimation"):
-        raise MissingDependencyError(
-            f"{os.fspath(path)}: this OpenCV writes no animations",
-            found=f"opencv {cv2.__version__}",
-            fix="install opencv-python-headless>=4.12, or write .mp4",
-        )
-    animation = cv2.Animation()
-    animation.frames = [np.ascontiguousarray(picture[..., ::-1]) for picture in pictures]
-    animation.durations = [round(1000 / rate)] * len(animation.frames)
-    with quiet_opencv():
-        encoded, content = cv2.imencodeanimation(".png" if suffix == ".apng" else suffix, animation)
-    if not encoded:
-        raise InputFileError(f"{os.fspath(path)}: OpenCV cannot write it", fix="write .mp4")
-    write_bytes(path, content.tobytes())
-
-
-@contextmanager
-def _named(path: str | os.PathLike[str], suffix: str) -> Iterator[Path]:
-    """Give an atomic temporary path that ends in `suffix`: OpenCV's encoders go by the name."""
-    with atomic_path(path) as temporary:
-        named = temporary.with_name(temporary.name + suffix)
+    with atomic_path(path) as temporary, quiet_opencv():
+        named = temporary.with_name(temporary.name + suffix)  # OpenCV goes by the name
         try:
-            yield named
+            count = _encode(named, pictures, rate, os.fspath(path))
+            with open_video(named) as video:  # read back: OpenCV does not say when the disk is full
+                found = sum(1 for _ in iter(video.grab, False))
+            if found < count:
+                found_text = f"{found} of {count} pictures"
+                raise InputFileError(f"{path}: cannot write", found=found_text, fix="is the disk full?")
             os.replace(named, temporary)
         finally:
             named.unlink(missing_ok=True)
 
 
-def _four_letters(code: str) -> int:
-    return int.from_bytes(code.encode(), "little")
+def _encode(named: Path, pictures: Iterable[ByteArray], rate: float, where: str) -> int:
+    writer, count = None, 0
+    for picture in pictures:
+        # The last row or column of an odd size is repeated: these codecs would drop it (4:2:0 chroma).
+        height, width = picture.shape[:2]
+        even = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        if writer is None:
+            code = cv2.VideoWriter.fourcc(*_VIDEO[named.suffix])
+            writer = cv2.VideoWriter(os.fspath(named), code, rate, even.shape[1::-1])
+            if not writer.isOpened():
+                raise InputFileError(f"{where}: OpenCV cannot write this video", fix="try .avi")
+        writer.write(np.ascontiguousarray(even[..., ::-1]))
+        count += 1
+    if writer is not None:
+        writer.release()
+    return count

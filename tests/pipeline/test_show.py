@@ -155,7 +155,6 @@ def test_a_video_of_an_odd_size_keeps_its_last_row_and_column(suffix, tmp_path):
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".gif", b"GIF8"), (".apng", b"\x89PNG"), (".webp", b"RIFF")])
-@pytest.mark.skipif(not hasattr(cv2, "imencodeanimation"), reason="OpenCV before 4.12")
 def test_an_animation(suffix, start, file, tmp_path):
     path = tmp_path / f"clip{suffix}"
     assert main(["show", str(file), "-o", str(path)]) == 0
@@ -174,8 +173,6 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.mark.parametrize("name", ["c.mp4", "c.avi", "c.gif", "c.png"])
 def test_a_full_disk_leaves_no_half_video(name, file, tmp_path):
-    if name == "c.gif" and not hasattr(cv2, "imencodeanimation"):
-        pytest.skip("OpenCV before 4.12")
     command = ["show", str(file), "-o", str(tmp_path / name)]
     code = [sys.executable, "-c", _FULL_DISK, *command]
     done = subprocess.run(code, capture_output=True, text=True, check=False)
