@@ -288,7 +288,7 @@ class SafeZip:
         except _ZIP_DAMAGE as error:
             found = f"a file that is none, or damaged ({str(error) or type(error).__name__})"
             return self._refuse("not-a-zip", "", "a zip archive", found)
-        chosen = [info for info in infos if not info.is_dir() and wanted(info.filename)]
+        chosen = [info for info in infos if not info.filename.endswith("/") and wanted(info.filename)]
         size = sum(info.file_size for info in chosen) if infos else packed
         if len(infos) > limits.files or size > limits.total_bytes:
             most = f"at most {limits.files} files and {limits.total_bytes >> 20} MiB"

@@ -20,19 +20,11 @@ _ENDINGS = ("_Tracks", "_truth")
 _LONGEST = 200
 _NUMBER = re.compile(r"-?[0-9]{1,18}")
 NUMBERS = "biuf"
-_KINDS = {NUMBERS: "numbers", "iu": "whole numbers", "f": "floating-point numbers", "b": "true or false"}
+_WORDS = {NUMBERS: "numbers", "iu": "whole numbers", "f": "floating-point numbers", "b": "true or false"}
 
 
 class Fields:
-    """Checked access to the named arrays and texts of a file.
-
-    Parameters
-    ----------
-    place : str
-        What precedes a name in messages, for instance ``"a.mat: Data."``.
-    values : mapping of str to value
-        What the file holds.
-    """
+    """Checked access to the named `values` of a file; `place` precedes their names in messages."""
 
     def __init__(self, place: str, values: Mapping[str, Any]) -> None:
         self.place, self.values = place, values
@@ -46,18 +38,19 @@ class Fields:
     ) -> npt.NDArray[Any]:
         """Return an array of numbers; in `shape` None is any size, without it any shape will do."""
         value = self.values.get(name)
-        wanted = " x ".join("any" if n is None else str(n) for n in shape or ())
+        wanted = (
+            "one value" if shape == () else " x ".join("any" if n is None else str(n) for n in shape or ())
+        )
         if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
             found = f"only {', '.join(sorted(self.values))}" if value is None else _describe(value)
-            raise self.error(name, f"{_KINDS[kinds]} {wanted}".strip(), found)
+            raise self.error(name, f"{_WORDS[kinds]} {wanted}".strip(), found)
         if shape is None:
             return value
         # MATLAB drops a third dimension of size one.
         full = value[..., None] if len(shape) == 3 and value.ndim == 2 else value
-        if len(full.shape) != len(shape) or any(
-            w not in (None, n) for w, n in zip(shape, full.shape, strict=True)
-        ):
-            raise self.error(name, wanted or "one value", " x ".join(map(str, value.shape)) or "one value")
+        fits = full.ndim == len(shape) and all(w in (None, n) for w, n in zip(shape, full.shape, strict=True))
+        if not fits:
+            raise self.error(name, wanted, " x ".join(map(str, value.shape)) or "one value")
         return full
 
     def whole(self, name: str, shape: tuple[int | None, ...] | None, low: int, high: int) -> IntArray:

@@ -5,7 +5,6 @@ In memory a field is (H, W, 2) float32, the displacement in pixels (right, down)
 
 from __future__ import annotations
 
-import io
 import os
 import struct
 from collections.abc import Callable
@@ -19,7 +18,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes, write_bytes
 from kt3dmoseg.io.images import decode
-from kt3dmoseg.io.npz import read_npy, read_npz, write_npz
+from kt3dmoseg.io.npz import npy_bytes, read_npy, read_npz, write_npz
 from kt3dmoseg.types import BoolArray, Float32Array
 
 FLOW_SUFFIXES = (".flo", ".png", ".npy", ".npz")
@@ -61,7 +60,10 @@ def read_flow(path: str | os.PathLike[str]) -> Float32Array:
     if content[:6] == b"\x93NUMPY":
         return _from_array(read_npy(path), where)
     if content[:4] == b"PK\x03\x04":
-        return _from_archive(path)
+        arrays = read_npz(path)
+        if "flow" not in arrays and len(arrays) != 1:
+            raise FileFormatError(where, expected="an array 'flow'", found=", ".join(sorted(arrays)))
+        return _from_array(arrays.get("flow", next(iter(arrays.values()))), where)
     raise FileFormatError(
         where,
         expected="a flow field (.flo, KITTI .png, .npy, .npz)",
@@ -110,24 +112,20 @@ def _from_flo(content: bytes, where: str) -> Float32Array:
         )
     field = np.frombuffer(content, "<f4", offset=12).astype(np.float32).reshape(height, width, 2)
     with np.errstate(invalid="ignore"):
-        unknown = np.logical_not(np.all(np.abs(field) <= _FLO_UNKNOWN, axis=2))
-    field[unknown] = np.nan
-    return field
+        known = np.all(np.abs(field) <= _FLO_UNKNOWN, axis=2)
+    return np.where(known[..., None], field, np.float32(np.nan))
 
 
 def _to_flo(field: Float32Array) -> bytes:
-    known = np.where(_known(field)[..., None], field, np.float32(_FLO_WRITTEN))
     height, width = field.shape[:2]
+    known = np.where(_known(field)[..., None], field, np.float32(_FLO_WRITTEN))
     return _FLO_TAG + struct.pack("<ii", width, height) + known.astype("<f4").tobytes()
 
 
 def _from_kitti(picture: npt.NDArray[Any], where: str) -> Float32Array:
     if picture.dtype != np.uint16 or picture.ndim != 3 or picture.shape[2] != 3:
-        raise FileFormatError(
-            where,
-            expected="a 16-bit RGB PNG as KITTI's flow",
-            found=f"{picture.dtype} of shape {picture.shape}",
-        )
+        found = f"{picture.dtype} of shape {picture.shape}"
+        raise FileFormatError(where, expected="a 16-bit RGB PNG as KITTI's flow", found=found)
     field = (picture[..., 2:0:-1].astype(np.float32) - _KITTI_ZERO) / np.float32(_KITTI_SCALE)
     field[picture[..., 0] == 0] = np.nan
     return field
@@ -148,30 +146,20 @@ def _to_kitti(field: Float32Array) -> bytes:
 
 
 def _known(field: Float32Array) -> BoolArray:
-    return np.isfinite(field[..., 0]) & np.isfinite(field[..., 1])
-
-
-def _to_npy(field: Float32Array) -> bytes:
-    buffer = io.BytesIO()
-    np.lib.format.write_array(buffer, field, allow_pickle=False)
-    return buffer.getvalue()
-
-
-def _from_archive(path: str | os.PathLike[str]) -> Float32Array:
-    arrays = read_npz(path)
-    if "flow" not in arrays and len(arrays) != 1:
-        raise FileFormatError(os.fspath(path), expected="an array 'flow'", found=", ".join(sorted(arrays)))
-    return _from_array(arrays["flow"] if "flow" in arrays else next(iter(arrays.values())), os.fspath(path))
+    return np.asarray(np.isfinite(field).all(axis=2))
 
 
 def _from_array(array: npt.NDArray[Any], where: str) -> Float32Array:
     if array.ndim == 3 and array.shape[0] == 2 and array.shape[2] != 2:
         array = np.moveaxis(array, 0, -1)
     if array.ndim != 3 or array.shape[2] != 2 or array.dtype.kind not in "iuf":
-        raise FileFormatError(
-            where, expected="numbers (H, W, 2) or (2, H, W)", found=f"{array.dtype} {array.shape}"
-        )
+        found = f"{array.dtype} {array.shape}"
+        raise FileFormatError(where, expected="numbers (H, W, 2) or (2, H, W)", found=found)
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
-_ENCODERS: dict[str, Callable[[Float32Array], bytes]] = {".flo": _to_flo, ".png": _to_kitti, ".npy": _to_npy}
+_ENCODERS: dict[str, Callable[[Float32Array], bytes]] = {
+    ".flo": _to_flo,
+    ".png": _to_kitti,
+    ".npy": npy_bytes,
+}

@@ -1,7 +1,7 @@
 """The canonical format: one HDF5 file per clip. docs/formats.md has the layout.
 
 The same clip gives the same bytes: nothing is stamped with a time, invisible positions are one
-NaN. Metadata and data carry checksums, so that a damaged file is told from a sound one.
+NaN. Metadata and data carry checksums, so that damage is noticed.
 """
 
 from __future__ import annotations
@@ -80,7 +80,28 @@ def read(path: str | os.PathLike[str]) -> Clip:
     where = os.fspath(path)
     with open_hdf5(where) as file:
         _check_version(file, where)
-        return _clip(file, where)
+        names = motion_names(_text(file, "labels/names", where, "{}"), f"{where}: names")
+        times = read_array(file, "frames/timestamp", where, "f8", 1) if "frames/timestamp" in file else None
+        K = read_array(file, "camera/K", where, "f8", 2) if "camera/K" in file else None
+        return Clip(
+            name=_text(file, "name", where),
+            dense=Trajectories(
+                read_array(file, "dense/xy", where, "f8", 3),
+                read_array(file, "dense/visible", where, "u1", 2) != 0,
+                read_array(file, "dense/track_id", where, "i8", 1),
+                _attribute(file, "dense/image_size", where),
+            ),
+            evaluated=read_array(file, "evaluated", where, "i8", 1),
+            labels=Labels(
+                read_array(file, "labels/label", where, "i8", 1),
+                _integer(file, "labels/background", where),
+                names,
+            ),
+            frame_numbers=read_array(file, "frames/number", where, "i8", 1),
+            timestamps=times,
+            camera=Camera(_text(file, "camera/name", where, ""), K) if "camera" in file else None,
+            provenance=json_object(_text(file, "provenance", where, "{}"), f"{where}: provenance"),
+        )
 
 
 def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -88,7 +109,7 @@ def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
     where = os.fspath(path)
     with open_hdf5(where) as file:
         _check_version(file, where)
-        return _json(file, "provenance", where)
+        return json_object(_text(file, "provenance", where, "{}"), f"{where}: provenance")
 
 
 def _new_file() -> h5py.File:
@@ -103,20 +124,13 @@ def _new_file() -> h5py.File:
 
 def _write_trajectories(file: h5py.File, dense: Trajectories) -> None:
     """Write chunk by chunk: of a long clip, the whole would be mostly NaN."""
-    shape = (len(dense), dense.n_frames)
-    xy = _create(file, "dense/xy", (*shape, 2), np.dtype(np.float64))
-    for first, last in _chunks(xy):
-        xy[first:last] = _one_nan(dense.block(first, last)[0])
-    visible = _create(file, "dense/visible", shape, np.dtype(np.uint8))
-    for first, last in _chunks(visible):
-        visible[first:last] = dense.block(first, last)[1]
-
-
-def _chunks(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
-    """Rows of each chunk; none of an empty dataset."""
-    size = dataset.chunks[0] if dataset.chunks else 1
-    for first in range(0, len(dataset) if dataset.size else 0, size):
-        yield first, min(first + size, len(dataset))
+    shape, n = (len(dense), dense.n_frames), len(dense)
+    for part, (name, of, dtype) in enumerate((("dense/xy", (2,), "f8"), ("dense/visible", (), "u1"))):
+        dataset = _create(file, name, (*shape, *of), np.dtype(dtype))
+        step = dataset.chunks[0] if dataset.chunks else 1
+        for first in range(0, n if dataset.size else 0, step):
+            last = min(first + step, n)
+            dataset[first:last] = _one_nan(dense.block(first, last)[part])
 
 
 def _create(file: h5py.File, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> h5py.Dataset:
@@ -152,39 +166,35 @@ def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fix
 
 
 def _arrays(clip: Clip) -> dict[str, npt.NDArray[Any]]:
-    out: dict[str, npt.NDArray[Any]] = {
+    arrays: dict[str, npt.NDArray[Any] | None] = {
         "dense/track_id": clip.dense.track_id,
         "evaluated": clip.evaluated,
         "labels/label": clip.labels.label,
         "frames/number": clip.frame_numbers,
+        "frames/timestamp": clip.timestamps,
+        "camera/K": None if clip.camera is None else clip.camera.K,
     }
-    if clip.timestamps is not None:
-        out["frames/timestamp"] = clip.timestamps
-    if clip.camera is not None and clip.camera.K is not None:
-        out["camera/K"] = clip.camera.K
-    return out
+    return {name: values for name, values in arrays.items() if values is not None}
 
 
 def _attributes(clip: Clip) -> dict[str, Any]:
     names = {str(key): text for key, text in sorted(clip.labels.names.items())}
-    out: dict[str, Any] = {
+    size, background = clip.dense.image_size, clip.labels.background
+    attributes = {
         "format": FORMAT,
         "version": np.int64(VERSION),
         "name": clip.name,
         "provenance": json_text(clip.provenance, "provenance"),
         "labels/names": json_text(names, "names"),
+        "dense/image_size": None if size is None else np.array(size, dtype=np.int64),
+        "labels/background": None if background is None else np.int64(background),
+        "camera/name": clip.camera and clip.camera.name,
     }
-    if clip.dense.image_size is not None:
-        out["dense/image_size"] = np.array(clip.dense.image_size, dtype=np.int64)
-    if clip.labels.background is not None:
-        out["labels/background"] = np.int64(clip.labels.background)
-    if clip.camera is not None:
-        out["camera/name"] = clip.camera.name
-    return out
+    return {name: value for name, value in attributes.items() if value is not None}
 
 
 def _check_version(file: h5py.File, where: str) -> None:
-    kind = read_text(file, "format", where, default="")
+    kind = _text(file, "format", where, "")
     if kind != FORMAT:
         found = f"format {kind!r}" if kind else "another HDF5 file (no attribute 'format')"
         fix = "give a file that kt3dmoseg build, track or convert wrote"
@@ -203,50 +213,35 @@ def _check_version(file: h5py.File, where: str) -> None:
         )
 
 
-def _clip(file: h5py.File, where: str) -> Clip:
-    dense, labels = checked_group(file, "dense", where), checked_group(file, "labels", where)
-    visible = read_array(file, "dense/visible", where, "u1", 2) != 0
-    size = dense.attrs.get("image_size")
-    xy = read_array(file, "dense/xy", where, "f8", 3)
-    names = motion_names(read_text(labels, "names", where, default="{}"), f"{where}: names")
-    background = _integer(labels, "background", where)
-    optional = {"timestamps": "frames/timestamp"}
-    return Clip(
-        name=read_text(file, "name", where),
-        dense=Trajectories(
-            xy,
-            visible,
-            read_array(file, "dense/track_id", where, "i8", 1),
-            size,
-        ),
-        evaluated=read_array(file, "evaluated", where, "i8", 1),
-        labels=Labels(read_array(file, "labels/label", where, "i8", 1), background, names),
-        frame_numbers=read_array(file, "frames/number", where, "i8", 1),
-        camera=_camera(file, where),
-        provenance=_json(file, "provenance", where),
-        **{k: read_array(file, name, where, "f8", 1) for k, name in optional.items() if name in file},
-    )
-
-
-def _camera(file: h5py.File, where: str) -> Camera | None:
-    if "camera" not in file:
+def _attribute(file: h5py.File, name: str, where: str) -> Any:  # noqa: ANN401  # as h5py gives it
+    """Return an attribute; None when it is not there."""
+    group, _, key = name.rpartition("/")
+    owner = _hard_linked(file, group, where) if group else file
+    if key not in owner.attrs:
         return None
-    name = read_text(checked_group(file, "camera", where), "name", where, default="")
-    return Camera(name, read_array(file, "camera/K", where, "f8", 2) if "camera/K" in file else None)
+    if (kind := owner.attrs.get_id(key)).dtype.itemsize * math.prod(kind.shape) > _MAX_TEXT:
+        raise FileFormatError(f"{where}: {key}", expected=f"at most {_MAX_TEXT} bytes", found="more")
+    return owner.attrs[key]
 
 
-def _json(group: h5py.Group, name: str, where: str) -> dict[str, Any]:
-    return json_object(read_text(group, name, where, default="{}"), f"{where}: {name}")
+def _text(file: h5py.File, name: str, where: str, default: str | None = None) -> str:
+    value = _attribute(file, name, where)
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace")
+    if value is None and default is not None:
+        return default
+    if not isinstance(value, str):
+        found = "nothing" if value is None else type(value).__name__
+        raise FileFormatError(f"{where}: attribute {name}", expected="a text", found=found)
+    return value
 
 
-def _integer(group: h5py.Group, name: str, where: str) -> int | None:
-    value = group.attrs.get(name)
-    if value is None:
-        return None
+def _integer(file: h5py.File, name: str, where: str) -> int | None:
+    value = _attribute(file, name, where)
     number = np.asarray(value)
-    if number.shape not in ((), (1,)) or number.dtype.kind not in "iu":
+    if value is not None and (number.size != 1 or number.dtype.kind not in "iu"):
         raise FileFormatError(f"{where}: {name}", expected="a whole number", found=repr(value))
-    return int(number.item())
+    return None if value is None else int(number.item())
 
 
 @contextmanager
@@ -268,9 +263,9 @@ def open_hdf5(path: str) -> Iterator[h5py.File]:
     except OSError as error:
         if error.errno is not None:
             raise InputFileError(f"{path}: {os.strerror(error.errno)}") from None
-        raise FileFormatError(path, expected="a sound HDF5 file", found=f"damage: {error}") from None
+        raise FileFormatError(path, expected="an intact HDF5 file", found=f"damage: {error}") from None
     except (KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
-        raise FileFormatError(path, expected="a sound HDF5 file", found=f"damage: {error}") from None
+        raise FileFormatError(path, expected="an intact HDF5 file", found=f"damage: {error}") from None
 
 
 def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) -> npt.NDArray[Any]:
@@ -295,31 +290,6 @@ def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) ->
     values = np.asarray(dataset[()], dtype=wanted)
     values.flags.writeable = False  # a clip takes it as it is, without a copy
     return values
-
-
-def read_text(group: h5py.Group, name: str, where: str, default: str | None = None) -> str:
-    """Read a text attribute."""
-    if name not in group.attrs:
-        if default is None:
-            raise FileFormatError(f"{where}: attribute {name}", expected="a text", found="nothing")
-        return default
-    kind = group.attrs.get_id(name)
-    if kind.shape != () or kind.dtype.kind not in "SO" or kind.dtype.itemsize > _MAX_TEXT:
-        raise FileFormatError(f"{where}: attribute {name}", expected="a text", found=f"{kind.dtype}")
-    value = group.attrs[name]
-    if isinstance(value, bytes):
-        return value.decode("utf-8", errors="replace")
-    if not isinstance(value, str):
-        raise FileFormatError(f"{where}: attribute {name}", expected="a text", found=type(value).__name__)
-    return value
-
-
-def checked_group(file: h5py.File, name: str, where: str) -> h5py.Group:
-    """Return a group of this very file."""
-    group = _hard_linked(file, name, where)
-    if not isinstance(group, h5py.Group):
-        raise FileFormatError(f"{where}: {name}", expected="a group", found="a dataset")
-    return group
 
 
 def _hard_linked(file: h5py.File, name: str, where: str) -> h5py.Group | h5py.Dataset:

@@ -1,59 +1,47 @@
-"""MATLAB files of version 5 to 7: arrays, texts and structs, read without trusting a size.
+"""Clips in MAT-files: the 2018 KT3DMoSeg release, Hopkins12 and MTPV62, and Hopkins155.
 
-Follows "MAT-File Format" (MathWorks). scipy's reader is not used: damaged files crash it. Cells, sparse
-arrays, objects and function handles are named but not decoded. Version 7.3 (HDF5) and version 4 are refused.
+The release, Hopkins12 and MTPV62 share a struct `Data`: `yAll` (3, N, F) and `ySparse` (3, n, F) are
+homogeneous pixels, (0, 0, 0) where invisible; `visibleAll` (N, F) and `visibleSparse` (n, F) say where they
+are; `SparseIndex` (n, 1) counts the evaluated rows of `yAll` from 1; `GtLabel` (n, 1) holds the motions, 0 an
+outlier.
+
+Hopkins155 (Tron and Vidal, CVPR 2007) has one ``<sequence>_truth.mat`` each: `y` (3, P, F) homogeneous
+pixels, `s` (P, 1) the motions from 1, `K` (3, 3) the matrix that normalised them, `width` and `height` of the
+images. The additional sequences carry a mask `m` (P, F), 1 where a point is visible, and label outliers 0;
+without it the trajectories are complete.
+
+These conventions end here: inside, coordinates are (N, F, 2) with NaN where invisible and rows count from 0.
 """
 
 from __future__ import annotations
 
-import math
+import io
 import os
-import struct
-import zlib
-from collections.abc import Iterator
-from typing import Any, NamedTuple, NoReturn, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from scipy.io import savemat
 
-from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io import hopkins, release
-from kt3dmoseg.types import Clip
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import write_bytes
+from kt3dmoseg.io.fields import Fields, clip_name, origin
+from kt3dmoseg.io.mat5 import MAX_BYTES, read_mat
+from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, Labels, Trajectories
 
-MAX_BYTES = 1 << 30
-# zlib packs a run of zeros a thousandfold; trajectories with many gaps reach some tens.
-_MAX_RATIO, _FREE = 300, 1 << 24
-_MAX_DEPTH, _MAX_FIELDS, _MAX_DIMS = 8, 4096, 8
-_HEADER = 128
-_MATRIX, _COMPRESSED, _INT32, _UINT32, _INT8 = 14, 15, 5, 6, 1
-_STORAGE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_TEXT = {1, 2, 4, 16, 17, 18}
-_NUMERIC = dict(enumerate(("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"), start=6))
-_STRUCT, _CHAR = 2, 4
-_OTHER = {1: "cell", 2: "struct array", 3: "object", 4: "text array", 5: "sparse", 16: "function handle"}
-_IS_COMPLEX, _IS_LOGICAL = 0x08, 0x02
-
-_Part: TypeAlias = tuple[int, memoryview]
-
-
-class Undecoded(NamedTuple):
-    """A variable of a class that is not decoded: what it is and its dimensions."""
-
-    kind: str
-    shape: tuple[int, ...]
-
-    def __str__(self) -> str:
-        """Say what it is."""
-        return f"{self.kind} of shape {self.shape}"
-
-
-write = release.write  # the schema of the 2018 release
-Value: TypeAlias = "npt.NDArray[Any] | str | dict[str, Value] | Undecoded"
+# In place of the platform and the date that scipy writes, so that equal content gives equal bytes.
+_TEXT = b"MATLAB 5.0 MAT-file, written by kt3dmoseg".ljust(116)
+# In the release the static scene is motion 1 in every clip; the other collections do not say.
+_BACKGROUND = 1
+_DENSE = ("nAllPoints", "yAll", "visibleAll")
+_ALL_FIELDS = (*_DENSE, "nFrames", "nSparsePoints", "ySparse", "visibleSparse", "SparseIndex", "GtLabel")
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip of the 2018 release, Hopkins155, Hopkins12 or MTPV62.
+    """Read a clip; it takes the name of its file.
+
+    `dense` holds `yAll`; without it the labelled trajectories, all of them evaluated. Without a mask every
+    point counts as visible.
 
     Raises
     ------
@@ -65,9 +53,9 @@ def read(path: str | os.PathLike[str]) -> Clip:
     variables = read_mat(path)
     data = variables.get("Data")
     if {"y", "s"} <= set(variables):
-        return hopkins.read(path, variables)
+        return _hopkins(path, variables)
     if isinstance(data, dict) and {"ySparse", "GtLabel"} <= set(data):
-        return release.read(path, data)
+        return _release(path, data)
     inside = f", Data with the fields {', '.join(sorted(data))}" if isinstance(data, dict) else ""
     raise FileFormatError(
         os.fspath(path),
@@ -77,165 +65,110 @@ def read(path: str | os.PathLike[str]) -> Clip:
     )
 
 
-def read_mat(path: str | os.PathLike[str]) -> dict[str, Value]:
-    """Read every variable of a version 5 MAT-file.
+def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+    """Write a clip as a MAT-file of the 2018 schema; the same clip gives the same bytes.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Returns
-    -------
-    dict of str to value
-        Arrays have the class that MATLAB shows (double, logical, ...), whatever integer type the
-        file stores them in. A 1x1 struct is a dict, a row of characters a str, others are `Undecoded`.
-
-    Raises
-    ------
-    FileFormatError
-        When the file is not a version 5 MAT-file, is truncated, or lies about a size.
-    InputFileError
-        When it cannot be read or is larger than `MAX_BYTES`.
+    A clip that was read from such a file gets the fields that its file had (Hopkins12 and MTPV62
+    have no `yAll`), as far as they still hold everything. Names of motions, frame numbers, image
+    size and camera have no place in the schema.
     """
-    where = os.fspath(path)
-    content = read_bytes(path, MAX_BYTES)
-    reader = _Reader(f"{where}: MAT-file", _byte_order(content, where))
-    named = (reader.variable(*part) for part in reader.parts(memoryview(content)[_HEADER:]))
-    return {name: value for name, value in named if name}
+    values = _field_values(clip)
+    if (size := 8 * values["yAll"].size) > MAX_BYTES:
+        raise InvalidValueError("MAT-file", expected=f"at most {MAX_BYTES} bytes", found=f"{size}")
+    buffer = io.BytesIO()
+    data = {name: values[name] for name in _wanted_fields(clip)}
+    savemat(buffer, {"Data": data}, do_compression=True)  # type: ignore[arg-type]  # a stream will do
+    write_bytes(path, _TEXT + buffer.getvalue()[len(_TEXT) :])
 
 
-def _byte_order(content: bytes, where: str) -> str:
-    version5 = "a MATLAB version 5 to 7 MAT-file"
-    if content[:19] == b"MATLAB 7.3 MAT-file" or content[:8] == b"\x89HDF\r\n\x1a\n":
-        fix = "save it again in MATLAB with the option '-v7'"
-        raise FileFormatError(where, expected=version5, found="version 7.3 (HDF5)", fix=fix)
-    if not content:
-        raise FileFormatError(where, expected=version5, found="an empty file")
-    if len(content) < _HEADER:
-        found = f"{len(content)} bytes, less than a header; the file is truncated"
-        raise FileFormatError(where, expected=version5, found=found)
-    if content[:6] != b"MATLAB" or content[126:128] not in (b"IM", b"MI"):
-        raise FileFormatError(where, expected=version5, found=f"a file that starts with {content[:8]!r}")
-    return "<" if content[126:128] == b"IM" else ">"
+def _release(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
+    fields = Fields(f"{os.fspath(path)}: Data.", data)
+    n, frames = fields.array("ySparse", (3, None, None)).shape[1:]
+    label = fields.whole("GtLabel", (n, 1), 0, 1 << 31)
+    sparse, sparse_visible = _points(fields, "ySparse", "visibleSparse")
+    dense, visible, rows = sparse, sparse_visible, np.arange(n)
+    if released := "yAll" in fields:
+        count = fields.array("yAll", (3, None, frames)).shape[1]
+        dense, visible = _points(fields, "yAll", "visibleAll")
+        rows = fields.whole("SparseIndex", (n, 1), 1, count) - 1
+        if not np.array_equal(dense[rows], sparse, equal_nan=True):
+            raise fields.error("ySparse", "the rows SparseIndex of yAll", "other coordinates")
+        if len(np.unique(rows)) != n:
+            raise fields.error("SparseIndex", "rows each given once", "a row given twice")
+    for name, actual in (("nFrames", frames), ("nSparsePoints", n), ("nAllPoints", len(dense))):
+        if name in fields and (stated := fields.whole(name, (1, 1), 0, 1 << 31)[0]) != actual:
+            raise fields.error(name, f"{actual}, as the arrays hold", str(stated))
+    provenance = origin(path, "mat-2018") | {"fields": list(data)}
+    if isinstance(data.get("Name"), str):
+        provenance["Name"] = data["Name"]
+    if "visibleSparse" not in fields:
+        provenance["visibility"] = "the file has no mask: every point taken as visible"
+    return Clip(
+        name=clip_name(path),
+        dense=Trajectories(dense, visible),
+        evaluated=rows,
+        labels=Labels(label, background=_BACKGROUND if released else None),
+        provenance=provenance,
+    )
 
 
-class _Reader:
-    """Decodes elements; every one must lie within the one that holds it."""
+def _hopkins(path: str | os.PathLike[str], variables: Mapping[str, Any]) -> Clip:
+    fields = Fields(f"{os.fspath(path)}: ", variables)
+    xy, visible = _points(fields, "y", "m")
+    for name, size in (("s", len(xy)), ("K", 9), ("width", 1), ("height", 1)):
+        if fields.array(name).size != size:
+            raise fields.error(name, f"{size} numbers", f"{fields.array(name).size}")
+    image_size = (fields.array("width").item(), fields.array("height").item())
+    return Clip(
+        name=clip_name(path),
+        dense=Trajectories(xy, visible, image_size=image_size),
+        evaluated=np.arange(len(xy)),
+        labels=Labels(fields.whole("s", None, 0, 999)),
+        camera=Camera(K=fields.array("K").reshape(3, 3)),
+        provenance=origin(path, "hopkins155"),
+    )
 
-    def __init__(self, place: str, order: str) -> None:
-        self.place, self.order = place, order
 
-    def parts(self, data: memoryview) -> Iterator[_Part]:
-        """Give type and bytes of each element, after checking that they are there."""
-        at = 0
-        while at < len(data):
-            if len(data) - at < 8:
-                self._fail("an 8-byte tag", f"{len(data) - at} bytes; the file is truncated")
-            kind, size = struct.unpack_from(self.order + "II", data, at)
-            start, end = at + 8, at + 8 + size + (0 if kind == _COMPRESSED else -size % 8)
-            if kind >> 16:  # up to 4 bytes lie in the tag itself
-                kind, size, start, end = kind & 0xFFFF, kind >> 16, at + 4, at + 8
-                if size > 4:
-                    self._fail("at most 4 bytes in a small element", f"{size}")
-            if start + size > len(data):
-                found = f"{len(data) - start}; the file is truncated or damaged"
-                self._fail(f"{size} bytes of an element", found)
-            yield kind, data[start : start + size]
-            at = end
+def _points(fields: Fields, name: str, mask: str) -> tuple[FloatArray, BoolArray]:
+    """Return positions and visibility from homogeneous pixels and their mask, if there is one."""
+    y = fields.array(name, (3, None, None)).astype(np.float64)
+    stated = fields.array(mask, y.shape[1:]) if mask in fields else np.ones(y.shape[1:], dtype=np.bool_)
+    if not np.isin(stated, (0, 1)).all():
+        raise fields.error(mask, "0 or 1", "others")
+    visible = stated.astype(np.bool_)
+    if not (np.isfinite(y[:2, visible]).all() and (y[2, visible] == 1).all()):
+        raise fields.error(name, "finite (x, y, 1) where visible", "another value")
+    return np.where(visible[..., None], np.moveaxis(y[:2], 0, -1), np.nan), visible
 
-    def variable(self, kind: int, payload: memoryview) -> tuple[str, Value]:
-        if kind == _COMPRESSED:
-            kind, payload = next(self.parts(self._inflate(payload)))
-        if kind != _MATRIX:
-            self._fail("a matrix element", f"an element of type {kind}")
-        return self._matrix(payload, 1)
 
-    def _matrix(self, data: memoryview, depth: int) -> tuple[str, Value]:
-        if depth > _MAX_DEPTH:
-            self._fail(f"at most {_MAX_DEPTH} structs inside each other", "more")
-        parts = self.parts(data)
-        if not data:
-            return "", np.zeros((0, 0))
-        flags = self._integers(parts, _UINT32, 2, "array flags")[0]
-        shape = self._integers(parts, _INT32, _MAX_DIMS, "dimensions")
-        if len(shape) < 2 or min(shape) < 0:
-            self._fail("two or more dimensions >= 0", str(shape))
-        if 0 in shape and math.prod(n or 1 for n in shape) > _FREE:
-            self._fail(f"at most {_FREE} elements in an empty array", str(shape))
-        name = bytes(self._typed(parts, {_INT8}, "a name")).decode("latin-1")
-        return name, self._value(flags & 0xFF, flags >> 8, shape, parts, depth)
+def _wanted_fields(clip: Clip) -> Sequence[str]:
+    given = clip.provenance.get("fields")
+    known = {*_ALL_FIELDS, "Name"}
+    if not isinstance(given, list) or not {"ySparse", "GtLabel"} <= set(given) <= known:
+        return _ALL_FIELDS
+    whole = np.array_equal(clip.evaluated, np.arange(len(clip.dense)))
+    has_dense = {"yAll", "visibleAll", "SparseIndex"} <= set(given)
+    has_mask = "visibleSparse" in given or bool(clip.dense.visible.all())
+    return given if (has_dense or whole) and has_mask else _ALL_FIELDS
 
-    def _value(
-        self, klass: int, flags: int, shape: tuple[int, ...], parts: Iterator[_Part], depth: int
-    ) -> Value:
-        if klass == _STRUCT and shape == (1, 1):
-            return self._struct(parts, depth)
-        if klass == _CHAR and shape[0] <= 1 and len(shape) == 2:
-            return self._text(parts, math.prod(shape))
-        if klass in _NUMERIC and not flags & _IS_COMPLEX:
-            return self._array(parts, shape, bool if flags & _IS_LOGICAL else _NUMERIC[klass])
-        return Undecoded("complex" if klass in _NUMERIC else _OTHER.get(klass, f"class {klass}"), shape)
 
-    def _array(
-        self, parts: Iterator[_Part], shape: tuple[int, ...], dtype: npt.DTypeLike
-    ) -> npt.NDArray[Any]:
-        kind, payload = next(parts, (0, memoryview(b"")))
-        if kind not in _STORAGE:
-            self._fail("numbers", f"an element of type {kind}")
-        stored = np.dtype(self.order + _STORAGE[kind])
-        if (needed := math.prod(shape) * stored.itemsize) != len(payload):
-            self._fail(f"{needed} bytes for an array {shape}", f"{len(payload)}")
-        with np.errstate(invalid="ignore"):  # an odd file may store NaN of a class of whole numbers
-            values = np.frombuffer(payload, stored).astype(dtype)
-        return values.reshape(shape, order="F")
+def _field_values(clip: Clip) -> dict[str, Any]:
+    sparse = clip.evaluated_trajectories
+    return {
+        "Name": str(clip.provenance.get("Name", clip.name)),
+        "nAllPoints": float(len(clip.dense)),
+        "yAll": _homogeneous(clip.dense),
+        "visibleAll": clip.dense.visible,
+        "nFrames": float(clip.n_frames),
+        "nSparsePoints": float(len(sparse)),
+        "ySparse": _homogeneous(sparse),
+        "visibleSparse": sparse.visible,
+        "SparseIndex": (clip.evaluated[:, None] + 1).astype(np.float64),
+        "GtLabel": clip.labels.label[:, None].astype(np.float64),
+    }
 
-    def _text(self, parts: Iterator[_Part], length: int) -> str:
-        if not length:
-            return ""
-        payload = bytes(self._typed(parts, _TEXT, "text"))
-        two_bytes = "utf-16-le" if self.order == "<" else "utf-16-be"
-        return payload.decode(two_bytes if len(payload) // length == 2 else "utf-8", errors="replace")
 
-    def _struct(self, parts: Iterator[_Part], depth: int) -> dict[str, Value]:
-        width = self._integers(parts, _INT32, 1, "field name length")[0]
-        names = bytes(self._typed(parts, {_INT8}, "field names"))
-        if width < 1 or len(names) % width or len(names) // width > _MAX_FIELDS:
-            self._fail("field names of one length", f"{len(names)} bytes in pieces of {width}")
-        out: dict[str, Value] = {}
-        for start in range(0, len(names), width):
-            name = names[start : start + width].split(b"\0")[0].decode("latin-1")
-            out[name] = self._matrix(self._typed(parts, {_MATRIX}, f"a matrix in field {name!r}"), depth + 1)[
-                1
-            ]
-        return out
-
-    def _integers(self, parts: Iterator[_Part], kind: int, most: int, what: str) -> tuple[int, ...]:
-        payload = self._typed(parts, {kind}, what)
-        if not 4 <= len(payload) <= 4 * most or len(payload) % 4:
-            self._fail(f"{what} of 4 to {4 * most} bytes", f"{len(payload)}")
-        return struct.unpack(f"{self.order}{len(payload) // 4}i", payload)
-
-    def _typed(self, parts: Iterator[_Part], kinds: set[int], what: str) -> memoryview:
-        kind, payload = next(parts, (0, memoryview(b"")))
-        if kind not in kinds:
-            self._fail(what, f"an element of type {kind}" if kind else "the end; the file is damaged")
-        return payload
-
-    def _inflate(self, packed: memoryview) -> memoryview:
-        """Unpack one element: first its tag, then no more than the tag says."""
-        unpack = zlib.decompressobj()
-        try:
-            tag = unpack.decompress(packed, 8)
-            if len(tag) < 8:
-                self._fail("a packed element", "too few bytes; the file is truncated")
-            size = struct.unpack(self.order + "I", tag[4:])[0]
-            limit = min(MAX_BYTES, max(_FREE, _MAX_RATIO * len(packed)))
-            if size > limit:
-                self._fail(f"at most {limit} bytes in a packed element", f"{size}")
-            return memoryview(tag + unpack.decompress(unpack.unconsumed_tail, size + 8))
-        except zlib.error as error:
-            self._fail("zlib data", f"{error}; the file is truncated or damaged")
-
-    def _fail(self, expected: str, found: str) -> NoReturn:
-        raise FileFormatError(self.place, expected=expected, found=found)
+def _homogeneous(trajectories: Trajectories) -> FloatArray:
+    """Return (3, N, F): x, y, 1 where visible, else 0, 0, 0."""
+    points = np.concatenate([trajectories.xy, np.ones_like(trajectories.xy[..., :1])], axis=2)
+    return np.moveaxis(np.where(trajectories.visible[..., None], points, 0.0), -1, 0)

@@ -18,8 +18,8 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import SafeZip, ZipLimits, write_bytes
+from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.files import SafeZip, ZipLimits, read_bytes, write_bytes
 from kt3dmoseg.io.fields import Fields, clip_name, json_object, json_text, motion_names, origin
 from kt3dmoseg.types import BoolArray, Camera, Clip, Labels, Trajectories
 
@@ -34,21 +34,9 @@ _MAX_HEADER = 10_000
 
 
 def read_npy(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
-    """Read a .npy file of numbers or texts.
-
-    Raises
-    ------
-    FileFormatError
-        When it is damaged, holds Python objects, or lies about its size.
-    InputFileError
-        When it cannot be read.
-    """
-    where = os.fspath(path)
-    try:
-        with open(path, "rb") as stream:
-            return read_array(stream, os.fstat(stream.fileno()).st_size, where)
-    except OSError as error:
-        raise InputFileError(f"{where}: {error.strerror or error}") from None
+    """Read a .npy file of numbers or texts; raises as `read_npz`."""
+    content = read_bytes(path, _LIMITS.file_bytes)
+    return read_array(io.BytesIO(content), len(content), os.fspath(path))
 
 
 def read_npz(

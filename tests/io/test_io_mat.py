@@ -13,7 +13,7 @@ from io_clips import small_clip
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.io import hdf5, load, save
-from kt3dmoseg.io.matlab import Undecoded, read_mat
+from kt3dmoseg.io.mat5 import Undecoded, read_mat
 
 STRUCTS = ["kt3dmoseg/release", "hopkins12", "mtpv62"]
 

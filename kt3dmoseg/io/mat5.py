@@ -1,0 +1,198 @@
+"""The MAT-file container, version 5: arrays, texts and structs, read without trusting a size.
+
+Follows "MAT-File Format" (MathWorks). scipy's reader is not used: damaged files crash it. Cells, sparse
+arrays, objects and function handles are named but not decoded. Version 7.3 (HDF5) and version 4 are refused.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import Any, NamedTuple, NoReturn, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.files import read_bytes
+
+MAX_BYTES = 1 << 30
+# zlib packs a run of zeros a thousandfold; trajectories with many gaps reach some tens.
+_MAX_RATIO, _FREE = 300, 1 << 24
+_MAX_DEPTH, _MAX_FIELDS, _MAX_DIMS = 8, 4096, 8
+_HEADER = 128
+_MATRIX, _COMPRESSED, _INT32, _UINT32, _INT8 = 14, 15, 5, 6, 1
+_STORAGE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_TEXT = (1, 2, 4, 16, 17, 18)
+_NUMERIC = dict(enumerate(("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"), start=6))
+_STRUCT, _CHAR = 2, 4
+_OTHER = {1: "cell", 2: "struct array", 3: "object", 4: "text array", 5: "sparse", 16: "function handle"}
+_IS_COMPLEX, _IS_LOGICAL = 0x08, 0x02
+
+Value: TypeAlias = "npt.NDArray[Any] | str | dict[str, Value] | Undecoded"
+_Parts: TypeAlias = Iterator[tuple[int, memoryview]]
+
+
+class Undecoded(NamedTuple):
+    """A variable of a class that is not decoded: what it is and its dimensions."""
+
+    kind: str
+    shape: tuple[int, ...]
+
+
+def read_mat(path: str | os.PathLike[str]) -> dict[str, Value]:
+    """Read every variable of a version 5 MAT-file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    dict of str to value
+        Arrays have the class that MATLAB shows (double, logical, ...), whatever integer type the
+        file stores them in. A 1x1 struct is a dict, a row of characters a str, others are `Undecoded`.
+
+    Raises
+    ------
+    FileFormatError
+        When the file is not a version 5 MAT-file, is truncated, or lies about a size.
+    InputFileError
+        When it cannot be read or is larger than `MAX_BYTES`.
+    """
+    where = os.fspath(path)
+    content = read_bytes(path, MAX_BYTES)
+    reader = _Reader(f"{where}: MAT-file", _byte_order(content, where))
+    named = (reader.variable(*part) for part in reader.parts(memoryview(content)[_HEADER:]))
+    return {name: value for name, value in named if name}
+
+
+def _byte_order(content: bytes, where: str) -> str:
+    version5 = "a MATLAB version 5 to 7 MAT-file"
+    if content[:19] == b"MATLAB 7.3 MAT-file" or content[:8] == b"\x89HDF\r\n\x1a\n":
+        fix = "save it again in MATLAB with the option '-v7'"
+        raise FileFormatError(where, expected=version5, found="version 7.3 (HDF5)", fix=fix)
+    if not content:
+        raise FileFormatError(where, expected=version5, found="an empty file")
+    if len(content) < _HEADER:
+        found = f"{len(content)} bytes, less than a header; the file is truncated"
+        raise FileFormatError(where, expected=version5, found=found)
+    if content[:6] != b"MATLAB" or content[126:128] not in (b"IM", b"MI"):
+        raise FileFormatError(where, expected=version5, found=f"a file that starts with {content[:8]!r}")
+    return "<" if content[126:128] == b"IM" else ">"
+
+
+class _Reader:
+    """Decodes elements; every one must lie within the one that holds it."""
+
+    def __init__(self, place: str, order: str) -> None:
+        self.place, self.order = place, order
+
+    def parts(self, data: memoryview) -> _Parts:
+        """Give type and bytes of each element, after checking that they are there."""
+        at = 0
+        while at < len(data):
+            if len(data) - at < 8:
+                self._fail("an 8-byte tag", f"{len(data) - at} bytes; the file is truncated")
+            kind, size = struct.unpack_from(self.order + "II", data, at)
+            start, step = at + 8, 8 + size + (0 if kind == _COMPRESSED else -size % 8)
+            if kind >> 16:  # up to 4 bytes lie in the tag itself
+                kind, size, start, step = kind & 0xFFFF, kind >> 16, at + 4, 8
+                if size > 4:
+                    self._fail("at most 4 bytes in a small element", f"{size}")
+            if start + size > len(data):
+                found = f"{len(data) - start}; the file is truncated or damaged"
+                self._fail(f"{size} bytes of an element", found)
+            yield kind, data[start : start + size]
+            at += step
+
+    def variable(self, kind: int, payload: memoryview) -> tuple[str, Value]:
+        if kind == _COMPRESSED:
+            kind, payload = next(self.parts(self._inflate(payload)))
+        if kind != _MATRIX:
+            self._fail("a matrix element", f"an element of type {kind}")
+        return self._matrix(payload, 1)
+
+    def _matrix(self, data: memoryview, depth: int) -> tuple[str, Value]:
+        if depth > _MAX_DEPTH:
+            self._fail(f"at most {_MAX_DEPTH} structs inside each other", "more")
+        if not data:
+            return "", np.zeros((0, 0))
+        parts = self.parts(data)
+        flags = self._integers(parts, _UINT32, 2, "array flags")[0]
+        shape = self._integers(parts, _INT32, _MAX_DIMS, "dimensions")
+        if len(shape) < 2 or min(shape) < 0:
+            self._fail("two or more dimensions >= 0", str(shape))
+        if 0 in shape and math.prod(n or 1 for n in shape) > _FREE:
+            self._fail(f"at most {_FREE} elements in an empty array", str(shape))
+        name = bytes(self._next(parts, (_INT8,), "a name")).decode("latin-1")
+        klass = flags & 0xFF
+        if klass == _STRUCT and shape == (1, 1):
+            return name, self._struct(parts, depth)
+        if klass == _CHAR and shape[0] <= 1 and len(shape) == 2:
+            return name, self._text(parts, math.prod(shape))
+        if klass in _NUMERIC and not flags >> 8 & _IS_COMPLEX:
+            return name, self._array(parts, shape, "?" if flags >> 8 & _IS_LOGICAL else _NUMERIC[klass])
+        return name, Undecoded("complex" if klass in _NUMERIC else _OTHER.get(klass, f"class {klass}"), shape)
+
+    def _array(self, parts: _Parts, shape: tuple[int, ...], dtype: str) -> npt.NDArray[Any]:
+        kind, payload = next(parts, (0, memoryview(b"")))
+        if kind not in _STORAGE:
+            self._fail("numbers", f"an element of type {kind}")
+        stored = np.dtype(self.order + _STORAGE[kind])
+        if (needed := math.prod(shape) * stored.itemsize) != len(payload):
+            self._fail(f"{needed} bytes for an array {shape}", f"{len(payload)}")
+        with np.errstate(invalid="ignore"):  # an odd file may store NaN of a class of whole numbers
+            return np.frombuffer(payload, stored).astype(dtype).reshape(shape, order="F")
+
+    def _text(self, parts: _Parts, length: int) -> str:
+        if not length:
+            return ""
+        payload = bytes(self._next(parts, _TEXT, "text"))
+        two_bytes = "utf-16-le" if self.order == "<" else "utf-16-be"
+        return payload.decode(two_bytes if len(payload) // length == 2 else "utf-8", errors="replace")
+
+    def _struct(self, parts: _Parts, depth: int) -> dict[str, Value]:
+        width = self._integers(parts, _INT32, 1, "field name length")[0]
+        names = bytes(self._next(parts, (_INT8,), "field names"))
+        if width < 1 or len(names) % width or len(names) // width > _MAX_FIELDS:
+            self._fail("field names of one length", f"{len(names)} bytes in pieces of {width}")
+        out: dict[str, Value] = {}
+        for start in range(0, len(names), width):
+            name = names[start : start + width].split(b"\0")[0].decode("latin-1")
+            out[name] = self._matrix(self._next(parts, (_MATRIX,), f"field {name!r}"), depth + 1)[1]
+        return out
+
+    def _integers(self, parts: _Parts, kind: int, most: int, what: str) -> tuple[int, ...]:
+        payload = self._next(parts, (kind,), what)
+        if not 4 <= len(payload) <= 4 * most or len(payload) % 4:
+            self._fail(f"{what} of 4 to {4 * most} bytes", f"{len(payload)}")
+        return struct.unpack(f"{self.order}{len(payload) // 4}i", payload)
+
+    def _next(self, parts: _Parts, kinds: tuple[int, ...], what: str) -> memoryview:
+        kind, payload = next(parts, (0, memoryview(b"")))
+        if kind not in kinds:
+            self._fail(what, f"an element of type {kind}" if kind else "no more elements")
+        return payload
+
+    def _inflate(self, packed: memoryview) -> memoryview:
+        """Unpack one element: first its tag, then no more than the tag says."""
+        unpack = zlib.decompressobj()
+        try:
+            tag = unpack.decompress(packed, 8)
+            if len(tag) < 8:
+                self._fail("a packed element", "too few bytes; the file is truncated")
+            size = struct.unpack(self.order + "I", tag[4:])[0]
+            limit = min(MAX_BYTES, max(_FREE, _MAX_RATIO * len(packed)))
+            if size > limit:
+                self._fail(f"at most {limit} bytes in a packed element", f"{size}")
+            return memoryview(tag + unpack.decompress(unpack.unconsumed_tail, size + 8))
+        except zlib.error as error:
+            self._fail("zlib data", f"{error}; the file is truncated or damaged")
+
+    def _fail(self, expected: str, found: str) -> NoReturn:
+        raise FileFormatError(self.place, expected=expected, found=found)
