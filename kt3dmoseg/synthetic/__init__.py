@@ -10,9 +10,7 @@ visibility, depth, trajectories and labels come from the same geometry and are e
 
 from __future__ import annotations
 
-from kt3dmoseg.synthetic.drive import write_drive
-from kt3dmoseg.synthetic.options import SceneOptions
-from kt3dmoseg.synthetic.scene import Scene, make_scene
-from kt3dmoseg.synthetic.truth import track_errors
+from kt3dmoseg.synthetic.kitti_export import write_drive
+from kt3dmoseg.synthetic.scene import Scene, SceneOptions, make_scene, track_errors
 
 __all__ = ["Scene", "SceneOptions", "make_scene", "track_errors", "write_drive"]

@@ -6,31 +6,81 @@ their mean grey instead of flickering.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
-from kt3dmoseg.synthetic.noise import Noise
-from kt3dmoseg.types import FloatArray
+from kt3dmoseg.types import Float32Array, FloatArray
 
 SHADOW = 0.62  # brightness where the sun does not reach
+_SIZE = 512
+_LEVELS = 9  # 512 = 2**9: the coarsest level is one texel
+_SHRINK = (0.5 ** np.arange(_LEVELS + 1)).astype(np.float64)
+_WIDTH = (_SIZE >> np.arange(_LEVELS + 1)).astype(np.int32)
+_Index: TypeAlias = npt.NDArray[np.int32]
+
+
+class Noise:
+    """A periodic texture of mean 0 and standard deviation 1 with amplitude spectrum f**-slope.
+
+    Kept as a rip-map: averaged separately in both directions by all powers of two, because a road seen
+    from a car is squeezed far more along than across. Slope 0 is white; 1 is close to natural images.
+    """
+
+    def __init__(self, rng: np.random.Generator, slope: float) -> None:
+        frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(_SIZE), np.fft.fftfreq(_SIZE))) * _SIZE
+        frequency[0, 0] = np.inf
+        spectrum = np.fft.rfft2(rng.standard_normal((_SIZE, _SIZE))) * frequency**-slope
+        field = np.fft.irfft2(spectrum, s=(_SIZE, _SIZE))
+        tables: list[Float32Array] = []
+        self._offset = np.zeros((_LEVELS + 1, _LEVELS + 1), dtype=np.int32)
+        rows = field / field.std()
+        for v in range(_LEVELS + 1):
+            table = rows
+            for u in range(_LEVELS + 1):
+                self._offset[v, u] = sum(t.size for t in tables)
+                tables.append(table.astype(np.float32).ravel())
+                table = 0.5 * (table[:, ::2] + table[:, 1::2]) if u < _LEVELS else table
+            rows = 0.5 * (rows[::2] + rows[1::2]) if v < _LEVELS else rows
+        self._flat = np.concatenate(tables)
+
+    def sample(
+        self, u: FloatArray, v: FloatArray, fu: FloatArray, fv: FloatArray, period: float
+    ) -> Float32Array:
+        """Noise (R,) at u, v, averaged over fu, fv; the pattern repeats after `period`; all in metres."""
+        scale = _SIZE / period
+        level_u, low_u, high_u, part_u = _texels(u * scale, fu * scale)
+        level_v, low_v, high_v, part_v = _texels(v * scale, fv * scale)
+        start, width = self._offset[level_v, level_u], _WIDTH[level_u]
+        top, bottom = start + low_v * width, start + high_v * width
+        flat = self._flat
+        upper = _mix(flat.take(top + low_u), flat.take(top + high_u), part_u)
+        lower = _mix(flat.take(bottom + low_u), flat.take(bottom + high_u), part_u)
+        return _mix(upper, lower, part_v)
+
+
+def _texels(position: FloatArray, footprint: FloatArray) -> tuple[_Index, _Index, _Index, Float32Array]:
+    """Level, the two neighbouring texels there, and the linear weight of the second."""
+    # The level whose texels come nearest to the footprint: the rounded binary logarithm.
+    level = np.clip(np.frexp((np.sqrt(2) * footprint).astype(np.float32))[1] - 1, 0, _LEVELS)
+    inside = position * _SHRINK[level] - 0.5
+    low = np.floor(inside)
+    part = (inside - low).astype(np.float32)
+    first, mask = low.astype(np.int32), _WIDTH[level] - 1
+    return level, first & mask, (first + 1) & mask, part
+
+
+def _mix(first: Float32Array, second: Float32Array, share: Float32Array) -> Float32Array:
+    mixed: Float32Array = first + share * (second - first)
+    return mixed
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """What a material needs to know of the places to shade: R positions on one face.
-
-    Parameters
-    ----------
-    u, v : (R,) float64
-        Metres along and up the face.
-    fu, fv : (R,) float64
-        Footprint of the ray in metres.
-    grain, cloud : Noise
-        The scene's fine and coarse noise.
-    """
+    """R positions on one face: metres along and up the face, the ray's footprint, the scene's noises."""
 
     u: FloatArray
     v: FloatArray
@@ -41,115 +91,117 @@ class Patch:
 
     def noise(self, fine: float, coarse: float, salt: float) -> FloatArray:
         """Dirt: fine noise (4 m period) and coarse noise (31 m) with these standard deviations."""
-        u, v = self.u + 3.7 * salt, self.v + 5.3 * salt
-        return fine * self.grain.sample(u, v, self.fu, self.fv, 4.1) + coarse * self.cloud.sample(
-            u, v, self.fu, self.fv, 31.0
-        )
+        at = self.u + 3.7 * salt, self.v + 5.3 * salt, self.fu, self.fv
+        return fine * self.grain.sample(*at, 4.1) + coarse * self.cloud.sample(*at, 31.0)
 
 
-class Material(Protocol):
-    """Grey values of a surface before lighting."""
-
-    def shade(self, patch: Patch) -> FloatArray:
-        """Grey values (R,), about 0 to 255."""
-        ...
+Material: TypeAlias = Callable[[Patch], FloatArray]
+"""Grey values (R,) of a surface before lighting, about 0 to 255."""
 
 
 @dataclass(frozen=True)
 class Plain:
-    """One grey with dirt."""
+    """One grey with dirt: fine and coarse noise with these standard deviations."""
 
     grey: float
     fine: float = 6.0
     coarse: float = 8.0
     salt: float = 0.0
 
-    def shade(self, patch: Patch) -> FloatArray:
-        """See `Material`."""
+    def __call__(self, patch: Patch) -> FloatArray:
+        """Shade a patch; see `Material`."""
         return self.grey + patch.noise(self.fine, self.coarse, self.salt)
 
 
-@dataclass(frozen=True)
-class Asphalt:
-    """A road along v with lane lines, tar patches and cracks."""
+def asphalt(
+    grey: float, lines: Sequence[tuple[float, float]], crossing: float, shade_edge: float, salt: float
+) -> Material:
+    """Make a road along v with lane lines, tar patches and cracks.
 
-    grey: float
-    lines: tuple[tuple[float, float], ...]  # (u of the middle, dash length; 0 = continuous)
-    crossing: float  # v of the side street's middle: no lines there
-    shade_edge: float  # u of the kerb on the side of the sun, where the houses' shadow is broadest
-    salt: float
+    Lines are u of their middle and length of their dashes (0 = continuous); around v = `crossing`, the side
+    street, there are none. `shade_edge` is u of the sunny kerb, where the houses' shadow is broadest.
+    """
 
-    def shade(self, patch: Patch) -> FloatArray:
-        """See `Material`."""
+    def shade(patch: Patch) -> FloatArray:
         u, v = patch.u, patch.v
         shape = patch.cloud.sample(u + 7, v, patch.fu, patch.fv, 13.0)
         crack = np.exp(-((shape / 0.06) ** 2)) / (1 + 40 * patch.fv)
-        tar = _mosaic(patch, (2.3, 5.9), self.salt, _TAR)
-        grey = self.grey + patch.noise(9.0, 7.0, self.salt) - 30 * crack + tar
+        tar = _mosaic(patch, (2.3, 5.9), salt, _TAR)
+        bare = grey + patch.noise(9.0, 7.0, salt) - 30 * crack + tar
         paint = np.zeros_like(u)
-        for middle, dash in self.lines:
+        for middle, dash in lines:
             line = band(u, middle - 0.07, middle + 0.07, patch.fu)
             paint += line * (stripes(v, 3 * dash, 0.0, dash, patch.fv) if dash else 1.0)
-        paint *= 1 - band(v, self.crossing - 5, self.crossing + 5, patch.fv)
+        straight = 1 - band(v, crossing - 5, crossing + 5, patch.fv)
+        paint *= straight
         worn: FloatArray = np.clip(0.85 + 0.12 * patch.grain.sample(u, v, patch.fu, patch.fv, 2.0), 0, 1)
         roofs = replace(patch, u=np.zeros_like(v), fu=np.zeros_like(v))
-        reach = self.shade_edge - 1.0 - 2.4 * _mosaic(roofs, (1.0, 7.1), self.salt + 5)
-        dark = np.clip((u - reach) / np.maximum(patch.fu, 0.08) + 0.5, 0, 1)
-        dark *= 1 - band(v, self.crossing - 5, self.crossing + 5, patch.fv)
-        lit: FloatArray = (grey + paint * worn * (205 - grey)) * (1 - (1 - SHADOW) * dark)
+        reach = shade_edge - 1.0 - 2.4 * _mosaic(roofs, (1.0, 7.1), salt + 5)
+        dark = np.clip((u - reach) / np.maximum(patch.fu, 0.08) + 0.5, 0, 1) * straight
+        lit: FloatArray = (bare + paint * worn * (205 - bare)) * (1 - (1 - SHADOW) * dark)
         return lit
 
+    return shade
 
-@dataclass(frozen=True)
-class Paving:
-    """Slabs with joints."""
 
-    grey: float
-    slab: float = 0.5
-    salt: float = 0.0
+def paving(grey: float, slab: float, salt: float) -> Material:
+    """Make square slabs with joints."""
 
-    def shade(self, patch: Patch) -> FloatArray:
-        """See `Material`."""
-        joint = 1 - (1 - stripes(patch.u, self.slab, 0.0, 0.02, patch.fu)) * (
-            1 - stripes(patch.v, self.slab, 0.0, 0.02, patch.fv)
+    def shade(patch: Patch) -> FloatArray:
+        across, along = (
+            stripes(x, slab, 0.0, 0.02, f) for x, f in ((patch.u, patch.fu), (patch.v, patch.fv))
         )
-        tone = 22 * (_mosaic(patch, (self.slab, self.slab), self.salt) - 0.5)
-        return self.grey + patch.noise(6.0, 6.0, self.salt) + tone - 35 * joint
+        tone = 22 * (_mosaic(patch, (slab, slab), salt) - 0.5)
+        return grey + patch.noise(6.0, 6.0, salt) + tone - 35 * (1 - (1 - across) * (1 - along))
+
+    return shade
 
 
-@dataclass(frozen=True)
-class Facade:
-    """A house front: wall, ledges, rows of framed windows, a ground floor of larger ones."""
+def facade(rng: np.random.Generator) -> Material:
+    """Make a house front: wall, ledges, rows of framed windows, a ground floor of larger ones."""
+    plaster, pitch = rng.uniform(75, 190), rng.uniform(2.0, 3.2)
+    width, height = rng.uniform(0.95, 1.4), rng.uniform(1.3, 1.8)
+    storey, frame = rng.uniform(2.9, 3.6), float(rng.choice([55.0, 215.0, 235.0]))
+    bricks, salt = float(rng.choice([0.0, 18.0, 30.0])), rng.uniform(0, 50)
+    left, sill = 0.5 * (pitch - width), 0.32 * (storey - height) + 0.5
 
-    wall: float
-    pitch: float  # metres from window to window
-    window: tuple[float, float]  # width, height
-    storey: float
-    frame: float
-    bricks: float  # contrast of the courses
-    salt: float
-
-    def shade(self, patch: Patch) -> FloatArray:
-        """See `Material`."""
+    def shade(patch: Patch) -> FloatArray:
         u, v, fu, fv = patch.u, patch.v, patch.fu, patch.fv
-        width, height = self.window
-        left, sill = 0.5 * (self.pitch - width), 0.32 * (self.storey - height) + 0.5
+
+        def windows(bleed: float) -> FloatArray:
+            across = stripes(u, pitch, left - bleed, width + 2 * bleed, fu)
+            return across * stripes(v, storey, sill - bleed, height + 2 * bleed, fv)
+
         course = stripes(v, 0.25, 0.0, 0.03, fv) - 0.12
-        wall = self.wall + patch.noise(7.0, 11.0, self.salt) - self.bricks * course
-        wall += 28 * stripes(v, self.storey, 0.0, 0.22, fv) - 45 * band(v, 0.0, 0.7, fv)
-        opening = stripes(u, self.pitch, left, width, fu) * stripes(v, self.storey, sill, height, fv)
-        surround = stripes(u, self.pitch, left - 0.14, width + 0.28, fu) * stripes(
-            v, self.storey, sill - 0.14, height + 0.28, fv
-        )
-        bars = 1 - (1 - stripes(u, self.pitch, left + width / 2 - 0.03, 0.06, fu)) * (
-            1 - stripes(v, self.storey, sill + 0.62 * height, 0.06, fv)
-        )
-        room = _cells(u / self.pitch, v / self.storey, self.salt, _TABLE)
-        hem = (1 - room) / 0.8 * self.storey  # a curtain hangs from the top of the window down to here
-        curtain = np.clip((np.mod(v, self.storey) - hem) / np.maximum(fv, 1e-9) + 0.5, 0, 1)
-        glass = 28 + 50 * room + 75 * curtain + patch.noise(5.0, 9.0, self.salt + 1)
-        pane = glass + bars * (self.frame - glass)
-        return wall * (1 - surround) + self.frame * (surround - opening) + pane * opening
+        wall = plaster + patch.noise(7.0, 11.0, salt) - bricks * course
+        wall += 28 * stripes(v, storey, 0.0, 0.22, fv) - 45 * band(v, 0.0, 0.7, fv)
+        opening, surround = windows(0.0), windows(0.14)
+        upright = stripes(u, pitch, left + width / 2 - 0.03, 0.06, fu)
+        bars = 1 - (1 - upright) * (1 - stripes(v, storey, sill + 0.62 * height, 0.06, fv))
+        room = _cells(u / pitch, v / storey, salt, _TABLE)
+        hem = (1 - room) / 0.8 * storey  # a curtain hangs from the top of the window down to here
+        curtain = np.clip((np.mod(v, storey) - hem) / np.maximum(fv, 1e-9) + 0.5, 0, 1)
+        glass = 28 + 50 * room + 75 * curtain + patch.noise(5.0, 9.0, salt + 1)
+        pane = glass + bars * (frame - glass)
+        return wall * (1 - surround) + frame * (surround - opening) + pane * opening
+
+    return shade
+
+
+def foliage(grey: float, salt: float) -> Material:
+    """Make leaves: strong noise at all scales."""
+    return lambda patch: grey * np.exp(np.clip(patch.noise(0.35, 0.5, salt), -1.5, 1.2))
+
+
+def pillar(grey: float, width: float, salt: float) -> Material:
+    """Make a post, shaded like a cylinder across its width."""
+
+    def shade(patch: Patch) -> FloatArray:
+        across = np.clip(2 * patch.u / width - 1, -1, 1)
+        ring = stripes(patch.v, 1.1, 0.4, 0.12, patch.fv)
+        return grey * (1.1 - 0.45 * across**2) + patch.noise(9.0, 9.0, salt) + 35 * ring
+
+    return shade
 
 
 @dataclass(frozen=True)
@@ -171,47 +223,32 @@ class Mark:
         return np.clip(gap / np.maximum(np.hypot(patch.fu, patch.fv), 1e-9) + 0.5, 0, 1)
 
 
-@dataclass(frozen=True)
-class Painted:
-    """A plain surface with marks painted on it in order."""
+def painted(ground: Plain, marks: Sequence[Mark]) -> Material:
+    """Make a plain surface with marks painted on it in order."""
 
-    ground: Plain
-    marks: tuple[Mark, ...] = ()
-
-    def shade(self, patch: Patch) -> FloatArray:
-        """See `Material`."""
-        grey = self.ground.shade(patch)
-        dirt = patch.noise(4.0, 5.0, self.ground.salt + 2)
-        for mark in self.marks:
+    def shade(patch: Patch) -> FloatArray:
+        grey = ground(patch)
+        dirt = patch.noise(4.0, 5.0, ground.salt + 2)
+        for mark in marks:
             grey = grey + mark.cover(patch) * (mark.grey + dirt - grey)
         return grey
 
-
-@dataclass(frozen=True)
-class Foliage:
-    """Leaves: strong noise at all scales."""
-
-    grey: float
-    salt: float
-
-    def shade(self, patch: Patch) -> FloatArray:
-        """See `Material`."""
-        return self.grey * np.exp(np.clip(patch.noise(0.35, 0.5, self.salt), -1.5, 1.2))
+    return shade
 
 
-@dataclass(frozen=True)
-class Pillar:
-    """A post, shaded like a cylinder across its width."""
-
-    grey: float
-    width: float
-    salt: float = 0.0
-
-    def shade(self, patch: Patch) -> FloatArray:
-        """See `Material`."""
-        across = np.clip(2 * patch.u / self.width - 1, -1, 1)
-        ring = stripes(patch.v, 1.1, 0.4, 0.12, patch.fv)
-        return self.grey * (1.1 - 0.45 * across**2) + patch.noise(9.0, 9.0, self.salt) + 35 * ring
+def block_letters(
+    rng: np.random.Generator, u: Sequence[float], v: Sequence[float], rows: int, columns: int, grey: float
+) -> list[Mark]:
+    """Dark or light blocks scattered over a rectangle, like lettering on a van."""
+    du, dv = (u[1] - u[0]) / columns, (v[1] - v[0]) / rows
+    marks = []
+    for row, column in np.ndindex(rows, columns):
+        if rng.random() < 0.6:
+            left, foot = u[0] + column * du, v[0] + row * dv
+            size = rng.uniform(0.45, 0.95, 2)
+            tone = grey + rng.uniform(-40, 40)
+            marks.append(Mark((left, left + size[0] * du), (foot, foot + size[1] * dv), tone))
+    return marks
 
 
 def band(x: FloatArray, low: float, high: float, width: FloatArray) -> FloatArray:
@@ -233,15 +270,15 @@ def stripes(x: FloatArray, period: float, start: float, thickness: float, width:
     return share
 
 
-def _mosaic(
-    patch: Patch, size: tuple[float, float], salt: float, tones: FloatArray | None = None
-) -> FloatArray:
+_ORDER = np.random.default_rng(20101).permutation(256)
+_TABLE = np.random.default_rng(20102).permutation(256) / 256.0
+_TAR = np.where(_TABLE > 0.8, -14.0, 9 * _TABLE)  # a fifth of the road is patched
+
+
+def _mosaic(patch: Patch, size: tuple[float, float], salt: float, tones: FloatArray = _TABLE) -> FloatArray:
     """Average a mosaic of `size` rectangles, one tone each, over the footprint."""
-    (u0, u1, part_u), (v0, v1, part_v) = (
-        _straddle(x / side, width / side)
-        for x, width, side in ((patch.u, patch.fu, size[0]), (patch.v, patch.fv, size[1]))
-    )
-    tones = _TABLE if tones is None else tones
+    u0, u1, part_u = _straddle(patch.u / size[0], patch.fu / size[0])
+    v0, v1, part_v = _straddle(patch.v / size[1], patch.fv / size[1])
     near = _cells(u0, v0, salt, tones) * (1 - part_u) + _cells(u1, v0, salt, tones) * part_u
     far = _cells(u0, v1, salt, tones) * (1 - part_u) + _cells(u1, v1, salt, tones) * part_u
     mean = float(tones.mean())
@@ -263,23 +300,3 @@ def _cells(u: FloatArray, v: FloatArray, salt: float, tones: FloatArray) -> Floa
     row = np.floor(v).astype(np.int64) * 57 + int(salt * 31)
     tone: FloatArray = tones[(np.floor(u).astype(np.int64) + _ORDER[row & 255]) & 255]
     return tone
-
-
-_ORDER = np.random.default_rng(20101).permutation(256)
-_TABLE = np.random.default_rng(20102).permutation(256) / 256.0
-_TAR = np.where(_TABLE > 0.8, -14.0, 9 * _TABLE)  # a fifth of the road is patched
-
-
-def block_letters(
-    rng: np.random.Generator, u: Sequence[float], v: Sequence[float], rows: int, columns: int, grey: float
-) -> tuple[Mark, ...]:
-    """Dark or light blocks scattered over a rectangle, like lettering on a van."""
-    du, dv = (u[1] - u[0]) / columns, (v[1] - v[0]) / rows
-    marks = []
-    for row, column in np.ndindex(rows, columns):
-        if rng.random() < 0.6:
-            left, foot = u[0] + column * du, v[0] + row * dv
-            size = rng.uniform(0.45, 0.95, 2)
-            tone = grey + float(rng.uniform(-40, 40))
-            marks.append(Mark((left, left + size[0] * du), (foot, foot + size[1] * dv), tone))
-    return tuple(marks)

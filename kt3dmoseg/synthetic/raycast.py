@@ -1,99 +1,198 @@
-"""Nearest hit of rays from a pinhole camera with the faces of a scene."""
+"""The flat faces that a scene is made of, boxes built from them, and the nearest hit of rays with them.
+
+Coordinates are in metres: x right, y down, z forward.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from kt3dmoseg.synthetic.surfaces import Mesh
+from kt3dmoseg.synthetic.materials import Material
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
 NEAR = 0.1  # metres; nothing nearer to the camera is seen
-_MARGIN = 1e-9  # rounding errors of projected corners
 SKY = -1  # "face" of a ray that hits nothing
-
-_Rectangle = tuple[float, float, float, float]
-
-
-class Rays(Protocol):
-    """Directions (X, Y, 1) in camera coordinates, and which of them fall into a rectangle."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the results."""
-        ...
-
-    def directions(self) -> tuple[FloatArray, FloatArray]:
-        """X and Y of every ray, flat."""
-        ...
-
-    def extent(self) -> _Rectangle:
-        """Smallest rectangle (x0, y0, x1, y1) that holds all rays."""
-        ...
-
-    def within(self, rectangle: _Rectangle) -> tuple[Any, FloatArray, FloatArray]:
-        """Give (index into the results, X, Y) of the rays with x0 <= X <= x1 and y0 <= Y <= y1."""
-        ...
+_MARGIN = 1e-9  # rounding errors of projected corners
+_RIGHT, _DOWN, _FORWARD = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
-    """Rays through a regular grid: ascending X of the columns (W,), Y of the rows (H,)."""
+class Face:
+    """A rectangle or symmetric or skew trapezoid in the coordinates of its body.
 
-    columns: FloatArray
-    rows: FloatArray
+    It covers 0 <= v <= extent[1] and lean[0] v <= u <= extent[0] - lean[1] v.
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(H, W)."""
-        return len(self.rows), len(self.columns)
+    Parameters
+    ----------
+    origin : (3,) float64
+        The corner where u = v = 0, metres.
+    eu, ev : (3,) float64
+        Orthogonal unit vectors along u and v; ``cross(eu, ev)`` points out of the visible side.
+    extent : (2,) float64
+        Length of the base along u and height along v, metres.
+    material : Material
+        How it looks.
+    lean : (2,) float64, optional
+        How much the two sides lean inwards per metre of v; 0 for a rectangle.
+    body : int
+        0 = static scene, k = k-th moving object.
+    """
 
-    def directions(self) -> tuple[FloatArray, FloatArray]:
-        """X and Y of every ray, row by row, (H W,)."""
-        x, y = np.meshgrid(self.columns, self.rows)
-        return x.ravel(), y.ravel()
+    origin: FloatArray
+    eu: FloatArray
+    ev: FloatArray
+    extent: FloatArray
+    material: Material
+    lean: FloatArray = field(default_factory=lambda: np.zeros(2))
+    body: int = 0
 
-    def extent(self) -> _Rectangle:
-        """Smallest rectangle (x0, y0, x1, y1) that holds all rays."""
-        return float(self.columns[0]), float(self.rows[0]), float(self.columns[-1]), float(self.rows[-1])
 
-    def within(self, rectangle: _Rectangle) -> tuple[Any, FloatArray, FloatArray]:
-        """Give a pair of slices, X (1, w) and Y (h, 1)."""
-        x0, y0, x1, y1 = rectangle
-        across = slice(np.searchsorted(self.columns, x0), np.searchsorted(self.columns, x1, "right"))
-        down = slice(np.searchsorted(self.rows, y0), np.searchsorted(self.rows, y1, "right"))
-        return (down, across), self.columns[None, across], self.rows[down, None]
+@dataclass(frozen=True)
+class Skin:
+    """Materials of a box: front (towards +z), back, the two long sides and the top."""
+
+    front: Material
+    back: Material
+    side: Material
+    top: Material
+
+    @classmethod
+    def all(cls, material: Material) -> Skin:
+        """Give all sides the same material."""
+        return cls(material, material, material, material)
+
+
+def box(
+    low: Sequence[float],
+    high: Sequence[float],
+    skin: Skin,
+    inset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    underside: Material | None = None,
+) -> list[Face]:
+    """Give the faces of an axis-parallel box, whose top may be smaller (or larger) than its foot.
+
+    Parameters
+    ----------
+    low, high : sequence of 3 float
+        Smallest and largest x, y, z of the foot, in metres (y points down: `low[1]` is the top).
+    skin : Skin
+        Materials. On walls u runs to the right as seen from outside and v upwards from the foot.
+    inset : (front, back, sides)
+        How far the edges of the top lie inside those of the foot, metres.
+    underside : Material, optional
+        Closes the foot, where it can be seen from below.
+    """
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    front, back, sides = inset
+    across, along = x1 - x0, z1 - z0
+
+    def wall(
+        x: float, z: float, eu: FloatArray, base: float, inwards: FloatArray, setback: float,
+        taper: tuple[float, float], material: Material,
+    ) -> Face:  # fmt: skip
+        slope = float(np.hypot(setback, y1 - y0))
+        ev = (inwards * setback - _DOWN * (y1 - y0)) / slope
+        extent = np.array([base, slope])
+        return Face(np.array([x, y1, z]), eu, ev, extent, material, lean=np.array(taper) / slope)
+
+    faces = [
+        wall(x0, z0, _RIGHT, across, _FORWARD, back, (sides, sides), skin.back),
+        wall(x1, z1, -_RIGHT, across, -_FORWARD, front, (sides, sides), skin.front),
+        wall(x1, z0, _FORWARD, along, -_RIGHT, sides, (back, front), skin.side),
+        wall(x0, z1, -_FORWARD, along, _RIGHT, sides, (front, back), skin.side),
+    ]
+    lid = np.array([across - 2 * sides, along - front - back])
+    faces.append(Face(np.array([x0 + sides, y0, z0 + back]), _RIGHT, _FORWARD, lid, skin.top))
+    if underside is not None:
+        floor = np.array([along, across])
+        faces.append(Face(np.array([x0, y1, z0]), _FORWARD, _RIGHT, floor, underside))
+    return faces
+
+
+def placed(faces: Sequence[Face], x: float, z: float, yaw: float) -> list[Face]:
+    """Give the faces of a body that stays at a place in the world."""
+    turn, shift = rotation_y(yaw), np.array([x, 0.0, z])
+    return [replace(f, origin=turn @ f.origin + shift, eu=turn @ f.eu, ev=turn @ f.ev) for f in faces]
+
+
+def rotation_y(angle: float) -> FloatArray:
+    """Rotate about the vertical axis: +z towards +x for a positive angle."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
-    """Single rays: X (R,), Y (R,)."""
+class Mesh:
+    """All faces of a scene as arrays over faces, for fast transformation."""
+
+    origin: FloatArray
+    eu: FloatArray
+    ev: FloatArray
+    extent: FloatArray
+    lean: FloatArray
+    body: IntArray
+
+    @classmethod
+    def of(cls, faces: Sequence[Face]) -> Mesh:
+        """Stack the geometry of `faces`."""
+        names = ("origin", "eu", "ev", "extent", "lean", "body")
+        return cls(*(np.array([getattr(face, name) for face in faces]) for name in names))
+
+    def moved(self, poses: FloatArray) -> Mesh:
+        """Give the mesh in other coordinates, by ``T_new_body`` (B, 4, 4) of every body."""
+        rotation, shift = poses[self.body, :3, :3], poses[self.body, :3, 3]
+        turned = [np.einsum("fij,fj->fi", rotation, part) for part in (self.origin, self.eu, self.ev)]
+        return Mesh(turned[0] + shift, turned[1], turned[2], self.extent, self.lean, self.body)
+
+    def corners(self) -> FloatArray:
+        """Corners of all faces in order, (F, 4, 3)."""
+        (width, height), (left, right) = self.extent.T, (self.lean * self.extent[:, 1:]).T
+        u = np.stack([0 * width, width, width - right, left], axis=1)
+        v = np.stack([0 * height, 0 * height, height, height], axis=1)
+        across, up = u[..., None] * self.eu[:, None], v[..., None] * self.ev[:, None]
+        corners: FloatArray = self.origin[:, None] + across + up
+        return corners
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Directions (X, Y, 1) in camera coordinates.
+
+    Parameters
+    ----------
+    x, y : float64
+        X (W,) of the columns and Y (H,) of the rows of a grid, ascending; else X and Y (R,) of single rays.
+    grid : bool
+        Which of the two.
+    """
 
     x: FloatArray
     y: FloatArray
+    grid: bool
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(R,)."""
-        return self.x.shape
+        """(H, W) or (R,)."""
+        return (len(self.y), len(self.x)) if self.grid else self.x.shape
 
     def directions(self) -> tuple[FloatArray, FloatArray]:
-        """X and Y of every ray, (R,)."""
-        return self.x, self.y
+        """X and Y of every ray, row by row, flat."""
+        x, y = np.meshgrid(self.x, self.y) if self.grid else (self.x, self.y)
+        return x.ravel(), y.ravel()
 
-    def extent(self) -> _Rectangle:
-        """Smallest rectangle (x0, y0, x1, y1) that holds all rays; an empty one without rays."""
-        if not len(self.x):
-            return np.inf, np.inf, -np.inf, -np.inf
-        return float(self.x.min()), float(self.y.min()), float(self.x.max()), float(self.y.max())
-
-    def within(self, rectangle: _Rectangle) -> tuple[Any, FloatArray, FloatArray]:
-        """Give row numbers, X and Y."""
-        x0, y0, x1, y1 = rectangle
-        rows = np.flatnonzero((self.x >= x0) & (self.x <= x1) & (self.y >= y0) & (self.y <= y1))
-        return rows, self.x[rows], self.y[rows]
+    def within(self, low: FloatArray, high: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
+        """Give (index into the results, X, Y) of the rays with low <= (X, Y) <= high."""
+        (x0, y0), (x1, y1) = low, high
+        if not self.grid:
+            rows = np.flatnonzero((self.x >= x0) & (self.x <= x1) & (self.y >= y0) & (self.y <= y1))
+            return rows, self.x[rows], self.y[rows]
+        across = slice(np.searchsorted(self.x, x0), np.searchsorted(self.x, x1, "right"))
+        down = slice(np.searchsorted(self.y, y0), np.searchsorted(self.y, y1, "right"))
+        return (down, across), self.x[None, across], self.y[down, None]
 
 
 def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
@@ -116,22 +215,32 @@ def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
     face : int64, shape of the rays
         Row of the mesh, or `SKY`.
     """
-    depth = np.full(rays.shape, np.inf)
-    face = np.full(rays.shape, SKY, dtype=np.int64)
+    depth, face = np.full(rays.shape, np.inf), np.full(rays.shape, SKY, dtype=np.int64)
     normal = np.cross(mesh.eu, mesh.ev)
     distance = np.einsum("fi,fi->f", normal, mesh.origin)
-    for row, rectangle, nearest in _candidates(mesh, distance < 0, rays.extent()):
-        where, x, y = rays.within(rectangle)
+    corners = mesh.corners()
+    (low, high), nearest = _bounds(corners), corners[..., 2].min(axis=1)
+    first = rays.x.min(initial=np.inf), rays.y.min(initial=np.inf)
+    last = rays.x.max(initial=-np.inf), rays.y.max(initial=-np.inf)
+    rows = np.flatnonzero((distance < 0) & (low <= last).all(axis=1) & (high >= first).all(axis=1))
+    for row in rows[np.argsort(nearest[rows], kind="stable")].tolist():
+        where, x, y = rays.within(low[row], high[row])
         known = depth[where]
-        if not known.size or known.max() < nearest:
+        if not known.size or known.max() < nearest[row]:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):  # rays parallel to the face
             z = distance[row] / _along(normal[row], x, y)
-            inside = _meets(mesh, row, x, y, z)
-        inside &= z < known
+            inside = _on_face(mesh, row, x, y, z) & (z < known)
         depth[where] = np.where(inside, z, known)
         face[where] = np.where(inside, row, face[where])
     return depth, face
+
+
+def _on_face(mesh: Mesh, row: int, x: FloatArray, y: FloatArray, z: FloatArray) -> BoolArray:
+    u, v = surface_coordinates(mesh, row, x, y, z)
+    (width, height), (left, right) = mesh.extent[row], mesh.lean[row]
+    inside: BoolArray = (z > NEAR) & (v >= 0) & (v <= height) & (u >= left * v) & (u <= width - right * v)
+    return inside
 
 
 def surface_coordinates(
@@ -161,28 +270,6 @@ def footprint(
 def _along(vector: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     product: FloatArray = vector[0] * x + (vector[1] * y + vector[2])
     return product
-
-
-def _meets(mesh: Mesh, row: int, x: FloatArray, y: FloatArray, z: FloatArray) -> BoolArray:
-    u, v = surface_coordinates(mesh, row, x, y, z)
-    (width, height), (left, right) = mesh.extent[row], mesh.lean[row]
-    inside: BoolArray = (z > NEAR) & (v >= 0) & (v <= height) & (u >= left * v) & (u <= width - right * v)
-    return inside
-
-
-def _candidates(mesh: Mesh, facing: BoolArray, extent: _Rectangle) -> list[tuple[int, _Rectangle, float]]:
-    """Faces that show us their outside and may fall into `extent`, from near to far.
-
-    Each with its rectangle in X, Y and its least depth.
-    """
-    corners = mesh.corners()
-    low, high = _bounds(corners)
-    nearest = corners[..., 2].min(axis=1)
-    overlap = (low <= extent[2:]).all(axis=1) & (high >= extent[:2]).all(axis=1)
-    rows = np.flatnonzero(facing & overlap)
-    rows = rows[np.argsort(nearest[rows], kind="stable")]
-    rectangles = np.hstack([low[rows], high[rows]]).tolist()
-    return list(zip(rows.tolist(), map(tuple, rectangles), nearest[rows].tolist(), strict=True))
 
 
 def _bounds(corners: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -2,28 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.synthetic.motion import Drive, camera_pose
-from kt3dmoseg.synthetic.options import FRAMES_PER_SECOND, SceneOptions
-from kt3dmoseg.synthetic.raycast import SKY, cast
-from kt3dmoseg.synthetic.sensor import expose, gather, ray_offsets
-from kt3dmoseg.synthetic.shading import Painter
+from kt3dmoseg.options import check, option
+from kt3dmoseg.synthetic.raycast import NEAR, SKY, Face, Mesh, Rays, cast
+from kt3dmoseg.synthetic.render import Painter, expose, gather, ray_offsets
 from kt3dmoseg.synthetic.street import street
-from kt3dmoseg.synthetic.surfaces import Face, Mesh, on_body
-from kt3dmoseg.synthetic.traffic import CROSSING_AHEAD, traffic
-from kt3dmoseg.synthetic.vehicles import Vehicle, vehicle_faces
-from kt3dmoseg.synthetic.view import View
+from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, Vehicle, traffic, vehicle_faces
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Labels, Trajectories
 
+FRAMES_PER_SECOND = 10.0
+BACKGROUND = 1
 # KITTI's rectified gray camera of 2011_09_26: focal length and principal point at 1242 x 375.
 _FOCAL, _CENTRE, _KITTI_SIZE = 721.5377, (609.5593, 172.854), (1242, 375)
-BACKGROUND = 1
+_CAMERA_HEIGHT = 1.65
+_PITCH, _ROLL, _BOUNCE = 0.0035, 0.0025, 0.012  # radians, radians, metres: a car on its springs
+_SAME_DEPTH = 1e-6  # relative; a point is hidden only by what is nearer than this
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """Options of a synthetic drive.
+
+    The defaults give a clip with the size, focal length, frame rate and image noise of a KITTI raw drive.
+
+    Raises
+    ------
+    InvalidValueError
+        When a number is out of bounds.
+    """
+
+    width: int = option(1242, "image width in pixels", low=64, high=4096)
+    height: int = option(375, "image height in pixels", low=32, high=4096)
+    frames: int = option(12, "number of frames, 10 a second", low=1, high=2000)
+    objects: int = option(3, "number of independently moving vehicles", low=0, high=4)
+    seed: int = option(0, "seed of everything random: street, textures, motions, image noise", low=0)
+    speed: float = option(5.0, "speed of the camera in m/s", low=0.0, high=40.0)
+    turn: float = option(3.0, "yaw rate of the camera in degrees per second, to the right", low=-45, high=45)
+    noise: float = option(1.5, "standard deviation of the image noise in grey levels", low=0.0, high=50.0)
+    samples: int = option(2, "rays per pixel: the square of this", low=1, high=8)
+
+    def __post_init__(self) -> None:
+        check(self, where="SceneOptions")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +101,18 @@ class Scene:
         return (frame - (self.n_frames - 1) / 2) / FRAMES_PER_SECOND
 
     def camera_pose(self, frame: int) -> FloatArray:
-        """``T_world_cam`` (4, 4); world: x right, y down, z along the street, metres."""
-        return camera_pose(self.camera, self.time(self._checked(frame)), phase=float(self.options.seed % 7))
+        """``T_world_cam`` (4, 4); world: x right, y down, z along the street, metres.
+
+        The camera is mounted on a car that nods and rolls a little.
+        """
+        time, phase = self.time(self._checked(frame)), float(self.options.seed % 7)
+        pitch, roll = _PITCH * np.sin(7.0 * time + phase), _ROLL * np.sin(5.0 * time + 2 * phase)
+        (cx, sx), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in (pitch, roll))
+        nod = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+        mount = np.eye(4)
+        mount[:3, :3] = nod @ np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+        mount[1, 3] = -_CAMERA_HEIGHT + _BOUNCE * np.sin(9.0 * time + 3 * phase)
+        return self.camera.pose(time) @ mount
 
     def body_poses(self, frame: int) -> FloatArray:
         """``T_cam_body`` (1 + vehicles, 4, 4): the static scene first, then every vehicle."""
@@ -87,8 +122,17 @@ class Scene:
 
     def frame(self, frame: int) -> ByteArray:
         """Render a frame, (H, W) uint8: the same bytes whenever and in whatever order it is called."""
+        camera, mesh = self.camera_pose(frame), self._mesh_at(frame)
+        spacing = 1.0 / (self.options.samples * self.K[0, 0])
+        # One pixel more on each side: pixels also gather their neighbours' light.
+        x, y = (np.arange(-1, size + 1, dtype=np.float64) for size in self.image_size)
+        offsets = ray_offsets(self.options.samples)
+        light = np.zeros(self.image_size[::-1])
+        for offset in offsets:
+            rays = self._rays(x + offset[0], y + offset[1], grid=True)
+            light += gather(self.painter.paint(mesh, rays, camera, spacing), offset)
         rng = np.random.default_rng([self.options.seed, 1 + frame])
-        return expose(self._light(frame), self.options.noise, rng)
+        return expose(light / len(offsets), self.options.noise, rng)
 
     def frames(self) -> list[ByteArray]:
         """All frames."""
@@ -96,15 +140,14 @@ class Scene:
 
     def ids(self, frame: int) -> ByteArray:
         """Object id at every pixel centre, (H, W) uint8."""
-        view = self._view(frame)
-        _, face = cast(view.mesh, view.pixels())
-        ids: ByteArray = np.where(face == SKY, 0, view.mesh.body[face] + BACKGROUND).astype(np.uint8)
+        mesh = self._mesh_at(frame)
+        _, face = cast(mesh, self._pixels())
+        ids: ByteArray = np.where(face == SKY, 0, mesh.body[face] + BACKGROUND).astype(np.uint8)
         return ids
 
     def depth(self, frame: int) -> FloatArray:
         """Depth (z in metres) at every pixel centre, (H, W) float64; infinite in the sky."""
-        view = self._view(frame)
-        return cast(view.mesh, view.pixels())[0]
+        return cast(self._mesh_at(frame), self._pixels())[0]
 
     def flow(self, i: int, j: int) -> tuple[Float32Array, BoolArray]:
         """Exact optical flow from frame `i` to frame `j`.
@@ -118,8 +161,7 @@ class Scene:
             Whether the point is seen in `j`: inside the image and not hidden.
         """
         width, height = self.image_size
-        view = self._view(i)
-        xy, visible = self._view(j).project(*view.locate(view.pixels()))
+        xy, visible = self._project(j, *self._locate(i, self._pixels()))
         centres = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=2)
         moved = xy.reshape(height, width, 2) - centres
         return np.nan_to_num(moved).astype(np.float32), visible.reshape(height, width)
@@ -138,12 +180,11 @@ class Scene:
             Row s follows the surface point at ``points[s]``, before and after its frame; visible wherever
             it is inside the image and not hidden, so there may be gaps.
         """
-        seeds = self._seeds(points)
-        surface = self._at(seeds)
-        shape = len(seeds), self.n_frames
+        surface = self._surface_points(points)
+        shape = len(surface[1]), self.n_frames
         xy, visible = np.full((*shape, 2), np.nan), np.zeros(shape, dtype=bool)
         for frame in range(self.n_frames):
-            where, seen = self._view(frame).project(*surface)
+            where, seen = self._project(frame, *surface)
             xy[seen, frame], visible[:, frame] = where[seen], seen
         return Trajectories(xy, visible, image_size=self.image_size)
 
@@ -152,7 +193,7 @@ class Scene:
 
         1 = background, the sky too; 2, 3, ... = ``vehicles[0]``, ``vehicles[1]``, ...
         """
-        _, body = self._at(self._seeds(points))
+        _, body = self._surface_points(points)
         names = {BACKGROUND: "background"} | {k + 2: v.name for k, v in enumerate(self.vehicles)}
         return Labels(body + BACKGROUND, background=BACKGROUND, names=names)
 
@@ -160,42 +201,62 @@ class Scene:
     def _mesh(self) -> Mesh:
         return Mesh.of(self.faces)
 
-    def _light(self, frame: int) -> FloatArray:
-        """Light that every pixel gathers, (H, W) float64."""
-        view, n = self._view(frame), self.options.samples
-        camera, spacing = self.camera_pose(frame), 1.0 / (n * self.K[0, 0])
-        places = [np.arange(-1, size + 1, dtype=np.float64) for size in self.image_size]
-        offsets = ray_offsets(n)
-        image = np.zeros(self.image_size[::-1])
-        for offset in offsets:
-            rays = view.grid(places[0] + offset[0], places[1] + offset[1])
-            image += gather(self.painter.paint(view.mesh, rays, camera, spacing), offset)
-        return image / len(offsets)
+    def _mesh_at(self, frame: int) -> Mesh:
+        """All faces in camera coordinates."""
+        return self._mesh.moved(self.body_poses(frame))
 
-    def _view(self, frame: int) -> View:
-        poses = self.body_poses(frame)
-        return View(self._mesh.moved(poses), poses, self.K, self.image_size)
+    def _rays(self, x: FloatArray, y: FloatArray, *, grid: bool) -> Rays:
+        """Rays through image positions."""
+        return Rays((x - self.K[0, 2]) / self.K[0, 0], (y - self.K[1, 2]) / self.K[1, 1], grid)
 
-    def _at(self, seeds: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Find the surface points (S, 4) at x, y, frame and their bodies (S,); see `View.locate`."""
-        points, body = np.zeros((len(seeds), 4)), np.zeros(len(seeds), dtype=np.int64)
-        for frame in np.unique(seeds[:, 2]):
-            rows = np.flatnonzero(seeds[:, 2] == frame)
-            view = self._view(frame)
-            points[rows], body[rows] = view.locate(view.points(seeds[rows, :2]))
-        return points, body
+    def _pixels(self) -> Rays:
+        """Rays through all pixel centres."""
+        return self._rays(*(np.arange(size, dtype=np.float64) for size in self.image_size), grid=True)
 
-    def _seeds(self, points: npt.ArrayLike) -> FloatArray:
+    def _locate(self, frame: int, rays: Rays) -> tuple[FloatArray, IntArray]:
+        """Find the surface points (R, 4) that rays hit, and their bodies (R,).
+
+        Points are homogeneous, in the coordinates of their bodies. The sky is at infinity and part of the
+        static scene: its points are directions, with last coordinate 0.
+        """
+        mesh = self._mesh_at(frame)
+        depth, face = (part.ravel() for part in cast(mesh, rays))
+        sky = face == SKY
+        z = np.where(sky, 1.0, depth)
+        x, y = rays.directions()
+        seen = np.stack([x * z, y * z, z, np.where(sky, 0.0, 1.0)], axis=1)
+        body = np.where(sky, 0, mesh.body[face])
+        to_bodies = np.asarray(np.linalg.inv(self.body_poses(frame)), dtype=np.float64)
+        return _transform(to_bodies, body, seen), body
+
+    def _project(self, frame: int, points: FloatArray, body: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Find where surface points are in a frame, (R, 2), NaN behind the camera, and which are seen."""
+        seen = _transform(self.body_poses(frame), body, points)
+        z = np.where(seen[:, 2] > NEAR * seen[:, 3], seen[:, 2], np.nan)
+        z[z <= 0] = np.nan
+        xy = np.stack([seen[:, k] / z * self.K[k, k] + self.K[k, 2] for k in (0, 1)], axis=1)
+        inside = np.flatnonzero(((xy >= -0.5) & (xy < np.array(self.image_size) - 0.5)).all(axis=1))
+        nearest, _ = cast(self._mesh_at(frame), self._rays(*xy[inside].T, grid=False))
+        with np.errstate(divide="ignore"):
+            own = seen[inside, 2] / seen[inside, 3]  # infinite in the sky
+        visible = np.zeros(len(xy), dtype=np.bool_)
+        visible[inside] = nearest >= own * (1 - _SAME_DEPTH)
+        return xy, visible
+
+    def _surface_points(self, points: npt.ArrayLike) -> tuple[FloatArray, IntArray]:
+        """Find the surface points (S, 4) at x, y, frame and their bodies (S,); see `_locate`."""
         seeds = np.array(points, dtype=np.float64)
         if not seeds.size:
-            return np.zeros((0, 3))
+            seeds = np.zeros((0, 3))
         if seeds.ndim != 2 or seeds.shape[1] != 3 or not np.isfinite(seeds).all():
             raise InvalidValueError(
                 "points", expected="finite x, y, frame of shape (S, 3)", found=f"shape {seeds.shape}"
             )
+        found, body = np.zeros((len(seeds), 4)), np.zeros(len(seeds), dtype=np.int64)
         for frame in np.unique(seeds[:, 2]):
-            self._checked(frame)
-        return seeds
+            rows = np.flatnonzero(seeds[:, 2] == frame)
+            found[rows], body[rows] = self._locate(frame, self._rays(*seeds[rows, :2].T, grid=False))
+        return found, body
 
     def _checked(self, frame: float) -> int:
         if frame != int(frame) or not 0 <= frame < self.n_frames:
@@ -203,6 +264,15 @@ class Scene:
                 "frame", expected=f"a whole number in 0..{self.n_frames - 1}", found=f"{frame}"
             )
         return int(frame)
+
+
+def _transform(poses: FloatArray, body: IntArray, points: FloatArray) -> FloatArray:
+    """Apply to every point (R, 4) the pose of its body."""
+    out = np.empty_like(points)
+    for k, pose in enumerate(poses):
+        rows = body == k
+        out[rows] = points[rows] @ pose.T
+    return out
 
 
 def make_scene(options: SceneOptions | None = None) -> Scene:
@@ -221,6 +291,33 @@ def make_scene(options: SceneOptions | None = None) -> Scene:
     swept = 4.0 + 0.5 * length
     faces = street(layout, length, middle + CROSSING_AHEAD, (middle + 8 - swept, middle + 10 + swept))
     for body, vehicle in enumerate(vehicles, start=1):
-        faces += on_body(vehicle_faces(vehicle.kind, layout), body)
+        faces += [replace(face, body=body) for face in vehicle_faces(vehicle.kind, layout)]
     camera = Drive(0.0, middle, 0.0, chosen.speed, np.radians(chosen.turn))
-    return Scene(chosen, camera, tuple(vehicles), tuple(faces), Painter.make(looks, faces))
+    return Scene(chosen, camera, tuple(vehicles), tuple(faces), Painter(looks, faces))
+
+
+def track_errors(scene: Scene, tracks: Trajectories, after: int | None = None) -> FloatArray:
+    """Measure how far trajectories are from the truth, some frames after their starts.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene that was tracked.
+    tracks : Trajectories
+        N trajectories without gaps.
+    after : int or None
+        Number of frames; None = at the last frame of each trajectory.
+
+    Returns
+    -------
+    (N,) float64
+        Pixels to where the surface point at the trajectory's start really is; NaN where the trajectory
+        or the point is not seen then.
+    """
+    rows = np.arange(len(tracks))
+    start = tracks.visible.argmax(axis=1)
+    end = start + (tracks.lengths - 1 if after is None else after)
+    truth = scene.trajectories(np.column_stack([tracks.xy[rows, start], start]))
+    within = np.minimum(end, tracks.n_frames - 1)
+    apart = np.linalg.norm(tracks.xy[rows, within] - truth.xy[rows, within], axis=1)
+    return np.where(end == within, apart, np.nan)

@@ -6,23 +6,21 @@ import numpy as np
 
 from kt3dmoseg.synthetic.materials import (
     SHADOW,
-    Asphalt,
-    Facade,
-    Foliage,
     Mark,
-    Material,
-    Painted,
-    Paving,
-    Pillar,
     Plain,
+    asphalt,
+    facade,
+    foliage,
+    painted,
+    paving,
+    pillar,
 )
-from kt3dmoseg.synthetic.surfaces import Face, Skin, box, frustum
-from kt3dmoseg.synthetic.vehicles import Kind, placed, vehicle_faces
+from kt3dmoseg.synthetic.raycast import Face, Skin, box, placed
+from kt3dmoseg.synthetic.vehicles import PARKED_RIGHT, Kind, vehicle_faces
 
-LANE, ONCOMING = 0.0, -3.5  # x of the middle of the lanes
-PARKED_RIGHT, PARKED_LEFT = 3.15, -6.55
-KERB_RIGHT, KERB_LEFT = 4.3, -7.7
-WALL_RIGHT, WALL_LEFT = 8.0, -11.4
+_PARKED_LEFT = -6.55
+_KERB_RIGHT, _KERB_LEFT = 4.3, -7.7
+_WALL_RIGHT, _WALL_LEFT = 8.0, -11.4
 _SIDE_STREET = 5.0  # half its width
 _BEHIND = 14.0
 _BEYOND = 75.0
@@ -31,25 +29,17 @@ _BEYOND = 75.0
 def street(rng: np.random.Generator, length: float, crossing: float, free: tuple[float, float]) -> list[Face]:
     """Build a straight street with one side street.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of everything random.
-    length : float
-        Metres that the camera drives, from z = 0.
-    crossing : float
-        z of the side street's middle.
-    free : (float, float)
-        Range of z on the right-hand side without parked cars.
+    The camera drives `length` metres from z = 0; `crossing` is the z of the side street's middle, `free` the
+    range of z on the right-hand side without parked cars.
     """
     end = max(length, crossing) + _BEYOND
     faces = [_road(rng, end, crossing)]
     blocks = [(-_BEHIND, crossing - _SIDE_STREET), (crossing + _SIDE_STREET, end)]
     for start, stop in blocks:
         faces += _pavements(rng, start, stop)
-        faces += _houses(rng, start, stop, WALL_LEFT, -1) + _houses(rng, start, stop, WALL_RIGHT, 1)
+        faces += _houses(rng, start, stop, _WALL_LEFT, -1) + _houses(rng, start, stop, _WALL_RIGHT, 1)
         faces += _furniture(rng, start, stop)
-    for x, yaw in ((PARKED_RIGHT, 0.0), (PARKED_LEFT, np.pi)):
+    for x, yaw in ((PARKED_RIGHT, 0.0), (_PARKED_LEFT, np.pi)):
         taken = [(crossing - 8, crossing + 8), *([free] if x > 0 else [])]
         faces += _parked(rng, x, yaw, end, taken)
     return faces + _horizon(rng, end, crossing)
@@ -58,19 +48,19 @@ def street(rng: np.random.Generator, length: float, crossing: float, free: tuple
 def _road(rng: np.random.Generator, end: float, crossing: float) -> Face:
     left = -160.0
     lines = ((-1.75 - left, 3.0), (1.95 - left, 0.0), (-5.4 - left, 0.0))
-    grey, salt = float(rng.uniform(88, 112)), float(rng.uniform(0, 50))
-    asphalt = Asphalt(grey, lines, crossing + _BEHIND, KERB_RIGHT - left, salt)
+    grey, salt = rng.uniform(88, 112), rng.uniform(0, 50)
+    surface = asphalt(grey, lines, crossing + _BEHIND, _KERB_RIGHT - left, salt)
     extent = np.array([320.0, end + 90 + _BEHIND])
-    return Face(np.array([left, 0.0, -_BEHIND]), np.eye(3)[0], np.eye(3)[2], extent, asphalt)
+    return Face(np.array([left, 0.0, -_BEHIND]), np.eye(3)[0], np.eye(3)[2], extent, surface)
 
 
 def _pavements(rng: np.random.Generator, start: float, stop: float) -> list[Face]:
     faces = []
-    for near, far in ((KERB_LEFT, WALL_LEFT - 2), (KERB_RIGHT, WALL_RIGHT + 2)):
-        kerb = Plain(125.0, 10.0, 8.0, float(rng.uniform(0, 50)))
+    for near, far in ((_KERB_LEFT, _WALL_LEFT - 2), (_KERB_RIGHT, _WALL_RIGHT + 2)):
+        kerb = Plain(125.0, 10.0, 8.0, rng.uniform(0, 50))
         lit = 1.0 if near < 0 else SHADOW
-        size, salt = float(rng.choice([0.35, 0.5])), float(rng.uniform(0, 50))
-        slabs = Paving(lit * float(rng.uniform(115, 145)), size, salt)
+        size, salt = float(rng.choice([0.35, 0.5])), rng.uniform(0, 50)
+        slabs = paving(lit * rng.uniform(115, 145), size, salt)
         faces += box(
             (min(near, far), -0.13, start), (max(near, far), 0.0, stop), Skin(kerb, kerb, kerb, slabs)
         )
@@ -80,40 +70,27 @@ def _pavements(rng: np.random.Generator, start: float, stop: float) -> list[Face
 def _houses(rng: np.random.Generator, start: float, stop: float, wall: float, side: int) -> list[Face]:
     faces, z = [], start
     while z < stop - 3:
-        length = min(float(rng.uniform(9, 17)), stop - z)
-        height, front = float(rng.uniform(8.5, 15)), wall + side * float(rng.uniform(0, 1.2))
+        length = min(rng.uniform(9, 17), stop - z)
+        height, front = rng.uniform(8.5, 15), wall + side * rng.uniform(0, 1.2)
         x0, x1 = sorted((front, front + side * 12))
-        skin = _house_skin(rng)
+        outside = facade(rng)
+        skin = Skin(outside, outside, outside, Plain(70.0))
         faces += box((x0, -height, z), (x1, 0.0, z + length), skin)
-        ledge = Plain(150.0, 6.0, 8.0, float(rng.uniform(0, 50)))
+        ledge = Plain(150.0, 6.0, 8.0, rng.uniform(0, 50))
         e0, e1 = sorted((front - side * 0.35, front))
         faces += box((e0, -height - 0.25, z), (e1, -height + 0.2, z + length), Skin.all(ledge))
-        tiles = Plain(float(rng.uniform(60, 95)), 14.0, 9.0, float(rng.uniform(0, 50)))
-        faces += frustum(
+        tiles = Plain(rng.uniform(60, 95), 14.0, 9.0, rng.uniform(0, 50))
+        faces += box(
             (x0, -height - 3.4, z), (x1, -height - 0.25, z + length), Skin.all(tiles), (0.4, 0.4, 4.5)
         )
-        z += length + (0.0 if rng.random() < 0.75 else float(rng.uniform(1.5, 3.5)))
+        z += length + (0.0 if rng.random() < 0.75 else rng.uniform(1.5, 3.5))
     return faces
-
-
-def _house_skin(rng: np.random.Generator) -> Skin:
-    wall = Facade(
-        wall=float(rng.uniform(75, 190)),
-        pitch=float(rng.uniform(2.0, 3.2)),
-        window=(float(rng.uniform(0.95, 1.4)), float(rng.uniform(1.3, 1.8))),
-        storey=float(rng.uniform(2.9, 3.6)),
-        frame=float(rng.choice([55.0, 215.0, 235.0])),
-        bricks=float(rng.choice([0.0, 18.0, 30.0])),
-        salt=float(rng.uniform(0, 50)),
-    )
-    roof: Material = Plain(70.0)
-    return Skin(wall, wall, wall, roof)
 
 
 def _furniture(rng: np.random.Generator, start: float, stop: float) -> list[Face]:
     faces: list[Face] = []
-    for kerb, side in ((KERB_LEFT, -1), (KERB_RIGHT, 1)):
-        z = start + float(rng.uniform(2, 6))
+    for kerb, side in ((_KERB_LEFT, -1), (_KERB_RIGHT, 1)):
+        z = start + rng.uniform(2, 6)
         while z < stop - 2:
             x = kerb + side * 0.55
             choice = rng.random()
@@ -125,39 +102,39 @@ def _furniture(rng: np.random.Generator, start: float, stop: float) -> list[Face
                 faces += _post(rng, x, z, 0.09, 3.0) + _sign(rng, x, z)
             else:
                 faces += _hedge(rng, x + side * 1.6, z)
-            z += float(rng.uniform(5, 10))
+            z += rng.uniform(5, 10)
     return faces
 
 
 def _post(rng: np.random.Generator, x: float, z: float, width: float, height: float) -> list[Face]:
-    pillar = Pillar(float(rng.uniform(55, 150)), width, float(rng.uniform(0, 50)))
+    look = pillar(rng.uniform(55, 150), width, rng.uniform(0, 50))
     half = width / 2
-    return box((x - half, -height, z - half), (x + half, 0.0, z + half), Skin.all(pillar))
+    return box((x - half, -height, z - half), (x + half, 0.0, z + half), Skin.all(look))
 
 
 def _sign(rng: np.random.Generator, x: float, z: float) -> list[Face]:
     grey = float(rng.choice([70.0, 215.0]))
     disc = Mark((0.06, 0.64), (0.06, 0.64), 285.0 - grey, True)
     inner = Mark((0.15, 0.55), (0.28, 0.42), grey)
-    board, plain = Painted(Plain(grey, 4.0, 4.0), (disc, inner)), Plain(110.0)
+    board, plain = painted(Plain(grey, 4.0, 4.0), (disc, inner)), Plain(110.0)
     return box((x - 0.35, -3.0, z - 0.08), (x + 0.35, -2.3, z - 0.05), Skin(plain, board, plain, plain))
 
 
 def _tree(rng: np.random.Generator, x: float, z: float) -> list[Face]:
-    leaves = Foliage(float(rng.uniform(80, 125)), float(rng.uniform(0, 50)))
-    foot, waist, top = (float(rng.uniform(*span)) for span in ((2.5, 3.1), (3.8, 4.6), (6.2, 7.8)))
-    inner, outer = float(rng.uniform(0.6, 0.9)), float(rng.uniform(1.1, 1.6))
+    leaves = foliage(rng.uniform(80, 125), rng.uniform(0, 50))
+    foot, waist, top = (rng.uniform(*span) for span in ((2.5, 3.1), (3.8, 4.6), (6.2, 7.8)))
+    inner, outer = rng.uniform(0.6, 0.9), rng.uniform(1.1, 1.6)
     skin, spread = Skin.all(leaves), (inner - outer,) * 3
-    crown = frustum((-inner, -waist, -inner), (inner, -foot, inner), skin, spread, underside=leaves)
-    crown += frustum((-outer, -top, -outer), (outer, -waist, outer), skin, (0.6 * outer,) * 3)
-    turn = float(rng.uniform(0, np.pi / 2))
+    crown = box((-inner, -waist, -inner), (inner, -foot, inner), skin, spread, underside=leaves)
+    crown += box((-outer, -top, -outer), (outer, -waist, outer), skin, (0.6 * outer,) * 3)
+    turn = rng.uniform(0, np.pi / 2)
     around = [face for k in (0, 1) for face in placed(crown, x, z, turn + k * np.pi / 4)]
     return [*_post(rng, x, z, 0.24, foot + 0.2), *around]
 
 
 def _hedge(rng: np.random.Generator, x: float, z: float) -> list[Face]:
-    leaves = Foliage(float(rng.uniform(50, 85)), float(rng.uniform(0, 50)))
-    high, deep = float(rng.uniform(0.7, 1.5)), float(rng.uniform(2, 4))
+    leaves = foliage(rng.uniform(50, 85), rng.uniform(0, 50))
+    high, deep = rng.uniform(0.7, 1.5), rng.uniform(2, 4)
     return box((x - 0.5, -high, z - deep / 2), (x + 0.5, 0.0, z + deep / 2), Skin.all(leaves))
 
 
@@ -169,14 +146,14 @@ def _parked(
         free = all(z + 3 < low or z - 3 > high for low, high in taken)
         if free and rng.random() < 0.55:
             kind: Kind = "car" if rng.random() < 0.85 else "van"
-            place = x + float(rng.normal(0, 0.06)), float(z + rng.normal(0, 0.2))
-            faces += placed(vehicle_faces(kind, rng), *place, yaw + float(rng.normal(0, 0.015)))
+            place = x + rng.normal(0, 0.06), float(z + rng.normal(0, 0.2))
+            faces += placed(vehicle_faces(kind, rng), *place, yaw + rng.normal(0, 0.015))
     return faces
 
 
 def _horizon(rng: np.random.Generator, end: float, crossing: float) -> list[Face]:
     """Trees at the end of the street and houses along the side street: no view to the edge of the world."""
-    leaves = [Foliage(float(rng.uniform(45, 80)), float(rng.uniform(0, 50))) for _ in range(3)]
+    leaves = [foliage(rng.uniform(45, 80), rng.uniform(0, 50)) for _ in range(3)]
     wood = Skin.all(leaves[0])
     faces = box((-150, -9, end + 40), (150, 0.0, end + 44), wood)
     for side in (-1, 1):

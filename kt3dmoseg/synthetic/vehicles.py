@@ -1,25 +1,71 @@
-"""Vehicles made of boxes: cars, vans and trucks, parked or moving."""
+"""Moving bodies: how they drive, what vehicles look like, and which ones a scene has.
+
+World coordinates are in metres: x right, y down, z forward along the street, y = 0 on the road. A body
+has the same axes, its origin on the ground. Poses are 4x4 matrices ``T_world_body`` that take body to world
+coordinates.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from kt3dmoseg.synthetic.materials import Mark, Painted, Plain, block_letters
-from kt3dmoseg.synthetic.motion import Drive, rotation_y
-from kt3dmoseg.synthetic.surfaces import Face, Skin, box, frustum
+from kt3dmoseg.synthetic.materials import Mark, Material, Plain, block_letters, painted
+from kt3dmoseg.synthetic.raycast import Face, Skin, box, rotation_y
+from kt3dmoseg.types import FloatArray
 
 Kind: TypeAlias = Literal["car", "van", "truck"]
 
+CROSSING_AHEAD = 27.0  # metres from the camera to the side street in the middle of the clip
+LANE, ONCOMING = 0.0, -3.5  # x of the middle of the lanes
+PARKED_RIGHT = 3.15
 _SIZES: dict[Kind, tuple[float, float, float]] = {
     "car": (1.78, 1.48, 4.3),
     "van": (1.95, 2.05, 5.0),
     "truck": (2.4, 3.1, 7.2),
 }
 _GREYS = (55.0, 75.0, 95.0, 150.0, 205.0, 225.0)
+_SWAY = 0.6  # metres; a body weaves about its straight path by at most twice this
+_SLOWEST_WEAVE = 0.5  # radians per second
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Motion along a gentle weave: near time 0 a turn at a constant rate, in the long run straight on.
+
+    Parameters
+    ----------
+    x, z : float
+        Position at time 0, metres.
+    yaw : float
+        Heading at time 0, radians; 0 looks along +z, positive turns right.
+    speed : float
+        Metres per second along the heading at time 0.
+    yaw_rate : float
+        Radians per second at time 0.
+    """
+
+    x: float
+    z: float
+    yaw: float = 0.0
+    speed: float = 0.0
+    yaw_rate: float = 0.0
+
+    def pose(self, time: float) -> FloatArray:
+        """``T_world_body`` (4, 4) at `time` seconds.
+
+        Sideways s(t) = v r / w^2 (1 - cos wt) and heading atan(r / w sin wt), the direction of travel, so
+        that s'' (0) / v is the yaw rate r; w is chosen so that v r / w^2 stays within the lane.
+        """
+        weave = max(_SLOWEST_WEAVE, np.sqrt(self.speed * abs(self.yaw_rate) / _SWAY))
+        aside = self.speed * self.yaw_rate / weave**2 * (1 - np.cos(weave * time))
+        pose = np.eye(4)
+        base = rotation_y(self.yaw)
+        pose[:3, :3] = base @ rotation_y(np.arctan(self.yaw_rate / weave * np.sin(weave * time)))
+        pose[:3, 3] = [self.x, 0.0, self.z] + base @ [aside, 0.0, self.speed * time]
+        return pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +90,10 @@ class Vehicle:
     size: tuple[float, float, float]
 
 
-def make_vehicle(name: str, kind: Kind, drive: Drive) -> Vehicle:
-    """Describe a vehicle of the usual size of its kind."""
-    return Vehicle(name, kind, drive, _SIZES[kind])
-
-
 def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
     """Faces of a vehicle around its origin, which is on the ground below its middle."""
     width, height, length = _SIZES[kind]
-    grey, salt = float(rng.choice(_GREYS)), float(rng.uniform(0, 50))
+    grey, salt = float(rng.choice(_GREYS)), rng.uniform(0, 50)
     paint = Plain(grey, fine=6.0, coarse=11.0, salt=salt)
     half, under = width / 2, Plain(18.0, fine=5.0, coarse=3.0, salt=salt)
     floor, waist = 0.28, 0.86 if kind == "car" else height
@@ -65,21 +106,15 @@ def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
     )
     faces = box((-half + 0.12, -floor, -length / 2 + 0.1), (half - 0.12, 0.0, length / 2 - 0.1), hollow)
     nose = (0.1, 0.05, 0.0) if kind == "car" else (0.45, 0.0, 0.06) if kind == "van" else (0.0, 0.0, 0.0)
-    faces += frustum((-half, -waist, -length / 2), (half, -floor, length / 2), body, nose)
+    faces += box((-half, -waist, -length / 2), (half, -floor, length / 2), body, nose)
     faces += _wheels(half, length)
     if kind == "car":
         faces += _cabin(paint, half, waist, height, length)
     return faces
 
 
-def placed(faces: Sequence[Face], x: float, z: float, yaw: float) -> list[Face]:
-    """Give the faces of a body that stands still at a place in the world."""
-    turn, shift = rotation_y(yaw), np.array([x, 0.0, z])
-    return [replace(f, origin=turn @ f.origin + shift, eu=turn @ f.eu, ev=turn @ f.ev) for f in faces]
-
-
 def _wheels(half: float, length: float) -> list[Face]:
-    rim = Painted(
+    rim = painted(
         Plain(20.0, 3.0, 3.0),
         (Mark((0.12, 0.54), (0.12, 0.54), 150.0, True), Mark((0.26, 0.40), (0.26, 0.40), 60.0, True)),
     )
@@ -92,30 +127,30 @@ def _wheels(half: float, length: float) -> list[Face]:
     return axles
 
 
-def _flank(paint: Plain, kind: Kind, rng: np.random.Generator) -> Painted:
+def _flank(paint: Plain, kind: Kind, rng: np.random.Generator) -> Material:
     _, height, length = _SIZES[kind]
     dark = paint.grey * 0.45
     seams = [Mark((s * length, s * length + 0.025), (0.0, 0.9), dark) for s in (0.3, 0.52, 0.72)]
     trim = [Mark((0.1, length - 0.1), (0.2, 0.27), dark)]
     if kind == "car":
         handles = [Mark((s * length, s * length + 0.18), (0.42, 0.47), 30.0) for s in (0.32, 0.54)]
-        return Painted(paint, (*seams, *trim, *handles))
+        return painted(paint, (*seams, *trim, *handles))
     ink = 40.0 if paint.grey > 110 else 215.0
     letters = block_letters(rng, (0.1 * length, 0.85 * length), (0.75, height - 0.75), 4, 16, ink)
-    return Painted(paint, (*seams, *trim, *letters))
+    return painted(paint, (*seams, *trim, *letters))
 
 
-def _nose(paint: Plain, width: float, waist: float, rng: np.random.Generator) -> Painted:
+def _nose(paint: Plain, width: float, waist: float, rng: np.random.Generator) -> Material:
     high = waist - 0.28
     lamps = [Mark((u, u + 0.32), (0.25, 0.43), 235.0) for u in (0.1, width - 0.42)]
     grille = Mark((0.5, width - 0.5), (0.12, 0.4), 25.0)
     plate = Mark((width / 2 - 0.26, width / 2 + 0.26), (0.06, 0.17), 225.0)
     glass = (Mark((0.12, width - 0.12), (0.55 * high, 0.92 * high), 45.0),) if high > 1 else ()
     letters = block_letters(rng, (width / 2 - 0.23, width / 2 + 0.23), (0.08, 0.15), 1, 7, 50.0)
-    return Painted(paint, (grille, *lamps, plate, *letters, *glass))
+    return painted(paint, (grille, *lamps, plate, *letters, *glass))
 
 
-def _tail(paint: Plain, width: float, waist: float, kind: Kind, rng: np.random.Generator) -> Painted:
+def _tail(paint: Plain, width: float, waist: float, kind: Kind, rng: np.random.Generator) -> Material:
     high = waist - 0.28
     lamps = [Mark((u, u + 0.2), (0.25, 0.5), 85.0) for u in (0.05, width - 0.25)]
     bumper = Mark((0.0, width), (0.0, 0.12), 40.0)
@@ -128,7 +163,7 @@ def _tail(paint: Plain, width: float, waist: float, kind: Kind, rng: np.random.G
     if kind == "truck":
         ink = 40.0 if paint.grey > 110 else 215.0
         marks += block_letters(rng, (0.3, width - 0.3), (0.8, high - 0.4), 5, 6, ink)
-    return Painted(paint, tuple(marks))
+    return painted(paint, marks)
 
 
 def _cabin(paint: Plain, half: float, waist: float, height: float, length: float) -> list[Face]:
@@ -136,9 +171,52 @@ def _cabin(paint: Plain, half: float, waist: float, height: float, length: float
     inner = half - 0.08
     pane = Mark((0.1, 2 * inner - 0.1), (0.04, high + 0.05), 42.0)
     reflection = Mark((0.35, inner), (0.1, high), 95.0)
-    ends = Painted(paint, (pane, reflection))
+    ends = painted(paint, (pane, reflection))
     glass = [Mark(u, (0.05, high - 0.07), 38.0) for u in ((0.3, 0.48 * deep), (0.52 * deep, deep - 0.3))]
     heads = [Mark((u, u + 0.22), (0.08, 0.36), 75.0) for u in (0.27 * deep, 0.62 * deep)]
-    skin = Skin(ends, ends, Painted(paint, (*glass, *heads)), paint)
+    skin = Skin(ends, ends, painted(paint, (*glass, *heads)), paint)
     back = -0.45 * length
-    return frustum((-inner, -height, back), (inner, -waist, back + deep), skin, (0.75, 0.45, 0.16))
+    return box((-inner, -height, back), (inner, -waist, back + deep), skin, (0.75, 0.45, 0.16))
+
+
+def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -> list[Vehicle]:
+    """Choose `count` vehicles that all are in view in the middle of the clip and do not collide.
+
+    They come in the order of how well their motion can be told from the camera's: one crosses the street,
+    one ahead changes lanes, one leaves a parking place, one comes towards us. The nearer a vehicle's course
+    is to the camera's, the less its points leave the epipolar lines of the static scene. `middle` is the z of
+    the camera in the middle of the clip, `speed` its speed.
+    """
+
+    def draw(low: float, high: float) -> float:
+        return rng.uniform(low, high)
+
+    side = int(rng.choice([-1, 1]))
+    crossing = Drive(
+        ONCOMING + draw(1.0, 3.0),
+        middle + CROSSING_AHEAD + side * 1.4,
+        side * np.pi / 2,
+        draw(3.5, 5.5),
+        draw(-0.1, 0.1),
+    )
+    lead = Drive(
+        LANE + draw(-0.2, 0.2), middle + draw(11.5, 12.2), draw(-0.12, -0.07), speed + draw(0.8, 1.5)
+    )
+    leaving = Drive(
+        PARKED_RIGHT, middle + draw(7.5, 8.3), -0.15, 0.6 * speed + draw(0.3, 1.2), draw(-0.2, -0.1)
+    )
+    oncoming = Drive(
+        ONCOMING + draw(-0.1, 0.2), middle + draw(12.5, 15), np.pi + draw(0.05, 0.12), draw(2.5, 5.0)
+    )
+    plans = [("crossing", crossing), ("leading", lead), ("leaving", leaving), ("oncoming", oncoming)]
+    kinds: dict[str, tuple[Kind, ...]] = {
+        "crossing": ("truck",),
+        "oncoming": ("van", "car"),
+        "leading": ("car", "van"),
+        "leaving": ("car",),
+    }
+    vehicles = []
+    for role, drive in plans[:count]:
+        kind = kinds[role][int(rng.integers(len(kinds[role])))]
+        vehicles.append(Vehicle(f"{role} {kind}", kind, drive, _SIZES[kind]))
+    return vehicles

@@ -9,7 +9,7 @@ import pytest
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.kitti import RawDrive
 from kt3dmoseg.synthetic import Scene, SceneOptions, make_scene, write_drive
-from kt3dmoseg.synthetic.oxts import T_CAM_VELO, T_VELO_IMU
+from kt3dmoseg.synthetic.kitti_export import T_CAM_VELO, T_VELO_IMU
 
 DATE = "2011_09_26"
 
@@ -69,12 +69,12 @@ def test_tracklets_cover_the_vehicles(small, root):
             image = corners[:, :3] @ small.K.T
             image = image[:, :2] / image[:, 2:]
             low, high = image.min(axis=0), image.max(axis=0)
-            # Wheels stand a centimetre proud and the camera nods: a pixel of tolerance.
+            # Wheels are a centimetre proud and the camera nods: a pixel of tolerance.
             assert (low - 1 <= (columns.min(), rows.min())).all()
             assert (high + 1 >= (columns.max(), rows.max())).all()
 
 
-def test_an_existing_drive_is_kept_unless_told_otherwise(small, root):
+def test_an_existing_drive_is_replaced_only_on_request(small, root):
     before = sorted(p for p in root.rglob("*"))
     with pytest.raises(InputFileError, match="exists already"):
         write_drive(small, root, drive=7)

@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kt3dmoseg.synthetic.materials import _TABLE, Patch, Plain, _cells, _mosaic, band, stripes
-from kt3dmoseg.synthetic.motion import Drive
-from kt3dmoseg.synthetic.noise import Noise
-from kt3dmoseg.synthetic.raycast import SKY, Grid, Points, cast
-from kt3dmoseg.synthetic.sensor import expose, gather, ray_offsets, respond
-from kt3dmoseg.synthetic.surfaces import Mesh, Skin, box, frustum
+from kt3dmoseg.synthetic.materials import _TABLE, Noise, Patch, Plain, _cells, _mosaic, band, stripes
+from kt3dmoseg.synthetic.raycast import SKY, Mesh, Rays, Skin, box, cast
+from kt3dmoseg.synthetic.render import expose, gather, ray_offsets, respond
+from kt3dmoseg.synthetic.vehicles import Drive
 
 GREY = Skin.all(Plain(100.0))
 
@@ -18,7 +16,7 @@ GREY = Skin.all(Plain(100.0))
 def test_a_box_straight_ahead_has_the_expected_depth_and_outline():
     mesh = Mesh.of(box((-1, -1, 4), (1, 1, 6), GREY))
     x = np.linspace(-0.5, 0.5, 101)
-    depth, face = cast(mesh, Grid(x, x))
+    depth, face = cast(mesh, Rays(x, x, grid=True))
     inside = (np.abs(x[:, None]) <= 0.25) & (np.abs(x) <= 0.25)  # the front at z = 4 is 2 m wide
     assert np.array_equal(face != SKY, inside)
     assert np.allclose(depth[inside], 4.0)
@@ -31,9 +29,9 @@ def test_convex_bodies_are_hit_where_the_half_spaces_say(seed):
     rng = np.random.default_rng(seed)
     low, size = rng.uniform([-4, -3, 2], [2, 1, 9]), rng.uniform(0.5, 3, 3)
     inset = tuple(rng.uniform(-0.2, 0.2, 3))
-    faces = frustum(low, low + size, GREY, inset, underside=Plain(50.0))
+    faces = box(low, low + size, GREY, inset, underside=Plain(50.0))
     mesh = Mesh.of(faces)
-    rays = Points(rng.uniform(-1, 1, 200), rng.uniform(-1, 1, 200))
+    rays = Rays(rng.uniform(-1, 1, 200), rng.uniform(-1, 1, 200), grid=False)
     depth, face = cast(mesh, rays)
     normals = np.cross(mesh.eu, mesh.ev)
     direction = np.stack([rays.x, rays.y, np.ones(200)])
@@ -49,10 +47,9 @@ def test_convex_bodies_are_hit_where_the_half_spaces_say(seed):
 
 
 def test_grid_and_points_agree(scene):
-    view = scene._view(2)
-    grid = view.pixels()
-    depth, face = cast(view.mesh, grid)
-    flat_depth, flat_face = cast(view.mesh, Points(*grid.directions()))
+    mesh, grid = scene._mesh_at(2), scene._pixels()
+    depth, face = cast(mesh, grid)
+    flat_depth, flat_face = cast(mesh, Rays(*grid.directions(), grid=False))
     assert np.array_equal(depth.ravel(), flat_depth)
     assert np.array_equal(face.ravel(), flat_face)
 

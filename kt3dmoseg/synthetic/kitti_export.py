@@ -1,0 +1,224 @@
+"""A synthetic scene on disk, in the layout of KITTI raw: frames, GPS/IMU packets, tracklets, calibration."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.files import write_bytes, write_text
+from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Scene
+from kt3dmoseg.types import FloatArray
+
+_START = "09:00:00.000000"
+_BASELINE = 0.54  # metres from camera 0 to camera 1
+_EARTH_RADIUS = 6378137.0
+_ORIGIN = 49.0, 8.4, 115.0  # latitude, longitude (degrees), altitude (metres) of the world's origin
+_SCALE = np.cos(np.radians(_ORIGIN[0]))
+_TRACKLET_TYPES = {"car": "Car", "van": "Van", "truck": "Truck"}
+
+
+def _rigid(*rows: tuple[float, ...]) -> FloatArray:
+    return np.array([*rows, (0.0, 0.0, 0.0, 1.0)])
+
+
+# Velodyne and IMU: x forward, y left, z up. Distances are those of KITTI's car, angles are exact.
+T_CAM_VELO = _rigid((0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, -0.08), (1.0, 0.0, 0.0, -0.27))
+T_VELO_IMU = _rigid((1.0, 0.0, 0.0, -0.81), (0.0, 1.0, 0.0, 0.32), (0.0, 0.0, 1.0, -0.80))
+# East, north, up from the scene's world (x right, y down, z forward): the street runs north.
+_ENU_WORLD = _rigid((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, -1.0, 0.0, 0.0))
+# A tracklet's box has its origin on the ground: x is the vehicle's forward (z), y its left (-x), z up (-y).
+_BODY_BOX = _rigid((0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+
+
+def write_drive(
+    scene: Scene,
+    root: str | os.PathLike[str],
+    *,
+    date: str = "2011_09_26",
+    drive: int = 1,
+    replace: bool = False,
+) -> Path:
+    """Render a scene into a drive of KITTI raw: camera 0, timestamps, poses, calibration and tracklets.
+
+    Writes ``{date}/{date}_drive_{drive:04d}_sync/`` with ``image_00/data/%010d.png``, ``oxts/`` and
+    ``tracklet_labels.xml``, and ``{date}/calib_*.txt``. The drive's folder appears complete or not at all.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to render.
+    root : path
+        The KITTI raw root; created when missing.
+    date : str
+        ``YYYY_MM_DD``.
+    drive : int
+        0 to 9999.
+    replace : bool
+        Whether a drive of that name may be replaced.
+
+    Returns
+    -------
+    Path
+        The drive's folder.
+
+    Raises
+    ------
+    InputFileError
+        When the drive exists and may not be replaced, or nothing can be written.
+    InvalidValueError
+        When `date` or `drive` is malformed.
+    """
+    if not 0 <= drive <= 9999:
+        raise InvalidValueError("drive", expected="a number in 0..9999", found=str(drive))
+    try:
+        start = datetime.strptime(f"{date} {_START}", "%Y_%m_%d %H:%M:%S.%f")
+    except ValueError:
+        raise InvalidValueError("date", expected="YYYY_MM_DD", found=repr(date)) from None
+    target = Path(root) / date / f"{date}_drive_{drive:04d}_sync"
+    if target.exists() and not replace:
+        raise InputFileError(f"{target}: exists already", fix="remove it, or write another drive number")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+    except OSError as error:
+        fix = "choose a folder you may write"
+        raise InputFileError(f"{target}: {error.strerror or error}", fix=fix) from error
+    try:
+        _write_files(scene, work / "new", start)
+        _write_calibration(scene, target.parent, start)
+        if target.exists():
+            os.replace(target, work / "old")
+        os.replace(work / "new", target)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return target
+
+
+def _write_files(scene: Scene, folder: Path, start: datetime) -> None:
+    for frame in range(scene.n_frames):
+        png = bytes(cv2.imencode(".png", scene.frame(frame))[1])
+        write_bytes(folder / "image_00" / "data" / f"{frame:010d}.png", png)
+        write_text(folder / "oxts" / "data" / f"{frame:010d}.txt", _oxts_line(scene, frame))
+    times = [start + timedelta(seconds=frame / FRAMES_PER_SECOND) for frame in range(scene.n_frames)]
+    for sensor in ("image_00", "oxts"):
+        lines = [f"{time:%Y-%m-%d %H:%M:%S.%f}000\n" for time in times]
+        write_text(folder / sensor / "timestamps.txt", "".join(lines))
+    write_text(folder / "tracklet_labels.xml", _tracklet_xml(scene))
+
+
+def _write_calibration(scene: Scene, day: Path, start: datetime) -> None:
+    """Write the three files; the four cameras differ by their position along the baseline only."""
+    stamp = f"calib_time: {start:%d-%b-%Y %H:%M:%S}\n"
+    lines = [stamp, f"corner_dist: {_numbers(0.0995)}\n"]
+    for camera, offset in enumerate((0.0, _BASELINE, 0.0, _BASELINE)):
+        projection = np.hstack([scene.K, np.zeros((3, 1))])
+        projection[0, 3] = -scene.K[0, 0] * offset
+        size, shift = np.array(scene.image_size), np.array([-offset, 0.0, 0.0])
+        values = {"S": size, "K": scene.K, "D": np.zeros(5), "R": np.eye(3), "T": shift}
+        rectified = {"S_rect": size, "R_rect": np.eye(3), "P_rect": projection}
+        lines += [f"{key}_{camera:02d}: {_numbers(value)}\n" for key, value in (values | rectified).items()]
+    write_text(day / "calib_cam_to_cam.txt", "".join(lines))
+    velo, imu = (
+        f"{stamp}R: {_numbers(T[:3, :3])}\nT: {_numbers(T[:3, 3])}\n" for T in (T_CAM_VELO, T_VELO_IMU)
+    )
+    distortion = f"delta_f: {_numbers(np.zeros(2))}\ndelta_c: {_numbers(np.zeros(2))}\n"
+    write_text(day / "calib_velo_to_cam.txt", velo + distortion)
+    write_text(day / "calib_imu_to_velo.txt", imu)
+
+
+def _numbers(values: FloatArray | float) -> str:
+    return " ".join(f"{value:.9e}" for value in np.ravel(values))
+
+
+def _imu_pose(scene: Scene, frame: int) -> FloatArray:
+    """``T_enu_imu`` (4, 4): pose of the IMU in metres east, north and up of the scene's origin."""
+    pose: FloatArray = _ENU_WORLD @ scene.camera_pose(frame) @ T_CAM_VELO @ T_VELO_IMU
+    return pose
+
+
+def _oxts_line(scene: Scene, frame: int) -> str:
+    """One packet of 30 values, in the order of KITTI's ``dataformat.txt``.
+
+    Position and attitude are exact; latitude and longitude by the Mercator projection of the development
+    kit, with the scale of the first frame's latitude, so that readers get the metres back. Velocities and
+    turn rates are central differences; of the accelerations only gravity is filled in.
+    """
+    pose, first_north = _imu_pose(scene, frame), _imu_pose(scene, 0)[1, 3]
+    # Invert y = s R ln tan(pi (90 + latitude) / 360).
+    origin = np.log(np.tan((90 + _ORIGIN[0]) * np.pi / 360))
+    north = (pose[1, 3] - first_north) / (_SCALE * _EARTH_RADIUS)
+    latitude = float(360 / np.pi * np.arctan(np.exp(origin + north)) - 90)
+    longitude = _ORIGIN[1] + np.degrees(pose[0, 3] / (_SCALE * _EARTH_RADIUS))
+    before, after = max(frame - 1, 0), min(frame + 1, scene.n_frames - 1)
+    seconds = max(after - before, 1) / FRAMES_PER_SECOND
+    step = np.linalg.inv(_imu_pose(scene, before)) @ _imu_pose(scene, after)
+    velocity = pose[:3, :3].T @ (_imu_pose(scene, after) - _imu_pose(scene, before))[:3, 3] / seconds
+    north_east = (pose[:3, :3] @ velocity)[[1, 0]]
+    rates = np.array(_roll_pitch_yaw(step)) / seconds
+    gravity = pose[:3, :3].T @ [0.0, 0.0, 9.81]
+    values = [
+        *(latitude, longitude, _ORIGIN[2] + pose[2, 3]),
+        *_roll_pitch_yaw(pose),
+        *north_east,
+        *velocity,
+        *gravity,  # along the body's axes,
+        *gravity,  # and forward, leftward, upward: the same here
+        *rates,
+        *rates,
+        *(0.05, 0.02),
+    ]
+    return " ".join(f"{value:.14g}" for value in values) + " 4 9 4 4 0\n"
+
+
+def _roll_pitch_yaw(pose: FloatArray) -> tuple[float, float, float]:
+    """Angles with R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    rotation = pose[:3, :3]
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+    pitch = np.arcsin(np.clip(-rotation[2, 0], -1, 1))
+    return float(roll), float(pitch), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+
+def _tracklet_xml(scene: Scene) -> str:
+    """One tracklet over all frames per moving vehicle: 3D boxes in Velodyne coordinates.
+
+    As in KITTI only the rotation about the vertical is kept; the camera's nod, under half a degree, is lost.
+    """
+    poses = np.stack([scene.body_poses(frame)[1:] for frame in range(scene.n_frames)])
+    items = []
+    for k, vehicle in enumerate(scene.vehicles):
+        width, height, length = vehicle.size
+        places = "".join(_pose_xml(np.linalg.inv(T_CAM_VELO) @ pose @ _BODY_BOX) for pose in poses[:, k])
+        items.append(
+            '<item class_id="1" tracking_level="0" version="1">\n'
+            f"<objectType>{_TRACKLET_TYPES[vehicle.kind]}</objectType>\n"
+            f"<h>{height}</h><w>{width}</w><l>{length}</l>\n<first_frame>0</first_frame>\n"
+            '<poses class_id="2" tracking_level="0" version="0">\n'
+            f"<count>{len(poses)}</count>\n<item_version>2</item_version>\n{places}</poses>\n"
+            "<finished>1</finished>\n</item>\n"
+        )
+    return (
+        '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>\n<!DOCTYPE boost_serialization>\n'
+        '<boost_serialization signature="serialization::archive" version="9">\n'
+        '<tracklets class_id="0" tracking_level="0" version="0">\n'
+        f"<count>{len(items)}</count>\n<item_version>1</item_version>\n{''.join(items)}"
+        "</tracklets>\n</boost_serialization>\n"
+    )
+
+
+def _pose_xml(box: FloatArray) -> str:
+    x, y, z = box[:3, 3]
+    yaw = np.arctan2(box[1, 0], box[0, 0])
+    return (
+        '<item class_id="3" tracking_level="0" version="2">'
+        f"<tx>{x:.6f}</tx><ty>{y:.6f}</ty><tz>{z:.6f}</tz><rx>0</rx><ry>0</ry><rz>{yaw:.6f}</rz>"
+        "<state>2</state><occlusion>0</occlusion><occlusion_kf>0</occlusion_kf><truncation>0</truncation>"
+        "<amt_occlusion>-1</amt_occlusion><amt_occlusion_kf>-1</amt_occlusion_kf>"
+        "<amt_border_l>-1</amt_border_l><amt_border_r>-1</amt_border_r><amt_border_kf>-1</amt_border_kf></item>\n"
+    )
