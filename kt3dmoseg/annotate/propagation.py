@@ -23,6 +23,7 @@ from kt3dmoseg.annotate.model import Annotation, KeyFrame, Visibility
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
+Polygons: TypeAlias = list[FloatArray]
 
 # A region that grows or shrinks by more than this factor in one frame was fitted to something else.
 _MAX_GROWTH = 1.35
@@ -73,13 +74,11 @@ def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict
     dict of int to list of Region
         Object id to its regions, one per frame of the clip.
     """
-    image = motion or NoMotion()
-    return {
-        item.id: propagate_keys(item.key_frames, annotation.n_frames, image) for item in annotation.objects
-    }
+    frames = annotation.n_frames
+    return {item.id: propagate_keys(item.key_frames, frames, motion) for item in annotation.objects}
 
 
-def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion) -> list[Region]:
+def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion | None) -> list[Region]:
     """Return the region in every frame of an object with these key frames; see `propagate`."""
     regions: list[Region] = []
     first = keys[0]
@@ -147,15 +146,6 @@ class FlowMotion:
         return x1[known], x2[known]
 
 
-class NoMotion:
-    """No knowledge of the image: regions between key frames are interpolated."""
-
-    def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
-        """No correspondence; see `ImageMotion`."""
-        del region, i, j
-        return np.empty((0, 2)), np.empty((0, 2))
-
-
 def fit_similarity(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
     """Fit a similarity to points (n, 2), robustly: (2, 3) ``[A | t]``, or None for fewer than 4."""
     if len(x1) < _ENOUGH:
@@ -219,7 +209,9 @@ def _median(values: FloatArray, known: BoolArray) -> FloatArray:
         return np.where(count > 0, (low + high) / 2, 0.0)
 
 
-def _between(key: KeyFrame, after: KeyFrame | None, end: int, motion: ImageMotion) -> list[list[FloatArray]]:
+def _between(
+    key: KeyFrame, after: KeyFrame | None, end: int, motion: ImageMotion | None
+) -> list[list[FloatArray]]:
     """Polygons of the frames strictly between `key` and `end`."""
     span = end - key.frame
     if span <= 1:
@@ -235,10 +227,12 @@ def _between(key: KeyFrame, after: KeyFrame | None, end: int, motion: ImageMotio
     return [blend(forward[k], backward[k], k / span) for k in range(1, span)]
 
 
-def _carry(key: KeyFrame, stop: int, target: KeyFrame | None, motion: ImageMotion) -> list[list[FloatArray]]:
+def _carry(
+    key: KeyFrame, stop: int, target: KeyFrame | None, motion: ImageMotion | None
+) -> list[list[FloatArray]]:
     """Polygons of the frames from `key` to `stop`, in that order; straight steps lead to `target`."""
     # What hides an occluded object is not the object: its motion must not carry the region along.
-    image = motion if key.visibility == "visible" else NoMotion()
+    image = motion if key.visibility == "visible" else None
     chain = [arrays(key.polygons)]
     direction = 1 if stop >= key.frame else -1
     last = np.eye(2, 3)
@@ -256,8 +250,8 @@ def _carry(key: KeyFrame, stop: int, target: KeyFrame | None, motion: ImageMotio
     return chain
 
 
-def _step(region: Sequence[FloatArray], i: int, j: int, motion: ImageMotion) -> FloatArray | None:
-    if not region:
+def _step(region: Sequence[FloatArray], i: int, j: int, motion: ImageMotion | None) -> FloatArray | None:
+    if motion is None or not region:
         return None
     model = fit_similarity(*motion.matches(region, i, j))
     if model is None:

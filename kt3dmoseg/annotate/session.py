@@ -78,8 +78,7 @@ class AnnotationSession:
 
     def __init__(self, annotation: Annotation) -> None:
         self._now = annotation
-        self._done: list[Annotation] = []
-        self._undone: list[Annotation] = []
+        self._before: list[Annotation] = []
 
     @classmethod
     def new(
@@ -87,11 +86,6 @@ class AnnotationSession:
     ) -> AnnotationSession:
         """Start with an empty annotation; see `Annotation` for the parameters."""
         return cls(Annotation(clip, image_size, n_frames, annotator=annotator))
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> AnnotationSession:
-        """Start with the annotation in a file; errors as in `load_annotation`."""
-        return cls(load_annotation(path))
 
     @property
     def annotation(self) -> Annotation:
@@ -126,30 +120,21 @@ class AnnotationSession:
     def replace(self, annotation: Annotation) -> None:
         """Make any annotation the present one, as one edit."""
         if annotation != self._now:
-            self._done.append(self._now)
-            self._undone.clear()
+            self._before.append(self._now)
             self._now = annotation
 
     def undo(self) -> bool:
         """Take back the last edit; False when there is none."""
-        return self._step(self._done, self._undone)
-
-    def redo(self) -> bool:
-        """Repeat the edit that was taken back last; False when there is none."""
-        return self._step(self._undone, self._done)
+        if not self._before:
+            return False
+        # The revision counts saves; undo must not turn it back.
+        self._now = replace(self._before.pop(), revision=self._now.revision)
+        return True
 
     def save(self, path: str | os.PathLike[str]) -> int:
         """Write the annotation as the next revision of the file and return that; see `save_revision`."""
         self._now = save_revision(path, self._now)
         return self._now.revision
-
-    def _step(self, source: list[Annotation], target: list[Annotation]) -> bool:
-        if not source:
-            return False
-        target.append(self._now)
-        # The revision counts saves; undo must not turn it back.
-        self._now = replace(source.pop(), revision=self._now.revision)
-        return True
 
 
 def _polygons(drawn: Drawn) -> tuple[Polygon, ...]:

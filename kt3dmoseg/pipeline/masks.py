@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
@@ -26,13 +25,10 @@ _MAX_FILE = 1 << 26
 
 
 def mask_paths(folder: str | os.PathLike[str], clip: str) -> list[Path]:
-    """List a clip's masks: those of ``folder/clip``, or of `folder` itself; empty when there are none.
-
-    Not every frame needs one.
-    """
-    for place in (Path(folder) / clip, Path(folder)):
-        if has_masks(place):
-            return list(numbered_pictures(place).values())
+    """List a clip's masks, not for every frame: those of ``folder/clip``, or of `folder` itself, or none."""
+    for candidate in (Path(folder) / clip, Path(folder)):
+        if has_masks(candidate):
+            return list(numbered_pictures(candidate).values())
     return []
 
 
@@ -42,20 +38,14 @@ def has_masks(folder: Path) -> bool:
 
 
 def read_mask(path: str | os.PathLike[str]) -> IntArray:
-    """Read one mask.
-
-    Returns
-    -------
-    (H, W) int64
-        Object ids; 0 background, -1 void.
+    """Read one mask: object ids (H, W); 0 background, -1 void.
 
     Raises
     ------
     FileFormatError
         When it is no PNG of one channel, indexed or gray, 8 or 16 bits deep.
     """
-    where = os.fspath(path)
-    ids, bits = decode_indices(read_bytes(path, _MAX_FILE), where)
+    ids, bits = decode_indices(read_bytes(path, _MAX_FILE), os.fspath(path))
     ids[np.isin(ids, _VOID_16 if bits == 16 else _VOID_8)] = -1
     return ids
 
@@ -79,11 +69,12 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
     votes: list[tuple[IntArray, IntArray]] = []
     for frame, path in sorted(masks.items()):
         mask = read_mask(path)
-        _check_size(trajectories, mask, path)
+        size = mask.shape[1], mask.shape[0]
+        if trajectories.image_size not in (None, size):
+            expected = f"the frames' size {trajectories.image_size}"
+            raise FileFormatError(f"{path}", expected=expected, found=f"{size}")
         rows, xy = trajectories.at(frame)
-        pixel = np.rint(xy).astype(np.int64)
-        column = np.clip(pixel[:, 0], 0, mask.shape[1] - 1)
-        line = np.clip(pixel[:, 1], 0, mask.shape[0] - 1)
+        column, line = np.clip(np.rint(xy).astype(np.int64), 0, np.array(size) - 1).T
         votes.append((rows, mask[line, column]))
     rows, ids = (np.concatenate(parts) for parts in zip(*votes, strict=True))
     return _elect(rows, ids, len(trajectories))
@@ -103,34 +94,22 @@ def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[i
         return {index[number]: path for number, path in named.items()}
     if len(paths) == len(numbers) == max(named) - min(named) + 1:
         return dict(enumerate(paths))
-    raise InputFileError(
-        f"masks of {clip}",
-        expected=f"numbers within {numbers[0]}..{numbers[-1]}, or {len(numbers)} masks",
-        found=f"{len(paths)} masks numbered {min(named)}..{max(named)}",
-    )
+    expected = f"numbers within {numbers[0]}..{numbers[-1]}, or {len(numbers)} masks"
+    found = f"{len(paths)} masks numbered {min(named)}..{max(named)}"
+    raise InputFileError(f"masks of {clip}", expected=expected, found=found)
 
 
 def _elect(rows: IntArray, ids: IntArray, count: int) -> Labels:
-    objects = np.unique(ids[ids > 0])
-    candidates = np.concatenate([[0], objects])
+    candidates = np.concatenate([[0], np.unique(ids[ids > 0])])
     valid = ids >= 0
     tally = np.zeros((count, len(candidates)), dtype=np.int64)
     np.add.at(tally, (rows[valid], np.searchsorted(candidates, ids[valid])), 1)
     clear = tally.max(axis=1) >= np.maximum(1.0, _SHARE * tally.sum(axis=1))
-    label = np.where(clear, tally.argmax(axis=1) + BACKGROUND, 0)
-    names = {BACKGROUND: "background"} | {BACKGROUND + 1 + k: _name(int(v)) for k, v in enumerate(objects)}
-    return Labels(label.astype(np.int64), BACKGROUND, names)
+    label = np.where(clear, tally.argmax(axis=1) + BACKGROUND, 0).astype(np.int64)
+    names = [_name(identity) for identity in candidates[1:].tolist()]
+    return Labels(label, BACKGROUND, dict(enumerate(["background", *names], start=BACKGROUND)))
 
 
 def _name(identity: int) -> str:
-    if identity < _MOTS_CLASS:
-        return f"object {identity}"
-    return f"class {identity // _MOTS_CLASS} instance {identity % _MOTS_CLASS}"
-
-
-def _check_size(trajectories: Trajectories, mask: npt.NDArray[np.int64], path: Path) -> None:
-    size = mask.shape[1], mask.shape[0]
-    if trajectories.image_size not in (None, size):
-        raise FileFormatError(
-            f"{path}", expected=f"the frames' size {trajectories.image_size}", found=f"{size}"
-        )
+    kind, instance = divmod(identity, _MOTS_CLASS)
+    return f"class {kind} instance {instance}" if kind else f"object {identity}"

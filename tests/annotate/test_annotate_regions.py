@@ -7,7 +7,7 @@ import pytest
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, FlowMotion, KeyFrame, TrackMotion, propagate
 from kt3dmoseg.annotate.geometry import area, blend, inside, resample, signed_distance
-from kt3dmoseg.annotate.propagation import NoMotion, apply, fit_similarity
+from kt3dmoseg.annotate.propagation import apply, fit_similarity
 from kt3dmoseg.types import Trajectories
 
 FRAMES = 9
@@ -41,7 +41,7 @@ def test_between_key_frames_the_region_follows_the_motion_not_a_line():
     regions = propagate(told, TrackMotion(tracks()))[1]
     for frame in range(FRAMES):
         assert np.abs(regions[frame].polygons[0] - SQUARE - path(frame)).max() < 1.0
-    line = propagate(told, NoMotion())[1][4].polygons[0]
+    line = propagate(told)[1][4].polygons[0]
     assert np.abs(line - SQUARE - path(4)).max() > 20
 
 

@@ -94,7 +94,7 @@ def test_agreement_tool(clip, capsys):
 
 
 def test_agreement_tool_lists_where_the_two_differ(clip, capsys):
-    session = AnnotationSession.load(clip / "annotations" / "one.json")
+    session = AnnotationSession(load_annotation(clip / "annotations" / "one.json"))
     session.set_key_frame(1, 0, [[(60, 70), (100, 70), (100, 130), (60, 130)]])
     session.save(clip / "other" / "one.json")
     arguments = ["--annotations", str(clip / "annotations"), "--release", str(clip / "release")]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from kt3dmoseg.annotate.model import Annotation
-from kt3dmoseg.annotate.propagation import NoMotion, Region, TrackMotion, propagate
+from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import Trajectories
 
@@ -60,4 +60,4 @@ def load(name: str) -> AnnotationFormat:
 
 def regions(annotation: Annotation, trajectories: Trajectories | None = None) -> dict[int, list[Region]]:
     """Return the regions of every frame for `dump`, carried by trajectories when there are any."""
-    return propagate(annotation, NoMotion() if trajectories is None else TrackMotion(trajectories))
+    return propagate(annotation, None if trajectories is None else TrackMotion(trajectories))

@@ -91,8 +91,9 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
     out = []
     for k in np.sort(np.argsort(-sizes, kind="stable")[:MAX_POLYGONS]):
         rows, columns = boxes[k]
-        loops = [_straightened(loop) for loop in _loops(parts[rows, columns] == k + 1)]
-        joined = _joined(loops) + np.array([columns.start - 0.5, rows.start - 0.5])
+        joined = _joined(_loops(parts[rows, columns] == k + 1)) + np.array(
+            [columns.start - 0.5, rows.start - 0.5]
+        )
         simple = simplify(joined, tolerance) if tolerance > 0 else joined
         simple = simple[:: -(-len(simple) // MAX_POINTS)]
         if len(simple) >= 3:
@@ -133,8 +134,8 @@ def _label_images(
     return (label_image(annotation, regions, frame, values) for frame in range(annotation.n_frames))
 
 
-def _loops(part: BoolArray) -> list[list[Corner]]:
-    """Return closed walks along the pixel edges of a mask, the mask on the right hand."""
+def _loops(part: BoolArray) -> list[FloatArray]:
+    """Return the corners of closed walks along the pixel edges of a mask, the mask on the right hand."""
     padded = np.pad(part, 1)
     leave: dict[Corner, list[Corner]] = {}
     for (dy, dx), (start, end) in _EDGES.items():
@@ -142,15 +143,15 @@ def _loops(part: BoolArray) -> list[list[Corner]]:
         for y, x in zip((rows - 1).tolist(), (columns - 1).tolist(), strict=True):
             leave.setdefault((x + start[0], y + start[1]), []).append((x + end[0], y + end[1]))
     loops = []
-    while leave:
-        first = next(iter(leave))
-        loops.append(_walk(leave, first))
+    while leave:  # in reading order, so that each walk starts at a corner
+        loops.append(np.array(_walk(leave, next(iter(leave))), dtype=np.float64))
     return loops
 
 
 def _walk(leave: dict[Corner, list[Corner]], first: Corner) -> list[Corner]:
-    loop, at, heading = [first], first, (0, 0)
-    while True:
+    corners: list[Corner] = []
+    at, heading = first, (0, 0)
+    while not corners or at != first:
         ways = leave[at]
         # Turning right keeps to the same pixel, so that pixels touching at a corner stay apart.
         right = (at[0] - heading[1], at[1] + heading[0])
@@ -158,17 +159,11 @@ def _walk(leave: dict[Corner, list[Corner]], first: Corner) -> list[Corner]:
         ways.remove(after)
         if not ways:
             del leave[at]
-        heading, at = (after[0] - at[0], after[1] - at[1]), after
-        if at == first:
-            return loop
-        loop.append(at)
-
-
-def _straightened(loop: list[Corner]) -> FloatArray:
-    points = np.array(loop, dtype=np.float64)
-    before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
-    corner = before[:, 0] * after[:, 1] != before[:, 1] * after[:, 0]
-    return np.asarray(points[corner])
+        step = (after[0] - at[0], after[1] - at[1])
+        if step != heading:
+            corners.append(at)
+        heading, at = step, after
+    return corners
 
 
 def _joined(loops: list[FloatArray]) -> FloatArray:
@@ -319,11 +314,10 @@ def davis_palette() -> ByteArray:
 
     The bits of the index are spread over the high bits of the channels.
     """
-    palette = np.zeros((256, 3), dtype=np.uint8)
-    for index in range(256):
-        for bit in range(8):
-            palette[index, bit % 3] |= ((index >> bit) & 1) << (7 - bit // 3)
-    return palette
+    palette, index = np.zeros((256, 3), dtype=np.int64), np.arange(256)
+    for bit in range(8):
+        palette[:, bit % 3] |= ((index >> bit) & 1) << (7 - bit // 3)
+    return palette.astype(np.uint8)
 
 
 def _parse_images(

@@ -53,22 +53,7 @@ mimetypes.add_type("text/javascript", ".js")
 
 
 def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guard:
-    """Make the application.
-
-    Parameters
-    ----------
-    routes : Routes
-        The clips and what can be done with them.
-    hosts : iterable of str
-        Accepted Host headers, with port.
-    token : str
-        Wanted from every request when not empty.
-
-    Returns
-    -------
-    Guard
-        The guarded ASGI application.
-    """
+    """Make the guarded ASGI application; see `Guard` for hosts and token."""
     template = Template((_STATIC / "index.html").read_text(encoding="utf-8"), autoescape=True)
     # The browser fetches at once what it would find out about step by step.
     modules = [f'<link rel="modulepreload" href="/static/{file.name}">' for file in _STATIC.glob("*.js")]
@@ -97,15 +82,8 @@ async def _failed(_: Request, error: Exception) -> Response:
 class Guard:
     """ASGI middleware that refuses foreign hosts, foreign origins, missing tokens and large bodies.
 
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
-    hosts : iterable of str
-        Accepted values of the Host header, with port.
-    token : str
-        When not empty, every request must carry it: ``Authorization: Bearer TOKEN``, the cookie that
-        opening ``/?token=TOKEN`` sets, or that address itself.
+    `hosts` are accepted values of the Host header, with port. When `token` is not empty, every request must
+    carry it: ``Authorization: Bearer TOKEN``, the cookie that opening ``/?token=TOKEN`` sets, or be for it.
     """
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str], token: str = "") -> None:

@@ -58,13 +58,7 @@ class ClipSession:
         return [frame.name for frame in self.source.frames]
 
     def annotation(self) -> Annotation:
-        """Read the annotation file; an empty annotation when there is none yet.
-
-        Raises
-        ------
-        FileFormatError, InvalidValueError
-            When the file is damaged, or belongs to another clip.
-        """
+        """Read the annotation file, which must be of this clip; an empty annotation when there is none."""
         if not self.source.annotation.exists():
             return Annotation(self.source.name, self.image_size, len(self.source.frames))
         found = load_annotation(self.source.annotation)
@@ -109,13 +103,7 @@ class ClipSession:
         return {item.id: self._carried(item.key_frames) for item in annotation.objects}
 
     def summary(self) -> dict[str, Any]:
-        """Count how far the clip is, JSON-able; trajectories that no file holds are not computed for it.
-
-        Raises
-        ------
-        KT3DMoSegError
-            When a file is damaged, or of another clip.
-        """
+        """Count how far the clip is, JSON-able; trajectories that no file holds are not computed for it."""
         found = self._trajectories
         ready = found is not None
         if found is None and self.source.tracks is not None:
@@ -174,13 +162,7 @@ class ClipSession:
 
 
 class Summaries:
-    """The progress of all clips, counted in the background, and again only where a file has changed.
-
-    Parameters
-    ----------
-    sessions : mapping of str to ClipSession
-        The clips by name.
-    """
+    """The progress of all clips, counted in the background, and again only where a file has changed."""
 
     def __init__(self, sessions: Mapping[str, ClipSession]) -> None:
         self.sessions = sessions
@@ -191,12 +173,9 @@ class Summaries:
     def clips(self) -> list[dict[str, Any]]:
         """Return what is known of each clip by now; what is not yet is being counted.
 
-        Returns
-        -------
-        list of dict
-            ``name``, ``n_frames`` and ``counting``; for a counted clip ``revision``, ``annotator``,
-            ``objects``, ``motions`` as far as there is an annotation, ``trajectories`` as far as
-            there are any, ``counts`` where there is both; ``error`` when a file is damaged.
+        ``name``, ``n_frames`` and ``counting``; for a counted clip ``revision``, ``annotator``, ``objects``,
+        ``motions`` as far as there is an annotation, ``trajectories`` as far as there are any, ``counts``
+        where there is both; ``error`` when a file is damaged.
         """
         with self._lock:
             out = [self._summary(session) for session in self.sessions.values()]
