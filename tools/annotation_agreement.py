@@ -4,7 +4,7 @@
 
 labels every released trajectory with annotations/<clip>.json, matches our motions with the released
 ones, and prints Markdown: one line per clip, then per clip its motions and where the two differ. With
---other DIR, a second set of annotations takes the place of the released labels.
+--other DIR, a second set of annotations replaces the released labels.
 """
 
 from __future__ import annotations
@@ -163,13 +163,13 @@ def _where(c: Comparison, row: int) -> str:
     frame = int(seen[len(seen) // 2])
     x, y = c.clip.dense.xy[dense_row, frame]
     votes = c.ours.votes[dense_row]
-    told = ", ".join(
+    votes_of = ", ".join(
         f"{_candidate(name)} {votes[k]:.1f}" for k, name in enumerate(c.ours.candidates) if votes[k] > 0
     )
     reason = REASONS[c.ours.reason[dense_row]]
     return (
         f"row {row} (track {c.clip.dense.track_id[dense_row]}): frame {frame} at ({x:.0f}, {y:.0f}), "
-        f"seen {seen[0]}..{seen[-1]}, votes {told or 'none'} ({reason})"
+        f"seen {seen[0]}..{seen[-1]}, votes {votes_of or 'none'} ({reason})"
     )
 
 

@@ -83,9 +83,9 @@ def _render(arguments: argparse.Namespace) -> int:
 
 
 def _regions(annotation: Annotation, motion: ImageMotion, only: list[int] | None) -> list[Shown]:
-    told = propagate(annotation, motion)
+    regions = propagate(annotation, motion)
     items = [item for item in annotation.objects if not only or item.id in only]
-    return [[(item, told[item.id][frame]) for item in items] for frame in range(annotation.n_frames)]
+    return [[(item, regions[item.id][frame]) for item in items] for frame in range(annotation.n_frames)]
 
 
 def _motion(frames: list[ByteArray], tracks: Path | None) -> ImageMotion:

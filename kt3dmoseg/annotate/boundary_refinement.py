@@ -1,7 +1,7 @@
 """Trajectories along an outline: their motion decides which side they belong to.
 
 Optical flow is smooth over a few pixels, so a trajectory a little outside an outline often rides on
-the object, and one a little inside sometimes on what lies behind. Where the drawing cannot tell, the
+the object, and one a little inside sometimes on what lies behind. Where the drawing is not clear, the
 motion can.
 
 The rule. A trajectory that keeps within `halo` pixels of the outline of one region in most of its

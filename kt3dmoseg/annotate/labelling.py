@@ -58,7 +58,7 @@ class LabelledTracks:
     votes : (N, K) float64
         Weight of the votes per candidate.
     candidates : tuple of (0, motions..., "reject")
-        What the columns of `votes` stand for.
+        What the columns of `votes` are for.
     regions : mapping of int to list of Region
         The objects' regions in every frame that the votes were cast on.
     """

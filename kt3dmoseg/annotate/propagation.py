@@ -49,7 +49,7 @@ class Region:
     visibility : {"visible", "occluded", "outside"}
         That of the key frame that holds there.
     polygons : tuple of (P, 2) float64
-        The region in pixels; empty when outside, or occluded at an unknown place.
+        The region in pixels; empty when outside, or occluded somewhere unknown.
     key : bool
         Whether a person drew it in this very frame.
     """

@@ -115,9 +115,9 @@ def motions(annotation):
     return [label_image(annotation, regions, f, values).tolist() for f in range(annotation.n_frames)]
 
 
-def zipped(**entries):
+def zipped(**files):
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:
-        for name, content in entries.items():
+        for name, content in files.items():
             archive.writestr(name.replace("__", "/"), content)
     return out.getvalue()

@@ -1,4 +1,4 @@
-"""What `kt3dmoseg label` refuses, before it says anything."""
+"""What `kt3dmoseg label` refuses, before it prints anything."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def frames(tmp_path):
 
 def refused(arguments, capsys):
     assert main(["label", *map(str, arguments), "--no-browser"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
-    return told.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    return printed.err
 
 
 @pytest.mark.parametrize(
@@ -40,11 +40,11 @@ def refused(arguments, capsys):
         (["--flow", "dsi"], "unknown flow 'dsi'"),
     ],
 )
-def test_a_wrong_argument_is_all_that_is_told(arguments, words, frames, capsys):
+def test_a_wrong_argument_is_all_that_is_reported(arguments, words, frames, capsys):
     assert words in refused([frames, *arguments], capsys)
 
 
-def test_a_port_in_use_is_told_before_the_clips(frames, capsys):
+def test_a_port_in_use_is_reported_before_the_clips(frames, capsys):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert f"127.0.0.1:{port}: cannot listen" in refused([frames, "--port", port], capsys)
@@ -59,7 +59,9 @@ def test_a_port_in_use_is_told_before_the_clips(frames, capsys):
         ("clip.json", b"{", "clip.json: "),
     ],
 )
-def test_a_bad_file_of_the_only_clip_is_told_before_the_page(name, content, words, frames, tmp_path, capsys):
+def test_a_bad_file_of_the_only_clip_is_reported_before_the_page(
+    name, content, words, frames, tmp_path, capsys
+):
     path = (frames if name.endswith("png") else tmp_path) / name
     if isinstance(content, tuple):
         cv2.imwrite(str(path), np.zeros(content, np.uint8))

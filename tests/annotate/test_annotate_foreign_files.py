@@ -132,7 +132,7 @@ def test_cvat_gets_well_formed_xml_whatever_the_name():
 NAMES = [f"{k:06d}.png" for k in range(1, FRAMES + 1)]
 
 
-def test_labelme_files_lie_beside_their_frames():
+def test_labelme_files_are_named_as_their_frames():
     chosen = formats.load("labelme")
     content = chosen.dump(scene(), formats.regions(scene()), NAMES)
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -163,14 +163,14 @@ def test_masks_named_as_frames_belong_to_those(name):
     chosen = formats.load(name)
     content = chosen.dump(scene(), formats.regions(scene()))
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        entries = [archive.read(entry) for entry in sorted(archive.namelist())]
-    renamed = zipped(**dict(zip(NAMES, entries, strict=True)))
+        images = [archive.read(annotation) for annotation in sorted(archive.namelist())]
+    renamed = zipped(**dict(zip(NAMES, images, strict=True)))
     assert motions(chosen.parse(renamed, EMPTY, NAMES)) == motions(chosen.parse(content, EMPTY, NAMES))
 
 
 def test_coco_images_named_as_frames_are_those():
-    entry = {"image_id": 8, "category_id": 1, "segmentation": [[1, 1, 9, 1, 9, 9]]}
-    data = {"images": [{"id": 8, "file_name": "left/000004.png"}], "annotations": [entry]}
+    annotation = {"image_id": 8, "category_id": 1, "segmentation": [[1, 1, 9, 1, 9, 9]]}
+    data = {"images": [{"id": 8, "file_name": "left/000004.png"}], "annotations": [annotation]}
     (item,) = formats.load("coco").parse(json.dumps(data).encode(), EMPTY, NAMES).objects
     assert [k.frame for k in item.key_frames if k.visibility == "visible"] == [3]
 
@@ -182,13 +182,13 @@ def test_coco_opens_in_pycocotools(tmp_path):
     theirs = COCO(str(tmp_path / "x.json"))
     regions = formats.regions(scene())
     assert theirs.loadImgs([0])[0]["file_name"] == "000001.png"
-    entries = theirs.loadAnns(theirs.getAnnIds())
-    assert {e["track_id"] for e in entries} == {1, 3, 4}
-    for entry in entries:
-        region = regions[entry["track_id"]][entry["image_id"]]
-        mask = theirs.annToMask(entry)
+    annotations = theirs.loadAnns(theirs.getAnnIds())
+    assert {e["track_id"] for e in annotations} == {1, 3, 4}
+    for annotation in annotations:
+        region = regions[annotation["track_id"]][annotation["image_id"]]
+        mask = theirs.annToMask(annotation)
         assert (mask == mask_of(region.polygons, SIZE)).all()
-        assert entry["area"] == mask.sum()
+        assert annotation["area"] == mask.sum()
 
 
 def test_coco_polygons_fill_the_pixels_that_pycocotools_fills():

@@ -53,7 +53,7 @@ def test_pixels_keep_their_motion(name):
 @settings(max_examples=30, deadline=None)
 @given(annotations())
 def test_cvat_keeps_objects_key_frames_and_polygons(annotation):
-    # Its one limit: what is occluded at an unknown place is one hidden shape.
+    # Its one limit: what is occluded somewhere unknown is one hidden shape.
     assert cycle("cvat", annotation).objects == annotation.objects
 
 
@@ -88,7 +88,7 @@ def test_coco_keeps_the_pixels_of_every_object(annotation):
 @settings(max_examples=10, deadline=None)
 @given(annotation=annotations())
 def test_label_images_keep_the_motion_of_every_pixel(name, annotation):
-    # One kind: MOTS tells objects of two classes apart even when they share a motion.
+    # One kind: MOTS has objects of two classes apart even when they share a motion.
     alike = replace(annotation, objects=tuple(replace(o, kind="car") for o in annotation.objects))
     assert motions(cycle(name, alike)) == motions(alike)
 
@@ -261,10 +261,10 @@ def test_junk_is_refused(name, junk):
 @pytest.mark.parametrize("name", ALL)
 def test_truncated_files_are_refused_or_shorter(name):
     chosen = formats.load(name)
-    whole = chosen.dump(scene(), formats.regions(scene()))
+    full = chosen.dump(scene(), formats.regions(scene()))
     for share in (0.1, 0.5, 0.9):
         try:
-            found = chosen.parse(whole[: int(share * len(whole))], EMPTY)
+            found = chosen.parse(full[: int(share * len(full))], EMPTY)
         except KT3DMoSegError:
             continue
         assert name == "mots_txt"

@@ -60,8 +60,8 @@ def test_labels_do_not_depend_on_the_order_of_the_trajectories():
     rng = np.random.default_rng(1)
     tracks = straight(rng.uniform((0, 0), (200, 100), (300, 2)), (2, 0))
     order = rng.permutation(300)
-    told = annotation(thing(), thing(box(100, 10), 2, 2))
-    assert (label_tracks(tracks, told).label[order] == label_tracks(tracks.select(order), told).label).all()
+    drawn = annotation(thing(), thing(box(100, 10), 2, 2))
+    assert (label_tracks(tracks, drawn).label[order] == label_tracks(tracks.select(order), drawn).label).all()
 
 
 @pytest.mark.parametrize(("depth", "weight"), [(1.0, 0.5), (2.0, 1.0), (-1.0, 0.5), (-5.0, 1.0)])
@@ -93,8 +93,8 @@ def test_a_trajectory_that_is_never_visible_is_unseen():
 
 
 def test_two_motions_over_one_place_cast_no_vote_and_are_a_conflict():
-    told = annotation(thing(), thing(motion=2, id=2))
-    result = label_tracks_detailed(straight([(50, 50)]), told)
+    drawn = annotation(thing(), thing(motion=2, id=2))
+    result = label_tracks_detailed(straight([(50, 50)]), drawn)
     assert result.votes[0].tolist() == [0, 0, 0, 0]
     assert result.rows("conflict").tolist() == [0]
 
@@ -104,22 +104,22 @@ def test_two_objects_of_one_motion_may_overlap():
 
 
 def test_static_region_lies_in_front_of_a_moving_one():
-    told = annotation(thing(), thing(box(45, 40, 10), 0, 2))
-    assert label_tracks(straight([(50, 50), (57.5, 50)]), told).label.tolist() == [1, 2]
+    drawn = annotation(thing(), thing(box(45, 40, 10), 0, 2))
+    assert label_tracks(straight([(50, 50), (57.5, 50)]), drawn).label.tolist() == [1, 2]
 
 
 def test_rejected_region_lies_in_front_of_everything():
-    told = annotation(thing(), thing(box(45, 40, 10), "reject", 2))
-    result = label_tracks_detailed(straight([(50, 50)]), told)
+    drawn = annotation(thing(), thing(box(45, 40, 10), "reject", 2))
+    result = label_tracks_detailed(straight([(50, 50)]), drawn)
     assert result.labels.label.tolist() == [0]
     assert result.rows("rejected").tolist() == [0]
 
 
 def test_object_enters_and_leaves():
     keys = [KeyFrame(1, "outside"), KeyFrame(2, polygons=(box(40, 40),)), KeyFrame(4, "outside")]
-    told = annotation(thing(keys=keys))
+    drawn = annotation(thing(keys=keys))
     tracks = straight([(50, 50)])
-    assert label_tracks_detailed(tracks, told).votes[0].tolist() == [4, 2, 0]
+    assert label_tracks_detailed(tracks, drawn).votes[0].tolist() == [4, 2, 0]
 
 
 def test_occluded_frames_cast_no_vote_inside_the_hidden_region():

@@ -38,7 +38,7 @@ def test_every_annotation_survives_json_and_fits_the_schema(annotation):
     assert schema_accepts(data)
 
 
-def test_polygons_stand_on_one_line_each():
+def test_every_polygon_has_a_line_of_its_own():
     assert "      [[60.25, 8.0], [80.25, 8.0], [80.25, 24.0], [60.25, 24.0]],\n" in dumps(scene())
 
 

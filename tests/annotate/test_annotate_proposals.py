@@ -23,17 +23,17 @@ SIZE, FRAMES = (400, 200), 8
 def tracks(seed=0):
     """A camera that drives forward through points, and a close group of points that crosses to the right."""
     rng = np.random.default_rng(seed)
-    place = rng.uniform((-12, -4, 8), (12, 3, 40), (900, 3))
+    ground = rng.uniform((-12, -4, 8), (12, 3, 40), (900, 3))
     walker = rng.uniform((-2.5, -1, 12), (-0.5, 1, 12.5), (120, 3))
-    points = np.concatenate([place, walker])
+    points = np.concatenate([ground, walker])
     xy = np.empty((len(points), FRAMES, 2))
     for frame in range(FRAMES):
         at = points - (0, 0, 0.5 * frame)
-        at[len(place) :, 0] += 0.25 * frame
+        at[len(ground) :, 0] += 0.25 * frame
         xy[:, frame] = 250 * at[:, :2] / at[:, 2:] + (200, 100)
     xy += rng.normal(0, 0.05, xy.shape)
     visible = ((xy > 0) & (xy < np.array(SIZE) - 1)).all(axis=2)
-    moving = np.arange(len(points)) >= len(place)
+    moving = np.arange(len(points)) >= len(ground)
     return Trajectories(np.where(visible[..., None], xy, np.nan), visible, image_size=SIZE), moving
 
 
@@ -48,12 +48,12 @@ def test_residual_finds_what_moves_by_itself():
     found = proposals.propose("residual", asked)
     labels = label_tracks(trajectories, replace(asked.annotation, objects=(found[0],)))
     seen = trajectories.lengths > 3
-    told = labels.label[seen] == 2
-    assert told[moving[seen]].mean() > 0.9
-    assert told[~moving[seen]].mean() < 0.1
+    taken = labels.label[seen] == 2
+    assert taken[moving[seen]].mean() > 0.9
+    assert taken[~moving[seen]].mean() < 0.1
 
 
-def test_residual_finds_nothing_where_all_stands_still():
+def test_residual_finds_nothing_where_nothing_moves():
     trajectories, moving = tracks()
     assert proposals.propose("residual", request(trajectories.select(~moving))) == []
 

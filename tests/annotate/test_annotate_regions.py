@@ -37,11 +37,11 @@ def at(frame):
 
 
 def test_between_key_frames_the_region_follows_the_motion_not_a_line():
-    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(FRAMES - 1, polygons=(at(FRAMES - 1),)))
-    regions = propagate(told, TrackMotion(tracks()))[1]
+    drawn = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(FRAMES - 1, polygons=(at(FRAMES - 1),)))
+    regions = propagate(drawn, TrackMotion(tracks()))[1]
     for frame in range(FRAMES):
         assert np.abs(regions[frame].polygons[0] - SQUARE - path(frame)).max() < 1.0
-    line = propagate(told)[1][4].polygons[0]
+    line = propagate(drawn)[1][4].polygons[0]
     assert np.abs(line - SQUARE - path(4)).max() > 20
 
 
@@ -53,8 +53,8 @@ def test_before_the_first_and_after_the_last_key_frame():
 
 def test_key_frames_are_exact_whatever_moves():
     odd = ((1.5, 2.25), (30.125, 3.0), (7.0, 50.0))
-    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(5, polygons=(odd, at(1))))
-    regions = propagate(told, TrackMotion(tracks()))[1]
+    drawn = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(5, polygons=(odd, at(1))))
+    regions = propagate(drawn, TrackMotion(tracks()))[1]
     assert regions[5].key
     assert [tuple(map(tuple, p)) for p in regions[5].polygons] == [odd, at(1)]
 
@@ -63,26 +63,26 @@ def test_flow_carries_like_trajectories():
     def flow(i, j):
         return np.full((120, 150, 2), path(j) - path(i), np.float32)
 
-    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(FRAMES - 1, polygons=(at(FRAMES - 1),)))
-    regions = propagate(told, FlowMotion(flow))[1]
+    drawn = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(FRAMES - 1, polygons=(at(FRAMES - 1),)))
+    regions = propagate(drawn, FlowMotion(flow))[1]
     assert np.abs(regions[4].polygons[0] - SQUARE - path(4)).max() < 0.1
 
 
 def test_too_few_trajectories_fall_back_to_the_line():
     few = tracks(2).select(np.arange(2))
-    told = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(4, polygons=(at(4),)))
-    middle = propagate(told, TrackMotion(few))[1][2].polygons[0]
+    drawn = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(4, polygons=(at(4),)))
+    middle = propagate(drawn, TrackMotion(few))[1][2].polygons[0]
     assert np.allclose(middle, SQUARE + (path(0) + path(4)) / 2)
 
 
 def test_visibility_holds_until_the_next_key_frame():
-    told = annotation(
+    drawn = annotation(
         KeyFrame(1, "outside"),
         KeyFrame(2, polygons=(at(2),)),
         KeyFrame(5, "occluded"),
         KeyFrame(7, "outside"),
     )
-    regions = propagate(told)[1]
+    regions = propagate(drawn)[1]
     shown = [region.visibility for region in regions]
     assert shown == ["outside"] * 2 + ["visible"] * 3 + ["occluded"] * 2 + ["outside"] * 2
     assert [len(region.polygons) for region in regions] == [0, 0, 1, 1, 1, 0, 0, 0, 0]
@@ -102,7 +102,7 @@ def test_fit_needs_four():
     assert np.allclose(fit_similarity(np.zeros((4, 2)), np.ones((4, 2))), [[1, 0, 1], [0, 1, 1]])
 
 
-def test_outlines_drawn_anew_are_blended_by_shape():
+def test_outlines_drawn_again_are_blended_by_shape():
     finer = np.roll(resample(SQUARE, 12), 5, axis=0)[::-1] + np.array([10.0, 0.0])
     half = blend([SQUARE], [finer], 0.5)[0]
     assert abs(area(half)) == pytest.approx(400, rel=0.05)

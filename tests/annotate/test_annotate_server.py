@@ -126,12 +126,12 @@ def test_progress_computes_no_trajectories(clips, tmp_path):
 
 
 def test_clip(page):
-    told = page.get("/api/clips/two").json()
-    assert told["image_size"] == [320, 200]
-    assert told["n_frames"] == 3
-    assert told["annotation"]["revision"] == 0
-    assert told["formats"]["cvat"] == ".xml"
-    assert {"residual", "tracklets", "masks"} <= set(told["proposers"])
+    reply = page.get("/api/clips/two").json()
+    assert reply["image_size"] == [320, 200]
+    assert reply["n_frames"] == 3
+    assert reply["annotation"]["revision"] == 0
+    assert reply["formats"]["cvat"] == ".xml"
+    assert {"residual", "tracklets", "masks"} <= set(reply["proposers"])
 
 
 def test_frames(page, clips):
@@ -175,10 +175,10 @@ def test_tracks_are_computed_with_progress(clips, tmp_path):
 
     page = client(routes(clips, tmp_path, slow, tracks=False))
     page.get("/api/clips/two/tracks")
-    while (told := page.get("/api/clips/two/tracks")).json()["done"] < 1:
+    while (reply := page.get("/api/clips/two/tracks")).json()["done"] < 1:
         pass
-    assert told.status_code == 202
-    assert told.json() == {"done": 1, "total": 3, "error": ""}
+    assert reply.status_code == 202
+    assert reply.json() == {"done": 1, "total": 3, "error": ""}
     assert page.post("/api/clips/two/labels", json=drawn(page, "two")).status_code == 202
     go.set()
     assert wait(page, "two").headers["x-shape"] == "4,3"
@@ -284,7 +284,7 @@ def test_texts_that_no_file_can_hold_are_refused(page, name, tmp_path):
     assert not (tmp_path / "notes" / "one.json").exists()
 
 
-def test_a_damaged_annotation_file_is_told_and_kept(page, tmp_path):
+def test_a_damaged_annotation_file_is_reported_and_kept(page, tmp_path):
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "one.json").write_text("{ not json")
     assert "one.json" in page.get("/api/clips/one").json()["error"]
@@ -294,7 +294,7 @@ def test_a_damaged_annotation_file_is_told_and_kept(page, tmp_path):
     assert (tmp_path / "notes" / "one.json").read_text() == "{ not json"
 
 
-def test_an_unwritable_folder_is_told(page, tmp_path):
+def test_an_unwritable_folder_is_reported(page, tmp_path):
     (tmp_path / "notes").write_text("a file where the folder should be")
     answer = save(page, drawn(page), 0)
     assert answer.status_code == 500
@@ -303,10 +303,10 @@ def test_an_unwritable_folder_is_told(page, tmp_path):
 
 def test_labels_and_regions(page, clips):
     wait(page)
-    told = page.post("/api/clips/one/labels", json=drawn(page)).json()
-    assert len(told["label"]) == 400
-    assert told["counts"]["motions"].keys() <= {"0", "1", "2"}
-    assert told["counts"]["motions"]["2"] > 20
+    reply = page.post("/api/clips/one/labels", json=drawn(page)).json()
+    assert len(reply["label"]) == 400
+    assert reply["counts"]["motions"].keys() <= {"0", "1", "2"}
+    assert reply["counts"]["motions"]["2"] > 20
     last = page.post("/api/clips/one/regions", json=drawn(page)).json()["regions"]["1"][5]
     assert last["key"] is False
     assert np.allclose(last["polygons"][0], np.array(BOX) + np.array([20.0, 0.0]), atol=0.5)
@@ -318,8 +318,8 @@ def test_labels_are_those_of_label_tracks(page, clips):
     doc = drawn(page)
     for shift in (0.0, 30.0, 0.0):
         doc["objects"][0]["key_frames"][0]["polygons"] = [[[x + shift, y] for x, y in BOX]]
-        told = page.post("/api/clips/one/labels", json=doc).json()["label"]
-        assert told == label_tracks(load(clips / "tracks" / "one.npz").dense, from_json(doc)).label.tolist()
+        reply = page.post("/api/clips/one/labels", json=doc).json()["label"]
+        assert reply == label_tracks(load(clips / "tracks" / "one.npz").dense, from_json(doc)).label.tolist()
 
 
 def test_residual_proposals_accept_nothing_by_themselves(page, tmp_path):
@@ -361,12 +361,12 @@ def test_compare(clips, tmp_path):
     session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
     session.add_object("half", 0, [[(60, 70), (100, 70), (100, 130), (60, 130)]], motion=4)
     session.save(tmp_path / "other" / "one.json")
-    told = page.post("/api/clips/one/compare", json=doc).json()
-    assert 0 < told["different"] < 100
-    assert 0.5 < told["kappa"] < 1
-    assert told["agreement"] == pytest.approx(1 - told["different"] / 400)
-    assert {d["mine"] for d in told["differences"]} >= {"box"}
-    assert told["differences"][0].keys() == {"row", "frame", "xy", "mine", "theirs"}
+    reply = page.post("/api/clips/one/compare", json=doc).json()
+    assert 0 < reply["different"] < 100
+    assert 0.5 < reply["kappa"] < 1
+    assert reply["agreement"] == pytest.approx(1 - reply["different"] / 400)
+    assert {d["mine"] for d in reply["differences"]} >= {"box"}
+    assert reply["differences"][0].keys() == {"row", "frame", "xy", "mine", "theirs"}
 
 
 def test_compare_needs_another_annotator(page):

@@ -166,11 +166,11 @@ def test_kill_9_never_breaks_the_file(tmp_path, moment):
     path = tmp_path / "one.json"
     command = [sys.executable, "-c", SAVER, str(path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
-    told = [process.stdout.readline() for _ in range(3)]
+    printed = [process.stdout.readline() for _ in range(3)]
     time.sleep(moment)
     process.kill()
-    told += process.communicate()[0].splitlines()
-    last = max(int(line) for line in told if line.strip())
+    printed += process.communicate()[0].splitlines()
+    last = max(int(line) for line in printed if line.strip())
     found = load_annotation(path)
     assert found.revision in (last, last + 1)
     session = AnnotationSession(found)

@@ -49,24 +49,24 @@ FLAGS = {
 }
 
 
-def pose(place, class_id, occlusion=0):
-    x, y, yaw = place
+def pose(position, class_id, occlusion=0):
+    x, y, yaw = position
     fields = {"tx": x, "ty": y, "tz": -1.5, "rx": 0, "ry": 0, "rz": yaw, "state": 2, "occlusion": occlusion}
     lines = "".join(f"\t\t\t\t<{name}>{value}</{name}>\n" for name, value in (fields | FLAGS).items())
     return f"\t\t\t<item{class_id}>\n{lines}\t\t\t</item>\n"
 
 
-def tracklet(kind, size, first, places, occlusions=None, *, leads=False):
+def tracklet(kind, size, first, positions, occlusions=None, *, leads=False):
     """One object; the first of a file carries the class ids."""
     length, width, height = size
     ids = [f' class_id="{k}" tracking_level="0" version="{v}"' for k, v in ((1, 1), (2, 0), (3, 2))]
     item, poses, entry = ids if leads else ("", "", "")
-    hidden = occlusions or [0] * len(places)
-    rows = "".join(pose(place, "" if k else entry, hidden[k]) for k, place in enumerate(places))
+    hidden = occlusions or [0] * len(positions)
+    rows = "".join(pose(position, "" if k else entry, hidden[k]) for k, position in enumerate(positions))
     return (
         f"\t<item{item}>\n\t\t<objectType>{kind}</objectType>\n\t\t<h>{height}</h>\n\t\t<w>{width}</w>\n"
         f"\t\t<l>{length}</l>\n\t\t<first_frame>{first}</first_frame>\n\t\t<poses{poses}>\n"
-        f"\t\t\t<count>{len(places)}</count>\n\t\t\t<item_version>2</item_version>\n{rows}\t\t</poses>\n"
+        f"\t\t\t<count>{len(positions)}</count>\n\t\t\t<item_version>2</item_version>\n{rows}\t\t</poses>\n"
         "\t\t<finished>1</finished>\n\t</item>\n"
     )
 

@@ -5,7 +5,7 @@ of the object as attributes, so that several tracks are put together again. Read
 that starts later than frame 0 is outside before.
 
 Kept: all objects, key frames and visibilities, polygons to 1/100 pixel. Not kept: marks; the number of
-polygons of an object that is occluded at an unknown place.
+polygons of an object that is occluded somewhere unknown.
 """
 
 from __future__ import annotations

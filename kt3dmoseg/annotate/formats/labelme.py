@@ -2,7 +2,7 @@
 
 Kept: each object's polygons in every frame to 1/100 pixel, whether it is occluded, its id, name, kind and
 motion. Not kept: which frames are key frames (every frame becomes one), occluded objects without a
-place, notes, marks. An object without a shape in a frame is outside there. Reading, shapes with the same
+position, notes, marks. An object without a shape in a frame is outside there. Reading, shapes with the same
 ``group_id``, or without one the same label, are one object.
 """
 

@@ -82,7 +82,7 @@ def _against_flow(x1: FloatArray, x2: FloatArray, fundamental: FloatArray) -> Bo
 
 
 def _grouped(tracks: Trajectories, moving: BoolArray) -> IntArray:
-    """Labels (N,): 1 for what stands still, 2, 3, ... for groups of near trajectories that move alike."""
+    """Labels (N,): 1 for what does not move, 2, 3, ... for groups of near trajectories that move alike."""
     label = np.ones(len(tracks), dtype=np.int64)
     rows = np.flatnonzero(moving)
     label[rows] = 0

@@ -54,11 +54,11 @@ def _drive(request: Request, root: Path) -> tuple[RawDrive, tuple[int, ...]]:
         date, drive, camera = found[0].group("date", "drive", "camera")
         numbers = tuple(int(match.group("number")) for match in found)
         return RawDrive(root, date, int(drive), int(camera)), numbers
-    entry = catalog.load().get(request.clip)
-    if entry is None:
+    listed = catalog.load().get(request.clip)
+    if listed is None:
         raise InvalidValueError("tracklets", expected="a clip of the catalog", found=request.clip)
-    listed = RawDrive(root, entry.drive.date, entry.drive.number, entry.camera)
-    return listed, entry.numbers or _numbers(request.frames, listed)
+    raw = RawDrive(root, listed.drive.date, listed.drive.number, listed.camera)
+    return raw, listed.numbers or _numbers(request.frames, raw)
 
 
 def _numbers(frames: tuple[Path, ...], drive: RawDrive) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from kt3dmoseg.annotate import (
 from kt3dmoseg.types import Trajectories
 
 FRAMES = 6
-DRIFT = np.array([3.0, 0.0])  # of the object, pixels per frame; the background stands still
+DRIFT = np.array([3.0, 0.0])  # of the object, pixels per frame; the background is still
 
 
 def square(frame: int) -> list[tuple[float, float]]:
@@ -44,7 +44,7 @@ def scene():
     return tracks(starts, moving), moving
 
 
-def test_motion_decides_beside_the_outline(scene):
+def test_motion_decides_along_the_outline(scene):
     trajectories, moving = scene
     labels = label_tracks(trajectories, annotation())
     assert labels.label.tolist() == np.where(moving, 2, 1).tolist()
