@@ -23,7 +23,7 @@ from cyclopts import Group, Parameter
 from cyclopts.config import Dict
 
 from kt3dmoseg import __version__
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.options import presets
 from kt3dmoseg.registry import unknown_name
 
@@ -42,13 +42,6 @@ def _positive(_: type, tokens: Sequence[cyclopts.Token]) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise ValueError(f"expected a whole number >= 1, found {text!r}")
     return int(text)
-
-
-def exclusive(arguments: cyclopts.ArgumentCollection) -> None:
-    """Refuse several options of a group that offers alternatives."""
-    given = [argument.tokens[0].keyword or argument.name for argument in arguments if argument.tokens]
-    if len(given) > 1:
-        raise ValueError(f"argument {given[1]}: not allowed with argument {given[0]}")
 
 
 Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
@@ -99,16 +92,14 @@ def flags(*classes: type[Any]) -> Callable[[Command], Command]:
 
     The command gets in its ``**keywords`` those that were given, as they were written: the public function
     that it calls converts and checks them. A field that is a parameter of the command itself is left out.
+    Where a class names its `everyday` options, ``--help`` lists no others; ``--help-all`` does.
     """
 
     def decorate(command: Command) -> Command:
         signature = inspect.signature(command)
         own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
-        added = {flag.name: flag for cls in classes for flag in _flags(cls)}
-        for parameter in own:
-            added.pop(parameter.name, None)
-        changed = signature.replace(parameters=[*own, *added.values()])
-        command.__signature__ = changed  # type: ignore[attr-defined]
+        added = [flag for cls in classes for flag in _flags(cls) if flag.name not in signature.parameters]
+        command.__signature__ = signature.replace(parameters=own + added)  # type: ignore[attr-defined]
         return command
 
     return decorate
@@ -118,6 +109,7 @@ def _flags(cls: type[Any]) -> Iterator[inspect.Parameter]:
     title = (inspect.getdoc(cls) or cls.__name__).partition("\n")[0].rstrip(".")
     groups = {rare: Group.create_ordered(title + _RARE * rare) for rare in (False, True)}
     hints = typing.get_type_hints(cls)
+    everyday = getattr(cls, "everyday", hints)
 
     def flag(name: str, default: object, hint: object, **settings: Any) -> inspect.Parameter:  # noqa: ANN401
         annotation = Annotated[hint, Parameter(**settings)]  # type: ignore[valid-type]
@@ -136,7 +128,7 @@ def _flags(cls: type[Any]) -> Iterator[inspect.Parameter]:
             kind,
             help=about["help"],
             metavar=metavar,
-            group=groups[about["rare"]],
+            group=groups[spec.name not in everyday],
             show_default=_shown if isinstance(spec.default, tuple) else None,
         )
 
@@ -153,11 +145,9 @@ class _Help:
     def __call__(self, console: object, options: object, panel: Any) -> None:  # noqa: ANN401
         """Print one group of options or commands."""
         if panel.title.endswith(_RARE) and not self.everything:
-            print(f"\n{panel.title}: {len(panel.entries)} more, with --help-all")
+            print(f"\n{len(panel.entries)} more options, rarely changed: --help-all")
         elif panel.entries:
-            print(f"\n{panel.title}:")
-            for entry in panel.entries:
-                print(self._row(entry))
+            print("", f"{panel.title}:", *map(_row, panel.entries), sep="\n")
 
     def render_usage(self, console: object, options: object, usage: object) -> None:
         """Print how a command is called."""
@@ -167,26 +157,26 @@ class _Help:
         """Print what a command does."""
         print(f"\n{description.primary_renderable.plain.rstrip()}")
 
-    @staticmethod
-    def _row(entry: Any) -> str:  # noqa: ANN401
-        names = [entry.positional_label] if entry.positional_label else []
-        names += [name for name in entry.shorts + entry.names if name not in _FORMER]
-        labels = ", ".join(names)
-        if entry.choices:
-            labels += " {" + ",".join(entry.choices) + "}"
-        elif entry.metavar and not entry.positional_label:
-            labels += f" {entry.metavar.replace('STR', names[-1].strip('-').upper())}"
-        text = entry.description.primary_renderable.plain.rstrip(".") if entry.description else ""
-        text = text[:1].upper() + text[1:]
-        if entry.default not in (None, '""', "None", "()"):
-            text += f" (default: {entry.default})"
-        width = shutil.get_terminal_size().columns - 2
-        lines = textwrap.wrap(
-            text, max(width - _LABELS, 30), break_on_hyphens=False, break_long_words=False
-        ) or [""]
-        first = f"  {labels:<{_LABELS - 4}}  {lines[0]}" if len(labels) <= _LABELS - 4 else f"  {labels}"
-        rest = lines[1:] if len(labels) <= _LABELS - 4 else lines
-        return "\n".join([first.rstrip(), *(" " * _LABELS + line for line in rest)])
+
+def _row(entry: Any) -> str:  # noqa: ANN401
+    names = [entry.positional_label] if entry.positional_label else []
+    names += [name for name in entry.shorts + entry.names if name not in _FORMER]
+    labels = ", ".join(names)
+    if entry.choices:
+        labels += " {" + ",".join(entry.choices) + "}"
+    elif entry.metavar and not entry.positional_label:
+        labels += " " + entry.metavar.replace("STR", names[-1].strip("-").upper())
+    text = entry.description.primary_renderable.plain.rstrip(".")
+    text = text[:1].upper() + text[1:]
+    if entry.default not in (None, '""', "None", "()"):
+        text += f" (default: {entry.default})"
+    width, indent = shutil.get_terminal_size().columns - 2, " " * _LABELS
+    wrap = textwrap.TextWrapper(max(width, 60), initial_indent=indent, subsequent_indent=indent)
+    wrap.break_on_hyphens = wrap.break_long_words = False
+    body = wrap.fill(text)
+    return (
+        f"  {labels:<{_LABELS - 2}}{body[_LABELS:]}" if len(labels) < _LABELS - 3 else f"  {labels}\n{body}"
+    )
 
 
 _HELP = _Help()
@@ -231,13 +221,13 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
 
 def _run(app: cyclopts.App, words: list[str]) -> int:
     words, file = _without_config(words)
-    app.config = [] if file is None else [Dict(_tables(app, file), source=file)]
+    app.config = [Dict(_tables(app, file), source=file)] if file else []
     _HELP.everything = "--help-all" in words
     words = ["--help" if word == "--help-all" else word for word in words]
     asks_help = not words or "--help" in words or "-h" in words
     chain, apps, rest = app.parse_commands(words)
     if apps[-1].default_command is None:
-        commands = [name for name in apps[-1] if not name.startswith("-")]
+        commands = _commands(apps[-1])
         if rest:
             raise unknown_name("command", rest[0], commands)
         if chain:
@@ -252,43 +242,42 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
     return (code or 0) if words else _USAGE
 
 
-def _without_config(words: list[str]) -> tuple[list[str], str | None]:
+def _without_config(words: list[str]) -> tuple[list[str], str]:
     """Take ``--config FILE`` out of a command line, wherever it is."""
     for number, word in enumerate(words):
-        if word == "--":
-            break
-        if word == "--config":
-            if number + 1 == len(words):
+        flag, equals, file = word.partition("=")
+        if flag == "--config":
+            rest = words[number + 1 :]
+            if not equals and not rest:
                 raise InvalidValueError("--config", expected="a TOML file", found="none")
-            return [*words[:number], *words[number + 2 :]], words[number + 1]
-        if word.startswith("--config="):
-            return [*words[:number], *words[number + 1 :]], word.partition("=")[2]
-    return words, None
+            return words[:number] + (rest if equals else rest[1:]), file if equals else rest[0]
+    return words, ""
 
 
 def _tables(app: cyclopts.App, file: str) -> dict[str, Any]:
-    """Read a configuration file, one table per command; names of options are checked when they are used."""
+    """Read a configuration file, one table per command; cyclopts checks the names of its options."""
     import tomllib
 
     try:
         tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
-    except (ValueError, UnicodeError) as error:
+    except ValueError as error:
         raise FileFormatError(file, expected="TOML", found=str(error)) from None
-    except OSError as error:
-        raise InputFileError(file, found=error.strerror or str(error)) from None
     _check_tables(app, tables, file)
     return tables
 
 
 def _check_tables(app: cyclopts.App, tables: dict[str, Any], where: str) -> None:
-    commands = [name for name in app if not name.startswith("-")]
     for name, table in tables.items():
-        if name not in commands:
-            raise unknown_name("command", name, commands, where=where)
+        if name not in _commands(app):
+            raise unknown_name("command", name, _commands(app), where=where)
         if not isinstance(table, dict):
             raise FileFormatError(f"{where}: {name}", expected=f"a table [{name}]", found=repr(table))
         if app[name].default_command is None:
             _check_tables(app[name], table, f"{where}: {name}")
+
+
+def _commands(app: cyclopts.App) -> list[str]:
+    return [name for name in app if not name.startswith("-")]
 
 
 def _mistake(error: cyclopts.CycloptsError) -> str:
@@ -297,56 +286,40 @@ def _mistake(error: cyclopts.CycloptsError) -> str:
         return _unknown_option(error)
     if isinstance(error, cyclopts.UnusedCliTokensError):
         return f"unexpected argument {(error.unused_tokens or ['?'])[0]!r}"
-    if isinstance(error, cyclopts.MissingArgumentError):
-        return _missing(error)
+    if isinstance(error, cyclopts.MissingArgumentError) and error.argument is not None:
+        if error.keyword:
+            return f"argument {error.keyword}: expected a value"
+        names = sorted(error.argument.names, key=len) or [error.argument.name]
+        return f"the following arguments are required: {'/'.join(names)}"
     if isinstance(error, cyclopts.CoercionError) and error.token is not None:
-        token = error.token
-        where = f"argument {token.keyword}" if token.source == "cli" else f"{token.source}: {token.keyword}"
-        if error.msg is not None:
-            return f"{where}: {error.msg}"
-        nouns: dict[Any, str] = {int: "a whole number", float: "a number"}
+        source, flag = error.token.source, error.token.keyword
+        where = f"argument {flag}" if source == "cli" else f"{source}: {flag}"
         choices = ", ".join(map(str, typing.get_args(error.target_type)))
-        expected = f"one of {choices}" if choices else nouns.get(error.target_type, "another value")
-        return f"{where}: expected {expected}, found {token.value!r}"
+        noun = {int: "a whole number", float: "a number"}.get(error.target_type, f"one of {choices}")  # type: ignore[arg-type]
+        return f"{where}: " + str(error.msg or f"expected {noun}, found {error.token.value!r}")
     return " ".join(str(error).split())
 
 
 def _unknown_option(error: cyclopts.UnknownOptionError) -> str:
-    token = error.token
-    names = [
-        n
-        for argument in error.argument_collection
-        for n in argument.names
-        if n[0] == "-" and n not in _FORMER
-    ]
-    if token.source == "cli":
-        name = (token.keyword or token.value).partition("=")[0]
-        return str(unknown_name("option", name, ["--help", *names]))
-    known = [name.removeprefix("--") for name in names if name.startswith("--")]
-    return str(unknown_name("option", (token.keyword or "").strip("[]"), known, where=token.source))
-
-
-def _missing(error: cyclopts.MissingArgumentError) -> str:
-    argument = error.argument
-    assert argument is not None
-    if error.keyword:
-        return f"argument {error.keyword}: expected a value"
-    unknown = [word for word in error.unused_tokens or () if word.startswith("--")]
-    also = f"; unknown option {unknown[0]!r}" if unknown else ""
-    names = sorted(argument.names, key=len) or [argument.name]
-    return f"the following arguments are required: {'/'.join(names)}{also}"
+    name = error.token.keyword or error.token.value
+    known = [name for argument in error.argument_collection for name in argument.names]
+    known = [name for name in known if name.startswith("-") and name not in _FORMER]
+    if error.token.source == "cli":
+        return str(unknown_name("option", name.partition("=")[0], ["--help", *known]))
+    keys = [name.removeprefix("--") for name in known if name.startswith("--")]
+    return str(unknown_name("option", name.strip("[]"), keys, where=error.token.source))
 
 
 @contextmanager
-def progress_bar(unit: str, *, quiet: bool = False, **settings: Any) -> Iterator[Callable[..., None]]:  # noqa: ANN401
+def progress_bar(unit: str, *, quiet: bool = False) -> Iterator[Callable[..., None]]:
     """Give a function (done, total, text="") that draws progress on standard error, on a terminal only."""
     from tqdm import tqdm
 
-    with tqdm(unit=unit, disable=True if quiet else None, smoothing=0, **settings) as bar:
+    with tqdm(unit=unit, disable=True if quiet else None, smoothing=0) as bar:
 
         def show(done: int, total: int | None, text: str = "") -> None:
             bar.total = total
-            bar.set_postfix_str(text, refresh=False)
             bar.update(done - bar.n)
+            bar.set_postfix_str(text)
 
         yield show

@@ -29,7 +29,6 @@ def option(
     low: float | None = None,
     high: float | None = None,
     metavar: str = "",
-    rare: bool = False,
 ) -> Any:  # noqa: ANN401  # a dataclass field, which must pose as the field's own type
     """Make a dataclass field with its help text and inclusive bounds.
 
@@ -43,10 +42,8 @@ def option(
         Inclusive bounds of a number, checked by `check` and `from_mapping`.
     metavar : str
         Name of the value in ``--help``, for instance FOLDER.
-    rare : bool
-        Listed under ``--help-all`` only.
     """
-    about = {"help": help, "low": low, "high": high, "metavar": metavar, "rare": rare}
+    about = {"help": help, "low": low, "high": high, "metavar": metavar}
     return dataclasses.field(default=default, metadata=about)
 
 

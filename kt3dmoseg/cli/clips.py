@@ -26,6 +26,8 @@ _FAILED = 2
 _PICTURE = ".png"
 _SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
 
+FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the optical flow; may be repeated.")]
+FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields here.")]
 _ONE_CLIP = Group.create_ordered("One clip of a KITTI raw root")
 _Chosen = Parameter(group=_ONE_CLIP)
 
@@ -66,8 +68,8 @@ def build(
     masks: Folder | None = None,
     workers: Whole | None = None,
     force: Flag = False,
-    parameter: Parameters = (),
-    cache: Folder | None = None,
+    parameter: FlowParameters = (),
+    cache: FlowCache = None,
     date: Annotated[str | None, _Chosen] = None,
     drive: Annotated[str | None, _Chosen] = None,
     camera: Annotated[Whole, _Chosen] = 0,
@@ -97,10 +99,6 @@ def build(
         Processes (default: one per core).
     force : bool
         Build also what is up to date.
-    parameter : strings
-        Parameter of the optical flow; may be repeated.
-    cache : path
-        Keep and reuse flow fields here.
     date : str
         Day of the drive, 2011_09_26.
     drive : str
@@ -122,22 +120,15 @@ def build(
         sources = find_sources(frames)
     if annotations is None and _ANNOTATIONS.is_dir():
         annotations = _ANNOTATIONS
-    with (
-        progress_bar("clip", desc="clips", position=0) as clips,
-        progress_bar("frame", desc="frames", position=1, leave=False) as tracked,
-    ):
-        frames_done = clips_done = 0
+    with progress_bar("clip") as show_progress:
+        done: list[Outcome] = []
 
-        def progress(clip: str, done: int, total: int | None) -> None:
-            nonlocal frames_done
-            frames_done += 1
-            tracked(frames_done, None, f"{clip} {done}/{total or '?'}")
+        def progress(clip: str, frame: int, frames: int | None) -> None:
+            show_progress(len(done), len(sources), f"{clip} {frame}/{frames or '?'}")
 
         def report(outcome: Outcome) -> None:
-            nonlocal clips_done
-            clips_done += 1
+            done.append(outcome)
             _print_outcome(outcome)
-            clips(clips_done, len(sources))
 
         outcomes = build_dataset(
             sources,
@@ -188,8 +179,8 @@ def track(
     *,
     output: Annotated[File, Parameter(alias="-o")],
     flow: Name = "dis",
-    parameter: Parameters = (),
-    cache: Folder | None = None,
+    parameter: FlowParameters = (),
+    cache: FlowCache = None,
     colour: Literal["refuse", "luma"] = "refuse",
     **options: Any,  # noqa: ANN401
 ) -> None:
@@ -205,10 +196,6 @@ def track(
         File to write.
     flow : str
         Optical flow.
-    parameter : strings
-        Parameter of the optical flow; may be repeated.
-    cache : path
-        Keep and reuse flow fields here.
     colour : {"refuse", "luma"}
         Colour frames: refuse them, or take their luma.
     """
@@ -291,8 +278,14 @@ def label(
     for name, path in named.items():
         if path is not None and not path.exists():
             raise InputFileError(f"--{name} {path}", found="no such file or folder")
+
+    def tracker(pictures: Iterator[ByteArray], progress: Callable[[int, int | None], None]) -> Trajectories:
+        from kt3dmoseg.tracking import track
+
+        return track(pictures, flow=flow, progress=progress)
+
     clips = find_clips(clip, annotations=annotations, frames=frames, tracks=tracks)
-    sessions = {name: ClipSession(source, _tracker(flow)) for name, source in clips.items()}
+    sessions = {name: ClipSession(source, tracker) for name, source in clips.items()}
     if len(sessions) == 1:
         _read_once(*sessions.values())
     routes = Routes(sessions, annotator=annotator, other=compare, masks=masks, kitti=kitti)
@@ -320,15 +313,6 @@ def _read_once(session: ClipSession) -> None:
     if session.source.tracks is not None:
         load(session.source.tracks)
     session.annotation()
-
-
-def _tracker(flow: str) -> Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]:
-    def work(frames: Iterator[ByteArray], progress: Callable[[int, int | None], None]) -> Trajectories:
-        from kt3dmoseg.tracking import track
-
-        return track(frames, flow=flow, progress=progress)
-
-    return work
 
 
 @flags(DrawOptions)

@@ -10,14 +10,18 @@ from cyclopts import Parameter
 from kt3dmoseg.app import File, Folder, Url, flags, group
 from kt3dmoseg.kitti.options import LocateOptions, PullOptions
 
+Catalogs = Annotated[
+    tuple[File, ...], Parameter(name="--catalog", help="A catalog of your own; may be repeated.")
+]
+Clips = Annotated[str, Parameter(help="Clips of the catalog (default: all).")]
 Root = Annotated[Folder, Parameter(alias=("-o", "--root"))]
 
 
 @flags(PullOptions)
 def pull(
-    *clips: str,
+    *clips: Clips,
     output: Root = Path("kitti_raw"),
-    catalog: tuple[File, ...] = (),
+    catalogs: Catalogs = (),
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Fetch the clips' frames from KITTI raw, and nothing else.
@@ -28,23 +32,19 @@ def pull(
 
     Parameters
     ----------
-    clips : str
-        Clips of the catalog (default: all).
     output : path
         KITTI raw root to fill.
-    catalog : paths
-        A catalog of your own; may be repeated.
     """
     from kt3dmoseg.kitti import pull
 
-    pull(output, clips, catalogs=catalog, **options)
+    pull(output, clips, catalogs=catalogs, **options)
 
 
 @flags(LocateOptions)
 def locate(
-    *clips: str,
+    *clips: Clips,
     output: Root = Path("kitti_raw"),
-    catalog: tuple[File, ...] = (),
+    catalogs: Catalogs = (),
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Find the frame numbers of clips in their KITTI drives.
@@ -56,16 +56,12 @@ def locate(
 
     Parameters
     ----------
-    clips : str
-        Clips of the catalog (default: all).
     output : path
         Folder of located.toml.
-    catalog : paths
-        A catalog of your own; may be repeated.
     """
     from kt3dmoseg.kitti import locate
 
-    locate(output, clips, catalogs=catalog, **options)
+    locate(output, clips, catalogs=catalogs, **options)
 
 
 def fetch_release(*names: str, output: Root = Path("data"), mirror: Url | None = None) -> None:
@@ -91,18 +87,12 @@ catalog = group("catalog", "List the clips, check catalogs, add clips of your ow
 
 
 @catalog.command(name="list")
-def list_clips(*, catalog: tuple[File, ...] = ()) -> None:
-    """Print the clips.
-
-    Parameters
-    ----------
-    catalog : paths
-        A catalog of your own; may be repeated.
-    """
+def list_clips(*, catalogs: Catalogs = ()) -> None:
+    """Print the clips."""
     from kt3dmoseg.catalog import load
     from kt3dmoseg.catalog.models import format_numbers
 
-    entries = load(*catalog)
+    entries = load(*catalogs)
     width = max(map(len, entries), default=4)
     print(f"{'clip':<{width}}  {'drive':<21}  camera  frames  size       numbers")
     for entry in entries.values():

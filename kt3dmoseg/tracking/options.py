@@ -85,6 +85,7 @@ class TrackOptions:
     )
     min_length: int = option(5, "shorter trajectories are dropped, in frames (measured)", low=1)
 
+    everyday: ClassVar[tuple[str, ...]] = ("spacing", "consistency", "anchor", "appearance", "min_length")
     presets: ClassVar[Mapping[str, Preset]] = MappingProxyType(
         {"reliable": Preset("fewer tracks, which do not drift, instead of ones like the release's", RELIABLE)}
     )

@@ -15,11 +15,15 @@ from kt3dmoseg.app import Either, Flag, Folder, Name, Parameters, Positive, prog
 _PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 _STDOUT = "-"
 
-Seeds = Annotated[Positive, Parameter(name="--seeds")]
 Names = Annotated[
     tuple[str, ...], Parameter(metavar="NAME", consume_multiple=(1, None), show_default=" ".join)
 ]
-Address = Annotated[str, Parameter(metavar="ADDRESS")]
+Settings = Annotated[
+    Parameters, Parameter(help="Parameter of a method, see 'mseg methods NAME'; may be repeated.")
+]
+Workers = Annotated[Positive, Parameter(help="Processes.")]
+Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
+Quiet = Annotated[Flag, Parameter(help="No progress bar.")]
 
 
 def methods(method: str = "", /, *, json: Flag = False) -> None:
@@ -70,10 +74,10 @@ def run(
     method: Name = "subset",
     n_motions: Positive | None = None,
     seeds: Positive = 1,
-    parameter: Parameters = (),
-    workers: Positive = 1,
-    dask: Address = "",
-    quiet: Flag = False,
+    parameter: Settings = (),
+    workers: Workers = 1,
+    dask: Dask = "",
+    quiet: Quiet = False,
 ) -> None:
     """Segment every clip of a folder with a method and write the predictions.
 
@@ -92,14 +96,6 @@ def run(
         Number of motions of every clip (default: that of its labels).
     seeds : int
         Number of seeds; several go to seed-0/, seed-1/, ...
-    parameter : strings
-        Parameter of a method, see 'mseg methods NAME'; may be repeated.
-    workers : int
-        Processes.
-    dask : str
-        Dask scheduler, tcp://host:8786.
-    quiet : bool
-        No progress bar.
     """
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
@@ -137,10 +133,10 @@ def benchmark(
     json: Annotated[list[str] | None, Parameter(metavar="FILE", consume_multiple=(0, 1))] = None,
     markdown: Flag = False,
     seeds: Positive = 1,
-    parameter: Parameters = (),
-    workers: Positive = 1,
-    dask: Address = "",
-    quiet: Flag = False,
+    parameter: Settings = (),
+    workers: Workers = 1,
+    dask: Dask = "",
+    quiet: Quiet = False,
 ) -> None:
     """Run methods on every clip of a benchmark that is found, over several seeds, and print the tables.
 
@@ -167,14 +163,6 @@ def benchmark(
         Print Markdown tables.
     seeds : int
         Number of seeds, counted from 0.
-    parameter : strings
-        Parameter of a method, see 'mseg methods NAME'; may be repeated.
-    workers : int
-        Processes.
-    dask : str
-        Dask scheduler, tcp://host:8786.
-    quiet : bool
-        No progress bar.
     """
     from kt3dmoseg.files import write_text
     from kt3dmoseg.options import parse_assignments

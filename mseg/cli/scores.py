@@ -9,16 +9,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
+from cyclopts.validators import MutuallyExclusive
 
-from kt3dmoseg.app import Either, File, Flag, Folder, Name, Positive, exclusive, group
+from kt3dmoseg.app import Either, File, Flag, Folder, Name, Positive, group
 
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import Comparison
     from mseg.evaluation.scoring import ScoreTable
 
+Submission = Annotated[Path, Parameter(help="Folder or zip.")]
+Data = Annotated[Path, Parameter(help="Folder of clips with labels (or one clip file).")]
 Benchmark = Annotated[Name, Parameter(help="Protocol (default: the submission's own).")]
-_FORM = Group.create_ordered("Form", validator=exclusive)
+_FORM = Group.create_ordered("Form", validator=MutuallyExclusive())  # type: ignore[no-untyped-call]
 Form = Annotated[Flag, Parameter(group=_FORM)]
+Json = Annotated[Flag, Parameter(help="Print the result as JSON.")]
+Force = Annotated[Flag, Parameter(help="Count clips with problems as fully wrong.")]
 
 
 def example_submission(
@@ -75,19 +80,10 @@ def example_submission(
     print(f"score it: mseg score {wrote.folder} {wrote.data}", file=sys.stderr)
 
 
-def validate(submission: Either, data: Either, /, *, benchmark: Benchmark = "", json: Flag = False) -> int:
+def validate(submission: Submission, data: Data, /, *, benchmark: Benchmark = "", json: Json = False) -> int:
     """Say everything that is wrong with a submission, numbered, with how to fix it.
 
     Exit code 0: valid; 1: invalid; 2: wrong usage (no such file, no data).
-
-    Parameters
-    ----------
-    submission : path
-        Folder or zip.
-    data : path
-        Folder of clips with labels (or one clip file).
-    json : bool
-        Print the result as JSON.
     """
     from mseg.evaluation.validation import validate_submission
 
@@ -97,12 +93,12 @@ def validate(submission: Either, data: Either, /, *, benchmark: Benchmark = "", 
 
 
 def score(
-    submission: Either,
-    data: Either,
+    submission: Submission,
+    data: Data,
     /,
     *,
     benchmark: Benchmark = "",
-    force: Flag = False,
+    force: Force = False,
     output: Annotated[File | None, Parameter(alias="-o")] = None,
     json: Form = False,
     csv: Form = False,
@@ -116,12 +112,6 @@ def score(
 
     Parameters
     ----------
-    submission : path
-        Folder or zip.
-    data : path
-        Folder of clips with labels (or one clip file).
-    force : bool
-        Count clips with problems as fully wrong.
     output : path
         Write there instead of printing.
     json : bool
@@ -175,7 +165,7 @@ def compare(
     data: Annotated[Folder | None, Parameter(metavar="DATA")] = None,
     benchmark: Benchmark = "",
     metric: str = "error",
-    json: Flag = False,
+    json: Json = False,
 ) -> None:
     """Compare submissions: a table and paired statistics, and whether the seed noise explains it.
 
@@ -190,8 +180,6 @@ def compare(
         Folder of clips with labels; by default the last argument.
     metric : str
         What to compare by.
-    json : bool
-        Print the result as JSON.
     """
     from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.comparison import compare, comparison_table, pairs_table
@@ -239,14 +227,14 @@ def _as_dict(found: Comparison) -> dict[str, object]:
 
 
 def report(
-    submission: Either,
-    data: Either,
+    submission: Submission,
+    data: Data,
     /,
     frames: Folder | None = None,
     *,
     benchmark: Benchmark = "",
     output: Annotated[File, Parameter(alias="-o")] = Path("report.html"),
-    force: Flag = False,
+    force: Force = False,
     latex: Flag = False,
     markdown: Flag = False,
     csv: Flag = False,
@@ -259,16 +247,10 @@ def report(
 
     Parameters
     ----------
-    submission : path
-        Folder or zip.
-    data : path
-        Folder of clips with labels (or one clip file).
     frames : path
         Pictures, one sub-folder per clip.
     output : path
         The page.
-    force : bool
-        Count clips with problems as fully wrong.
     latex : bool
         Also write the table as .tex.
     markdown : bool

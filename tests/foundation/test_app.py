@@ -36,7 +36,8 @@ class Example:
     limit: int | None = option(None, "limit")
     scales: tuple[float, ...] = option((1.0,), "scales")
     where: str = option("", "where they are", metavar="FOLDER")
-    depth: int = option(4, "how deep", rare=True)
+    depth: int = option(4, "how deep")
+    everyday: ClassVar = ("alpha", "rounds", "kind", "fast", "limit", "scales", "where")
     presets: ClassVar = {"steep": Preset("high powers", {"alpha": 30.0, "rounds": 9})}
 
 
@@ -177,7 +178,7 @@ def test_help_names_the_values_and_the_defaults(call, monkeypatch):
     assert "NAME Whom to greet" in text
     assert "--alpha X Power, 50 % of it (default: 8.0)" in text
     assert "--kind {a,b} Kind (default: a)" in text
-    assert "--where FOLDER Where they are What" in text  # no default
+    assert "--where FOLDER Where they are 1 more" in text  # no default
     assert "--scales SCALES Scales (default: 1.0)" in text
     assert "--steep High powers: alpha 30.0, rounds 9" in text
     assert "--fast, --no-fast Speed (default: False)" in text
@@ -187,7 +188,7 @@ def test_help_names_the_values_and_the_defaults(call, monkeypatch):
 def test_rare_options_have_a_help_of_their_own(call):
     _, short, _ = call("hello", "--help")
     assert "--depth" not in short
-    assert "1 more, with --help-all" in short
+    assert "1 more options, rarely changed: --help-all" in short
     _, full, _ = call("hello", "--help-all")
     assert "--depth N" in full
     assert call("hello", "-h")[1] == short
@@ -232,9 +233,7 @@ def test_a_mistake_in_the_file_is_one_line(text, message, call, config):
 
 
 def test_a_file_that_is_not_there_is_one_line(call):
-    assert (
-        call("hello", "x", "--config", "none.toml")[2] == "prog: none.toml: found No such file or directory\n"
-    )
+    assert call("hello", "x", "--config", "none.toml")[2] == "prog: none.toml: No such file or directory\n"
     assert call("hello", "x", "--config")[2] == "prog: --config: expected a TOML file, found none\n"
 
 
