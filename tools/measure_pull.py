@@ -24,7 +24,7 @@ from kitti_server import FaultyServer, serving  # noqa: E402
 
 from kt3dmoseg import catalog  # noqa: E402
 from kt3dmoseg.catalog.models import Drive, Entry  # noqa: E402
-from kt3dmoseg.kitti import drive_archives, raw  # noqa: E402
+from kt3dmoseg.kitti.drive_archives import frames_of  # noqa: E402
 
 # Bytes of KITTI's _sync.zip files; a frame with its laser scan and four pictures takes 4.19 MB.
 SIZES = {
@@ -46,7 +46,7 @@ def assemble(drive: Drive, clips: list[Entry], data: Path, rng: random.Random, p
     contents = drives.drive_files(
         {k: frames.get(k, b"") for k in range(n)}, n, drive=drive.number, date=drive.date
     )
-    folder = raw.drive_folder(drive)
+    folder = drive.folder
     for sensor in ("image_01", "image_02", "image_03", "velodyne_points"):
         contents |= {f"{folder}/{sensor}/data/{k:010d}.bin": b"" for k in range(n)}
     with zipfile.ZipFile(path, "w") as archive:
@@ -74,9 +74,9 @@ def serve_all(server: FaultyServer, data: Path, folder: Path) -> None:
     for drive, clips in by_drive.items():
         path = folder / "drive.zip"
         assemble(drive, clips, data, rng, path)
-        server.files[drive_archives.frames_of(drive).zip] = path.read_bytes()
+        server.files[frames_of(drive).zip] = path.read_bytes()
         calibration = drives.write_zip(folder / "calib.zip", drives.calibration_files(drive.date))
-        server.files[drive_archives.calibration_of(drive.date).zip] = calibration.read_bytes()
+        server.files[f"{drive.date}_calib.zip"] = calibration.read_bytes()
 
 
 def faults(rate: float, seed: int) -> Callable[[int, str], str]:

@@ -52,6 +52,11 @@ class Drive:
         """For instance ``"2011_09_26_drive_0005"``."""
         return f"{self.date}_drive_{self.number:04d}"
 
+    @property
+    def folder(self) -> str:
+        """Folder of the synchronised, rectified drive below a KITTI raw root."""
+        return f"{self.date}/{self.name}_sync"
+
 
 @dataclass(frozen=True)
 class Fingerprint:

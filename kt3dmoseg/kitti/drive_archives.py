@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TypeAlias
 
@@ -23,7 +23,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import hold_folder, read_bytes, write_bytes
 from kt3dmoseg.kitti.http import AbsentError, Client, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import Origin
-from kt3dmoseg.kitti.raw import CALIBRATION_FILES, LOCATED, TRACKLET_FILE, drive_folder
+from kt3dmoseg.kitti.raw import LOCATED
 from kt3dmoseg.kitti.remote_zip import LARGEST_FILE, Archive
 
 _COMMENT = """Frame numbers of clips in KITTI raw drives, and how they were proved.
@@ -31,47 +31,29 @@ Written by kt3dmoseg locate and pull; pull starts from them."""
 
 
 class Packed(NamedTuple):
-    """What KITTI packs into one zip: its address below raw_data, and where the files lie when extracted.
+    """What KITTI packs into one zip: its address below raw_data, and where the files are when extracted.
 
-    `probe` is a file that is there when it was extracted. Only frames are large, so that a server without
-    ranges may send all of the others without asking. Tracklets are missing for many drives.
+    `probe` is a file that is there when it was extracted. Only frames, without one, are large: of the others
+    a server without ranges may send all without asking. Tracklets are missing for many drives.
     """
 
     zip: str
-    folder: PurePosixPath
+    folder: str
     probe: str = ""
     optional: bool = False
 
 
 def frames_of(drive: Drive) -> Packed:
     """Frames, timestamps and GPS/IMU packets of a drive."""
-    return Packed(f"{drive.name}/{drive.name}_sync.zip", drive_folder(drive))
-
-
-def tracklets_of(drive: Drive) -> Packed:
-    """Tracklets of a drive."""
-    return Packed(
-        f"{drive.name}/{drive.name}_tracklets.zip", drive_folder(drive), TRACKLET_FILE, optional=True
-    )
-
-
-def calibration_of(date: str) -> Packed:
-    """Calibration of a day."""
-    return Packed(f"{date}_calib.zip", PurePosixPath(date), CALIBRATION_FILES[0])
+    return Packed(f"{drive.name}/{drive.name}_sync.zip", drive.folder)
 
 
 @dataclass(frozen=True)
 class TargetFolder:
     """The folder that `pull` fills, and what it keeps: licence, directories of zips, checksums of files.
 
-    All of it is in ``.kt3dmoseg/`` inside the folder, but for ``located.toml``, which people read.
-
-    Parameters
-    ----------
-    root : path
-        The folder, a KITTI raw root.
-    frozen : bool
-        Whether nothing may be written, for a dry run.
+    All of it is in ``.kt3dmoseg/`` inside the folder, but for ``located.toml``, which people read. Nothing is
+    written when it is `frozen`, for a dry run.
     """
 
     root: Path
@@ -91,15 +73,6 @@ class TargetFolder:
         waiting = f"another process works in {self.root}; waiting for it"
         return nullcontext() if self.frozen else hold_folder(self.state, lambda: print(waiting, flush=True))
 
-    @property
-    def licence_accepted(self) -> bool:
-        """Whether the licence was acknowledged for this folder."""
-        return (self.state / "licence.txt").is_file()
-
-    def accept_licence(self, text: str) -> None:
-        """Keep that the licence was acknowledged."""
-        self._write(self.state / "licence.txt", text.encode())
-
     def directory(self, url: str) -> tuple[int, bytes] | None:
         """Return the size and the end of an archive, as kept; the size is 0 when the server has none."""
         path = self.path_for(url, "directory")
@@ -114,7 +87,7 @@ class TargetFolder:
 
     def keep_directory(self, url: str, size: int, tail: bytes) -> None:
         """Keep the end of an archive, or that it does not exist."""
-        self._write(
+        self.write(
             self.path_for(url, "directory"), json.dumps([size, zlib.crc32(tail)]).encode() + b"\n" + tail
         )
 
@@ -143,7 +116,7 @@ class TargetFolder:
         if brought.items() - present.items():
             merged = sorted((present | dict(brought)).items())
             text = json.dumps({name: [size, f"{crc:08x}"] for name, (size, crc) in merged}, indent=0)
-            self._write(self.state / "files.json", f"{text}\n".encode())
+            self.write(self.state / "files.json", f"{text}\n".encode())
 
     def located(self) -> dict[str, Entry]:
         """Clips whose frame numbers were proved, by name."""
@@ -166,7 +139,8 @@ class TargetFolder:
         for path in [*self.state.glob("*.zip"), *self.state.glob("*.part")]:
             path.unlink()
 
-    def _write(self, path: Path, content: bytes) -> None:
+    def write(self, path: Path, content: bytes) -> None:
+        """Write a file, but not in a dry run."""
         if not self.frozen:
             write_bytes(path, content)
 
@@ -177,28 +151,15 @@ class Extracted:
     local = True
     fresh = False
 
-    def __init__(self, root: Path, folder: PurePosixPath) -> None:
+    def __init__(self, root: Path, folder: str) -> None:
         self.name, self._root = str(root / folder), root
-        self._sums: dict[str, int] = {}
-        self._sizes = {
-            path.relative_to(root).as_posix(): path.stat().st_size
-            for path in (Path(at, file) for at, _, files in os.walk(root / folder) for file in files)
-            if not path.name.startswith(".")
+        files = (Path(at, file) for at, _, names in os.walk(root / folder) for file in names)
+        self.sizes = {
+            file.relative_to(root).as_posix(): file.stat().st_size
+            for file in files
+            if not file.name.startswith(".")
         }
-
-    def names(self) -> Iterable[str]:
-        """Names of all files, relative to the KITTI raw root."""
-        return self._sizes.keys()
-
-    def size(self, name: str) -> int:
-        """Size of a file in bytes."""
-        return self._sizes[name]
-
-    def crc32(self, name: str) -> int:
-        """CRC32 of a file, read once."""
-        if name not in self._sums:
-            self._sums[name] = crc32_file(self._root / name)
-        return self._sums[name]
+        self.crc32 = cache(lambda name: crc32_file(root / name))
 
     def cost(self, names: Iterable[str]) -> int:
         """Nothing: the files are here."""
@@ -206,8 +167,7 @@ class Extracted:
 
     def read(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
         """Yield names and contents."""
-        for name in names:
-            yield name, read_bytes(self._root / name, LARGEST_FILE)
+        return ((name, read_bytes(self._root / name, LARGEST_FILE)) for name in names)
 
 
 FileSet: TypeAlias = Archive | Extracted
@@ -233,7 +193,8 @@ class Server:
         try:
             known = None if again else self._target.directory(url)
             size, tail = known or (self._client.size(url), b"")
-            archive = Archive(url, size, partial(self._client.chunks, url, size=size), tail) if size else None
+            self._client.sizes[url] = size
+            archive = Archive(url, size, partial(self._client.chunks, url), tail) if size else None
         except RangesIgnoredError:
             if not packed.probe or self._target.frozen:
                 raise
@@ -275,7 +236,7 @@ class LocalFolder:
         if (self._path / packed.folder / packed.probe).exists():
             return Extracted(self._path, packed.folder)
         name = PurePosixPath(packed.zip).name
-        paths = [self._path / packed.zip, self._path / name, self._path / packed.folder.parts[0] / name]
+        paths = [self._path / packed.zip, self._path / name, self._path / packed.folder[:10] / name]
         if self._path.is_file():
             paths = [self._path] if self._path.name == name else []
         for path in paths:
@@ -283,7 +244,7 @@ class LocalFolder:
                 return Archive.on_disk(path)
         if packed.optional:
             return None
-        raise AbsentError(f"{self._path}: neither {packed.folder / packed.probe} nor {name} is there")
+        raise AbsentError(f"{self._path}: neither {Path(packed.folder, packed.probe)} nor {name} is there")
 
     def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:
         """Nothing is downloaded."""

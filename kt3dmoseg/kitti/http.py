@@ -31,7 +31,6 @@ _LONGEST_WAIT = 30.0
 _REDIRECTS = 5
 _ABSENT = (403, 404, 410)  # S3 answers 403 for an object that is absent from a bucket it may not list
 _TRANSIENT = (408, 425, 429, 500, 502, 503, 504)
-_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
 
 
 class AbsentError(InputFileError):
@@ -67,12 +66,16 @@ class Traffic:
 
 
 class Client:
-    """A session with one or more servers.
+    """A session with one or more servers; it knows the sizes of files, and notices when one changes.
 
     Raises
     ------
     MissingDependencyError
         When `requests` is not installed (the extra ``pull``).
+    AbsentError, RangesIgnoredError, ChangedError
+        From each method, when there is no such file, the server ignores ranges, the file has another size.
+    InputFileError
+        From each method, when the server cannot be reached or refuses.
     """
 
     def __init__(self, network: Network | None = None, traffic: Traffic | None = None) -> None:
@@ -82,8 +85,8 @@ class Client:
             raise MissingDependencyError(
                 "downloads need the package requests", fix="pip install 'kt3dmoseg[pull]'"
             ) from None
-        self.network = network or Network()
-        self.traffic = traffic or Traffic()
+        self._network, self._traffic = network or Network(), traffic or Traffic()
+        self.sizes: dict[str, int] = {}
         self._session = requests.Session()
         self._session.max_redirects = _REDIRECTS
         self._session.headers["Accept-Encoding"] = "identity"  # so that lengths are those of the file
@@ -93,38 +96,15 @@ class Client:
         self._session.close()
 
     def size(self, url: str) -> int:
-        """Ask for the size of a file, with a request for its first byte.
-
-        Raises
-        ------
-        AbsentError
-            When there is no such file.
-        RangesIgnoredError
-            When the server ignores ranges.
-        InputFileError
-            When the server cannot be reached or refuses.
-        """
-        sizes: list[int] = []
-        for _ in self._persist(url, lambda got: self._attempt(url, 0, 1, sizes.append)):
+        """Ask for the size of a file, with a request for its first byte."""
+        self.sizes.pop(url, None)
+        for _ in self.chunks(url, 0, 1):
             pass
-        return sizes[-1]
+        return self.sizes[url]
 
-    def chunks(self, url: str, start: int, length: int, size: int) -> Iterator[bytes]:
-        """Yield exactly `length` bytes of a file from `start` on, resuming as often as needed.
-
-        Raises
-        ------
-        ChangedError
-            When the file has not `size` bytes any more.
-        AbsentError, RangesIgnoredError, InputFileError
-            As for `size`.
-        """
-
-        def check(found: int) -> None:
-            if found != size:
-                raise ChangedError(url, expected=f"{size} bytes as before", found=f"{found}")
-
-        return self._persist(url, lambda got: self._attempt(url, start + got, length - got, check))
+    def chunks(self, url: str, start: int, length: int) -> Iterator[bytes]:
+        """Yield exactly `length` bytes of a file from `start` on, resuming as often as needed."""
+        return self._persist(url, lambda got: self._attempt(url, start + got, length - got))
 
     def download(self, url: str, path: Path, progress: Callable[[int], object] = lambda count: None) -> None:
         """Append to `path` what it lacks of a file, from a server that may ignore ranges.
@@ -144,10 +124,7 @@ class Client:
             raise InputFileError(f"{path}: cannot write", found=error.strerror or str(error)) from None
 
     def _persist(self, url: str, attempt: Callable[[int], Iterator[bytes]]) -> Iterator[bytes]:
-        """Yield the bytes of one attempt after the other, each given the number of bytes that came before.
-
-        The wait between them doubles; too many in a row that bring nothing end it.
-        """
+        """Yield the bytes of one attempt after the other; wait between them, and end it after too many."""
         got = failures = 0
         while True:
             before = got
@@ -158,31 +135,22 @@ class Client:
                 return
             except _TransientError as error:
                 failures = 1 if got - before >= _PROGRESS else failures + 1
-                if failures > self.network.retries:
+                if failures > self._network.retries:
                     what = f"gave up after {failures} attempts, the last: {error}"
                     fix = "what was fetched is kept; run it again later"
                     raise InputFileError(f"{url}: {what}", fix=fix) from None
-                pause = min(max(error.pause, self.network.wait * 2 ** (failures - 1)), _LONGEST_WAIT)
+                pause = min(max(error.pause, self._network.wait * 2 ** (failures - 1)), _LONGEST_WAIT)
                 if failures > 1 and sys.stderr.isatty():
                     tqdm.write(f"{url}: {error}; again in {pause:.0f} s", file=sys.stderr)
                 time.sleep(pause)
 
-    def _attempt(
-        self,
-        url: str,
-        start: int,
-        length: int | None = None,
-        check: Callable[[int], object] = lambda size: None,
-    ) -> Iterator[bytes]:
-        """Yield a range, whose file's size passes `check`; without a length all the rest.
-
-        Only the rest is also taken from a server that sends everything, whose beginning is passed over.
-        """
+    def _attempt(self, url: str, start: int, length: int | None = None) -> Iterator[bytes]:
+        """Yield a range; without a length all the rest, also from a server that sends everything."""
         stop = "" if length is None else start + length - 1
         with closing(self._get(url, f"bytes={start}-{stop}")) as response:
             if response.status_code == 416 and length is None:
                 return  # there is nothing after what we have; the reader will notice if it is not the file
-            at, end = _extent(response, url, start, length, check)
+            at, end = self._extent(response, url, start, length)
             for block in self._body(response):
                 yield block[max(0, start - at) : None if end is None else max(0, end - at)]
                 at += len(block)
@@ -191,13 +159,39 @@ class Client:
         if end is not None and at < end:
             raise _TransientError(f"the connection ended {end - at} bytes early")
 
+    def _extent(
+        self, response: requests.Response, url: str, start: int, length: int | None
+    ) -> tuple[int, int | None]:
+        """Return where the body begins and where what is wanted of it ends, if the server states it."""
+        status, total = response.status_code, response.headers.get("Content-Length", "")
+        if status == 200:
+            size = int(total) if total.isdigit() else None
+            if length is None:
+                return 0, size
+            raise RangesIgnoredError(url, size)
+        if status == 416:
+            raise ChangedError(url, expected=f"at least {start + (length or 0)} bytes", found="fewer")
+        if status != 206:
+            raise InputFileError(f"{url}: the server answered {status} {response.reason}")
+        text = response.headers.get("Content-Range", "")
+        match = re.fullmatch(r"bytes (\d+)-\d+/(\d+)", text.strip())
+        if not match:
+            raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=repr(text))
+        first, size = int(match[1]), int(match[2])
+        known = self.sizes.setdefault(url, size)
+        if known != size:
+            raise ChangedError(url, expected=f"{known} bytes as before", found=f"{size}")
+        if first != start:
+            raise _TransientError(f"a range from byte {first} instead of {start}")
+        return first, size if length is None else start + length
+
     def _get(self, url: str, range_: str) -> requests.Response:
         from requests import exceptions
 
-        self.traffic.requests += 1
+        self._traffic.requests += 1
         try:
             response = self._session.get(
-                url, headers={"Range": range_}, stream=True, timeout=self.network.timeout
+                url, headers={"Range": range_}, stream=True, timeout=self._network.timeout
             )
         except exceptions.TooManyRedirects:
             raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
@@ -219,7 +213,7 @@ class Client:
         """Yield what arrives as it arrives; give up on a trickle that the socket's timeout cannot see."""
         from urllib3.exceptions import HTTPError
 
-        since, arrived, window = time.monotonic(), 0, self.network.timeout
+        since, arrived, window = time.monotonic(), 0, self._network.timeout
         while True:
             try:
                 block: bytes = response.raw.read1(_BLOCK, decode_content=False)
@@ -227,38 +221,13 @@ class Client:
                 raise _TransientError(_reason(error)) from None
             if not block:
                 return
-            self.traffic.bytes += len(block)
+            self._traffic.bytes += len(block)
             arrived += len(block)
             yield block
             if (now := time.monotonic()) - since > window:
-                if arrived < self.network.slowest * (now - since):
+                if arrived < self._network.slowest * (now - since):
                     raise _TransientError(f"{arrived / (now - since):.0f} bytes per second")
                 since, arrived = now, 0
-
-
-def _extent(
-    response: requests.Response, url: str, start: int, length: int | None, check: Callable[[int], object]
-) -> tuple[int, int | None]:
-    """Return where the body begins and where what is wanted of it ends, if the server states it."""
-    status, length_header = response.status_code, response.headers.get("Content-Length", "")
-    if status == 200:
-        size = int(length_header) if length_header.isdigit() else None
-        if length is None:
-            return 0, size
-        raise RangesIgnoredError(url, size)
-    if status == 416:
-        raise ChangedError(url, expected=f"at least {start + (length or 0)} bytes", found="fewer")
-    if status != 206:
-        raise InputFileError(f"{url}: the server answered {status} {response.reason}")
-    text = response.headers.get("Content-Range", "")
-    match = _RANGE.fullmatch(text.strip())
-    if not match:
-        raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=repr(text))
-    first, size = int(match[1]), int(match[3])
-    check(size)
-    if first != start:
-        raise _TransientError(f"a range from byte {first} instead of {start}")
-    return first, size if length is None else start + length
 
 
 def _reason(error: BaseException) -> str:

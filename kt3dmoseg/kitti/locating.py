@@ -25,7 +25,7 @@ from kt3dmoseg.files import read_bytes, sha256_arrays
 from kt3dmoseg.kitti.drive_archives import FileSet, LocalFolder, Server, TargetFolder, frames_of, open_origin
 from kt3dmoseg.kitti.http import AbsentError, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import LocateOptions
-from kt3dmoseg.kitti.raw import LARGEST_FILE, camera_folder, decode_frame, frame_number
+from kt3dmoseg.kitti.raw import LARGEST_FILE, decode_frame, frame_number
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.types import ByteArray, Float32Array, FloatArray
 
@@ -143,8 +143,8 @@ def locate_clip(clip: Entry, files: FileSet, options: LocateOptions | None = Non
 
 def drive_frames(files: FileSet, drive: Drive, camera: int) -> dict[int, str]:
     """Names of the frames of one camera that are there, by number, ascending."""
-    folder = f"{camera_folder(drive, camera) / 'data'}/"
-    names = [name for name in files.names() if name.startswith(folder)]
+    folder = f"{drive.folder}/image_{camera:02d}/data/"
+    names = [name for name in files.sizes if name.startswith(folder)]
     numbered = {frame_number(name[len(folder) :]): name for name in names}
     return {n: numbered[n] for n in sorted(k for k in numbered if k is not None)}
 
@@ -209,7 +209,7 @@ def _by_checksum(clip: Entry, files: FileSet, camera: int) -> Verdict:
     frames = drive_frames(files, clip.drive, camera)
     by_size: dict[int, list[int]] = {}
     for number, name in frames.items():
-        by_size.setdefault(files.size(name), []).append(number)
+        by_size.setdefault(files.sizes[name], []).append(number)
     equal = [
         [n for n in by_size.get(mark.bytes, ()) if files.crc32(frames[n]) == mark.crc32]
         for mark in clip.frames

@@ -22,23 +22,14 @@ from kt3dmoseg.kitti.drive_archives import (
     Packed,
     Server,
     TargetFolder,
-    calibration_of,
     crc32_file,
     frames_of,
     open_origin,
-    tracklets_of,
 )
 from kt3dmoseg.kitti.http import AbsentError, ChangedError, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.locating import CORRELATION, PIXELS, NotLocatedError, drive_frames, locate_clip
 from kt3dmoseg.kitti.options import LocateOptions, PullOptions
-from kt3dmoseg.kitti.raw import (
-    CALIBRATION_FILES,
-    TIMESTAMP_FILE,
-    TRACKLET_FILE,
-    camera_folder,
-    drive_folder,
-    packet_file,
-)
+from kt3dmoseg.kitti.raw import CALIBRATION_FILES, TRACKLET_FILE
 from kt3dmoseg.kitti.remote_zip import DamagedError
 from kt3dmoseg.options import from_mapping
 
@@ -134,7 +125,7 @@ def pull(
     _show_licence(target, chosen, say)
     traffic = traffic or Traffic()
     with target.lock(), open_origin(chosen, target, traffic) as origin:
-        run = _Pull(target, origin, _parts(wanted, chosen))
+        run = _Pull(target, origin, wanted, chosen)
         for line in run.plan():
             say(line)
         if not chosen.dry_run:
@@ -165,7 +156,7 @@ class _Part:
     files: FileSet | None = None
     url: str = ""
     size: int | None = None
-    names: list[str] = field(default_factory=list)
+    sums: dict[str, tuple[int, int]] = field(default_factory=dict)  # size and CRC32 of the wanted files
     located: list[Entry] = field(default_factory=list)
     lacking: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
@@ -173,29 +164,28 @@ class _Part:
 
     def choose(self, files: FileSet, target: TargetFolder) -> None:
         """Choose what is wanted of the files and compare it with the disk."""
-        self.files, self.names, self.located, self.lacking, self.failures = files, [], [], [], []
-        known = target.located() if self.clips else {}
+        self.files, self.located, self.failures = files, [], []
+        known, names = target.located() if self.clips else {}, list(self.fixed)
+        frames: list[str] = []
         for clip in self.clips:
             try:
                 located = _with_numbers(clip, files, known.get(clip.name))
-                self.names += _frames_of(located, files)
-                self.located.append(located)
+                frames += _frames_of(located, files)
             except (NotLocatedError, FileFormatError) as error:
                 self.failures.append(error)
-        there = set(files.names())
-        for name in [*self.fixed, *_companions(self.located)]:
-            (self.names if name in there else self.lacking).append(name)
-        self.names = list(dict.fromkeys(self.names))
-        sums = self.sums()
-        self.missing = [name for name in self.names if not _holds(target.root / name, sums[name])]
+                continue
+            self.located.append(located)
+            camera, packets = f"{clip.drive.folder}/image_{located.camera:02d}", f"{clip.drive.folder}/oxts"
+            names += [f"{camera}/timestamps.txt", f"{packets}/timestamps.txt"]
+            names += [f"{packets}/data/{n:010d}.txt" for n in located.numbers or ()]
+        self.lacking = [name for name in dict.fromkeys(names) if name not in files.sizes]
+        wanted = dict.fromkeys(frames + [name for name in names if name in files.sizes])
+        self.sums = {name: (files.sizes[name], files.crc32(name)) for name in wanted}
+        self.missing = [name for name, sums in self.sums.items() if not _holds(target.root / name, sums)]
 
-    def sums(self) -> dict[str, tuple[int, int]]:
-        """Size and CRC32 of the wanted files."""
-        return {n: (self.files.size(n), self.files.crc32(n)) for n in self.names} if self.files else {}
-
-    def bytes(self, names: list[str]) -> int:
+    def bytes(self, names: Iterable[str]) -> int:
         """Size of some of the files."""
-        return sum(self.files.size(name) for name in names) if self.files else 0
+        return sum(self.sums[name][0] for name in names)
 
     @property
     def cost(self) -> int:
@@ -209,36 +199,32 @@ class _Part:
             return f"the server sends whole files only: all of the zip, {known}"
         if self.files is None:
             return "none"
-        here = len(self.names) - len(self.missing)
-        ready = f", {here} already here" if here else ""
-        return f"{len(self.names)} files, {_megabytes(self.bytes(self.names))}{ready}"
-
-
-def _parts(clips: Iterable[Entry], options: PullOptions) -> list[_Part]:
-    """Return the parts of these clips, one drive after the other, not yet opened."""
-    by_drive: dict[Drive, list[Entry]] = {}
-    for clip in clips:
-        by_drive.setdefault(clip.drive, []).append(clip)
-    parts = []
-    for drive, mine in sorted(by_drive.items()):
-        title = f"{drive.name}: {', '.join(clip.name for clip in mine)}"
-        parts.append(_Part(title, frames_of(drive), clips=mine))
-        if options.tracklets:
-            file = str(drive_folder(drive) / TRACKLET_FILE)
-            parts.append(_Part(f"{drive.name}: tracklets", tracklets_of(drive), fixed=[file]))
-    for date in sorted({drive.date for drive in by_drive}) if options.calibration else []:
-        files = [f"{date}/{name}" for name in CALIBRATION_FILES]
-        parts.append(_Part(f"{date}: calibration", calibration_of(date), fixed=files))
-    return parts
+        here = len(self.sums) - len(self.missing)
+        return f"{len(self.sums)} files, {_megabytes(self.bytes(self.sums))}" + (
+            f", {here} already here" if here else ""
+        )
 
 
 class _Pull:
     """One pull under way; opening the parts decides what to bring before anything is fetched."""
 
-    def __init__(self, target: TargetFolder, origin: Server | LocalFolder, parts: list[_Part]) -> None:
-        self.target, self.origin, self.parts, self.report = target, origin, parts, PullReport()
-        for part in parts:
-            self._open(part)
+    def __init__(
+        self, target: TargetFolder, origin: Server | LocalFolder, clips: list[Entry], options: PullOptions
+    ) -> None:
+        self.target, self.origin, self.report = target, origin, PullReport()
+        self.parts: list[_Part] = []
+        by_drive: dict[Drive, list[Entry]] = {}
+        for clip in clips:
+            by_drive.setdefault(clip.drive, []).append(clip)
+        for drive, mine in sorted(by_drive.items()):
+            self._open(f"{drive.name}: {', '.join(c.name for c in mine)}", frames_of(drive), clips=mine)
+            if options.tracklets:
+                packed = Packed(f"{drive.name}/{drive.name}_tracklets.zip", drive.folder, TRACKLET_FILE, True)
+                self._open(f"{drive.name}: tracklets", packed, fixed=[f"{drive.folder}/{TRACKLET_FILE}"])
+        for date in sorted({drive.date for drive in by_drive}) if options.calibration else []:
+            fixed = [f"{date}/{name}" for name in CALIBRATION_FILES]
+            packed = Packed(f"{date}_calib.zip", date, CALIBRATION_FILES[0])
+            self._open(f"{date}: calibration", packed, fixed=fixed)
 
     def plan(self) -> Iterator[str]:
         """Yield the plan: every part with its clips, then files and bytes in all."""
@@ -263,16 +249,20 @@ class _Pull:
                 try:
                     self._bring(part, bar)
                 finally:
-                    there = {n: s for n, s in part.sums().items() if (self.target.root / n).exists()}
+                    there = {n: s for n, s in part.sums.items() if (self.target.root / n).exists()}
                     self.target.keep_files(there)
                 self.target.keep_located(part.located)
-                self.report.files += len(part.names)
-                self.report.bytes += part.bytes(part.names)
+                self.report.files += len(part.sums)
+                self.report.bytes += part.bytes(part.sums)
                 self.report.lacking += part.lacking
         if not any(part.failures for part in self.parts):
             self.target.drop_zips()
 
-    def _open(self, part: _Part, *, again: bool = False) -> None:
+    def _open(self, title: str, packed: Packed, **wanted: Any) -> None:  # noqa: ANN401  # fields of _Part
+        self.parts.append(_Part(title, packed, **wanted))
+        self._choose(self.parts[-1])
+
+    def _choose(self, part: _Part, *, again: bool = False) -> None:
         """Open a part's archive and choose what is wanted of it.
 
         Clips that are not there and archives that are absent are kept as failures of the part, so that one
@@ -284,11 +274,11 @@ class _Pull:
                 part.choose(files, self.target)
                 if (part.failures or part.lacking) and files.fresh and not again:
                     # A directory holds no checksum of itself: it is read twice before a gap is believed.
-                    self._open(part, again=True)
+                    self._choose(part, again=True)
         except RangesIgnoredError as error:
             part.files, part.url, part.size = None, error.url, error.size
         except AbsentError as error:
-            part.files, part.names, part.failures = None, [], [error]
+            part.files, part.sums, part.failures = None, {}, [error]
 
     def _bring(self, part: _Part, bar: tqdm[Any]) -> None:
         """Bring a part; once more, with a new directory, when it is damaged or its server ignores ranges."""
@@ -297,7 +287,7 @@ class _Pull:
         except (DamagedError, ChangedError, RangesIgnoredError):
             if part.files is None or part.files.local:
                 raise
-            self._open(part, again=True)
+            self._choose(part, again=True)
             self._fetch(part, bar)
 
     def _fetch(self, part: _Part, bar: tqdm[Any]) -> None:
@@ -308,28 +298,34 @@ class _Pull:
             self._check_space(part.bytes(part.missing))
         if part.files is None:
             return
-        _remove_partial_files(self.target.root, part.names)
+        self._remove_partial_files(part)
         for name, content in part.files.read(part.missing):
             write_bytes(self.target.root / name, content)
             bar.update(len(content))
             self.report.fetched += 1
+
+    def _remove_partial_files(self, part: _Part) -> None:
+        """Remove temporary files that a killed pull left; the lock proves that none is alive."""
+        for folder in {Path(name).parent for name in part.sums}:
+            for path in (self.target.root / folder).glob(".*.part"):
+                if (folder / path.name[1:].rsplit(".", 2)[0]).as_posix() in part.sums:
+                    path.unlink(missing_ok=True)
 
     def _check_space(self, needed: int) -> None:
         root = self.target.root
         existing = next(path for path in (root, *root.absolute().parents) if path.exists())
         free = shutil.disk_usage(existing).free
         if needed and free < needed + _RESERVE:
-            raise InputFileError(
-                f"{root}: disk", expected=f"{_megabytes(needed)} free", found=_megabytes(free)
-            )
+            expected = f"{_megabytes(needed)} free"
+            raise InputFileError(f"{root}: disk", expected=expected, found=_megabytes(free))
 
 
 def _show_licence(target: TargetFolder, options: PullOptions, say: Callable[[str], object]) -> None:
-    if target.licence_accepted:
+    if (target.state / "licence.txt").is_file():
         return
     say(LICENCE)
     if options.accept_license:
-        target.accept_licence(LICENCE)
+        target.write(target.state / "licence.txt", LICENCE.encode())
     elif not options.dry_run:
         raise InvalidValueError("licence", expected="your acknowledgement", fix="add --accept-license")
 
@@ -354,51 +350,31 @@ def _frames_of(clip: Entry, files: FileSet) -> list[str]:
     return [frames[n] for n in clip.numbers or ()]
 
 
-def _companions(clips: list[Entry]) -> list[str]:
-    """Timestamps of the cameras and of the GPS/IMU unit, and its packets of the frames."""
-    paths = []
-    for clip in clips:
-        paths.append(camera_folder(clip.drive, clip.camera) / TIMESTAMP_FILE)
-        paths.append(drive_folder(clip.drive) / "oxts" / TIMESTAMP_FILE)
-        paths += [packet_file(clip.drive, n) for n in clip.numbers or ()]
-    return list(dict.fromkeys(map(str, paths)))
-
-
-def _remove_partial_files(root: Path, names: list[str]) -> None:
-    """Remove temporary files of these names that a killed pull left; the lock proves that none is alive."""
-    wanted = set(names)
-    for folder in {Path(name).parent for name in names}:
-        for path in (root / folder).glob(".*.part"):
-            if (folder / path.name[1:].rsplit(".", 2)[0]).as_posix() in wanted:
-                path.unlink(missing_ok=True)
-
-
 def _verify(target: TargetFolder, clips: list[Entry], say: Callable[[str], object]) -> PullReport:
     """Re-check files on disk: those of the drives of these clips, or all."""
     root, located = target.root, target.located()
-    parts = {f"/{clip.drive.name}_sync/" for clip in clips} | {f"/{clip.drive.date}/calib_" for clip in clips}
+    parts = tuple(f"{clip.drive.folder}/" for clip in clips)
+    parts += tuple(f"{clip.drive.date}/calib_" for clip in clips)
     never = [clip.name for clip in clips if clip.name not in located]
-    listed = target.files().items()
-    sums = {name: s for name, s in listed if not parts or any(part in f"/{name}" for part in parts)}
-    if never or not sums:
+    wanted = {name: sums for name, sums in target.files().items() if not clips or name.startswith(parts)}
+    if never or not wanted:
         what = ", ".join(never) or "nothing"
         raise InputFileError(f"{root}: {what} was never pulled there", fix="kt3dmoseg pull brings it")
-    bad = [name for name, wanted in sums.items() if not _holds(root / name, wanted)]
+    bad = [name for name, sums in wanted.items() if not _holds(root / name, sums)]
     for name in bad:
         say(f"{root / name}: {'damaged' if (root / name).exists() else 'missing'}")
     if bad:
-        raise InputFileError(
-            f"{root}: {len(bad)} of {len(sums)} files are damaged or missing", fix="pull again"
-        )
-    report = PullReport(len(sums), sum(size for size, _ in sums.values()))
+        what = f"{len(bad)} of {len(wanted)} files are damaged or missing"
+        raise InputFileError(f"{root}: {what}", fix="pull again")
+    report = PullReport(len(wanted), sum(size for size, _ in wanted.values()))
     say(f"verified {report.files} files, {_megabytes(report.bytes)}")
     return report
 
 
-def _holds(path: Path, wanted: tuple[int, int]) -> bool:
+def _holds(path: Path, sums: tuple[int, int]) -> bool:
     """Whether a file is there with this size and CRC32."""
     try:
-        return path.stat().st_size == wanted[0] and crc32_file(path) == wanted[1]
+        return path.stat().st_size == sums[0] and crc32_file(path) == sums[1]
     except OSError:
         return False
 

@@ -1,4 +1,4 @@
-"""KITTI raw on disk: where its files are, a day's calibration, and a drive read by frame number.
+"""KITTI raw on disk: a day's calibration, and a drive read by frame number.
 
 pykitti parses calibration and GPS/IMU packets here. What it does by position in a sorted list, cuts to
 microseconds or takes from another sensor's clock is read directly: frames and packets by their number,
@@ -10,13 +10,12 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.catalog.models import Drive, check_camera, check_integer, format_numbers
+from kt3dmoseg.catalog.models import Drive, check_camera, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
@@ -24,40 +23,12 @@ from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
 CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
 TRACKLET_FILE = "tracklet_labels.xml"
-TIMESTAMP_FILE = "timestamps.txt"
-LOCATED = "located.toml"  # the catalog of a KITTI raw root: clips whose frame numbers were proved
+LOCATED = "located.toml"  # the catalog in a KITTI raw root: clips whose frame numbers were proved
 LARGEST_FILE = 64 << 20
 
 _FIX = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
 _FIX_CALIBRATION = "fetch the day's calibration with kt3dmoseg pull, or unpack its _calib.zip here"
-_LAST_FRAME = 10**10 - 1
 _TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d(\.\d{1,9})?")
-
-
-def drive_folder(drive: Drive) -> PurePosixPath:
-    """Folder of the synchronised and rectified drive, relative to the KITTI raw root."""
-    return PurePosixPath(drive.date) / f"{drive.name}_sync"
-
-
-def camera_folder(drive: Drive, camera: int) -> PurePosixPath:
-    """Folder of one camera, relative to the root; holds ``timestamps.txt`` and ``data/``."""
-    return drive_folder(drive) / f"image_{check_camera(camera):02d}"
-
-
-def frame_file(drive: Drive, camera: int, number: int) -> PurePosixPath:
-    """Path of one frame, relative to the root."""
-    return (
-        camera_folder(drive, camera)
-        / "data"
-        / f"{check_integer(number, 'frame number', _LAST_FRAME):010d}.png"
-    )
-
-
-def packet_file(drive: Drive, number: int) -> PurePosixPath:
-    """Path of the GPS/IMU packet of one frame, relative to the root."""
-    return (
-        drive_folder(drive) / "oxts/data" / f"{check_integer(number, 'frame number', _LAST_FRAME):010d}.txt"
-    )
 
 
 def frame_number(file_name: str) -> int | None:
@@ -67,13 +38,7 @@ def frame_number(file_name: str) -> int | None:
 
 
 def decode_frame(content: bytes, where: str) -> ByteArray:
-    """Decode a PNG: (H, W) uint8 when it is gray, (H, W, 3) uint8 RGB when it has colour.
-
-    Raises
-    ------
-    FileFormatError
-        When it is not a picture of 8 bits, or only a part of one.
-    """
+    """Decode a PNG of 8 bits: (H, W) uint8 when it is gray, (H, W, 3) uint8 RGB when it has colour."""
     from kt3dmoseg.io import images
 
     image = images.decode(content, where)
@@ -82,7 +47,6 @@ def decode_frame(content: bytes, where: str) -> ByteArray:
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., 2::-1], dtype=np.uint8)
 
 
-@dataclass(frozen=True)
 class Calibration:
     """Calibration of one camera of one day; each file is read when something of it is asked for.
 
@@ -94,8 +58,8 @@ class Calibration:
         0 to 3.
     """
 
-    folder: Path
-    camera: int
+    def __init__(self, folder: str | os.PathLike[str], camera: int) -> None:
+        self.folder, self.camera = Path(folder), camera
 
     @property
     def P(self) -> FloatArray:
@@ -122,9 +86,8 @@ class Calibration:
         pykitti keeps only the horizontal part, wrong by about 2 mm for the colour cameras.
         """
         unrectified = self._rigid("calib_velo_to_cam.txt")
-        rectification = np.eye(4)
+        rectification, offset = np.eye(4), np.eye(4)
         rectification[:3, :3] = self._matrix("calib_cam_to_cam.txt", "R_rect_00", (3, 3))
-        offset = np.eye(4)
         offset[:3, 3] = np.linalg.solve(self.K, self.P[:, 3])
         return np.asarray(offset @ rectification @ unrectified)
 
@@ -139,10 +102,9 @@ class Calibration:
         return self.T_cam_velo @ self.T_velo_imu
 
     def _rigid(self, name: str) -> FloatArray:
-        from pykitti.utils import transform_from_rot_trans
-
-        rotation, translation = self._matrix(name, "R", (3, 3)), self._matrix(name, "T", (3,))
-        return np.asarray(transform_from_rot_trans(rotation, translation), dtype=np.float64)
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = self._matrix(name, "R", (3, 3)), self._matrix(name, "T", (3,))
+        return motion
 
     def _matrix(self, name: str, key: str, shape: tuple[int, ...]) -> FloatArray:
         from pykitti.utils import read_calib_file
@@ -150,23 +112,21 @@ class Calibration:
         path = self.folder / name
         try:
             values = read_calib_file(path).get(key)
-        except FileNotFoundError:
-            raise InputFileError(f"{path}: no such file", fix=_FIX_CALIBRATION) from None
         except OSError as error:
-            raise InputFileError(f"{path}: {error.strerror or error}") from error
+            raise InputFileError(f"{path}: {error.strerror or error}", fix=_FIX_CALIBRATION) from None
         except ValueError:
             # pykitti splits every line at its first colon; an empty line or text without one ends here.
-            raise FileFormatError(
-                str(path), expected="lines 'key: numbers'", found="something else"
-            ) from None
+            raise FileFormatError(str(path), expected="lines 'key: numbers'", found="other text") from None
         if values is None or values.size != np.prod(shape) or not np.isfinite(values).all():
             found = "none" if values is None else f"{values.tolist()}"
             raise FileFormatError(f"{path}: {key}", expected=f"{np.prod(shape)} numbers", found=found)
         return np.asarray(values, dtype=np.float64).reshape(shape)
 
 
-class RawDrive:
+class RawDrive(Calibration):
     """One camera of a synchronised, rectified KITTI raw drive; nothing is read before it is asked for.
+
+    It has the properties of its `Calibration`, as ``K``, ``T_cam_velo``, ``T_cam_imu`` and ``image_size``.
 
     Parameters
     ----------
@@ -199,10 +159,11 @@ class RawDrive:
     ) -> None:
         self.root = Path(root)
         self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
-        self.camera = check_camera(camera)
-        self.calibration = Calibration(self.root / date, self.camera)
-        if not (self.root / drive_folder(self.drive)).is_dir():
-            raise InputFileError(f"{self.root / drive_folder(self.drive)}: no such folder", fix=_FIX)
+        super().__init__(self.root / date, check_camera(camera))
+        self._drive_folder = self.root / self.drive.folder
+        self._camera_folder = self._drive_folder / f"image_{self.camera:02d}"
+        if not self._drive_folder.is_dir():
+            raise InputFileError(f"{self._drive_folder}: no such folder", fix=_FIX)
 
     def __repr__(self) -> str:
         """Name root, drive and camera."""
@@ -211,9 +172,9 @@ class RawDrive:
     @property
     def numbers(self) -> IntArray:
         """Numbers of the frames on disk, ascending, (n,) int64."""
-        folder = self.root / camera_folder(self.drive, self.camera) / "data"
+        folder = self._camera_folder / "data"
         try:
-            names = [file.name for file in os.scandir(folder)]
+            names = [path.name for path in folder.iterdir()]
         except OSError as error:
             raise InputFileError(f"{folder}: {error.strerror or error}", fix=_FIX) from None
         return np.array(sorted(n for n in map(frame_number, names) if n is not None), dtype=np.int64)
@@ -226,7 +187,7 @@ class RawDrive:
         InputFileError
             When that frame is not on disk; the message lists those that are.
         """
-        path = self.root / frame_file(self.drive, self.camera, number)
+        path = self._camera_folder / f"data/{number:010d}.png"
         if not path.is_file():
             raise InputFileError(
                 f"{path}: no such frame",
@@ -254,33 +215,13 @@ class RawDrive:
     def timestamps(self, numbers: npt.ArrayLike) -> FloatArray:
         """Time at which the camera took each frame, (n,) float64 seconds since the drive's first.
 
-        The origin is the first frame of the drive, also when it is not on disk, so that clips of
-        one drive share a clock. Nanoseconds survive: a drive lasts minutes, float64 then resolves 1e-13 s.
+        The origin is the first frame of the drive, also when it is not on disk, so that clips of one drive
+        share a clock. Nanoseconds survive: a drive lasts minutes, float64 then resolves 1e-13 s.
         """
         lines = self._timestamp_lines()
         first = next((k for k, line in enumerate(lines) if line), 0)
         times = self._times(lines, np.concatenate([[first], _numbers(numbers)]))
         return np.asarray((times[1:] - times[0]).astype(np.int64) / 1e9)
-
-    @property
-    def K(self) -> FloatArray:
-        """Intrinsics of the rectified camera in pixels, (3, 3) float64."""
-        return self.calibration.K
-
-    @property
-    def T_cam_velo(self) -> FloatArray:
-        """Laser scanner to rectified camera coordinates, metres, (4, 4) float64."""
-        return self.calibration.T_cam_velo
-
-    @property
-    def T_cam_imu(self) -> FloatArray:
-        """GPS/IMU to rectified camera coordinates, metres, (4, 4) float64."""
-        return self.calibration.T_cam_imu
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """Width and height of the frames in pixels, from the calibration."""
-        return self.calibration.image_size
 
     def poses(self, numbers: npt.ArrayLike) -> FloatArray:
         """Poses of the GPS/IMU unit, T_world_imu, (n, 4, 4) float64, metres.
@@ -291,30 +232,28 @@ class RawDrive:
         """
         from pykitti.utils import load_oxts_packets_and_poses
 
-        paths = [self.root / packet_file(self.drive, int(k)) for k in _numbers(numbers)]
+        folder = self._drive_folder / "oxts/data"
+        paths = [folder / f"{number:010d}.txt" for number in _numbers(numbers)]
         for path in paths:
             if not path.is_file():
                 raise InputFileError(f"{path}: no such file", fix=_FIX)
         try:
             packets = load_oxts_packets_and_poses(paths)
         except (TypeError, ValueError) as error:
-            raise FileFormatError(
-                str(paths[0].parent), expected="packets of 30 numbers", found=str(error)
-            ) from None
+            raise FileFormatError(str(folder), expected="packets of 30 numbers", found=str(error)) from None
         if len(packets) != len(paths):
-            raise FileFormatError(
-                str(paths[0].parent), expected=f"{len(paths)} packets, one per file", found=f"{len(packets)}"
-            )
+            expected = f"{len(paths)} packets, one per file"
+            raise FileFormatError(str(folder), expected=expected, found=f"{len(packets)}")
         return np.array([packet.T_w_imu for packet in packets], dtype=np.float64).reshape(-1, 4, 4)
 
     @property
     def has_tracklets(self) -> bool:
         """Whether the drive's tracklet labels are on disk; KITTI has none for many drives."""
-        return (self.root / drive_folder(self.drive) / TRACKLET_FILE).is_file()
+        return (self._drive_folder / TRACKLET_FILE).is_file()
 
     def tracklets(self) -> list[Tracklet]:
         """Read the labelled 3D boxes of the drive."""
-        path = self.root / drive_folder(self.drive) / TRACKLET_FILE
+        path = self._drive_folder / TRACKLET_FILE
         if not self.has_tracklets:
             raise InputFileError(f"{path}: no such file", fix="KITTI has tracklets for some drives only")
         return read_tracklets(path)
@@ -347,32 +286,25 @@ class RawDrive:
                 boxes.append(TrackletBox(index, tracklet.kind, box, depth, *flags))
         return sorted(boxes, key=lambda box: box.depth)
 
-    @property
-    def _timestamp_file(self) -> Path:
-        return self.root / camera_folder(self.drive, self.camera) / TIMESTAMP_FILE
-
     def _timestamp_lines(self) -> list[str]:
-        text = read_bytes(self._timestamp_file, LARGEST_FILE).decode(errors="replace")
-        return [line.strip() for line in text.splitlines()]
+        content = read_bytes(self._camera_folder / "timestamps.txt", LARGEST_FILE)
+        return [line.strip() for line in content.decode(errors="replace").splitlines()]
 
     def _times(self, lines: list[str], numbers: IntArray) -> npt.NDArray[np.datetime64]:
-        path = self._timestamp_file
-        if numbers.size and numbers.max() >= len(lines):
-            raise InvalidValueError(
-                f"{path}: frame {numbers.max()}",
-                expected=f"one of the file's {len(lines)} lines, counted from 0",
-                found=str(numbers.max()),
-            )
-        return np.array([_time(lines[k], f"{path}: line {k + 1}") for k in numbers], dtype="datetime64[ns]")
-
-
-def _time(line: str, where: str) -> np.datetime64:
-    if not _TIME.fullmatch(line):
-        raise FileFormatError(where, expected="a time like 2011-09-26 13:02:25.964389445", found=repr(line))
-    try:
-        return np.datetime64(line.replace(" ", "T"), "ns")
-    except ValueError as error:
-        raise FileFormatError(where, found=str(error)) from None
+        path, times = self._camera_folder / "timestamps.txt", []
+        for k in numbers:
+            if k >= len(lines):
+                expected = f"one of the file's {len(lines)} lines, counted from 0"
+                raise InvalidValueError(f"{path}: frame {k}", expected=expected, found=str(k))
+            try:
+                if not _TIME.fullmatch(lines[k]):
+                    raise ValueError
+                times.append(np.datetime64(lines[k].replace(" ", "T"), "ns"))
+            except ValueError:
+                expected = "a time like 2011-09-26 13:02:25.964389445"
+                where = f"{path}: line {k + 1}"
+                raise FileFormatError(where, expected=expected, found=repr(lines[k])) from None
+        return np.array(times, dtype="datetime64[ns]")
 
 
 def _numbers(numbers: npt.ArrayLike) -> IntArray:

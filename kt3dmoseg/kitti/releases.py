@@ -154,7 +154,7 @@ def _download(url: str, path: Path, checksum: str | None, retries: int, by_hand:
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:
     """Unpack the wanted files that are not there, or not right, under names of our own making."""
     archive = Archive.on_disk(path)
-    matches = {name: match for name in archive.names() if (match := re.fullmatch(release.wanted, name))}
+    matches = {name: match for name in archive.sizes if (match := re.fullmatch(release.wanted, name))}
     targets = {name: match.expand(release.target) for name, match in matches.items()}
     missing = [name for name, to in targets.items() if not _is_right(folder / to, expected.get(to))]
     for name, content in archive.read(missing):

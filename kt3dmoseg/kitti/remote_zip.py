@@ -1,8 +1,8 @@
 """Zip archives read through ranges: the directory first, then only the wanted files.
 
-`zipfile` parses and unpacks; the bytes come from a `_RangeFile`. What a directory states is a claim:
-an archive is refused for names that leave it, symbolic links, duplicates and files that overlap;
-a file is refused when it is too large or its bytes do not bear out size and CRC32.
+`zipfile` parses and unpacks; the bytes come from a `_RangeFile`. What a directory states is a claim: an
+archive is refused for names that leave it, symbolic links, duplicates and files that overlap; a file is
+refused when it is too large or its bytes do not bear out size and CRC32.
 """
 
 from __future__ import annotations
@@ -21,21 +21,18 @@ from typing import TypeAlias
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 
 LARGEST_FILE = 64 << 20
+Chunks: TypeAlias = Callable[[int, int], Iterator[bytes]]
 
 _LARGEST_DIRECTORY = 8 << 20
 _HEADER = 30
-# The end record (22) with its longest comment, and zip64's locator (20) and record (56).
-_TAIL = (1 << 16) + 22 + 20 + 56
-_DESCRIPTOR = 24
-_LONGEST_EXTRA = (1 << 16) - 1
+_TAIL = (1 << 16) + 22 + 20 + 56  # the end record with its longest comment, and zip64's locator and record
+_LONGEST_REST = (1 << 16) + 24  # extra fields in front of a file's data, and its descriptor behind them
 _DEFLATE_LIMIT = 1100  # deflate cannot reach more than 1032 : 1
 _LONGEST_GAP = 4096  # a smaller hole between two files is read over rather than asked around
 _LONGEST_RUN = 2 << 20  # what is under way is lost when a pull is killed
 _ATTEMPTS = 3
-_ENCRYPTED = 0x1
-_NO_ZIP = (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, struct.error, OverflowError)
-Chunks: TypeAlias = Callable[[int, int], Iterator[bytes]]
-_BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, struct.error, RuntimeError, UnicodeDecodeError)
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError)
+_BROKEN = (*_ZIP_ERRORS, OSError, ArithmeticError, RuntimeError, ValueError)
 
 
 class DamagedError(FileFormatError):
@@ -58,13 +55,13 @@ class _RangeFile(io.RawIOBase):
 
     @property
     def held(self) -> int:
-        """Where the end begins that is kept."""
         return self.size - len(self.tail)
 
     def ask(self, start: int, length: int) -> Iterator[bytes]:
         """Ask for a range, from which `read` takes as it arrives; return what is left of it then."""
-        kept = start >= self.held
-        arriving = iter([self.tail[start - self.held :]]) if kept else self._chunks(start, length)
+        arriving = (
+            iter([self.tail[start - self.held :]]) if start >= self.held else self._chunks(start, length)
+        )
         self._range = start, bytearray(), arriving
         return arriving
 
@@ -92,11 +89,9 @@ class _RangeFile(io.RawIOBase):
 
     def _reach(self, start: int) -> None:
         if self.size - start > _LARGEST_DIRECTORY:
-            raise FileFormatError(
-                self.name,
-                expected=f"a directory of at most {_LARGEST_DIRECTORY} bytes",
-                found=f"one that begins {self.size - start} bytes before the end",
-            )
+            found = f"one that begins {self.size - start} bytes before the end"
+            expected = f"a directory of at most {_LARGEST_DIRECTORY} bytes"
+            raise FileFormatError(self.name, expected=expected, found=found)
         if start < self.held:
             self.tail = b"".join(self._chunks(start, self.held - start)) + self.tail
 
@@ -127,16 +122,17 @@ class Archive:
         self, name: str, size: int, chunks: Chunks, tail: bytes = b"", *, local: bool = False
     ) -> None:
         self.name, self.local = name, local
-        self.fresh = not tail and not local  # read just now from the network, no checksum protects it
+        self.fresh = not tail and not local  # read just now from the network; no checksum protects it
         for attempt in range(1, _ATTEMPTS + 1):
             try:
                 self._file = _RangeFile(name, size, chunks, tail)
                 self._open()
+                break
             except FileFormatError:
                 if attempt == _ATTEMPTS:
                     raise
-            else:
-                break
+        self.directory = size, self._file.tail
+        self.sizes = {name: info.file_size for name, info in self._infos.items()}
 
     @classmethod
     def on_disk(cls, path: Path) -> Archive:
@@ -145,23 +141,6 @@ class Archive:
             return cls(str(path), path.stat().st_size, partial(_read_file, path), local=True)
         except OSError as error:
             raise InputFileError(f"{path}: {error.strerror or error}") from None
-
-    def __repr__(self) -> str:
-        """Name the archive."""
-        return f"Archive({self.name!r})"
-
-    @property
-    def directory(self) -> tuple[int, bytes]:
-        """Size of the archive, and the end of it that holds its directory."""
-        return self._file.size, self._file.tail
-
-    def names(self) -> Iterable[str]:
-        """Names of all files in the archive."""
-        return self._infos.keys()
-
-    def size(self, name: str) -> int:
-        """Size of a file in bytes."""
-        return self._infos[name].file_size
 
     def crc32(self, name: str) -> int:
         """CRC32 of a file, as the directory claims it; `read` verifies it."""
@@ -186,8 +165,7 @@ class Archive:
         """
         wanted = list(names)
         for name in wanted:
-            if fault := _unreadable(self._infos[name]):
-                raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
+            self._refuse(name, _unreadable(self._infos[name]))
         for attempt in range(1, _ATTEMPTS + 1):
             damaged = []
             for name, content in self._read_once(wanted):
@@ -199,20 +177,12 @@ class Archive:
                     raise content
             wanted = damaged
 
-    def _read_once(self, names: Iterable[str]) -> Iterator[tuple[str, bytes | DamagedError]]:
-        for start, stop, run in self._runs(names):
-            rest = self._file.ask(start, stop - start)
-            for name in run:
-                yield name, self._unpack(name)
-            for _ in rest:  # sees its end, so that the connection can serve the next run
-                pass
-
     def _open(self) -> None:
         try:
             self._zip = zipfile.ZipFile(self._file)
         except KT3DMoSegError:
             raise
-        except _NO_ZIP as error:
+        except _BROKEN as error:
             found = str(error) or type(error).__name__
             raise FileFormatError(self.name, expected="a complete zip archive", found=found) from None
         self._infos: dict[str, zipfile.ZipInfo] = {}
@@ -221,11 +191,13 @@ class Archive:
         following = [info.header_offset for info in infos[1:]] + [self._zip.start_dir]
         for info, end in zip(infos, following, strict=True):
             name = info.orig_filename
-            fault = _fault(info, end) or ("is there twice" if name in self._infos else "")
-            if fault:
-                raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
-            longest = _HEADER + 4 * len(name) + _LONGEST_EXTRA + info.compress_size + _DESCRIPTOR
+            self._refuse(name, _fault(info, end) or ("is there twice" if name in self._infos else ""))
+            longest = _HEADER + 4 * len(name) + info.compress_size + _LONGEST_REST
             self._infos[name], self._ends[name] = info, min(end, info.header_offset + longest)
+
+    def _refuse(self, name: str, fault: str) -> None:
+        if fault:
+            raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
 
     def _runs(self, names: Iterable[str]) -> Iterator[tuple[int, int, list[str]]]:
         """Group files that are neighbours, to be asked for in one request of at most 2 MiB."""
@@ -241,6 +213,14 @@ class Archive:
         if run:
             yield start, stop, run
 
+    def _read_once(self, names: Iterable[str]) -> Iterator[tuple[str, bytes | DamagedError]]:
+        for start, stop, run in self._runs(names):
+            rest = self._file.ask(start, stop - start)
+            for name in run:
+                yield name, self._unpack(name)
+            for _ in rest:  # sees its end, so that the connection can serve the next run
+                pass
+
     def _unpack(self, name: str) -> bytes | DamagedError:
         """Unpack a file, never to more than its claimed size."""
         info = self._infos[name]
@@ -250,6 +230,8 @@ class Archive:
             if len(content) == info.file_size and zlib.crc32(content) == info.CRC:
                 return content
             found = f"{len(content)} with {zlib.crc32(content):08x}"
+        except KT3DMoSegError:
+            raise
         except _BROKEN as error:
             found = str(error) or type(error).__name__
         expected = f"{info.file_size} bytes with CRC {info.CRC:08x}"
@@ -257,14 +239,11 @@ class Archive:
 
 
 def _read_file(path: Path, start: int, length: int) -> Iterator[bytes]:
-    try:
-        with open(path, "rb") as stream:
-            stream.seek(start)
-            while length > 0 and (block := stream.read(min(length, 1 << 20))):
-                length -= len(block)
-                yield block
-    except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from None
+    with open(path, "rb") as stream:
+        stream.seek(start)
+        while length > 0 and (block := stream.read(min(length, 1 << 20))):
+            length -= len(block)
+            yield block
     if length:
         raise DamagedError(str(path), expected=f"{length} bytes more", found="its end")
 
@@ -281,8 +260,6 @@ def _fault(info: zipfile.ZipInfo, end: int) -> str:
         return "is a symbolic link"
     if info.file_size > info.compress_size * _DEFLATE_LIMIT + 1024:
         return f"claims to unpack {info.compress_size} bytes to {info.file_size}"
-    if info.compress_type == zipfile.ZIP_STORED and info.file_size != info.compress_size:
-        return "is stored with two sizes"
     if info.header_offset < 0 or info.header_offset + _HEADER + len(name) + info.compress_size > end:
         return "overlaps its neighbour"
     return ""
@@ -291,7 +268,7 @@ def _fault(info: zipfile.ZipInfo, end: int) -> str:
 def _unreadable(info: zipfile.ZipInfo) -> str:
     if info.file_size > LARGEST_FILE:
         return f"unpacks to {info.file_size} bytes, more than {LARGEST_FILE}"
-    if info.flag_bits & _ENCRYPTED:
+    if info.flag_bits & 0x1:
         return "is encrypted"
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         return f"is packed by method {info.compress_type}"

@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, ParseError
 import numpy as np
 from defusedxml import ElementTree
 
+from kt3dmoseg.catalog.models import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.types import FloatArray, IntArray
@@ -58,12 +59,11 @@ class Tracklet:
 
     def row(self, number: int) -> int:
         """Return the row of a frame number in the arrays of this tracklet."""
-        first, n = int(self.numbers[0]) if len(self.numbers) else 0, len(self.numbers)
-        if not first <= number < first + n:
-            raise InvalidValueError(
-                "frame number", expected=f"{first}..{first + n - 1} of this tracklet", found=str(number)
-            )
-        return number - first
+        rows = np.flatnonzero(self.numbers == number)
+        if not rows.size:
+            expected = f"a frame of this tracklet ({format_numbers(self.numbers) or 'none'})"
+            raise InvalidValueError("frame number", expected=expected, found=str(number))
+        return int(rows[0])
 
     def corners(self, number: int) -> FloatArray:
         """Return the box's eight corners in one frame, (8, 3) laser scanner coordinates in metres.
@@ -147,8 +147,7 @@ def project_box(
         Left, top, right, bottom, clipped to the image; None when nothing of the box is in view.
         Edges are cut 0.1 m in front of the camera, so that boxes next to the car project rightly.
     """
-    points = corners @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3]
-    front = _in_front(points)
+    front = _in_front(corners @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3])
     if not len(front):
         return None
     pixels = front @ K.T
@@ -159,6 +158,7 @@ def project_box(
 
 
 def _in_front(points: FloatArray) -> FloatArray:
+    """Corners in front of the camera, and where edges enter the space in front of it."""
     a, b = points[_EDGES[:, 0]], points[_EDGES[:, 1]]
     za, zb = a[:, 2] - _NEAREST, b[:, 2] - _NEAREST
     crossing = (za > 0) != (zb > 0)
@@ -172,27 +172,24 @@ def _tracklet(item: Element) -> Tracklet:
     first = int(_text(item, "first_frame"))
     if not 0 <= first <= _LAST_FRAME:
         raise ValueError(f"a tracklet from frame {first} on")
-    numbers = np.arange(first, first + len(poses))
     translation = [[float(_text(pose, key)) for key in ("tx", "ty", "tz")] for pose in poses]
+    flags = {
+        key: np.array([int(_text(pose, key)) for pose in poses], dtype=np.int64)
+        for key in ("state", "occlusion", "truncation")
+    }
     tracklet = Tracklet(
         kind=_text(item, "objectType"),
         size=np.array([float(_text(item, key)) for key in ("l", "w", "h")]),
-        numbers=numbers,
+        numbers=np.arange(first, first + len(poses)),
         translation=np.array(translation, dtype=np.float64).reshape(-1, 3),
         yaw=np.array([float(_text(pose, "rz")) for pose in poses]),
-        state=_flags(poses, "state"),
-        occlusion=_flags(poses, "occlusion"),
-        truncation=_flags(poses, "truncation"),
+        **flags,
     )
     if not (np.isfinite(tracklet.translation).all() and np.isfinite(tracklet.yaw).all()):
         raise ValueError("a pose that is not finite")
     if not (np.isfinite(tracklet.size).all() and (tracklet.size > 0).all()):
         raise ValueError(f"a box of size {tracklet.size.tolist()}")
     return tracklet
-
-
-def _flags(poses: list[Element], key: str) -> IntArray:
-    return np.array([int(_text(pose, key)) for pose in poses], dtype=np.int64)
 
 
 def _text(element: Element, key: str) -> str:

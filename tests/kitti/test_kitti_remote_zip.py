@@ -164,7 +164,7 @@ def test_any_damage_gives_right_content_or_one_error(tmp_path: Path, data: st.Da
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     try:
         archive = opened(tmp_path, bytes(content[: data.draw(st.integers(0, len(content)))]))
-        for name, unpacked in archive.read([name for name in archive.names() if name in CONTENT]):
+        for name, unpacked in archive.read([name for name in archive.sizes if name in CONTENT]):
             assert zlib.crc32(unpacked) == archive.crc32(name)
     except KT3DMoSegError as error:
         assert "\n" not in str(error)
