@@ -22,21 +22,13 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from kt3dmoseg.catalog.models import (
-    Drive,
-    Entry,
-    Fingerprint,
-    check_integer,
-    format_numbers,
-    matching,
-    parse_numbers,
-)
+from kt3dmoseg.catalog import models
+from kt3dmoseg.catalog.models import Drive, Entry, Fingerprint
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes, write_text
 from kt3dmoseg.registry import unknown_name
@@ -45,10 +37,8 @@ __all__ = ["BUILT_IN", "Drive", "Entry", "Fingerprint", "add", "load", "parse", 
 
 BUILT_IN = Path(__file__).with_name("catalog.toml")
 _LARGEST = 16 << 20
-# Python's parser takes time quadratic in the length of a dotted name.
-_DEEP = re.compile(r"""(?:\.[\s\w"'-]*){33}""")
 _REQUIRED = ("date", "drive", "camera", "length")
-_OPTIONAL = ("size", "numbers", "frames", "proof", "source")
+_KEYS = (*_REQUIRED, "size", "numbers", "frames", "proof", "source")
 
 
 def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Entry]:
@@ -102,10 +92,7 @@ def select(clips: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entry]
 def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
     """Read one catalog; return its valid clips and every problem, one line each."""
     try:
-        text = read_bytes(path, _LARGEST).decode()
-        if _DEEP.search(text):
-            return {}, ["not TOML: names nested deeper than 32"]
-        document = tomllib.loads(text)
+        document = tomllib.loads(read_bytes(path, _LARGEST).decode())
     except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, a number or nesting without end
         return {}, [f"not TOML: {error}"]
     problems = [str(unknown_name("key", key, ["clips"])) for key in document if key != "clips"]
@@ -146,65 +133,46 @@ def _entry(name: str, table: Any) -> Entry:  # noqa: ANN401  # whatever TOML hol
     if not isinstance(table, dict):
         raise InvalidValueError("entry", expected="a table", found=repr(table))
     for key in table:
-        if key not in _REQUIRED + _OPTIONAL:
-            raise unknown_name("key", key, _REQUIRED + _OPTIONAL)
+        if key not in _KEYS:
+            raise unknown_name("key", key, _KEYS)
     for key in _REQUIRED:
         if key not in table:
             raise InvalidValueError(key, expected="a value", found="none")
-    return Entry(
-        name=name,
-        drive=Drive(table["date"], table["drive"]),
-        camera=table["camera"],
-        length=table["length"],
-        size=_size(table["size"]) if "size" in table else None,
-        numbers=parse_numbers(table["numbers"]) if "numbers" in table else None,
-        frames=_frames(table.get("frames", [])),
-        proof=str(table.get("proof", "")),
-        source=str(table.get("source", "")),
-    )
+    values = table | {"drive": Drive(table["date"], table["drive"])}
+    del values["date"]
+    if "numbers" in table:
+        values["numbers"] = models.parse_numbers(table["numbers"])
+    if not isinstance(table.get("frames", []), list):
+        raise InvalidValueError("frames", expected="a list", found=repr(table["frames"])[:80])
+    values["frames"] = tuple(_fingerprint(f, k) for k, f in enumerate(table.get("frames", [])))
+    return Entry(name, **values)
 
 
-def _size(value: Any) -> tuple[int, int]:  # noqa: ANN401
-    if not isinstance(value, list) or len(value) != 2:
-        raise InvalidValueError("size", expected="[width, height]", found=repr(value))
-    return check_integer(value[0], "width", 1 << 16), check_integer(value[1], "height", 1 << 16)
+def _fingerprint(frame: Any, index: int) -> Fingerprint:  # noqa: ANN401
+    where = f"frames[{index}]"
+    if not isinstance(frame, dict) or set(frame) != {"crc32", "bytes", "pixels"}:
+        raise InvalidValueError(where, expected="{ crc32, bytes, pixels }", found=repr(frame)[:80])
+    try:
+        models.check_text(frame["crc32"], "crc32", "[0-9a-f]{8}", "8 hexadecimal digits")
+        return Fingerprint(**frame | {"crc32": int(frame["crc32"], 16)})
+    except InvalidValueError as error:
+        raise InvalidValueError(f"{where}: {error}") from None
 
 
-def _frames(value: Any) -> tuple[Fingerprint, ...]:  # noqa: ANN401
-    if not isinstance(value, list):
-        raise InvalidValueError("frames", expected="a list", found=repr(value)[:80])
-    frames = []
-    for index, frame in enumerate(value):
-        where = f"frames[{index}]"
-        if not isinstance(frame, dict) or set(frame) != {"crc32", "bytes", "pixels"}:
-            raise InvalidValueError(where, expected="{ crc32, bytes, pixels }", found=repr(frame)[:80])
-        try:
-            crc = int(matching(frame["crc32"], "crc32", "[0-9a-f]{8}", "8 hexadecimal digits"), 16)
-            frames.append(Fingerprint(crc, frame["bytes"], frame["pixels"]))
-        except InvalidValueError as error:
-            raise InvalidValueError(f"{where}: {error}") from None
-    return tuple(frames)
-
-
-def _toml(entry: Entry) -> str:
-    lines = [
-        f"[clips.{entry.name}]",
-        f'date = "{entry.drive.date}"',
-        f"drive = {entry.drive.number}",
-        f"camera = {entry.camera}",
-        f"length = {entry.length}",
-    ]
-    if entry.size:
-        lines.append(f"size = [{entry.size[0]}, {entry.size[1]}]")
-    if entry.numbers is not None:
-        lines.append(f'numbers = "{format_numbers(entry.numbers)}"')
-    lines += [f"{key} = {quoted(value)}" for key in ("proof", "source") if (value := getattr(entry, key))]
-    if entry.frames:
-        rows = [
-            f'  {{ crc32 = "{f.crc32:08x}", bytes = {f.bytes}, pixels = "{f.pixels}" }},'
-            for f in entry.frames
-        ]
-        lines += ["frames = [", *rows, "]"]
+def _toml(clip: Entry) -> str:
+    values = {
+        "date": quoted(clip.drive.date),
+        "drive": f"{clip.drive.number}",
+        "camera": f"{clip.camera}",
+        "length": f"{clip.length}",
+        "size": f"{list(clip.size)}" if clip.size else "",
+        "numbers": quoted(models.format_numbers(clip.numbers)) if clip.numbers else "",
+        "proof": quoted(clip.proof) if clip.proof else "",
+        "source": quoted(clip.source) if clip.source else "",
+    }
+    lines = [f"[clips.{clip.name}]", *(f"{key} = {value}" for key, value in values.items() if value)]
+    rows = [f'crc32 = "{f.crc32:08x}", bytes = {f.bytes}, pixels = "{f.pixels}"' for f in clip.frames]
+    lines += ["frames = [", *(f"  {{ {row} }}," for row in rows), "]"] if rows else []
     return "\n".join(lines) + "\n"
 
 

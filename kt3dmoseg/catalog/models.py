@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -41,7 +41,7 @@ class Drive:
 
     def __post_init__(self) -> None:
         try:
-            matching(self.date, "date", r"\d{4}_\d{2}_\d{2}", "the form 2011_09_26")
+            check_text(self.date, "date", r"\d{4}_\d{2}_\d{2}", "the form 2011_09_26")
             datetime.date(*map(int, self.date.split("_")))
         except ValueError:
             raise InvalidValueError("date", expected="the form 2011_09_26", found=repr(self.date)) from None
@@ -69,7 +69,7 @@ class Fingerprint:
     def __post_init__(self) -> None:
         check_integer(self.crc32, "crc32", 0xFFFFFFFF)
         check_integer(self.bytes, "bytes", 1 << 40)
-        matching(self.pixels, "pixels", "[0-9a-f]{64}", "64 hexadecimal digits")
+        check_text(self.pixels, "pixels", "[0-9a-f]{64}", "64 hexadecimal digits")
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,12 @@ class Entry:
     source: str = ""
 
     def __post_init__(self) -> None:
-        matching(self.name, "name", "[A-Za-z0-9][A-Za-z0-9_-]{0,99}", "letters, digits, _ and -")
+        check_text(self.name, "name", "[A-Za-z0-9][A-Za-z0-9_-]{0,99}", "letters, digits, _ and -")
         object.__setattr__(self, "camera", check_camera(self.camera))
         if check_integer(self.length, "length", MOST_FRAMES) == 0:
             raise InvalidValueError("length", expected="at least 1", found="0")
+        if self.size is not None:
+            object.__setattr__(self, "size", _check_size(self.size))
         if self.numbers is None and not self.frames:
             raise InvalidValueError("numbers", expected="numbers or frames", found="neither")
         for key, values in (("numbers", self.numbers), ("frames", self.frames or None)):
@@ -173,8 +175,14 @@ def format_numbers(numbers: Iterable[int]) -> str:
     return ",".join("-".join(map(str, run)) for run in runs)
 
 
-def matching(value: object, what: str, pattern: str, expected: str) -> str:
+def check_text(value: object, what: str, pattern: str, expected: str) -> str:
     """Return `value`, a text of that form; raise InvalidValueError for anything else."""
     if not isinstance(value, str) or not re.fullmatch(pattern, value):
         raise InvalidValueError(what, expected=expected, found=repr(value))
     return value
+
+
+def _check_size(size: Sequence[int]) -> tuple[int, int]:
+    if not isinstance(size, (list, tuple)) or len(size) != 2:
+        raise InvalidValueError("size", expected="[width, height]", found=repr(size))
+    return check_integer(size[0], "width", 1 << 16), check_integer(size[1], "height", 1 << 16)

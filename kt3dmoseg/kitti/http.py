@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from kt3dmoseg.errors import InputFileError, MissingDependencyError
-from kt3dmoseg.kitti.options import Network
+from kt3dmoseg.kitti.options import Origin
 
 if TYPE_CHECKING:
     import requests
@@ -78,14 +78,14 @@ class Client:
         From each method, when the server cannot be reached or refuses.
     """
 
-    def __init__(self, network: Network | None = None, traffic: Traffic | None = None) -> None:
+    def __init__(self, options: Origin | None = None, traffic: Traffic | None = None) -> None:
         try:
             import requests
         except ImportError:
             raise MissingDependencyError(
                 "downloads need the package requests", fix="pip install 'kt3dmoseg[pull]'"
             ) from None
-        self._network, self._traffic = network or Network(), traffic or Traffic()
+        self._options, self._traffic = options or Origin(), traffic or Traffic()
         self.sizes: dict[str, int] = {}
         self._session = requests.Session()
         self._session.max_redirects = _REDIRECTS
@@ -135,11 +135,11 @@ class Client:
                 return
             except _TransientError as error:
                 failures = 1 if got - before >= _PROGRESS else failures + 1
-                if failures > self._network.retries:
+                if failures > self._options.retries:
                     what = f"gave up after {failures} attempts, the last: {error}"
                     fix = "what was fetched is kept; run it again later"
                     raise InputFileError(f"{url}: {what}", fix=fix) from None
-                pause = min(max(error.pause, self._network.wait * 2 ** (failures - 1)), _LONGEST_WAIT)
+                pause = min(max(error.pause, self._options.wait * 2 ** (failures - 1)), _LONGEST_WAIT)
                 if failures > 1 and sys.stderr.isatty():
                     tqdm.write(f"{url}: {error}; again in {pause:.0f} s", file=sys.stderr)
                 time.sleep(pause)
@@ -191,7 +191,7 @@ class Client:
         self._traffic.requests += 1
         try:
             response = self._session.get(
-                url, headers={"Range": range_}, stream=True, timeout=self._network.timeout
+                url, headers={"Range": range_}, stream=True, timeout=self._options.timeout
             )
         except exceptions.TooManyRedirects:
             raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
@@ -213,7 +213,7 @@ class Client:
         """Yield what arrives as it arrives; give up on a trickle that the socket's timeout cannot see."""
         from urllib3.exceptions import HTTPError
 
-        since, arrived, window = time.monotonic(), 0, self._network.timeout
+        since, arrived, window = time.monotonic(), 0, self._options.timeout
         while True:
             try:
                 block: bytes = response.raw.read1(_BLOCK, decode_content=False)
@@ -225,7 +225,7 @@ class Client:
             arrived += len(block)
             yield block
             if (now := time.monotonic()) - since > window:
-                if arrived < self._network.slowest * (now - since):
+                if arrived < self._options.slowest * (now - since):
                     raise _TransientError(f"{arrived / (now - since):.0f} bytes per second")
                 since, arrived = now, 0
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -166,22 +166,21 @@ def fingerprint_folder(folder: Path) -> tuple[tuple[Fingerprint, ...], tuple[int
     FileFormatError
         When the frames differ in size or one is not a PNG.
     """
-    marks, sizes = [], set()
-    for path in _png_files(folder):
-        content = read_bytes(path, LARGEST_FILE)
-        image = decode_frame(content, str(path))
-        marks.append(fingerprint(content, image))
-        sizes.add((image.shape[1], image.shape[0]))
+    frames = [(fingerprint(content, image), image.shape[1::-1]) for content, image in _read_folder(folder)]
+    sizes = {size for _, size in frames}
     if len(sizes) != 1:
         raise FileFormatError(str(folder), expected="frames of one size", found=f"{sorted(sizes)}")
-    return tuple(marks), sizes.pop()
+    return tuple(mark for mark, _ in frames), sizes.pop()
 
 
-def _png_files(folder: Path) -> list[Path]:
+def _read_folder(folder: Path) -> Iterator[tuple[bytes, ByteArray]]:
+    """Yield every PNG file and its picture, in the order of the names."""
     paths = sorted(folder.glob("*.png"))
     if not paths:
         raise InputFileError(f"{folder}: no PNG files there")
-    return paths
+    for path in paths:
+        content = read_bytes(path, LARGEST_FILE)
+        yield content, decode_frame(content, str(path))
 
 
 def _locate_in(
@@ -207,11 +206,12 @@ def _locate_in(
 
 def _by_checksum(clip: Entry, files: FileSet, camera: int) -> Verdict:
     frames = drive_frames(files, clip.drive, camera)
-    by_size: dict[int, list[int]] = {}
-    for number, name in frames.items():
-        by_size.setdefault(files.sizes[name], []).append(number)
     equal = [
-        [n for n in by_size.get(mark.bytes, ()) if files.crc32(frames[n]) == mark.crc32]
+        [
+            n
+            for n, name in frames.items()
+            if files.sizes[name] == mark.bytes and files.crc32(name) == mark.crc32
+        ]
         for mark in clip.frames
     ]
     given = clip.numbers or ()
@@ -248,10 +248,10 @@ def _own_frames(clip: Entry, folder: str | None) -> Float32Array | None:
     if folder is None:
         return None
     path = Path(folder) / clip.name
-    paths = _png_files(path if path.is_dir() else Path(folder))
-    if len(paths) != clip.length:
-        raise FileFormatError(folder, expected=f"{clip.length} frames of {clip.name}", found=f"{len(paths)}")
-    return np.array([descriptor(decode_frame(read_bytes(p, LARGEST_FILE), str(p))) for p in paths])
+    own = [descriptor(image) for _, image in _read_folder(path if path.is_dir() else Path(folder))]
+    if len(own) != clip.length:
+        raise FileFormatError(folder, expected=f"{clip.length} frames of {clip.name}", found=f"{len(own)}")
+    return np.array(own)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ KITTI_RAW = "https://s3.eu-central-1.amazonaws.com/avg-kitti/raw_data/"
 
 
 @dataclass(frozen=True)
-class Network:
-    """How patient to be with the network."""
+class Origin:
+    """Where the data come from, and how patient to be with the network."""
 
     retries: int = option(8, "how often a request that brings nothing is repeated", low=0, high=100)
     timeout: float = option(30.0, "seconds of silence after which a connection is given up", low=0.05)
@@ -19,12 +19,6 @@ class Network:
     slowest: float = option(
         1000.0, "bytes per second below which, over one timeout, a connection is given up", low=0.0
     )
-
-
-@dataclass(frozen=True)
-class Origin(Network):
-    """Where the data come from, and how patient to be with it."""
-
     mirror: str = option(
         KITTI_RAW, "address of KITTI's raw_data folder or of a copy with the same layout", metavar="URL"
     )

@@ -18,7 +18,7 @@ from kitti_world import CALIB, HIDDEN, SYNC, World, faults
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.kitti.http import Client, Traffic
-from kt3dmoseg.kitti.options import Network
+from kt3dmoseg.kitti.options import Origin
 
 SHORT = {"timeout": 0.6}
 
@@ -147,7 +147,7 @@ def test_download_appends_what_is_missing_and_passes_over_what_is_there(world: W
     content, url, path = world.server.files[SYNC], f"{world.server.url}/{SYNC}", tmp_path / "zip.part"
     path.write_bytes(content[:1000])
     traffic = Traffic()
-    client = Client(Network(wait=0), traffic)
+    client = Client(Origin(wait=0), traffic)
     client.download(url, path)
     assert path.read_bytes() == content
     assert traffic.bytes == len(content) - 1000
