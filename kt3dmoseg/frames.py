@@ -33,7 +33,7 @@ from kt3dmoseg.io.images import (
 )
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.kitti import Drive, RawDrive
-from kt3dmoseg.kitti.raw import LOCATED, camera_folder
+from kt3dmoseg.kitti.raw import LOCATED
 from kt3dmoseg.types import ByteArray, Camera, Clip, FloatArray
 
 _DRIVE_FOLDERS = "????_??_??/*_drive_????_sync"
@@ -342,7 +342,7 @@ def frame_folder(clip: Clip, root: str | os.PathLike[str]) -> Path | None:
     below, source = [Path(root, clip.name)], _kitti_source(clip)
     drive = _DRIVE.fullmatch(str(source.get("drive")))
     if drive and source.get("camera") in (0, 1, 2, 3):
-        below.append(Path(root, camera_folder(Drive(drive[1], int(drive[2])), source["camera"]), "data"))
+        below.append(Path(root, Drive(drive[1], int(drive[2])).camera_folder(source["camera"]), "data"))
     return next((folder for folder in below if folder.is_dir()), None)
 
 

@@ -57,6 +57,10 @@ class Drive:
         """Folder of the synchronised, rectified drive below a KITTI raw root."""
         return f"{self.date}/{self.name}_sync"
 
+    def camera_folder(self, camera: int) -> str:
+        """Folder of one camera below a KITTI raw root; holds ``timestamps.txt`` and ``data/``."""
+        return f"{self.folder}/image_{check_camera(camera):02d}"
+
 
 @dataclass(frozen=True)
 class Fingerprint:

@@ -143,7 +143,7 @@ def locate_clip(clip: Entry, files: FileSet, options: LocateOptions | None = Non
 
 def drive_frames(files: FileSet, drive: Drive, camera: int) -> dict[int, str]:
     """Names of the frames of one camera that are there, by number, ascending."""
-    folder = f"{drive.folder}/image_{camera:02d}/data/"
+    folder = f"{drive.camera_folder(camera)}/data/"
     names = [name for name in files.sizes if name.startswith(folder)]
     numbered = {frame_number(name[len(folder) :]): name for name in names}
     return {n: numbered[n] for n in sorted(k for k in numbered if k is not None)}

@@ -175,7 +175,7 @@ class _Part:
                 self.failures.append(error)
                 continue
             self.located.append(located)
-            camera, packets = f"{clip.drive.folder}/image_{located.camera:02d}", f"{clip.drive.folder}/oxts"
+            camera, packets = clip.drive.camera_folder(located.camera), f"{clip.drive.folder}/oxts"
             names += [f"{camera}/timestamps.txt", f"{packets}/timestamps.txt"]
             names += [f"{packets}/data/{n:010d}.txt" for n in located.numbers or ()]
         self.lacking = [name for name in dict.fromkeys(names) if name not in files.sizes]

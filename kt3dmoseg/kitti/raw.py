@@ -161,7 +161,7 @@ class RawDrive(Calibration):
         self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
         super().__init__(self.root / date, check_camera(camera))
         self._drive_folder = self.root / self.drive.folder
-        self._camera_folder = self._drive_folder / f"image_{self.camera:02d}"
+        self._camera_folder = self.root / self.drive.camera_folder(self.camera)
         if not self._drive_folder.is_dir():
             raise InputFileError(f"{self._drive_folder}: no such folder", fix=_FIX)
 
