@@ -1,7 +1,7 @@
 """Write a segmentation method: a frozen dataclass of parameters with one verb.
 
 This one clusters positions and velocities. It does badly, and shows why the task is hard: seen from a moving
-car, velocity tells depth rather than motion. To make it a name that
+car, velocity follows depth rather than motion. To make it a name that
 `mseg run --method velocity` knows, your package announces it in its pyproject.toml:
 
     [project.entry-points."mseg.methods"]
@@ -23,7 +23,7 @@ from kt3dmoseg.types import Clip
 class Velocity:
     """Cluster positions and velocities with k-means."""
 
-    weight: float = option(3.0, "weight of a velocity beside a position", low=0.0)
+    weight: float = option(3.0, "weight of a velocity next to a position", low=0.0)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> mseg.Segmentation:
         """Segment the evaluated trajectories; see `mseg.types.Method`."""

@@ -194,13 +194,13 @@ def _tracklet_xml(scene: Scene) -> str:
     items = []
     for k, vehicle in enumerate(scene.vehicles):
         width, height, length = vehicle.size
-        places = "".join(_pose_xml(np.linalg.inv(T_CAM_VELO) @ pose @ _BODY_BOX) for pose in poses[:, k])
+        boxes = "".join(_pose_xml(np.linalg.inv(T_CAM_VELO) @ pose @ _BODY_BOX) for pose in poses[:, k])
         items.append(
             '<item class_id="1" tracking_level="0" version="1">\n'
             f"<objectType>{_TRACKLET_TYPES[vehicle.kind]}</objectType>\n"
             f"<h>{height}</h><w>{width}</w><l>{length}</l>\n<first_frame>0</first_frame>\n"
             '<poses class_id="2" tracking_level="0" version="0">\n'
-            f"<count>{len(poses)}</count>\n<item_version>2</item_version>\n{places}</poses>\n"
+            f"<count>{len(poses)}</count>\n<item_version>2</item_version>\n{boxes}</poses>\n"
             "<finished>1</finished>\n</item>\n"
         )
     return (

@@ -25,30 +25,15 @@ class Face:
     """A rectangle or symmetric or skew trapezoid in the coordinates of its body.
 
     It covers 0 <= v <= extent[1] and lean[0] v <= u <= extent[0] - lean[1] v.
-
-    Parameters
-    ----------
-    origin : (3,) float64
-        The corner where u = v = 0, metres.
-    eu, ev : (3,) float64
-        Orthogonal unit vectors along u and v; ``cross(eu, ev)`` points out of the visible side.
-    extent : (2,) float64
-        Length of the base along u and height along v, metres.
-    material : Material
-        How it looks.
-    lean : (2,) float64, optional
-        How much the two sides lean inwards per metre of v; 0 for a rectangle.
-    body : int
-        0 = static scene, k = k-th moving object.
     """
 
-    origin: FloatArray
-    eu: FloatArray
+    origin: FloatArray  # (3,): the corner where u = v = 0
+    eu: FloatArray  # (3,) unit vectors along u and v; cross(eu, ev) points out of the visible side
     ev: FloatArray
-    extent: FloatArray
+    extent: FloatArray  # (2,): length of the base along u, height along v
     material: Material
-    lean: FloatArray = field(default_factory=lambda: np.zeros(2))
-    body: int = 0
+    lean: FloatArray = field(default_factory=lambda: np.zeros(2))  # of the two sides, inwards per metre of v
+    body: int = 0  # 0 = static scene, k = k-th moving object
 
 
 @dataclass(frozen=True)
@@ -60,34 +45,22 @@ class Skin:
     side: Material
     top: Material
 
-    @classmethod
-    def all(cls, material: Material) -> Skin:
-        """Give all sides the same material."""
-        return cls(material, material, material, material)
-
 
 def box(
     low: Sequence[float],
     high: Sequence[float],
-    skin: Skin,
+    skin: Skin | Material,
     inset: tuple[float, float, float] = (0.0, 0.0, 0.0),
     underside: Material | None = None,
 ) -> list[Face]:
-    """Give the faces of an axis-parallel box, whose top may be smaller (or larger) than its foot.
+    """Give the faces of an axis-parallel box between two corners (y points down: `low[1]` is the top).
 
-    Parameters
-    ----------
-    low, high : sequence of 3 float
-        Smallest and largest x, y, z of the foot, in metres (y points down: `low[1]` is the top).
-    skin : Skin
-        Materials. On walls u runs to the right as seen from outside and v upwards from the foot.
-    inset : (front, back, sides)
-        How far the edges of the top lie inside those of the foot, metres.
-    underside : Material, optional
-        Closes the foot, where it can be seen from below.
+    The edges of the top (front, back, sides) lie `inset` inside those of the foot; an `underside` closes
+    the foot, where it can be seen from below. On walls u runs to the right as seen from outside, v upwards.
     """
     (x0, y0, z0), (x1, y1, z1) = low, high
     front, back, sides = inset
+    skin = skin if isinstance(skin, Skin) else Skin(skin, skin, skin, skin)
     across, along = x1 - x0, z1 - z0
 
     def wall(
@@ -162,12 +135,7 @@ class Mesh:
 class Rays:
     """Directions (X, Y, 1) in camera coordinates.
 
-    Parameters
-    ----------
-    x, y : float64
-        X (W,) of the columns and Y (H,) of the rows of a grid, ascending; else X and Y (R,) of single rays.
-    grid : bool
-        Which of the two.
+    Of a grid, X (W,) of its columns and Y (H,) of its rows, ascending; else X and Y (R,) of single rays.
     """
 
     x: FloatArray
@@ -199,21 +167,8 @@ def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
     """Find the nearest face along every ray.
 
     A ray r meets the plane of a face (corner o, normal n) at depth z = n.o / n.r; the hit counts where its
-    coordinates on the face, (z r - o).eu and (z r - o).ev, are inside the extent.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Faces in camera coordinates.
-    rays : Rays
-        Directions.
-
-    Returns
-    -------
-    depth : float64, shape of the rays
-        z in metres; infinite where nothing is hit.
-    face : int64, shape of the rays
-        Row of the mesh, or `SKY`.
+    coordinates on the face, (z r - o).eu and (z r - o).ev, are inside the extent. Both results have the
+    shape of the rays: depth z, infinite where nothing is hit, and row of the mesh, or `SKY`.
     """
     depth, face = np.full(rays.shape, np.inf), np.full(rays.shape, SKY, dtype=np.int64)
     normal = np.cross(mesh.eu, mesh.ev)

@@ -29,23 +29,7 @@ class Painter:
         self._grain, self._cloud = Noise(rng, 0.55), Noise(rng, 1.1)
 
     def paint(self, mesh: Mesh, rays: Rays, camera: FloatArray, spacing: float) -> FloatArray:
-        """Grey value of every ray.
-
-        Parameters
-        ----------
-        mesh : Mesh
-            Faces in camera coordinates.
-        rays : Rays
-            A grid, `spacing` apart on the plane z = 1.
-        camera : (4, 4) float64
-            ``T_world_cam``, for the sky.
-        spacing : float
-            Distance of neighbouring rays.
-
-        Returns
-        -------
-        (H, W) float64
-        """
+        """Grey value of every ray of a grid, `spacing` apart on the plane z = 1, by ``T_world_cam``."""
         depth, face = cast(mesh, rays)
         x, y = rays.directions()
         grey = np.empty(x.shape)
@@ -94,18 +78,8 @@ def gather(light: FloatArray, offset: FloatArray) -> FloatArray:
     """Give every pixel the light of its own ray and of its neighbours', weighed by a tent two pixels wide.
 
     That is about the blur of a good lens on a sensor. The weights of one ray per pixel add to 1, and a
-    linear ramp stays what it is, wherever in the pixel the rays pass.
-
-    Parameters
-    ----------
-    light : (H + 2, W + 2) float64
-        Grey values along one ray per pixel, with one pixel more on each side.
-    offset : (2,) float64
-        Where the rays pass, x and y relative to the pixels' centres, within half a pixel.
-
-    Returns
-    -------
-    (H, W) float64
+    linear ramp stays what it is, wherever in the pixel the rays pass. `light` (H + 2, W + 2) has one pixel
+    more on each side; `offset` is where the rays pass, x and y relative to the pixels' centres.
     """
     for shift in offset[::-1]:
         before, here, after = (max(0.0, 1 - abs(shift + step)) for step in (-1, 0, 1))

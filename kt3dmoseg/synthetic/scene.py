@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import check, option
-from kt3dmoseg.synthetic.raycast import NEAR, SKY, Face, Mesh, Rays, cast
+from kt3dmoseg.synthetic.raycast import NEAR, SKY, Mesh, Rays, cast
 from kt3dmoseg.synthetic.render import Painter, expose, gather, ray_offsets
 from kt3dmoseg.synthetic.street import street
-from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, Vehicle, traffic, vehicle_faces
+from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, traffic, vehicle_faces
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Labels, Trajectories
 
 FRAMES_PER_SECOND = 10.0
@@ -51,32 +50,36 @@ class SceneOptions:
         check(self, where="SceneOptions")
 
 
-@dataclass(frozen=True, eq=False)
 class Scene:
     """A street with moving vehicles, filmed from a moving car.
 
-    Made by `make_scene`. Frames count from 0; pixel coordinates have (0, 0) at the centre of the top-left
-    pixel; object ids are 0 for the sky, 1 for the static scene, 2, 3, ... for ``vehicles[0]``, ...
+    Frames count from 0; pixel coordinates have (0, 0) at the centre of the top-left pixel; object ids are 0
+    for the sky, 1 for the static scene, 2, 3, ... for ``vehicles[0]``, ...
 
     Parameters
     ----------
     options : SceneOptions
-        What was asked for.
+        Size, length, number of moving objects, seed and so on. Same options, same bytes.
+
+    Attributes
+    ----------
     camera : Drive
         Motion of the camera car; time 0 is the middle of the clip.
-    vehicles : tuple of Vehicle
+    vehicles : list of Vehicle
         The moving objects.
-    faces : tuple of Face
-        All surfaces.
-    painter : Painter
-        Turns hits into grey values.
     """
 
-    options: SceneOptions
-    camera: Drive
-    vehicles: tuple[Vehicle, ...]
-    faces: tuple[Face, ...]
-    painter: Painter
+    def __init__(self, options: SceneOptions) -> None:
+        self.options = options
+        layout, looks = (np.random.default_rng([options.seed, 0, k]) for k in (0, 1))
+        length = options.speed * (options.frames - 1) / FRAMES_PER_SECOND
+        middle, swept = length / 2, 4.0 + 0.5 * length
+        self.camera = Drive(0.0, middle, 0.0, options.speed, np.radians(options.turn))
+        self.vehicles = traffic(layout, options.objects, middle, options.speed)
+        faces = street(layout, length, middle + CROSSING_AHEAD, (middle + 8 - swept, middle + 10 + swept))
+        for body, vehicle in enumerate(self.vehicles, start=1):
+            faces += [replace(face, body=body) for face in vehicle_faces(vehicle.kind, layout)]
+        self._mesh, self._painter = Mesh.of(faces), Painter(looks, faces)
 
     @property
     def n_frames(self) -> int:
@@ -130,7 +133,7 @@ class Scene:
         light = np.zeros(self.image_size[::-1])
         for offset in offsets:
             rays = self._rays(x + offset[0], y + offset[1], grid=True)
-            light += gather(self.painter.paint(mesh, rays, camera, spacing), offset)
+            light += gather(self._painter.paint(mesh, rays, camera, spacing), offset)
         rng = np.random.default_rng([self.options.seed, 1 + frame])
         return expose(light / len(offsets), self.options.noise, rng)
 
@@ -196,10 +199,6 @@ class Scene:
         _, body = self._surface_points(points)
         names = {BACKGROUND: "background"} | {k + 2: v.name for k, v in enumerate(self.vehicles)}
         return Labels(body + BACKGROUND, background=BACKGROUND, names=names)
-
-    @cached_property
-    def _mesh(self) -> Mesh:
-        return Mesh.of(self.faces)
 
     def _mesh_at(self, frame: int) -> Mesh:
         """All faces in camera coordinates."""
@@ -276,24 +275,8 @@ def _transform(poses: FloatArray, body: IntArray, points: FloatArray) -> FloatAr
 
 
 def make_scene(options: SceneOptions | None = None) -> Scene:
-    """Make a scene.
-
-    Parameters
-    ----------
-    options : SceneOptions, optional
-        Size, length, number of moving objects, seed and so on. Same options, same bytes.
-    """
-    chosen = options or SceneOptions()
-    layout, looks = (np.random.default_rng([chosen.seed, 0, k]) for k in (0, 1))
-    length = chosen.speed * (chosen.frames - 1) / FRAMES_PER_SECOND
-    middle = length / 2
-    vehicles = traffic(layout, chosen.objects, middle, chosen.speed)
-    swept = 4.0 + 0.5 * length
-    faces = street(layout, length, middle + CROSSING_AHEAD, (middle + 8 - swept, middle + 10 + swept))
-    for body, vehicle in enumerate(vehicles, start=1):
-        faces += [replace(face, body=body) for face in vehicle_faces(vehicle.kind, layout)]
-    camera = Drive(0.0, middle, 0.0, chosen.speed, np.radians(chosen.turn))
-    return Scene(chosen, camera, tuple(vehicles), tuple(faces), Painter(looks, faces))
+    """Make a scene, see `Scene`; without options the usual one."""
+    return Scene(options or SceneOptions())
 
 
 def track_errors(scene: Scene, tracks: Trajectories, after: int | None = None) -> FloatArray:

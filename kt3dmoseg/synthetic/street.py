@@ -78,11 +78,9 @@ def _houses(rng: np.random.Generator, start: float, stop: float, wall: float, si
         faces += box((x0, -height, z), (x1, 0.0, z + length), skin)
         ledge = Plain(150.0, 6.0, 8.0, rng.uniform(0, 50))
         e0, e1 = sorted((front - side * 0.35, front))
-        faces += box((e0, -height - 0.25, z), (e1, -height + 0.2, z + length), Skin.all(ledge))
+        faces += box((e0, -height - 0.25, z), (e1, -height + 0.2, z + length), ledge)
         tiles = Plain(rng.uniform(60, 95), 14.0, 9.0, rng.uniform(0, 50))
-        faces += box(
-            (x0, -height - 3.4, z), (x1, -height - 0.25, z + length), Skin.all(tiles), (0.4, 0.4, 4.5)
-        )
+        faces += box((x0, -height - 3.4, z), (x1, -height - 0.25, z + length), tiles, (0.4, 0.4, 4.5))
         z += length + (0.0 if rng.random() < 0.75 else rng.uniform(1.5, 3.5))
     return faces
 
@@ -109,7 +107,7 @@ def _furniture(rng: np.random.Generator, start: float, stop: float) -> list[Face
 def _post(rng: np.random.Generator, x: float, z: float, width: float, height: float) -> list[Face]:
     look = pillar(rng.uniform(55, 150), width, rng.uniform(0, 50))
     half = width / 2
-    return box((x - half, -height, z - half), (x + half, 0.0, z + half), Skin.all(look))
+    return box((x - half, -height, z - half), (x + half, 0.0, z + half), look)
 
 
 def _sign(rng: np.random.Generator, x: float, z: float) -> list[Face]:
@@ -124,7 +122,7 @@ def _tree(rng: np.random.Generator, x: float, z: float) -> list[Face]:
     leaves = foliage(rng.uniform(80, 125), rng.uniform(0, 50))
     foot, waist, top = (rng.uniform(*span) for span in ((2.5, 3.1), (3.8, 4.6), (6.2, 7.8)))
     inner, outer = rng.uniform(0.6, 0.9), rng.uniform(1.1, 1.6)
-    skin, spread = Skin.all(leaves), (inner - outer,) * 3
+    skin, spread = leaves, (inner - outer,) * 3
     crown = box((-inner, -waist, -inner), (inner, -foot, inner), skin, spread, underside=leaves)
     crown += box((-outer, -top, -outer), (outer, -waist, outer), skin, (0.6 * outer,) * 3)
     turn = rng.uniform(0, np.pi / 2)
@@ -135,7 +133,7 @@ def _tree(rng: np.random.Generator, x: float, z: float) -> list[Face]:
 def _hedge(rng: np.random.Generator, x: float, z: float) -> list[Face]:
     leaves = foliage(rng.uniform(50, 85), rng.uniform(0, 50))
     high, deep = rng.uniform(0.7, 1.5), rng.uniform(2, 4)
-    return box((x - 0.5, -high, z - deep / 2), (x + 0.5, 0.0, z + deep / 2), Skin.all(leaves))
+    return box((x - 0.5, -high, z - deep / 2), (x + 0.5, 0.0, z + deep / 2), leaves)
 
 
 def _parked(
@@ -154,9 +152,8 @@ def _parked(
 def _horizon(rng: np.random.Generator, end: float, crossing: float) -> list[Face]:
     """Trees at the end of the street and houses along the side street: no view to the edge of the world."""
     leaves = [foliage(rng.uniform(45, 80), rng.uniform(0, 50)) for _ in range(3)]
-    wood = Skin.all(leaves[0])
-    faces = box((-150, -9, end + 40), (150, 0.0, end + 44), wood)
+    faces = box((-150, -9, end + 40), (150, 0.0, end + 44), leaves[0])
     for side in (-1, 1):
         x0, x1 = sorted((side * 95.0, side * 99.0))
-        faces += box((x0, -10, crossing - 60), (x1, 0.0, crossing + 60), Skin.all(leaves[side]))
+        faces += box((x0, -10, crossing - 60), (x1, 0.0, crossing + 60), leaves[side])
     return faces

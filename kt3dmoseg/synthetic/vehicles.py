@@ -33,25 +33,13 @@ _SLOWEST_WEAVE = 0.5  # radians per second
 
 @dataclass(frozen=True)
 class Drive:
-    """Motion along a gentle weave: near time 0 a turn at a constant rate, in the long run straight on.
+    """Motion along a gentle weave: near time 0 a turn at a constant rate, in the long run straight on."""
 
-    Parameters
-    ----------
-    x, z : float
-        Position at time 0, metres.
-    yaw : float
-        Heading at time 0, radians; 0 looks along +z, positive turns right.
-    speed : float
-        Metres per second along the heading at time 0.
-    yaw_rate : float
-        Radians per second at time 0.
-    """
-
-    x: float
+    x: float  # metres, at time 0 as all the others
     z: float
-    yaw: float = 0.0
-    speed: float = 0.0
-    yaw_rate: float = 0.0
+    yaw: float = 0.0  # heading in radians; 0 looks along +z, positive turns right
+    speed: float = 0.0  # metres per second along the heading
+    yaw_rate: float = 0.0  # radians per second
 
     def pose(self, time: float) -> FloatArray:
         """``T_world_body`` (4, 4) at `time` seconds.
@@ -97,14 +85,9 @@ def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
     paint = Plain(grey, fine=6.0, coarse=11.0, salt=salt)
     half, under = width / 2, Plain(18.0, fine=5.0, coarse=3.0, salt=salt)
     floor, waist = 0.28, 0.86 if kind == "car" else height
-    hollow = Skin.all(under)
-    body = Skin(
-        _nose(paint, width, waist, rng),
-        _tail(paint, width, waist, kind, rng),
-        _flank(paint, kind, rng),
-        paint,
-    )
-    faces = box((-half + 0.12, -floor, -length / 2 + 0.1), (half - 0.12, 0.0, length / 2 - 0.1), hollow)
+    front, back = _nose(paint, width, waist, rng), _tail(paint, width, waist, kind, rng)
+    body = Skin(front, back, _flank(paint, kind, rng), paint)
+    faces = box((-half + 0.12, -floor, -length / 2 + 0.1), (half - 0.12, 0.0, length / 2 - 0.1), under)
     nose = (0.1, 0.05, 0.0) if kind == "car" else (0.45, 0.0, 0.06) if kind == "van" else (0.0, 0.0, 0.0)
     faces += box((-half, -waist, -length / 2), (half, -floor, length / 2), body, nose)
     faces += _wheels(half, length)
@@ -182,15 +165,12 @@ def _cabin(paint: Plain, half: float, waist: float, height: float, length: float
 def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -> list[Vehicle]:
     """Choose `count` vehicles that all are in view in the middle of the clip and do not collide.
 
-    They come in the order of how well their motion can be told from the camera's: one crosses the street,
+    They come in the order of how well their motion differs from the camera's: one crosses the street,
     one ahead changes lanes, one leaves a parking place, one comes towards us. The nearer a vehicle's course
     is to the camera's, the less its points leave the epipolar lines of the static scene. `middle` is the z of
     the camera in the middle of the clip, `speed` its speed.
     """
-
-    def draw(low: float, high: float) -> float:
-        return rng.uniform(low, high)
-
+    draw = rng.uniform
     side = int(rng.choice([-1, 1]))
     crossing = Drive(
         ONCOMING + draw(1.0, 3.0),
@@ -208,15 +188,14 @@ def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -
     oncoming = Drive(
         ONCOMING + draw(-0.1, 0.2), middle + draw(12.5, 15), np.pi + draw(0.05, 0.12), draw(2.5, 5.0)
     )
-    plans = [("crossing", crossing), ("leading", lead), ("leaving", leaving), ("oncoming", oncoming)]
-    kinds: dict[str, tuple[Kind, ...]] = {
-        "crossing": ("truck",),
-        "oncoming": ("van", "car"),
-        "leading": ("car", "van"),
-        "leaving": ("car",),
-    }
+    plans: list[tuple[str, Drive, tuple[Kind, ...]]] = [
+        ("crossing", crossing, ("truck",)),
+        ("leading", lead, ("car", "van")),
+        ("leaving", leaving, ("car",)),
+        ("oncoming", oncoming, ("van", "car")),
+    ]
     vehicles = []
-    for role, drive in plans[:count]:
-        kind = kinds[role][int(rng.integers(len(kinds[role])))]
+    for role, drive, kinds in plans[:count]:
+        kind = kinds[int(rng.integers(len(kinds)))]
         vehicles.append(Vehicle(f"{role} {kind}", kind, drive, _SIZES[kind]))
     return vehicles

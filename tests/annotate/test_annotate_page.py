@@ -121,7 +121,7 @@ def test_everything_by_keyboard_alone(page, shared):
     page.until("labeller.state.clip.name === 'two'")
 
 
-def test_properties_are_edited_beside_the_frame(page, shared):
+def test_properties_are_edited_in_the_panel(page, shared):
     page.draw()
     page.tab.get_by_label("name", exact=True).fill("white van")
     page.tab.get_by_label("name", exact=True).press("Enter")

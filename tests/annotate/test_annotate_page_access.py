@@ -1,4 +1,4 @@
-"""The labelling page for everybody: readable, named, in order, and whole on a small screen."""
+"""The labelling page for everybody: readable, named, in order, and complete on a small screen."""
 
 from __future__ import annotations
 
@@ -106,12 +106,12 @@ def test_tab_goes_through_the_page_from_left_to_right_and_down(page):
 
 def test_every_key_is_in_the_help(page):
     page.press("?")
-    told = page.tab.locator("dialog kbd").all_inner_texts()
+    listed = page.tab.locator("dialog kbd").all_inner_texts()
     shown = page.value(
         "import('/static/keys.js').then(m => Object.values(m.KEYS).flat().map(k => k.shown).filter(Boolean))"
     )
-    assert told == shown
-    assert len(told) > 40
+    assert listed == shown
+    assert len(listed) > 40
 
 
 def test_a_large_screen_and_a_small_one(context, shared):

@@ -155,8 +155,8 @@ def test_differences_of_two_annotators_are_visited_one_by_one(reviewer, equipped
     (right, top), (_, bottom) = polygon[1:3]
     edge = [colour(reviewer, "regions", (right, y)) for y in np.linspace(top + 5, bottom - 5, 40)]
     assert max(min(pixel[:3]) for pixel in edge) > 120  # their outline, dashed white
-    beside = [colour(reviewer, "regions", (right - 8, y)) for y in np.linspace(top + 5, bottom - 5, 40)]
-    assert max(min(pixel[:3]) for pixel in beside) < 60
+    next_to_it = [colour(reviewer, "regions", (right - 8, y)) for y in np.linspace(top + 5, bottom - 5, 40)]
+    assert max(min(pixel[:3]) for pixel in next_to_it) < 60
     reviewer.press("Shift+G")
     reviewer.until("labeller.state.compared.at === 1")
     button(reviewer, "Done").click()

@@ -1,4 +1,4 @@
-"""What the labelling page saves, and that nothing is lost: tabs, servers that die, strangers."""
+"""What the labelling page saves, and that nothing is lost: tabs, servers that die, other addresses."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_p
     assert page.errors == []
 
 
-def test_a_folder_that_cannot_be_written_is_told_and_tried_again(page, shared):
+def test_a_folder_that_cannot_be_written_is_reported_and_tried_again(page, shared):
     shared.notes.write_text("a file where the folder should be")
     page.draw()
     page.until("labeller.state.saving.kind === 'offline'")

@@ -16,14 +16,14 @@ CLIPS = ["2011_09_26_drive_0001", "2011_09_26_drive_0002"]
 
 
 @pytest.fixture(scope="module")
-def story(tmp_path_factory):
+def finished(tmp_path_factory):
     folder, lines = tmp_path_factory.mktemp("demo") / "out", []
     reports = run_demo(folder, SMALL, tell=lines.append)
     return folder, lines, reports
 
 
-def test_it_leaves_drives_annotations_clips_submissions_and_reports(story):
-    folder, _, reports = story
+def test_it_leaves_drives_annotations_clips_submissions_and_reports(finished):
+    folder, _, reports = finished
     for clip in CLIPS:
         frames = folder / "kitti" / "2011_09_26" / f"{clip}_sync" / "image_00" / "data"
         assert len(list(frames.glob("*.png"))) == 7
@@ -36,8 +36,8 @@ def test_it_leaves_drives_annotations_clips_submissions_and_reports(story):
         assert "data:image/jpeg" in page  # the frames are in it
 
 
-def test_the_clips_are_labelled_and_have_time_and_camera(story):
-    clips = kt3dmoseg.load_dataset(story[0] / "dataset")
+def test_the_clips_are_labelled_and_have_time_and_camera(finished):
+    clips = kt3dmoseg.load_dataset(finished[0] / "dataset")
     assert sorted(clips) == CLIPS
     for clip in clips.values():
         assert clip.n_motions >= 2
@@ -47,8 +47,8 @@ def test_the_clips_are_labelled_and_have_time_and_camera(story):
         assert clip.camera.K is not None
 
 
-def test_the_submissions_are_valid_and_the_method_beats_the_baseline(story):
-    folder = story[0]
+def test_the_submissions_are_valid_and_the_method_beats_the_baseline(finished):
+    folder = finished[0]
     means = {}
     for method in SMALL.methods:
         submission = folder / "submissions" / method
@@ -57,8 +57,8 @@ def test_the_submissions_are_valid_and_the_method_beats_the_baseline(story):
     assert means["keradd"] < means["one_motion"]
 
 
-def test_it_tells_seven_steps_with_the_commands_of_real_data(story):
-    text = "\n".join(story[1])
+def test_it_announces_seven_steps_with_the_commands_of_real_data(finished):
+    text = "\n".join(finished[1])
     assert [f"[{k}/7]" in text for k in range(1, 8)] == [True] * 7
     for command in ("pull", "label", "build", "info"):
         assert f"kt3dmoseg {command}" in text
@@ -79,8 +79,8 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path, capsys):
 def test_a_file_in_place_of_the_folder_is_one_line(tmp_path, capsys):
     (tmp_path / "file.txt").write_text("mine")
     assert cli.main(["demo", "-o", str(tmp_path / "file.txt")]) == 2
-    told = capsys.readouterr().err
-    assert told == f"kt3dmoseg: {tmp_path}/file.txt: expected a folder, found a file; choose another\n"
+    message = capsys.readouterr().err
+    assert message == f"kt3dmoseg: {tmp_path}/file.txt: expected a folder, found a file; choose another\n"
     assert (tmp_path / "file.txt").read_text() == "mine"
 
 
@@ -142,12 +142,12 @@ def test_track_errors_are_zero_for_the_truth_and_grow_with_a_slip():
     scene = make_scene(SceneOptions(width=310, height=94, frames=6, objects=1))
     seeds = np.column_stack([np.linspace(20, 280, 40), np.full(40, 30.0), np.zeros(40)])
     tracks = scene.trajectories(seeds)
-    whole = tracks.select(tracks.visible.all(axis=1))
-    assert np.nanmax(track_errors(scene, whole)) < 1e-6
-    moved = whole.xy.copy()
+    complete = tracks.select(tracks.visible.all(axis=1))
+    assert np.nanmax(track_errors(scene, complete)) < 1e-6
+    moved = complete.xy.copy()
     moved[:, 3] += (0.3, 0.4)
-    slipped = kt3dmoseg.Trajectories(moved, whole.visible)
+    slipped = kt3dmoseg.Trajectories(moved, complete.visible)
     assert np.allclose(track_errors(scene, slipped, 3), 0.5, atol=1e-6)
-    assert np.isnan(track_errors(scene, whole, 6)).all()
+    assert np.isnan(track_errors(scene, complete, 6)).all()
     with pytest.raises(InputFileError):
         run_demo("/proc/demo-out", SMALL, tell=lambda _: None)

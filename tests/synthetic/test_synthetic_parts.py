@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kt3dmoseg.synthetic.materials import _TABLE, Noise, Patch, Plain, _cells, _mosaic, band, stripes
-from kt3dmoseg.synthetic.raycast import SKY, Mesh, Rays, Skin, box, cast
+from kt3dmoseg.synthetic.raycast import SKY, Mesh, Rays, box, cast
 from kt3dmoseg.synthetic.render import expose, gather, ray_offsets, respond
 from kt3dmoseg.synthetic.vehicles import Drive
 
-GREY = Skin.all(Plain(100.0))
+GREY = Plain(100.0)
 
 
 def test_a_box_straight_ahead_has_the_expected_depth_and_outline():
@@ -134,7 +134,7 @@ def test_pixels_keep_a_linear_ramp(samples):
 @pytest.mark.parametrize("samples", [2, 3, 5])
 @pytest.mark.parametrize("across", [True, False])
 def test_edges_move_over_pixels_in_steps_of_one_ray(samples, across):
-    """The summed light of a row of pixels tells where an edge is, to 1 / samples^2 of a pixel."""
+    """The summed light of a row of pixels gives the place of an edge, to 1 / samples^2 of a pixel."""
     for edge in np.random.default_rng(1).uniform(4, 6, 30):
         image = gathered(lambda x, y, at=edge: 1.0 * ((x if across else y) + 0 * (x + y) > at), samples)
         seen = (11.5 if across else 8.5) - image.sum(axis=int(across)).mean()

@@ -112,7 +112,7 @@ function nameOf(event) {
   return `${event.ctrlKey || event.metaKey ? "Ctrl+" : ""}${shifted ? "Shift+" : ""}${letter}`;
 }
 
-/** Run what a key stands for; true when it stands for something. */
+/** Run the action of a key; true when it has one. */
 export function press(name) {
   const entry = TABLE.get(name);
   if (!entry || !state.doc) return false;

@@ -183,7 +183,7 @@ function counts() {
     ["background", BACKGROUND, motions[1] ?? 0],
     ...numbers.map((motion) => [names.get(motion) ?? `motion ${motion}`, colourOfMotion(motion), motions[motion + 1]]),
     ["rejected", REJECTED, rejected],
-    ["too short to tell", PROBLEM, short],
+    ["too short to label", PROBLEM, short],
     ["in conflict", PROBLEM, conflict],
   ];
   const cells = rows.flatMap(([name, colour, count]) =>

@@ -140,7 +140,7 @@ export function nextProblem() {
   const row = rows[problem];
   const seen = [...Array(tracks.frames).keys()].filter((f) => !Number.isNaN(tracks.xy[2 * (row * tracks.frames + f)]));
   showTrack(row, seen[Math.floor(seen.length / 2)]);
-  const reason = labels.reason[row] === 3 ? "in conflict" : "too short to tell";
+  const reason = labels.reason[row] === 3 ? "in conflict" : "too short to label";
   say(`trajectory ${row} is ${reason} (${problem + 1} of ${rows.length}); lasso it with Q`);
 }
 
