@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.models import Entry, format_numbers
+from kt3dmoseg.catalog.models import format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_file, sha256_files
 from kt3dmoseg.io import dataset_paths, load
@@ -44,17 +44,9 @@ _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})")
 class FrameInfo:
     """What is known of a clip before its frames are decoded.
 
-    Parameters
-    ----------
-    numbers : sequence of int or None
-        Numbers of the frames; None when only decoding shows how many there are.
-    description : mapping
-        Where the frames come from, for the provenance, and the sha256 of everything that they are decoded
-        from, in order; no path of this machine.
-    timestamps : (F,) float64 or None
-        Seconds.
-    camera : Camera or None
-        The camera.
+    `numbers` of the frames are None when only decoding shows how many there are. The `description` says
+    where they come from, with the sha256 of everything they are decoded from, and no path of this machine.
+    `timestamps` (F,) are in seconds.
     """
 
     numbers: Sequence[int] | None
@@ -252,24 +244,21 @@ def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
         When the file is no catalog, or a clip in it skips frames.
     """
     path = Path(root) / LOCATED
-    clips = catalog.load(path, built_in=False) if path.is_file() else {}
-    return [source for clip in clips.values() if (source := _on_disk(path, clip))]
-
-
-def _on_disk(path: Path, clip: Entry) -> KittiClip | None:
-    """Return a located clip when at least one of its frames is there."""
-    numbers = clip.numbers or ()
-    try:
-        drive = RawDrive(path.parent, clip.drive.date, clip.drive.number, clip.camera)
-        if not np.isin(numbers, drive.numbers).any():
-            return None
-    except InputFileError:  # nothing of that drive or camera
-        return None
-    if numbers[-1] - numbers[0] + 1 != len(numbers):
-        raise FileFormatError(
-            f"{path}: {clip.name}", expected="consecutive frames", found=format_numbers(numbers)
-        )
-    return KittiClip(drive, numbers[0], numbers[-1], clip.name)
+    found: list[FrameSource] = []
+    for clip in (catalog.load(path, built_in=False) if path.is_file() else {}).values():
+        numbers = clip.numbers or ()
+        try:
+            drive = RawDrive(root, clip.drive.date, clip.drive.number, clip.camera)
+            on_disk = np.isin(numbers, drive.numbers).any()
+        except InputFileError:  # nothing of that drive or camera
+            continue
+        if on_disk and numbers[-1] - numbers[0] + 1 != len(numbers):
+            raise FileFormatError(
+                f"{path}: {clip.name}", expected="consecutive frames", found=format_numbers(numbers)
+            )
+        if on_disk:
+            found.append(KittiClip(drive, numbers[0], numbers[-1], clip.name))
+    return found
 
 
 def kitti_sources(
@@ -402,19 +391,7 @@ def _kitti_source(clip: Clip) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class ClipFiles:
-    """The files of one clip to label.
-
-    Parameters
-    ----------
-    name : str
-        Name of the clip.
-    frames : tuple of Path
-        Its frames in order.
-    tracks : Path or None
-        File of its trajectories; None = compute them.
-    annotation : Path
-        Where its annotation is or will be.
-    """
+    """The files of one clip to label; without `tracks` they are to be computed."""
 
     name: str
     frames: tuple[Path, ...]
@@ -455,7 +432,7 @@ def find_clips(
         When `path` holds no clip, or the frames of a clip file are nowhere.
     """
     given = Path(path)
-    folders, files = _folders(given), _clip_files(given)
+    folders, files = _picture_folders(given), _clip_files(given)
     if tracks is not None:
         files = _clip_files(Path(tracks)) | files
     out = {}
@@ -471,12 +448,11 @@ def find_clips(
     return out
 
 
-def _folders(path: Path) -> dict[str, Path]:
+def _picture_folders(path: Path) -> dict[str, Path]:
     if has_pictures(path):
         return {path.resolve().name: path}
-    if not path.is_dir():
-        return {}
-    return {sub.name: sub for sub in sorted(path.iterdir()) if has_pictures(sub)}
+    inside = sorted(path.iterdir()) if path.is_dir() else []
+    return {folder.name: folder for folder in inside if has_pictures(folder)}
 
 
 def _clip_files(path: Path) -> dict[str, Path]:
