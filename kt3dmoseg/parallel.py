@@ -338,7 +338,7 @@ def algorithm_version(cls: type) -> str | None:
     """
     names = cls.__module__.split(".")
     modules = [sys.modules.get(".".join(names[:count])) for count in range(len(names), 0, -1)]
-    stated = [getattr(place, "ALGORITHM_VERSION", None) for place in (cls, *modules)]
+    stated = [getattr(owner, "ALGORITHM_VERSION", None) for owner in (cls, *modules)]
     algorithm = next((str(version) for version in stated if version is not None), None)
     package = getattr(modules[-1], "__version__", None)
     parts = [str(part) for part in (algorithm, package) if part is not None]

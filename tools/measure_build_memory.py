@@ -36,9 +36,9 @@ def main() -> None:
 def measure(source: Path, length: int, flow: str, folder: Path) -> tuple[str, ...]:
     """Build a clip of that length in a process of its own; return a row of the table, sizes in MiB."""
     clip = _to_and_fro(source, length, folder / f"clip{length}")
-    place = ["--frames", str(clip), "-o", str(folder / "out"), "--annotations", "none", "--workers", "1"]
+    paths = ["--frames", str(clip), "-o", str(folder / "out"), "--annotations", "none", "--workers", "1"]
     # The frames repeat, so their flow fields do: with a cache the run takes minutes, not an hour.
-    command = [*place, "--flow", flow, "--cache", str(folder / "cache")]
+    command = [*paths, "--flow", flow, "--cache", str(folder / "cache")]
     process = subprocess.Popen([sys.executable, "-m", "kt3dmoseg.cli", "build", *command])
     _, status, usage = os.wait4(process.pid, 0)
     if status:

@@ -4,10 +4,10 @@ Usage: python tools/tracker_epipolar.py [--clips CLIP ...] [--after 10] [--cache
 
 Real frames have no true tracks, but where the scene is static and the camera moves, a point and the same
 point some frames later obey x'^T F x = 0. The released tracks of the background that live so long are
-started anew at their first points and followed in several ways. For each way and each start frame, F is
+started again at their first points and followed in several ways. For each way and each start frame, F is
 fitted (MAGSAC) to its own positions of those tracks that every way keeps, and the Sampson distances of all
 are pooled: of all tracks, of those that every way keeps, and of those on which the release and the default
-disagree, where the distances tell which of the two is right. The error along the epipolar line stays unseen.
+disagree, where the distances show which of the two is right. The error along the epipolar line stays unseen.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from kt3dmoseg.tracking import RELIABLE, track
 from kt3dmoseg.types import Clip
 
 LEAST_POINTS = 50
-LEAST_MOTION = 3.0  # pixels: the median of a pair that tells F
+LEAST_MOTION = 3.0  # pixels: the median of a pair that determines F
 WAYS = {
     "default": NO_STOPS,
     "anchored": {"anchor": RELIABLE["anchor"], **NO_STOPS},

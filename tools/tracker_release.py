@@ -1,4 +1,4 @@
-"""Tracks beside the 2018 release; a part of tracker_fidelity.py."""
+"""Tracks compared with the 2018 release; a part of tracker_fidelity.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tracks of synthetic drives beside the exact ones; a part of tracker_fidelity.py."""
+"""Tracks of synthetic drives compared with the exact ones; a part of tracker_fidelity.py."""
 
 from __future__ import annotations
 

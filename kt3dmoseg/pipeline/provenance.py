@@ -25,7 +25,7 @@ def inputs_of(
 ) -> dict[str, Any]:
     """Everything that the bytes of a built clip depend on, as JSON values.
 
-    `source` describes its frames, `labels` holds the sha256 of what labels it; a null flow stands for a
+    `source` describes its frames, `labels` holds the sha256 of what labels it; a null flow means a
     backend that depends on more than its parameters.
     """
     return {

@@ -60,12 +60,12 @@ class Window:
         weight = np.exp(-2 * (self.lattice[:2] ** 2).sum(axis=0) / radius**2)
         self.weight = cast(Float32Array, weight / weight.sum())
 
-    def look(self, image: Float32Array, place: FloatArray) -> Float32Array:
+    def look(self, image: Float32Array, pose: FloatArray) -> Float32Array:
         """Gray values (N, P) at A d + x for all offsets d in a `doubled` frame, whose edge is continued.
 
-        `place` (N, 2, 3) float64 holds A and x in pixels, side by side.
+        `pose` (N, 2, 3) float64 holds A and x in pixels, side by side.
         """
-        return _look(image, place, self._look_disc)
+        return _look(image, pose, self._look_disc)
 
     def start(self, image: Float32Array, xy: FloatArray) -> Float32Array:
         """Upright patches about points (N, 2) and their x- and y-derivatives, (N, 3, P)."""
@@ -87,8 +87,8 @@ def _spread(lattice: Float32Array) -> Float32Array:
     return (2 * np.eye(2, dtype=np.float32)[:, None, None] * lattice[..., None]).reshape(6, -1)
 
 
-def _look(image: Float32Array, place: FloatArray, spread: Float32Array) -> Float32Array:
-    rows, count = place.reshape(-1, 6).astype(np.float32), spread.shape[1] // 2
+def _look(image: Float32Array, pose: FloatArray, spread: Float32Array) -> Float32Array:
+    rows, count = pose.reshape(-1, 6).astype(np.float32), spread.shape[1] // 2
     out = np.empty((len(rows), count), dtype=np.float32)
     for first in range(0, len(rows), _ROWS):
         part = slice(first, first + _ROWS)
@@ -104,7 +104,7 @@ class Starts(NamedTuple):
 
     `patch` (N, 3, P) holds T less its weighted mean and its x- and y-derivative, `variance` (N,) the weighted
     mean of T^2, and `inverse` (N, 6, 6) takes the right side of the equations in `correction` to the change
-    of place.
+    of pose.
     """
 
     patch: Float32Array
@@ -162,7 +162,7 @@ def correction(rest: Float32Array, start: Starts, window: Window, options: Track
 
         sum over offsets d of weight(d) rho(r(d)),    r(d) = I(A d + x) - (1 + g) T(d) - b,
 
-    with the start's patch T. The change of place is sought on the side of T, whose derivatives stay the same
+    with the start's patch T. The change of pose is sought on the side of T, whose derivatives stay the same
     (Baker and Matthews, IJCV 2004, section 3.2; gain and brightness: linear appearance variation, Baker,
     Gross and Matthews, CMU-RI-TR-03-35, 2003):
 
@@ -252,28 +252,28 @@ class Appearance:
         all when `appearance` is 0.
         """
         affine = (np.eye(2) + gradient(forward, xy, _REACH)) @ self._affine
-        place, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)
+        pose, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)
         for first in range(0, len(xy), _CHUNK):
             part = slice(first, first + _CHUNK)
-            place[part], alike[part] = self._compared(place[part], self._starts.at(self._row[part]))
-        self._affine = place[..., :2]
-        return place[..., 2].copy(), alike
+            pose[part], alike[part] = self._compared(pose[part], self._starts.at(self._row[part]))
+        self._affine = pose[..., :2]
+        return pose[..., 2].copy(), alike
 
-    def _compared(self, place: FloatArray, start: Starts) -> tuple[FloatArray, BoolArray]:
+    def _compared(self, pose: FloatArray, start: Starts) -> tuple[FloatArray, BoolArray]:
         floor = self.options.appearance_floor
-        rest = self._rest(place, start)
+        rest = self._rest(pose, start)
         change = rest**2 @ self.window.weight
         if self.options.anchor:
-            step = -place[..., :2] @ correction(rest, start, self.window, self.options)
-            after = self._rest(place + step, start) ** 2 @ self.window.weight
+            step = -pose[..., :2] @ correction(rest, start, self.window, self.options)
+            after = self._rest(pose + step, start) ** 2 @ self.window.weight
             better = after < np.minimum(change, self.options.anchor_change * start.variance + floor)
             better &= np.hypot(*step[..., 2].T) <= self.options.anchor
-            better &= inside(place[..., 2] + step[..., 2], self._size)
-            place = place + self.options.anchor_gain * np.where(better[:, None, None], step, 0)
+            better &= inside(pose[..., 2] + step[..., 2], self._size)
+            pose = pose + self.options.anchor_gain * np.where(better[:, None, None], step, 0)
             change = np.where(better, after, change)
         if not self.options.appearance:
-            return place, np.ones(len(place), dtype=np.bool_)
-        return place, change <= self.options.appearance * start.variance + floor
+            return pose, np.ones(len(pose), dtype=np.bool_)
+        return pose, change <= self.options.appearance * start.variance + floor
 
-    def _rest(self, place: FloatArray, start: Starts) -> Float32Array:
-        return self.window.centred(self.window.look(self._image, place)) - start.patch[:, 0]
+    def _rest(self, pose: FloatArray, start: Starts) -> Float32Array:
+        return self.window.centred(self.window.look(self._image, pose)) - start.patch[:, 0]

@@ -12,7 +12,7 @@ from kt3dmoseg.options import Preset, option
 RELIABLE: Mapping[str, float] = MappingProxyType(
     {"anchor": 1.0, "appearance": 0.18, "consistency": 1e-4, "consistency_floor": 0.02}
 )
-"""What `reliable` stands for: tracks that are anchored, and stopped where in doubt.
+"""What `reliable` means: tracks that are anchored, and stopped where in doubt.
 
 The defaults make tracks like the release's, which drift. What each kind reaches: docs/tracking.md.
 """

@@ -88,8 +88,8 @@ def test_the_default_flow_gains_at_outlines(scene):
     ring = np.zeros(a.shape, bool)
     ring[30:100, 50:120] = True
     ring[46:84, 66:114] = False
-    plain, whole = (flow.create("dis", reach=reach)(a, b) for reach in ((), SETTINGS["reach"]))
-    assert wrong(whole, exact, ring) < wrong(plain, exact, ring)
+    plain, sharp = (flow.create("dis", reach=reach)(a, b) for reach in ((), SETTINGS["reach"]))
+    assert wrong(sharp, exact, ring) < wrong(plain, exact, ring)
 
 
 def test_a_distance_of_nothing_is_refused():

@@ -36,9 +36,9 @@ def test_an_object_keeps_a_motion_of_over_20_pixels():
     a[50:98, left : left + 64] = patch
     b[50:98, left + step : left + step + 64] = patch
     field = flow.create("dis")(a, b)
-    on_it, beside = field[56:92, 106:158], field[16:38, 60:260]
+    on_it, around = field[56:92, 106:158], field[16:38, 60:260]
     assert np.mean(np.linalg.norm(on_it - (step, 0), axis=2) < 0.5) > 0.9
-    assert np.mean(np.linalg.norm(beside - (2, 0), axis=2) < 0.2) > 0.95
+    assert np.mean(np.linalg.norm(around - (2, 0), axis=2) < 0.2) > 0.95
 
 
 def test_threads_and_other_sizes_in_between_change_nothing():

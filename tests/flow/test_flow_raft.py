@@ -1,4 +1,4 @@
-"""The RAFT adapter around a stand-in for torch: what it says when it lacks something, what it hands over."""
+"""The RAFT adapter around a stand-in for torch: errors when something is missing, and what it passes on."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_frames_are_padded_for_the_network_and_its_flow_is_cut_back(torch, frame
     assert field[100, 30].tolist() == [30, 100]
 
 
-def test_torch_and_torchvision_that_do_not_fit_are_told(torch, frames, monkeypatch):
+def test_torch_and_torchvision_that_do_not_fit_are_reported(torch, frames, monkeypatch):
     class Unfit:
         def find_spec(self, name, *_):
             if name == "torchvision":

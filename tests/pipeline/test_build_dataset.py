@@ -56,7 +56,7 @@ def test_one_file_per_clip_then_nothing_to_do(frames, tmp_path):
     assert contents(tmp_path / "out") == before
 
 
-def test_one_word_counts_as_the_options_it_stands_for(frames, tmp_path, capsys):
+def test_one_word_counts_as_the_options_it_means(frames, tmp_path, capsys):
     out = tmp_path / "out"
     build(frames, out)
     command = ["build", "--frames", str(frames), "-o", str(out), "--flow", "dis_medium", "--workers", "1"]
@@ -142,12 +142,12 @@ def test_a_bad_clip_does_not_stop_the_others(frames, tmp_path, capsys):
     (frames / "b/000003.png").unlink()
     command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW]
     assert main([*command, "--workers", "1"]) == 2
-    told = capsys.readouterr()
+    printed = capsys.readouterr()
     assert sorted(contents(tmp_path / "out")) == ["a.h5", "c.h5"]
-    assert told.err.count("\n") == 1
-    assert "b failed" in told.err
-    assert "frame 3" in told.err
-    assert "2 built, 0 up to date, 1 failed" in told.out
+    assert printed.err.count("\n") == 1
+    assert "b failed" in printed.err
+    assert "frame 3" in printed.err
+    assert "2 built, 0 up to date, 1 failed" in printed.out
 
 
 @pytest.mark.parametrize(
@@ -159,25 +159,27 @@ def test_a_bad_clip_does_not_stop_the_others(frames, tmp_path, capsys):
         (["--masks", "nowhere"], "nowhere: expected masks"),
     ],
 )
-def test_what_is_wrong_for_all_clips_is_told_once_before_the_first(wrong, words, frames, tmp_path, capsys):
+def test_what_is_wrong_for_all_clips_is_reported_once_before_the_first(
+    wrong, words, frames, tmp_path, capsys
+):
     assert main(["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW, *wrong]) == 2
-    told = capsys.readouterr()
-    assert told.err.count("\n") == 1
-    assert words in told.err
-    assert "failed" not in told.err + told.out
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert words in printed.err
+    assert "failed" not in printed.err + printed.out
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
-    ("place", "words"),
+    ("folder", "words"),
     [
         ("", "expected one folder of masks per clip, as {masks}/a, found masks, and 3 clips"),
         ("d", "expected masks (.png) there, or in {masks}/a, found none"),
     ],
 )
-def test_masks_belong_to_a_clip_by_name(place, words, frames, tmp_path, capsys):
+def test_masks_belong_to_a_clip_by_name(folder, words, frames, tmp_path, capsys):
     masks = tmp_path / "masks"
-    write_masks(masks / place)
+    write_masks(masks / folder)
     command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), "--masks", str(masks), *FLOW]
     assert main(command) == 2
     assert words.format(masks=masks) in capsys.readouterr().err
@@ -201,7 +203,7 @@ def test_two_clips_of_one_name_are_both_named(frames, tmp_path):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_missing_package_is_told_once(workers, frames, tmp_path):
+def test_a_missing_package_is_reported_once(workers, frames, tmp_path):
     if importlib.util.find_spec("torch"):
         pytest.skip("torch is installed")
     with pytest.raises(MissingDependencyError, match="pip install"):
@@ -209,15 +211,15 @@ def test_a_missing_package_is_told_once(workers, frames, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_clips_without_a_trajectory_are_told_in_the_summary(tmp_path, capsys):
+def test_clips_without_a_trajectory_are_reported_in_the_summary(tmp_path, capsys):
     for name, count in (("long", FRAMES), ("short", 4), ("shorter", 3)):
         write_clip(tmp_path / "frames" / name, frames=count)
     command = ["build", "--frames", str(tmp_path / "frames"), "-o", str(tmp_path / "out"), *FLOW]
     assert main([*command, "--workers", "1"]) == 0
-    told = capsys.readouterr()
-    assert told.err.count("\n") == 1
-    assert "no trajectories in short (4 frames), shorter (3 frames); " in told.err
-    assert "--min-length 5 frames" in told.err
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert "no trajectories in short (4 frames), shorter (3 frames); " in printed.err
+    assert "--min-length 5 frames" in printed.err
     assert main([*command, "--workers", "1", "--min-length", "3"]) == 0
     assert capsys.readouterr().err == ""
 
@@ -261,11 +263,11 @@ def test_bad_frames_are_one_line_and_leave_nothing(name, tmp_path, capfd):
     folder = write_clip(tmp_path / "clip")
     spoil(folder)
     code = main(["build", "--frames", str(folder), "-o", str(tmp_path / "out"), *FLOW])
-    told = capfd.readouterr().err
+    printed = capfd.readouterr().err
     assert code == 2
-    assert told.count("\n") == 1
-    assert re.search(words, told), told
-    assert str(folder) in told
+    assert printed.count("\n") == 1
+    assert re.search(words, printed), printed
+    assert str(folder) in printed
     assert not (tmp_path / "out").exists()
 
 
@@ -281,9 +283,9 @@ def test_colour_is_built_when_its_luma_is_asked_for(tmp_path):
 def test_a_file_where_the_output_folder_should_be(frames, tmp_path, capsys):
     (tmp_path / "out").write_text("in the way")
     assert main(["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "cannot write" in told
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert "cannot write" in printed
 
 
 def test_a_read_only_output_folder(frames, tmp_path, monkeypatch):
@@ -364,16 +366,16 @@ def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
         os.killpg(process.pid, how)
     else:
         process.send_signal(how)
-    told = process.communicate()[1]
+    printed = process.communicate()[1]
     _wait_for_the_end(process.pid)
     assert process.returncode == (130 if how == signal.SIGINT else -how)
     if how == signal.SIGINT:
-        assert told == "kt3dmoseg: interrupted; what was finished is kept\n"
+        assert printed == "kt3dmoseg: interrupted; what was finished is kept\n"
     finished = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.h5")}
     assert 1 <= len(finished) < 6
     for name in finished:
         hdf5.read(tmp_path / "out" / name)
-    (tmp_path / "out/.clip5.h5.leftover.part").write_bytes(b"half")
+    (tmp_path / "out/.clip5.h5.before.part").write_bytes(b"half")
     outcomes = build_dataset(tmp_path / "frames", tmp_path / "out", workers=1)
     assert {f"{o.name}.h5" for o in outcomes if o.status == "up to date"} == set(finished)
     build_dataset(tmp_path / "frames", tmp_path / "fresh", workers=1)

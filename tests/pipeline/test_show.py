@@ -197,9 +197,9 @@ def test_frames_of_another_size_are_one_line_and_nothing_is_drawn(name, file, tm
     cv2.imwrite(str(third), np.zeros((HEIGHT - 4, WIDTH), np.uint8))
     command = ["show", str(file), "--frames", str(frames), "-o", str(tmp_path / name)]
     assert main(command) == 2
-    told = capfd.readouterr().err
-    assert f"{third}: expected {WIDTH}x{HEIGHT} px" in told
-    assert told.count("\n") == 1
+    printed = capfd.readouterr().err
+    assert f"{third}: expected {WIDTH}x{HEIGHT} px" in printed
+    assert printed.count("\n") == 1
     for path in (frames / "clip").iterdir():
         cv2.imwrite(str(path), np.zeros((HEIGHT - 4, WIDTH), np.uint8))
     assert main(command) == 2
@@ -233,9 +233,9 @@ def test_what_cannot_be_shown(arguments, words, file, tmp_path, monkeypatch, cap
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.csv").write_text("track,label\n0,3\n1,3\n2,3\n7,3\n")
     assert main(["show", str(file), *arguments]) == 2
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert printed.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -250,9 +250,9 @@ def test_what_a_hostile_clip_says_is_not_trusted(size, name, words, clip, tmp_pa
     save(dataclasses.replace(clip, name=name, dense=dense), tmp_path / "work" / "a.h5")
     monkeypatch.chdir(tmp_path / "work")
     assert main(["show", "a.h5"]) == 2
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert printed.count("\n") == 1
     assert not (tmp_path / "elsewhere").exists()
 
 

@@ -20,7 +20,7 @@ def picture(rng):
     return cv2.GaussianBlur(noise, (0, 0), 1.5)
 
 
-def remembered(frame, xy):
+def looking_at(frame, xy):
     looks = Appearance(OPTIONS)
     looks.look_at(frame)
     looks.add(xy)
@@ -37,21 +37,21 @@ def alike(looks, frame, xy):
 
 def test_what_moved_rigidly_looks_alike(picture):
     moved = np.roll(picture, (2, 5), axis=(0, 1))
-    looks = remembered(picture, POINTS)
+    looks = looking_at(picture, POINTS)
     assert alike(looks, moved, POINTS + SHIFT).all()
     assert not alike(looks, moved, POINTS - SHIFT).any()
 
 
 def test_brightness_and_faint_noise_do_not_count(picture, rng):
-    looks = remembered(picture, POINTS)
+    looks = looking_at(picture, POINTS)
     assert alike(looks, (picture // 2 + 90).astype(np.uint8), POINTS).all()
     flat = np.full_like(picture, 120)
     noisy = np.rint(120 + 1.5 * rng.standard_normal(picture.shape)).astype(np.uint8)
-    assert alike(remembered(flat, POINTS), noisy, POINTS).all()
+    assert alike(looking_at(flat, POINTS), noisy, POINTS).all()
 
 
 def test_the_living_keep_their_own_start(picture):
-    looks = remembered(picture, POINTS)
+    looks = looking_at(picture, POINTS)
     looks.keep(np.array([False, True]))
     looks.add(POINTS[:1])
     assert alike(looks, picture, POINTS[::-1]).all()

@@ -102,9 +102,9 @@ def test_one_word_asks_for_tracks_to_rely_on(folder, tmp_path):
     assert cli.main([*command, "-o", str(tmp_path / "b.h5"), "--anchor", "0", "--min-length", "3"]) == 0
     first, second = (kt3dmoseg.load(tmp_path / name) for name in ("a.h5", "b.h5"))
     np.testing.assert_allclose(first.dense.xy, kt3dmoseg.track(folder, flow, reliable=True).xy, atol=1e-4)
-    told = first.provenance["track_options"]
-    assert {name: told[name] for name in RELIABLE} == dict(RELIABLE)
-    assert second.provenance["track_options"] == {**told, "anchor": 0, "min_length": 3}
+    options = first.provenance["track_options"]
+    assert {name: options[name] for name in RELIABLE} == dict(RELIABLE)
+    assert second.provenance["track_options"] == {**options, "anchor": 0, "min_length": 3}
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_colour_frames_are_tracked_by_their_luma_when_asked_for(folder, tmp_path
     assert len(kt3dmoseg.load(tmp_path / "clip.h5").dense) > 100
 
 
-def test_an_output_that_cannot_be_written_is_told_before_the_work(folder, tmp_path, capsys, monkeypatch):
+def test_an_output_that_cannot_be_written_is_reported_before_the_work(folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(tracks, "track_clip", None)
     (tmp_path / "file").write_text("")
     assert cli.main(["track", str(folder), "-o", str(tmp_path / "file" / "clip.h5")]) == 2

@@ -18,7 +18,7 @@ STILL = np.zeros((*SHAPE, 2), np.float32)
 
 
 def texture(x, y):
-    """Gray values of a smooth texture, at any place."""
+    """Gray values of a smooth texture, at any point."""
     waves = np.sin(0.7 * x + 0.3 * y) + np.sin(0.5 * y - 0.45 * x + 1) + np.sin(0.8 * y + 0.2 * x + 2)
     return 128 + 25 * waves + 10 * np.sin(0.13 * x * y / 8)
 
@@ -34,7 +34,7 @@ def gray(image):
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def remembered(image, xy, options=OPTIONS):
+def looking_at(image, xy, options=OPTIONS):
     looks = Appearance(options)
     looks.look_at(image)
     looks.add(xy)
@@ -51,7 +51,7 @@ def moved(looks, image, target, times=3):
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.4, -0.3), (-0.7, 0.6)])
 def test_a_drift_below_a_pixel_is_taken_back(shift):
-    looks = remembered(gray(picture()), POINTS, TrackOptions(anchor=1.5))
+    looks = looking_at(gray(picture()), POINTS, TrackOptions(anchor=1.5))
     found = moved(looks, gray(picture(shift)), POINTS, times=6)
     np.testing.assert_allclose(found, POINTS + shift, atol=0.02)
 
@@ -60,7 +60,7 @@ def test_a_share_of_the_correction_is_applied():
     after = gray(picture((0.6, 0.4)))
     whole, half = (
         moved(
-            remembered(gray(picture()), POINTS, TrackOptions(anchor=1.5, anchor_gain=gain)), after, POINTS, 1
+            looking_at(gray(picture()), POINTS, TrackOptions(anchor=1.5, anchor_gain=gain)), after, POINTS, 1
         )
         for gain in (1.0, 0.5)
     )
@@ -69,7 +69,7 @@ def test_a_share_of_the_correction_is_applied():
 
 
 def test_gain_and_brightness_do_not_pull():
-    looks = remembered(gray(picture()), POINTS)
+    looks = looking_at(gray(picture()), POINTS)
     found = moved(looks, gray(picture((0.3, 0.2), gain=0.8, add=30)), POINTS, times=6)
     np.testing.assert_allclose(found - POINTS, [(0.3, 0.2)] * 3, atol=0.03)
 
@@ -77,7 +77,7 @@ def test_gain_and_brightness_do_not_pull():
 def test_an_enlarged_patch_is_followed_by_its_affine_map():
     zoom = 1.1
     truth = (POINTS - CENTRE) * zoom + CENTRE
-    looks = remembered(gray(picture()), POINTS, TrackOptions(anchor=1.0, anchor_stiffness=0.0))
+    looks = looking_at(gray(picture()), POINTS, TrackOptions(anchor=1.0, anchor_stiffness=0.0))
     found = moved(looks, gray(picture(zoom=zoom)), truth + 0.3, times=10)
     np.testing.assert_allclose(found, truth, atol=0.02)
     np.testing.assert_allclose(looks._affine, [zoom * np.eye(2)] * 3, atol=0.01)
@@ -87,7 +87,7 @@ def test_the_flow_carries_the_map_along():
     zoom = 1.04
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
     flow = (zoom - 1) * np.stack([x - CENTRE[0], y - CENTRE[1]], axis=2).astype(np.float32)
-    looks = remembered(gray(picture()), POINTS)
+    looks = looking_at(gray(picture()), POINTS)
     xy = POINTS
     for step in range(1, 7):
         target = (xy - CENTRE) * zoom + CENTRE + (0.2, -0.1)  # the flow is wrong by so much in every step
@@ -98,7 +98,7 @@ def test_the_flow_carries_the_map_along():
 
 def test_what_covers_half_of_the_patch_hardly_pulls():
     options = TrackOptions(anchor=1.0, anchor_change=4.0)
-    looks = remembered(gray(picture()), POINTS[1:2], options)
+    looks = looking_at(gray(picture()), POINTS[1:2], options)
     after = picture((0.4, 0.1))
     after[:, 52:] = 250 - after[:, 52:]
     found = moved(looks, gray(after), POINTS[1:2], times=6)
@@ -107,9 +107,9 @@ def test_what_covers_half_of_the_patch_hardly_pulls():
 
 def test_flat_patches_and_patches_that_are_gone_stay_where_the_flow_leads(rng):
     flat = np.full(SHAPE, 120, np.uint8)
-    np.testing.assert_array_equal(moved(remembered(flat, POINTS), flat, POINTS + 0.3), POINTS + 0.3)
+    np.testing.assert_array_equal(moved(looking_at(flat, POINTS), flat, POINTS + 0.3), POINTS + 0.3)
     other = gray(255 * rng.random(SHAPE))
-    np.testing.assert_array_equal(moved(remembered(gray(picture()), POINTS), other, POINTS), POINTS)
+    np.testing.assert_array_equal(moved(looking_at(gray(picture()), POINTS), other, POINTS), POINTS)
 
 
 @given(
@@ -128,7 +128,7 @@ def test_no_correction_is_larger_than_allowed_or_leaves_the_frame(rows, limit, s
     frames = gray(picture()), gray(picture((0.5, 0.5)) + 8 * rng.standard_normal(SHAPE))
     flow = rng.normal(0, 2, (*SHAPE, 2)).astype(np.float32)
     flow[rng.random(SHAPE) < 0.05] = np.nan
-    looks = remembered(frames[0], xy, TrackOptions(anchor=limit, anchor_change=1e9))
+    looks = looking_at(frames[0], xy, TrackOptions(anchor=limit, anchor_change=1e9))
     looks.look_at(frames[1])
     found, alike = looks.follow(flow, xy, target)
     assert np.isfinite(found).all()
@@ -141,18 +141,18 @@ def test_no_correction_is_larger_than_allowed_or_leaves_the_frame(rows, limit, s
 def test_many_points_are_as_each_alone(rng):
     xy = rng.uniform((0, 0), (95, 63), (700, 2))
     after = gray(picture((0.4, -0.2)))
-    every = moved(remembered(gray(picture()), xy), after, xy)
-    again = moved(remembered(gray(picture()), xy), after, xy)
+    every = moved(looking_at(gray(picture()), xy), after, xy)
+    again = moved(looking_at(gray(picture()), xy), after, xy)
     np.testing.assert_array_equal(every, again)
     for row in (0, 255, 256, 699):
-        alone = moved(remembered(gray(picture()), xy[row : row + 1]), after, xy[row : row + 1])
+        alone = moved(looking_at(gray(picture()), xy[row : row + 1]), after, xy[row : row + 1])
         np.testing.assert_allclose(alone[0], every[row], atol=1e-6)
 
 
 def test_a_window_takes_more_points_than_opencv_does_at_once():
     window, count, frame = Window(1), 40_000, gray(picture())
-    place = np.broadcast_to(np.c_[np.eye(2), (20.0, 10.0)], (count, 2, 3))
-    seen = window.look(doubled(frame), place)
+    pose = np.broadcast_to(np.c_[np.eye(2), (20.0, 10.0)], (count, 2, 3))
+    seen = window.look(doubled(frame), pose)
     assert seen.shape == (count, 9)
     np.testing.assert_allclose(seen[-1], frame[9:12, 19:22].ravel(), atol=0.05)
 

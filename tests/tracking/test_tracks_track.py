@@ -1,4 +1,4 @@
-"""The tracker as a whole, on flow that is known exactly."""
+"""The complete tracker, on flow that is known exactly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOTION = (3.0, 1.0)
 
 @dataclass(frozen=True)
 class Constant:
-    """Forward flow `MOTION`, backward its opposite; told apart by the frames' first pixel."""
+    """Forward flow `MOTION`, backward its opposite; distinguished by the frames' first pixel."""
 
     motion: tuple[float, float] = MOTION
 
