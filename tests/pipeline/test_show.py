@@ -226,7 +226,10 @@ def test_a_folder_of_clips_names_one_of_them(clip, file, tmp_path, capsys):
         (["--rate", "1e-300", "-o", "a.gif"], "from 0.1 to 240"),
         (["--rate", "inf", "-o", "a.mp4"], "from 0.1 to 240, found inf"),
         (["--scale", "99"], "scale"),
-        (["--pred", "other.csv"], "the 3 evaluated tracks of clip, found one of track 7"),
+        (
+            ["--pred", "other.csv"],
+            "clip clip: expected the 3 evaluated trajectories, found 1 that are not evaluated (track 7)",
+        ),
     ],
 )
 def test_what_cannot_be_shown(arguments, words, file, tmp_path, monkeypatch, capsys):
