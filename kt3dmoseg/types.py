@@ -7,14 +7,13 @@ are (x right, y down) with (0, 0) at the centre of the top-left pixel; frames co
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.arrays import brief, check_presence, frozen, image_size, per_frame
 from kt3dmoseg.errors import InvalidValueError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
@@ -24,10 +23,38 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 ByteArray: TypeAlias = npt.NDArray[np.uint8]
 
 _UNLABELLED = 0
+_MAX_SIDE = 1 << 20
+_MAX_INT = np.iinfo(np.int64).max
+_BLOCK = 1 << 20
+
+
+def frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return a read-only array of `dtype`, copied unless it is one already; refuse what would wrap around."""
+    given = np.asarray(values)
+    if dtype == np.int64 and given.dtype == np.uint64 and given.size and given.max() > _MAX_INT:
+        raise InvalidValueError("whole numbers", expected=f"at most {_MAX_INT}", found=_brief(given))
+    same = given.dtype == dtype and not given.flags.writeable and given.base is None
+    array = given if same else np.array(given, dtype=dtype, order="C")
+    array.flags.writeable = False
+    return array
+
+
+class _Value:
+    """A frozen dataclass of arrays and mappings."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild through the constructor: pickling alone would make the arrays writable."""
+        kind = next(c for c in type(self).__mro__ if "__dataclass_fields__" in vars(c))
+        values = (getattr(self, item.name) for item in fields(kind))
+        return kind, tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
+
+    def _set(self, **values: object) -> None:
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectories:
+class Trajectories(_Value):
     """N point trajectories over F frames.
 
     Parameters
@@ -65,16 +92,9 @@ class Trajectories:
             raise InvalidValueError(
                 "track_id", expected=f"{len(xy)} unique ids", found=f"shape {track_id.shape}"
             )
-        check_presence(xy, visible)
-        object.__setattr__(self, "xy", xy)
-        object.__setattr__(self, "visible", visible)
-        object.__setattr__(self, "track_id", track_id)
-        if self.image_size is not None:
-            object.__setattr__(self, "image_size", image_size(self.image_size))
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild through the constructor: pickling alone would make the arrays writable."""
-        return Trajectories, (self.xy, self.visible, self.track_id, self.image_size)
+        _check_presence(xy, visible)
+        size = None if self.image_size is None else _image_size(self.image_size)
+        self._set(xy=xy, visible=visible, track_id=track_id, image_size=size)
 
     def __repr__(self) -> str:
         """Say how many there are; the arrays would fill the screen."""
@@ -128,7 +148,7 @@ class Trajectories:
 
 
 @dataclass(frozen=True, eq=False)
-class Labels:
+class Labels(_Value):
     """Motion labels.
 
     Parameters
@@ -150,11 +170,10 @@ class Labels:
         if raw.ndim != 1:
             raise InvalidValueError("label", expected="a vector (N,)", found=f"shape {raw.shape}")
         if raw.size and not (np.issubdtype(raw.dtype, np.integer) and raw.min() >= _UNLABELLED):
-            raise InvalidValueError("label", expected="integers >= 0", found=brief(raw))
-        object.__setattr__(self, "label", frozen(raw, np.int64))
-        object.__setattr__(self, "names", MappingProxyType(dict(self.names)))
-        if self.background is not None:
-            object.__setattr__(self, "background", int(frozen(self.background, np.int64)))
+            raise InvalidValueError("label", expected="integers >= 0", found=_brief(raw))
+        background = None if self.background is None else int(frozen(self.background, np.int64))
+        names = MappingProxyType(dict(self.names))
+        self._set(label=frozen(raw, np.int64), names=names, background=background)
 
     def __repr__(self) -> str:
         """Say how many there are; the array would fill the screen."""
@@ -163,10 +182,6 @@ class Labels:
     def __len__(self) -> int:
         """Return the number of labels."""
         return len(self.label)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild through the constructor: a read-only mapping view does not pickle."""
-        return Labels, (self.label, self.background, dict(self.names))
 
     @property
     def motions(self) -> IntArray:
@@ -181,7 +196,7 @@ class Labels:
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class Camera(_Value):
     """The camera that filmed a clip.
 
     Parameters
@@ -202,15 +217,11 @@ class Camera:
         matrix = frozen(self.K, np.float64)
         if matrix.shape != (3, 3):
             raise InvalidValueError("camera.K", expected="shape (3, 3)", found=f"{matrix.shape}")
-        object.__setattr__(self, "K", matrix)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild through the constructor: pickling alone would make the matrix writable."""
-        return Camera, (self.name, self.K)
+        self._set(K=matrix)
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
+class Clip(_Value):
     """One sequence: dense trajectories, the evaluated ones among them, and their labels.
 
     Parameters
@@ -246,7 +257,7 @@ class Clip:
         rows = frozen(self.evaluated, np.int64)
         n, frames = len(self.dense), self.dense.n_frames
         if rows.ndim != 1 or (rows.size and (rows.min() < 0 or rows.max() >= n)):
-            raise InvalidValueError("evaluated", expected=f"rows in 0..{n - 1}", found=brief(rows))
+            raise InvalidValueError("evaluated", expected=f"rows in 0..{n - 1}", found=_brief(rows))
         if len(np.unique(rows)) != len(rows):
             raise InvalidValueError("evaluated", expected="unique rows", found="a row given twice")
         if len(self.labels) != len(rows):
@@ -254,12 +265,13 @@ class Clip:
                 "labels", expected=f"{len(rows)} (one per evaluated row)", found=f"{len(self.labels)}"
             )
         numbers = np.arange(frames) if self.frame_numbers is None else self.frame_numbers
-        object.__setattr__(self, "evaluated", rows)
-        object.__setattr__(self, "frame_numbers", per_frame(numbers, np.int64, frames, "frame_numbers"))
+        values = {"frame_numbers": frozen(numbers, np.int64)}
         if self.timestamps is not None:
-            seconds = per_frame(self.timestamps, np.float64, frames, "timestamps")
-            object.__setattr__(self, "timestamps", seconds)
-        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+            values["timestamps"] = frozen(self.timestamps, np.float64)
+        for name, array in values.items():
+            if array.shape != (frames,):
+                raise InvalidValueError(name, expected=f"shape ({frames},)", found=f"{array.shape}")
+        self._set(evaluated=rows, provenance=MappingProxyType(dict(self.provenance)), **values)
 
     def __repr__(self) -> str:
         """Say in one line what the clip holds."""
@@ -267,11 +279,6 @@ class Clip:
             f"Clip({self.name!r}: {self.n_frames} frames, {len(self.dense)} trajectories, "
             f"{len(self.evaluated)} evaluated, {self.n_motions} motions)"
         )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild through the constructor: a read-only mapping view does not pickle."""
-        fields = (self.name, self.dense, self.evaluated, self.labels, self.frame_numbers)
-        return Clip, (*fields, self.timestamps, self.camera, dict(self.provenance))
 
     @property
     def n_frames(self) -> int:
@@ -295,3 +302,36 @@ class Clip:
     def without_labels(self) -> Clip:
         """Return the same clip as a method may see it: every label 0."""
         return replace(self, labels=Labels(np.zeros(len(self.evaluated), dtype=np.int64)))
+
+
+def _image_size(size: npt.ArrayLike) -> tuple[int, int]:
+    """Return width and height of frames as whole numbers; refuse what is none."""
+    values = np.asarray(size)
+    fine = values.shape == (2,) and values.dtype.kind in "iuf"
+    if not fine or not ((values >= 1) & (values <= _MAX_SIDE) & (values == np.floor(values))).all():
+        raise InvalidValueError(
+            "image_size", expected=f"(width, height), 1..{_MAX_SIDE}", found=f"{size!r:.80}"
+        )
+    return int(values[0]), int(values[1])
+
+
+def _check_presence(xy: npt.NDArray[np.float64], visible: npt.NDArray[np.bool_]) -> None:
+    """Refuse positions (N, F, 2) that are not finite exactly where visible (N, F), and NaN elsewhere."""
+    rows = max(1, _BLOCK // max(1, xy.shape[1]))  # by blocks: a long clip leaves no room for masks of it all
+    for first in range(0, len(xy), rows):
+        part, seen = xy[first : first + rows], visible[first : first + rows]
+        wrong = np.where(seen, ~np.isfinite(part).all(axis=2), ~np.isnan(part).all(axis=2))
+        if wrong.any():
+            row, frame = np.argwhere(wrong)[0]
+            raise InvalidValueError(
+                f"xy of trajectory {first + row} in frame {frame}",
+                expected="finite" if seen[row, frame] else "NaN (not visible)",
+                found=str(part[row, frame].tolist()),
+            )
+
+
+def _brief(array: npt.NDArray[Any]) -> str:
+    """Describe an array in a few words."""
+    if not array.size:
+        return f"{array.dtype} of shape {array.shape}"
+    return f"{array.dtype} of shape {array.shape}, values {array.min()}..{array.max()}"

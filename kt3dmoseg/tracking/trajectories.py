@@ -7,9 +7,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.arrays import frozen
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories, frozen
 
 
 class RunTrajectories(Trajectories):
