@@ -421,17 +421,21 @@ def _write(clip: Clip, target: Path, at: int | None, rate: float, drawn: Callabl
     return len(chosen)
 
 
-def info(path: Either, /) -> None:
+def info(path: Either, /, *, json: Flag = False) -> None:
     """Say what is inside a clip, a folder of clips, a folder of frames, a video or a flow field.
 
     Parameters
     ----------
     path : path
         File or folder.
+    json : bool
+        Print JSON.
     """
-    from kt3dmoseg.io.info import info
+    from json import dumps
 
-    print(info(path))
+    from kt3dmoseg.io.info import describe, info
+
+    print(dumps(describe(path), indent=1, ensure_ascii=False) if json else info(path))
 
 
 def convert(source: File, target: File, /) -> None:

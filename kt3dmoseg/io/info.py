@@ -1,4 +1,4 @@
-"""What is inside a file or folder, as a text that a person can read."""
+"""What is inside a file or folder: as plain values, and as a text that a person can read."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
+from kt3dmoseg.io.flow_files import read_flow
 from kt3dmoseg.io.formats import check_regular, clip_files, dataset_paths, load, recognise
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures
+from kt3dmoseg.io.npz import npz_shapes
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import Clip, Trajectories
 
-_FLOW_STARTS = (b"PIEH", b"\x93NUMPY")
 _PICTURE_LIMIT = 1 << 28
 _LONG = 100  # characters of one value of the provenance
 _LINE = 110
@@ -43,6 +45,30 @@ def info(path: str | os.PathLike[str]) -> str:
     InputFileError, FileFormatError
         When there is nothing that can be described.
     """
+    facts = describe(path)
+    name = Path(path).name
+    match facts["kind"]:
+        case "clip":
+            return _clip_text(facts)
+        case "clips":
+            return _clips_text(facts["clips"])
+        case "frames":
+            header = ["frames of", "frames", "numbers", "size", "first picture", ""]
+            return table([_frames_row(row) for row in facts["folders"]], header)
+        case "video":
+            return f"{name}: a video of {facts['frames']} frames, {_size(facts['image_size'])}"
+        case "picture":
+            return f"{name}: a picture of {_size(facts['image_size'])}, {facts['pixels']}"
+    size = f"{name}: optical flow of {_size(facts['image_size'])}"
+    if not facts["known"]:
+        return f"{size}, nowhere known"
+    return (
+        f"{size}, {facts['known']:.1%} known, mean {facts['mean']:.2f} px, longest {facts['longest']:.2f} px"
+    )
+
+
+def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what `info` says as values of JSON; `kind` is clip, clips, frames, video, picture or flow."""
     place = Path(path)
     if not place.exists():
         raise InputFileError(f"{place}", expected="a file or folder", found="nothing")
@@ -51,13 +77,17 @@ def info(path: str | os.PathLike[str]) -> str:
     check_regular(place)
     with open(place, "rb") as stream:
         head = stream.read(8)
-    if head[:4] == _FLOW_STARTS[0] or head[:6] == _FLOW_STARTS[1]:
+    suffix = place.suffix.lower()
+    if head[:4] == b"PIEH" or head[:6] == b"\x93NUMPY" or (head[:2] == b"PK" and len(npz_shapes(place)) == 1):
         return _flow(place)
-    if place.suffix.lower() in IMAGE_SUFFIXES:
-        return _picture(place)
-    if place.suffix.lower() in VIDEO_SUFFIXES:
+    if suffix in IMAGE_SUFFIXES:
+        picture = _picture(place)
+        if picture.dtype == np.uint16 and picture.ndim == 3:
+            return _flow(place)
+        return {"kind": "picture", "image_size": _shape(picture), "pixels": _pixels(picture)}
+    if suffix in VIDEO_SUFFIXES:
         return _video(place)
-    return _npz(place) if head[:2] == b"PK" else _clip(load(place), recognise(place).name)
+    return _clip(load(place), recognise(place).name)
 
 
 def table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
@@ -68,184 +98,188 @@ def table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
     a      1
     bc    10
     """
-    cells = [list(header), *map(list, rows)]
+    cells = [header, *rows]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
-    lines = ("  ".join(_aligned(row, widths)).rstrip() for row in cells)
+    lines = []
+    for first, *others in cells:
+        numbers = [f"{cell:>{width}}" for cell, width in zip(others, widths[1:], strict=True)]
+        lines.append("  ".join([f"{first:<{widths[0]}}", *numbers]).rstrip())
     return "\n".join(lines)
 
 
-def _aligned(row: Sequence[str], widths: Sequence[int]) -> list[str]:
-    return [
-        f"{cell:<{w}}" if k == 0 else f"{cell:>{w}}"
-        for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-    ]
-
-
-def _clip(clip: Clip, format: str) -> str:
-    dense, scored = clip.dense, clip.evaluated_trajectories
-    numbers = clip.frame_numbers
-    rows = [
-        ("clip", clip.name),
-        ("format", format),
-        ("frames", f"{clip.n_frames}" + (f", numbered {numbers[0]}..{numbers[-1]}" if clip.n_frames else "")),
-        ("image size", _size(dense.image_size)),
-        ("trajectories", f"{len(dense)}, {_lengths(dense)}, {_missing(dense)} of the positions missing"),
-        ("evaluated", f"{len(scored)}, {_lengths(scored)}, {_missing(scored)} of the positions missing"),
-        ("motions", str(clip.n_motions) if clip.n_motions else "0, the clip is not labelled"),
-    ]
-    if clip.camera is not None:
-        rows.append(
-            ("camera", clip.camera.name or "unnamed" + (", K known" if clip.camera.K is not None else ""))
-        )
-    if clip.timestamps is not None and clip.n_frames:
-        rows.append(("time", f"{clip.timestamps[0]:.3f} s to {clip.timestamps[-1]:.3f} s"))
-    motions = _motions(clip) if clip.n_motions else ""
-    return "\n\n".join(part for part in (_entries(rows), motions, _provenance(clip.provenance)) if part)
-
-
-def _motions(clip: Clip) -> str:
-    labels = clip.labels
-    rows = []
+def _clip(clip: Clip, format: str) -> dict[str, Any]:
+    labels, numbers, times = clip.labels, clip.frame_numbers, clip.timestamps
+    motions = []
     for value in np.unique(labels.label).tolist():
         count = int((labels.label == value).sum())
         known = "unlabelled or outlier" if value == 0 else "background" if value == labels.background else ""
-        rows.append([f"{value} {labels.names.get(value, known)}", str(count), f"{count / len(labels):.1%}"])
-    return table(rows, ["motion", "trajectories", "share"])
+        name = labels.names.get(value, known)
+        motions.append({"motion": value, "name": name, "trajectories": count, "share": count / len(labels)})
+    return {
+        "kind": "clip",
+        "clip": clip.name,
+        "format": format,
+        "frames": clip.n_frames,
+        "numbers": [int(numbers[0]), int(numbers[-1])] if clip.n_frames else None,
+        "image_size": clip.dense.image_size,
+        "trajectories": _tracks(clip.dense),
+        "evaluated": _tracks(clip.evaluated_trajectories),
+        "n_motions": clip.n_motions,
+        "motions": motions,
+        "camera": clip.camera and {"name": clip.camera.name, "has_K": clip.camera.K is not None},
+        "time": None if times is None or not clip.n_frames else [float(times[0]), float(times[-1])],
+        "provenance": dict(clip.provenance),
+    }
 
 
-def _clips(paths: dict[str, Path]) -> str:
-    rows, totals = [], np.zeros(3, dtype=np.int64)
-    for name, path in paths.items():
-        clip = load(path)
-        totals += clip.n_frames, len(clip.dense), len(clip.evaluated)
-        counts = [str(int((clip.labels.label == m).sum())) for m in clip.labels.motions]
-        sizes = [str(clip.n_frames), str(len(clip.dense)), str(len(clip.evaluated)), str(clip.n_motions)]
-        scored = clip.evaluated_trajectories
-        rows.append([name, *sizes, " ".join(counts) or "-", _missing(scored), _size(clip.dense.image_size)])
-    rows.append([f"{len(paths)} clips", *map(str, totals), "", "", "", ""])
-    header = ["clip", "frames", "dense", "evaluated", "motions", "per motion", "missing", "image size"]
-    return table(rows, header)
+def _tracks(tracks: Trajectories) -> dict[str, Any]:
+    lengths = tracks.lengths
+    low, high, mean = (lengths.min(), lengths.max(), lengths.mean()) if len(lengths) else (0, 0, 0)
+    missing = 1 - float(tracks.visible.mean()) if tracks.visible.size else None
+    span = {"shortest": int(low), "longest": int(high), "mean_length": float(mean)}
+    return {"count": len(tracks), **span, "missing": missing}
 
 
-def _folder(folder: Path) -> str:
+def _folder(folder: Path) -> dict[str, Any]:
     if has_pictures(folder):
-        return _frames([folder])
+        return {"kind": "frames", "folders": [_frames(folder, check=True)]}
     subfolders = [sub for sub in sorted(folder.iterdir()) if sub.is_dir() and not sub.name.startswith(".")]
-    if not clip_files(folder):
-        with_pictures = [sub for sub in subfolders if has_pictures(sub)]
-        if with_pictures:
-            return _frames(with_pictures)
-    return _clips(dataset_paths(folder))
+    if not clip_files(folder) and any(map(has_pictures, subfolders)):
+        folders = []
+        for sub in filter(has_pictures, subfolders):
+            try:
+                folders.append(_frames(sub, check=False))
+            except (FileFormatError, InputFileError) as error:
+                folders.append({"name": sub.name, "error": str(error)})
+        return {"kind": "frames", "folders": folders}
+    paths = dataset_paths(folder).values()
+    return {"kind": "clips", "clips": [_clip(load(path), recognise(path).name) for path in paths]}
 
 
-def _frames(folders: Sequence[Path]) -> str:
-    rows = []
-    for folder in folders:
-        try:
-            paths = frame_paths(folder)
-            first = _first_of(paths, check=len(folders) == 1)
-            numbers = f"{frame_number(paths[0])}..{frame_number(paths[-1])}"
-            size = f"{first.shape[1]}x{first.shape[0]}"
-            rows.append([folder.name, str(len(paths)), numbers, size, _kind(first), ""])
-        except (FileFormatError, InputFileError) as error:
-            if len(folders) == 1:
-                raise
-            rows.append([folder.name, "-", "-", "-", "-", str(error)])
-    return table(rows, ["frames of", "frames", "numbers", "size", "first picture", ""])
-
-
-def _first_of(paths: Sequence[Path], *, check: bool) -> np.ndarray[Any, Any]:
-    """Return the first picture; with `check` see that the others are sound, of its size and depth."""
-    first = decode(read_bytes(paths[0], _PICTURE_LIMIT), f"{paths[0]}")
+def _frames(folder: Path, *, check: bool) -> dict[str, Any]:
+    """Describe a folder of frames; with `check` see that all pictures are intact, of one size and depth."""
+    paths = frame_paths(folder)
+    first = _picture(paths[0])
+    size, pixels = _shape(first), _pixels(first)
     for path in paths[1:] if check else ():
-        other = decode(read_bytes(path, _PICTURE_LIMIT), f"{path}")
+        other = _picture(path)
         if (other.shape[:2], other.dtype) != (first.shape[:2], first.dtype):
-            expected, found = (f"{p.shape[1]}x{p.shape[0]}, {_kind(p)}" for p in (first, other))
+            expected, found = (f"{_size(_shape(p))}, {_pixels(p)}" for p in (first, other))
             raise FileFormatError(f"{path}", expected=f"{expected}, as {paths[0].name}", found=found)
-    return first
+    numbers = [frame_number(paths[0]), frame_number(paths[-1])]
+    return {
+        "name": folder.name,
+        "frames": len(paths),
+        "numbers": numbers,
+        "image_size": size,
+        "pixels": pixels,
+    }
 
 
-def _picture(path: Path) -> str:
-    picture = decode(read_bytes(path, _PICTURE_LIMIT), f"{path}")
-    if picture.dtype == np.uint16 and picture.ndim == 3:
-        return _flow(path)
-    return f"{path.name}: a picture of {picture.shape[1]}x{picture.shape[0]}, {_kind(picture)}"
+def _picture(path: Path) -> npt.NDArray[Any]:
+    return decode(read_bytes(path, _PICTURE_LIMIT), f"{path}")
 
 
-def _video(path: Path) -> str:
-    with open_video(path) as video:
-        size, count = "", 0
-        while (read := video.read())[0]:
-            size, count = f"{read[1].shape[1]}x{read[1].shape[0]}", count + 1
-    if not count:
-        raise FileFormatError(f"{path}", expected="a video that OpenCV decodes", found="none")
-    return f"{path.name}: a video of {count} frames, {size}"
+def _shape(picture: npt.NDArray[Any]) -> tuple[int, int]:
+    return picture.shape[1], picture.shape[0]
 
 
-def _kind(picture: np.ndarray[Any, Any]) -> str:
+def _pixels(picture: npt.NDArray[Any]) -> str:
     channels = 1 if picture.ndim == 2 else picture.shape[2]
     return f"{8 * picture.dtype.itemsize}-bit " + ("gray" if channels == 1 else f"{channels} channels")
 
 
-def _npz(path: Path) -> str:
-    from kt3dmoseg.io.npz import npz_shapes
+def _video(path: Path) -> dict[str, Any]:
+    size, count = None, 0
+    with open_video(path) as video:
+        while (read := video.read())[0]:
+            size, count = _shape(read[1]), count + 1
+    if not count:
+        raise FileFormatError(f"{path}", expected="a video that OpenCV decodes", found="none")
+    return {"kind": "video", "frames": count, "image_size": size}
 
-    shapes = npz_shapes(path)
-    return _flow(path) if set(shapes) == {"flow"} or len(shapes) == 1 else _clip(load(path), "npz")
 
-
-def _flow(path: Path) -> str:
-    from kt3dmoseg.io.flow_files import read_flow
-
+def _flow(path: Path) -> dict[str, Any]:
     field = read_flow(path)
     with np.errstate(invalid="ignore"):  # a file may hold any NaN
         length = np.hypot(*np.moveaxis(field.astype(np.float64), -1, 0))
-    known = np.isfinite(length)
-    size = f"{field.shape[1]}x{field.shape[0]}"
-    if not known.any():
-        return f"{path.name}: optical flow of {size}, nowhere known"
-    figures = f"mean {length[known].mean():.2f} px, longest {length[known].max():.2f} px"
-    return f"{path.name}: optical flow of {size}, {known.mean():.1%} known, {figures}"
+    known = length[np.isfinite(length)]
+    figures = {"mean": float(known.mean()), "longest": float(known.max())} if known.size else {}
+    share = known.size / length.size if length.size else 0.0
+    return {"kind": "flow", "image_size": _shape(field), "known": share, **figures}
 
 
-def _lengths(trajectories: Trajectories) -> str:
-    lengths = trajectories.lengths
-    if not len(lengths):
-        return "none"
-    return f"{lengths.min()} to {lengths.max()} frames long (mean {lengths.mean():.1f})"
+def _clip_text(facts: Mapping[str, Any]) -> str:
+    numbers, camera, time = facts["numbers"], facts["camera"], facts["time"]
+    rows = [
+        ("clip", facts["clip"]),
+        ("format", facts["format"]),
+        ("frames", f"{facts['frames']}" + (f", numbered {numbers[0]}..{numbers[1]}" if numbers else "")),
+        ("image size", _size(facts["image_size"])),
+        ("trajectories", _tracks_text(facts["trajectories"])),
+        ("evaluated", _tracks_text(facts["evaluated"])),
+        ("motions", str(facts["n_motions"] or "0, the clip is not labelled")),
+    ]
+    if camera:
+        rows.append(("camera", (camera["name"] or "unnamed") + (", K known" if camera["has_K"] else "")))
+    if time:
+        rows.append(("time", f"{time[0]:.3f} s to {time[1]:.3f} s"))
+    origin = []
+    for key, value in facts["provenance"].items():
+        inner = value if isinstance(value, Mapping) and value else {"": value}
+        origin += [(f"provenance {key} {name}".rstrip(), _value_text(part)) for name, part in inner.items()]
+    motions = [
+        [f"{m['motion']} {m['name']}", str(m["trajectories"]), f"{m['share']:.1%}"] for m in facts["motions"]
+    ]
+    shares = table(motions, ["motion", "trajectories", "share"]) if facts["n_motions"] else ""
+    return "\n\n".join(part for part in (_wrapped(rows), shares, _wrapped(origin)) if part)
 
 
-def _missing(trajectories: Trajectories) -> str:
-    return f"{1 - trajectories.visible.mean():.1%}" if trajectories.visible.size else "-"
+def _clips_text(clips: Sequence[Mapping[str, Any]]) -> str:
+    rows, totals = [], np.zeros(3, dtype=np.int64)
+    for clip in clips:
+        counts = [clip["frames"], clip["trajectories"]["count"], clip["evaluated"]["count"]]
+        totals += counts
+        motions = " ".join(str(m["trajectories"]) for m in clip["motions"] if m["motion"]) or "-"
+        missing, size = _missing(clip["evaluated"]), _size(clip["image_size"])
+        rows.append([clip["clip"], *map(str, counts), str(clip["n_motions"]), motions, missing, size])
+    rows.append([f"{len(clips)} clips", *map(str, totals), "", "", "", ""])
+    header = ["clip", "frames", "dense", "evaluated", "motions", "per motion", "missing", "image size"]
+    return table(rows, header)
+
+
+def _frames_row(row: Mapping[str, Any]) -> list[str]:
+    if "error" in row:
+        return [row["name"], "-", "-", "-", "-", row["error"]]
+    first, last = row["numbers"]
+    return [row["name"], str(row["frames"]), f"{first}..{last}", _size(row["image_size"]), row["pixels"], ""]
+
+
+def _tracks_text(tracks: Mapping[str, Any]) -> str:
+    lengths = f"{tracks['shortest']} to {tracks['longest']} frames long (mean {tracks['mean_length']:.1f})"
+    span = lengths if tracks["count"] else "none"
+    return f"{tracks['count']}, {span}, {_missing(tracks)} of the positions missing"
+
+
+def _missing(tracks: Mapping[str, Any]) -> str:
+    return "-" if tracks["missing"] is None else f"{tracks['missing']:.1%}"
 
 
 def _size(size: tuple[int, int] | None) -> str:
     return "unknown" if size is None else f"{size[0]}x{size[1]}"
 
 
-def _entries(rows: Sequence[tuple[str, str]]) -> str:
+def _wrapped(rows: Sequence[tuple[str, str]]) -> str:
     """Lay out names and texts; a long text goes on below itself."""
     width = max((len(name) for name, _ in rows), default=0) + 2
     wrapper = textwrap.TextWrapper(_LINE, break_long_words=False, break_on_hyphens=False)
     wrapper.subsequent_indent = " " * width
-    lines = []
-    for name, text in rows:
-        wrapper.initial_indent = f"{name:<{width}}"
-        lines.append(wrapper.fill(text))
-    return "\n".join(lines)
+    return "\n".join(wrapper.fill(f"{name:<{width}}{text}") for name, text in rows)
 
 
-def _provenance(values: Mapping[str, Any]) -> str:
-    rows: list[tuple[str, str]] = []
-    for key, value in values.items():
-        inner = value if isinstance(value, Mapping) and value else {"": value}
-        rows += [(f"provenance {key} {name}".rstrip(), _text(part)) for name, part in inner.items()]
-    return _entries(rows)
-
-
-def _text(value: object, levels: int = 2) -> str:
+def _value_text(value: object, levels: int = 2) -> str:
     if isinstance(value, Mapping) and value and levels:
-        return ", ".join(f"{key} {_text(inner, levels - 1)}" for key, inner in value.items())
+        return ", ".join(f"{key} {_value_text(inner, levels - 1)}" for key, inner in value.items())
     text = str(value)
     if text in ("", "{}"):
         return "none"

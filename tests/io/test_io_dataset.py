@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import cv2
 import numpy as np
@@ -136,6 +137,27 @@ def test_info_of_a_video(tmp_path, capfd):
     with pytest.raises(FileFormatError, match=r"b\.mp4: expected a video"):
         info(tmp_path / "b.mp4")
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "name", ["tiny.h5", "frames", "frames/clip", "clips", "a.flo", "a.avi", "frames/clip/1.png"]
+)
+def test_info_as_json_says_the_same(name, tmp_path, capsys):
+    for folder in (tmp_path, tmp_path / "clips"):
+        save(small_clip(), folder / "tiny.h5")
+    (tmp_path / "frames/clip").mkdir(parents=True)
+    for number in (1, 2):
+        cv2.imwrite(str(tmp_path / f"frames/clip/{number}.png"), np.zeros((48, 64), np.uint8))
+    write_flow(tmp_path / "a.flo", np.full((48, 64, 2), 3.0))
+    write_moving(tmp_path / "a.avi", [np.zeros((48, 64, 3), np.uint8)] * 3, 5)
+    assert main(["info", str(tmp_path / name), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    parts = facts.get("folders") or facts.get("clips") or [facts]
+    assert [part["image_size"] for part in parts] == [[64, 48]]
+    if facts["kind"] == "clip":
+        assert [motion["share"] for motion in facts["motions"]] == [0.25, 0.5, 0.25]
+        assert facts["camera"] == {"name": "image_00", "has_K": True}
+        assert facts["provenance"] == {"made": "by a test", "numbers": [1, 2.5, None]}
 
 
 def test_info_of_nothing(tmp_path, capsys):
