@@ -181,11 +181,8 @@ class Server:
             raise InvalidValueError("mirror", expected="an address http:// or https://", found=repr(address))
         self._base, self._client, self._target = address.rstrip("/"), client, target
 
-    def open(self, packed: Packed, *, again: bool = False) -> Archive | None:
-        """Open a zip; None, which is kept as well, when the server has none and it is optional.
-
-        `again` reads a directory once more that is kept, and may be damaged.
-        """
+    def open(self, packed: Packed, *, again: bool = False) -> Archive:
+        """Open a zip; `again` reads a directory once more that is kept, and may be damaged."""
         url = f"{self._base}/{packed.zip}"
         copy = self._target.path_for(url, "zip")
         if copy.is_file():
@@ -193,18 +190,19 @@ class Server:
         try:
             known = None if again else self._target.directory(url)
             size, tail = known or (self._client.size(url), b"")
+            if not size:
+                raise AbsentError(f"{url}: the server had none before")
             self._client.sizes[url] = size
-            archive = Archive(url, size, partial(self._client.chunks, url), tail) if size else None
+            archive = Archive(url, size, partial(self._client.chunks, url), tail)
         except RangesIgnoredError:
             if not packed.probe or self._target.frozen:
                 raise
             return self.download(url)
         except AbsentError:
-            if not packed.optional:
-                raise
-            self._target.keep_directory(url, 0, b"")
-            return None
-        if archive and archive.fresh:
+            if packed.optional:
+                self._target.keep_directory(url, 0, b"")
+            raise
+        if archive.fresh:
             self._target.keep_directory(url, *archive.directory)
         return archive
 
@@ -231,8 +229,8 @@ class LocalFolder:
             raise InputFileError(f"{path}: no such file or folder")
         self._path = path
 
-    def open(self, packed: Packed, *, again: bool = False) -> FileSet | None:
-        """Find the extracted files or their zip; None when neither is there and they are optional."""
+    def open(self, packed: Packed, *, again: bool = False) -> FileSet:
+        """Find the extracted files or their zip."""
         if (self._path / packed.folder / packed.probe).exists():
             return Extracted(self._path, packed.folder)
         name = PurePosixPath(packed.zip).name
@@ -242,8 +240,6 @@ class LocalFolder:
         for path in paths:
             if path.is_file():
                 return Archive.on_disk(path)
-        if packed.optional:
-            return None
         raise AbsentError(f"{self._path}: neither {Path(packed.folder, packed.probe)} nor {name} is there")
 
     def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:

@@ -99,9 +99,8 @@ def locate(
     if failures and len(wanted) == 1:
         raise failures[wanted[0].name]
     if failures:
-        raise NotLocatedError(
-            f"{len(failures)} of {len(wanted)} clips were not located", found=", ".join(failures)
-        )
+        what = f"{len(failures)} of {len(wanted)} clips were not located"
+        raise NotLocatedError(what, found=", ".join(failures))
     return found
 
 
@@ -110,10 +109,7 @@ def locate_clip(clip: Entry, files: FileSet, options: LocateOptions | None = Non
 
     A clip without fingerprints is returned as it is: its numbers are those the user gave.
 
-    Raises
-    ------
-    NotLocatedError
-        When no evidence that `options` allow decides.
+    It raises NotLocatedError when no evidence that `options` allow decides.
     """
     if not clip.frames:
         return clip
@@ -136,7 +132,7 @@ def locate_clip(clip: Entry, files: FileSet, options: LocateOptions | None = Non
     raise NotLocatedError(
         f"{clip.name}: {'several matches' if verdict.ambiguous else 'no match'} in {files.name} by {tried}",
         expected=f"{clip.length} frames",
-        found=f"best candidates: {'; '.join(map(str, verdict.candidates)) or 'none'}",
+        found=f"best candidates: {'; '.join(verdict.candidates) or 'none'}",
         fix=fix,
     )
 
@@ -189,7 +185,6 @@ def _locate_in(
     packed = frames_of(clip.drive)
     try:
         files = origin.open(packed)
-        assert files is not None  # frames are not optional
         if files.local:
             return locate_clip(clip, files, options)
         try:
@@ -200,7 +195,6 @@ def _locate_in(
     except RangesIgnoredError as error:
         say(f"{error}; fetching all of the file, which pull will use")
         files = origin.download(error.url)
-    assert files is not None
     return locate_clip(clip, files, options)
 
 
@@ -255,104 +249,88 @@ def _own_frames(clip: Entry, folder: str | None) -> Float32Array | None:
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """Frame numbers that the clip may have, and why."""
-
-    numbers: tuple[int, ...]
-    reason: str
-
-    def __str__(self) -> str:
-        """Write ``40-59 (17 of 20 frames equal)``."""
-        return f"{format_numbers(self.numbers)} ({self.reason})"
-
-
-@dataclass(frozen=True)
 class Verdict:
     """Frame numbers when they are proved; otherwise the best candidates, best first, at most three."""
 
     numbers: tuple[int, ...] | None
-    candidates: tuple[Candidate, ...] = ()
+    candidates: tuple[str, ...] = ()
     ambiguous: bool = False
 
 
 def match_exact(equal: Sequence[Sequence[int]]) -> Verdict:
-    """Find the frame numbers from exact equality.
+    """Find the frame numbers from the numbers of the drive's frames that equal each frame of the clip.
 
-    Parameters
-    ----------
-    equal : sequence of sequence of int
-        For each frame of the clip, the numbers of the drive's frames that equal it.
-
-    Returns
-    -------
-    Verdict
-        Proved when every frame has exactly one equal and these ascend, or when, among repeated equal
-        frames, exactly one choice has a constant step.
+    They are proved when every frame has exactly one equal and these ascend, or when, among repeated equal
+    frames, exactly one choice has a constant step.
     """
     if all(len(found) == 1 for found in equal):
         numbers = tuple(found[0] for found in equal)
         if all(b > a for a, b in pairwise(numbers)):
             return Verdict(numbers)
-        return Verdict(None, (Candidate(numbers, "all frames equal, but not in ascending order"),))
+        return Verdict(None, (f"{format_numbers(numbers)} (all frames equal, but not in ascending order)",))
     if all(equal):
         steady = _steady(equal)
         if len(steady) == 1:
             return Verdict(steady[0])
         found = steady or [tuple(found[0] for found in equal)]
-        all_equal = tuple(Candidate(numbers, "all frames equal") for numbers in found[:_MOST])
+        all_equal = tuple(f"{format_numbers(numbers)} (all frames equal)" for numbers in found[:_MOST])
         return Verdict(None, all_equal, ambiguous=True)
     votes = Counter(number - index for index, found in enumerate(equal) for number in found)
     best = [
-        Candidate(tuple(range(first, first + len(equal))), f"{n} of {len(equal)} frames equal")
+        f"{format_numbers(range(first, first + len(equal)))} ({n} of {len(equal)} frames equal)"
         for first, n in votes.most_common(_MOST)
         if first >= 0
     ]
     return Verdict(None, tuple(best))
 
 
+def _steady(equal: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """All choices of equal frames with a constant step."""
+    steps = sorted({b - a for a in equal[0] for b in equal[1] if b > a}) if len(equal) > 1 else [1]
+    choices = (tuple(first + step * k for k in range(len(equal))) for step in steps for first in equal[0])
+    return [choice for choice in choices if all(n in found for n, found in zip(choice, equal, strict=True))]
+
+
 def match_graded(similarity: FloatArray | Float32Array, numbers: Sequence[int]) -> Verdict:
-    """Find the consecutive frame numbers from correlations.
+    """Find the consecutive frame numbers from the correlations of the clip's frames with the drive's.
+
+    They are proved when the best run of F consecutive numbers correlates by at least 0.8 on average, the
+    next best by at least 0.02 less, and nine frames in ten have their best match there. On KITTI frames that
+    were re-encoded (JPEG quality 30, gamma 0.7, halved and enlarged, noise of 10 gray levels), the true run
+    reaches at least 0.97 and a shift by one frame at most 0.90.
 
     Parameters
     ----------
     similarity : (F, D) float
-        Correlation of each frame of the clip with each frame of the drive.
+        The correlations.
     numbers : sequence of D int
         Numbers of the drive's frames, ascending.
-
-    Returns
-    -------
-    Verdict
-        Proved when the best run of F consecutive numbers correlates by at least 0.8 on average, the next
-        best by at least 0.02 less, and nine frames in ten have their best match there. On KITTI frames
-        that were re-encoded (JPEG quality 30, gamma 0.7, halved and enlarged, noise of 10 gray levels),
-        the true run reaches at least 0.97 and a shift by one frame at most 0.90.
     """
-    length, row = len(similarity), {number: k for k, number in enumerate(numbers)}
-    firsts = [n for n in numbers if all(n + k in row for k in range(length))]
-    index = np.arange(length)
+    length, column = len(similarity), {number: k for k, number in enumerate(numbers)}
+    runs = {
+        n: [column[n + k] for k in range(length)]
+        for n in numbers
+        if all(n + k in column for k in range(length))
+    }
     scored = sorted(
-        ((float(similarity[index, [row[n + k] for k in range(length)]].mean()), n) for n in firsts),
-        reverse=True,
+        ((float(similarity[np.arange(length), run].mean()), n) for n, run in runs.items()), reverse=True
     )
     if not scored:
         return Verdict(None)
     (score, first), second = scored[0], scored[1][0] if len(scored) > 1 else -1.0
-    columns = np.array([row[first + k] for k in range(length)])
-    agreement = float(np.mean(similarity.argmax(axis=1) == columns))
+    agreement = float(np.mean(similarity.argmax(axis=1) == runs[first]))
     clear = score - second >= _LEAST_MARGIN and agreement >= _LEAST_AGREEMENT
     if score >= _LEAST_SCORE and clear:
         return Verdict(tuple(range(first, first + length)))
-    best = [Candidate(tuple(range(n, n + length)), f"correlation {s:.3f}") for s, n in scored[:_MOST]]
+    best = [f"{format_numbers(range(n, n + length))} (correlation {s:.3f})" for s, n in scored[:_MOST]]
     return Verdict(None, tuple(best), ambiguous=score >= _LEAST_SCORE)
 
 
 def descriptor(image: ByteArray) -> Float32Array:
-    """Describe an image's fine structure for correlation: unit vector, (n,) float32.
+    """Describe an image for correlation, which is the dot product of two of these unit vectors, (n,) float32.
 
     The image is made gray, shrunk to a width of 320 pixels, and freed of its local mean (Gaussian,
     sigma 2 pixels): what two neighbouring frames of a drive share is mostly smooth, what differs is not.
-    The dot product of two descriptors is their normalised cross-correlation.
     """
     import cv2
 
@@ -362,16 +340,3 @@ def descriptor(image: ByteArray) -> Float32Array:
     fine = (small - cv2.GaussianBlur(small, (0, 0), _SIGMA)).ravel()
     fine -= fine.mean()
     return np.asarray(fine / max(float(np.linalg.norm(fine)), 1e-6), dtype=np.float32)
-
-
-def _steady(equal: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
-    """All choices of equal frames with a constant step."""
-    sets = [set(found) for found in equal]
-    steps = sorted({b - a for a in equal[0] for b in equal[1] if b > a}) if len(equal) > 1 else [1]
-    runs = []
-    for step in steps:
-        for first in equal[0]:
-            numbers = tuple(first + step * k for k in range(len(equal)))
-            if all(n in found for n, found in zip(numbers, sets, strict=True)):
-                runs.append(numbers)
-    return runs

@@ -187,11 +187,6 @@ class _Part:
         """Size of some of the files."""
         return sum(self.sums[name][0] for name in names)
 
-    @property
-    def cost(self) -> int:
-        """Bytes to transfer."""
-        return self.files.cost(self.missing) if self.files else self.size or 0
-
     def extent(self) -> str:
         """How much it is, for the plan."""
         if self.url:
@@ -200,9 +195,8 @@ class _Part:
         if self.files is None:
             return "none"
         here = len(self.sums) - len(self.missing)
-        return f"{len(self.sums)} files, {_megabytes(self.bytes(self.sums))}" + (
-            f", {here} already here" if here else ""
-        )
+        ready = f", {here} already here" if here else ""
+        return f"{len(self.sums)} files, {_megabytes(self.bytes(self.sums))}{ready}"
 
 
 class _Pull:
@@ -237,7 +231,8 @@ class _Pull:
             yield from (f"    {failure}" for failure in part.failures)
         zips = sum(bool(part.url) for part in self.parts)
         more = f" and {zips} whole zip(s)" if zips else ""
-        files, cost = sum(len(part.missing) for part in self.parts), sum(part.cost for part in self.parts)
+        files = sum(len(part.missing) for part in self.parts)
+        cost = sum(part.files.cost(part.missing) if part.files else part.size or 0 for part in self.parts)
         yield f"plan: {files} files{more} to {self.target.root}, {_megabytes(cost)} to transfer"
 
     def bring_all(self) -> None:
@@ -270,15 +265,14 @@ class _Pull:
         """
         try:
             files = self.origin.open(part.packed, again=again)
-            if files is not None:
-                part.choose(files, self.target)
-                if (part.failures or part.lacking) and files.fresh and not again:
-                    # A directory holds no checksum of itself: it is read twice before a gap is believed.
-                    self._choose(part, again=True)
+            part.choose(files, self.target)
+            if (part.failures or part.lacking) and files.fresh and not again:
+                # A directory holds no checksum of itself: it is read twice before a gap is believed.
+                self._choose(part, again=True)
         except RangesIgnoredError as error:
             part.files, part.url, part.size = None, error.url, error.size
         except AbsentError as error:
-            part.files, part.sums, part.failures = None, {}, [error]
+            part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
 
     def _bring(self, part: _Part, bar: tqdm[Any]) -> None:
         """Bring a part; once more, with a new directory, when it is damaged or its server ignores ranges."""

@@ -110,24 +110,23 @@ def _fetch(
     release: Release, folder: Path, mirror: str | None, retries: int, say: Callable[[str], object]
 ) -> list[Path]:
     expected = _read_sums(folder) | release.checksums
-    for name, url in release.downloads().items():
-        path, checksum = folder / name, expected.get(name)
-        if not _is_right(path, checksum):
-            address = f"{mirror.rstrip('/')}/{release.name}/{name}" if mirror else url
-            _download(address, path, checksum, retries, f"by hand: {release.by_hand}")
-        if checksum is None:
-            expected[name] = sha256_file(path)
+    addresses = release.downloads()
+    if mirror:
+        addresses = {name: f"{mirror.rstrip('/')}/{release.name}/{name}" for name in addresses}
+    _download(addresses, folder, expected, retries, f"by hand: {release.by_hand}")
+    for name in addresses:
+        if name not in expected:
+            expected[name] = sha256_file(folder / name)
             say(f"  {name}: no published hash; trusted now, SHA-256 {expected[name]} from now on")
         if release.wanted:
-            _unpack(release, path, folder, expected)
+            _unpack(release, folder / name, folder, expected)
     return _check(release, folder, expected, say)
 
 
-def _is_right(path: Path, checksum: str | None) -> bool:
-    return path.is_file() and checksum in (None, sha256_file(path))
-
-
-def _download(url: str, path: Path, checksum: str | None, retries: int, by_hand: str) -> None:
+def _download(
+    addresses: dict[str, str], folder: Path, expected: Mapping[str, str], retries: int, by_hand: str
+) -> None:
+    """Fetch the files that are not there, or not right."""
     try:
         import pooch
         import requests
@@ -137,18 +136,17 @@ def _download(url: str, path: Path, checksum: str | None, retries: int, by_hand:
         ) from None
     pooch.get_logger().setLevel("ERROR")
     loader = pooch.HTTPDownloader(timeout=60, progressbar=sys.stderr.isatty())
-    files = pooch.create(
-        path.parent, "", registry={path.name: checksum}, urls={path.name: url}, retry_if_failed=retries
-    )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        files.fetch(path.name, downloader=loader)
-    except (requests.exceptions.RequestException, OSError) as error:
-        status = getattr(getattr(error, "response", None), "status_code", None)
-        found = f"status {status}" if status else type(error).__name__
-        raise InputFileError(f"{url}: cannot be fetched", found=found, fix=by_hand) from None
-    except ValueError:
-        raise FileFormatError(url, expected=f"SHA-256 {checksum}", found="other content") from None
+    registry = {name: expected.get(name) for name in addresses}
+    files = pooch.create(folder, "", registry=registry, urls=addresses, retry_if_failed=retries)
+    for name, url in addresses.items():
+        try:
+            files.fetch(name, downloader=loader)
+        except (requests.exceptions.RequestException, OSError) as error:
+            status = getattr(getattr(error, "response", None), "status_code", None)
+            found = f"status {status}" if status else type(error).__name__
+            raise InputFileError(f"{url}: cannot be fetched", found=found, fix=by_hand) from None
+        except ValueError:
+            raise FileFormatError(url, expected=f"SHA-256 {expected[name]}", found="other content") from None
 
 
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:
@@ -156,8 +154,9 @@ def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, s
     archive = Archive.on_disk(path)
     matches = {name: match for name in archive.sizes if (match := re.fullmatch(release.wanted, name))}
     targets = {name: match.expand(release.target) for name, match in matches.items()}
-    missing = [name for name, to in targets.items() if not _is_right(folder / to, expected.get(to))]
-    for name, content in archive.read(missing):
+    here = {to for to in targets.values() if (folder / to).is_file()}
+    right = {to for to in here if expected.get(to) in (None, sha256_file(folder / to))}
+    for name, content in archive.read(name for name, to in targets.items() if to not in right):
         write_bytes(folder / targets[name], content)
 
 

@@ -99,23 +99,9 @@ class _RangeFile(io.RawIOBase):
 class Archive:
     """A zip archive on a server or on disk.
 
-    Parameters
-    ----------
-    name : str
-        Address or path, for messages.
-    size : int
-        Length in bytes.
-    chunks : callable
-        ``chunks(start, length)`` yields exactly these bytes, in pieces.
-    tail : bytes
-        The end with the directory, from an earlier `directory`; it is not read again then.
-    local : bool
-        Whether it is on this machine.
-
-    Raises
-    ------
-    FileFormatError
-        When it is not a zip archive, is damaged or truncated, or is hostile.
+    ``chunks(start, length)`` yields exactly these of its `size` bytes, in pieces. With the `tail` of an
+    earlier `directory` this is not read again. FileFormatError is raised when it is not a zip archive, is
+    damaged or truncated, or is hostile.
     """
 
     def __init__(
@@ -154,14 +140,8 @@ class Archive:
         """Yield the wanted files' names and contents, verified by size and CRC32.
 
         Neighbours come in one request, each is yielded as soon as its bytes are here. A damaged file is
-        asked for again, up to three times in all.
-
-        Raises
-        ------
-        DamagedError
-            When a file stays damaged.
-        FileFormatError
-            When a file is encrypted, packed by an unusual method or larger than 64 MiB.
+        asked for again, up to three times in all, before DamagedError is raised. FileFormatError is raised
+        for a file that is encrypted, packed by an unusual method or larger than 64 MiB.
         """
         wanted = list(names)
         for name in wanted:

@@ -106,15 +106,7 @@ class TrackletBox:
 
 
 def read_tracklets(path: Path) -> list[Tracklet]:
-    """Read a ``tracklet_labels.xml``.
-
-    Raises
-    ------
-    InputFileError
-        When the file is missing or larger than 64 MiB.
-    FileFormatError
-        When it is not such a file, or defines XML entities, which KITTI's never do.
-    """
+    """Read a ``tracklet_labels.xml`` of at most 64 MiB; FileFormatError for others and for XML entities."""
     content = read_bytes(path, _LARGEST)
     try:
         found = ElementTree.fromstring(content).find("tracklets")  # refuses entities
@@ -130,22 +122,9 @@ def project_box(
 ) -> FloatArray | None:
     """Project a 3D box to the upright image box around its visible part.
 
-    Parameters
-    ----------
-    corners : (8, 3) float64
-        Corners in laser scanner coordinates, as `Tracklet.corners` gives them.
-    K : (3, 3) float64
-        Intrinsics in pixels.
-    T_cam_velo : (4, 4) float64
-        Laser scanner to camera.
-    size : (W, H)
-        Image size in pixels.
-
-    Returns
-    -------
-    (4,) float64 or None
-        Left, top, right, bottom, clipped to the image; None when nothing of the box is in view.
-        Edges are cut 0.1 m in front of the camera, so that boxes next to the car project rightly.
+    `corners` (8, 3) are those of `Tracklet.corners`, `size` is width and height of the image. The box is
+    left, top, right, bottom in pixels, clipped to the image; None when nothing of it is in view. Edges are
+    cut 0.1 m in front of the camera, so that boxes next to the car project rightly.
     """
     front = _in_front(corners @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3])
     if not len(front):
