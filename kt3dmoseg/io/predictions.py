@@ -11,7 +11,7 @@ import math
 import os
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,26 +34,14 @@ _FIX_HEADER = "make the first line 'track,label' and write one 'id,label' line p
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong with predictions, and what to do about it.
+    """One thing that is wrong with predictions, and what to do about it."""
 
-    Parameters
-    ----------
-    code : str
-        Stable short name, for scripts.
-    file : str
-        File concerned; empty when it is about all of them.
-    clip : str
-        Clip concerned; empty when it is about all of them.
-    expected, found, fix : str
-        What was expected, what is there, how to repair it.
-    """
-
-    code: str
-    file: str = ""
+    code: str  # stable short name, for scripts
+    file: str = ""  # empty when it is about all of them, as is clip
     clip: str = ""
     expected: str = ""
     found: str = ""
-    fix: str = ""
+    fix: str = ""  # how to repair it
 
     def __str__(self) -> str:
         """Give the problem in one line."""
@@ -61,10 +49,6 @@ class Problem:
         facts = (self.expected and f"expected {self.expected}", self.found and f"found {self.found}")
         line = f"[{self.code}] {where or 'submission'}: {', '.join(fact for fact in facts if fact)}"
         return " ".join((f"{line}; {self.fix}" if self.fix else line).split())
-
-    def as_dict(self) -> dict[str, str]:
-        """Give the fields as a plain mapping."""
-        return asdict(self)
 
 
 def numbered(problems: Sequence[Problem]) -> str:
@@ -79,20 +63,16 @@ def first_few(items: Sequence[object], limit: int = 5) -> str:
     return shown if len(items) <= limit else f"{shown} and {len(items) - limit} more"
 
 
+def _no_rows() -> IntArray:
+    return np.empty(0, dtype=np.int64)
+
+
 @dataclass(eq=False)
 class Prediction:
-    """What a prediction file holds.
+    """What a prediction file holds, in its order; empty with everything that is wrong, when unreadable."""
 
-    Parameters
-    ----------
-    track, label : (n,) int64
-        Ids of trajectories and their labels, in the order of the file; empty when unreadable.
-    problems : list of Problem
-        Everything that is wrong with the file by itself.
-    """
-
-    track: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    label: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    track: IntArray = field(default_factory=_no_rows)
+    label: IntArray = field(default_factory=_no_rows)
     problems: list[Problem] = field(default_factory=list)
 
 
@@ -131,17 +111,7 @@ def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
 
 
 def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
-    """Read a prediction file, listing everything that is wrong with it.
-
-    Parameters
-    ----------
-    content : bytes
-        The file.
-    file : str
-        Its name; the ending, in lower case, chooses the format.
-    clip : str
-        The name of the clip it is for.
-    """
+    """Read a prediction file of a clip, listing everything that is wrong; the ending chooses the format."""
     columns = _Columns(file, clip)
     _PARSERS[Path(file).suffix](content, columns)
     track, label = columns.arrays.get("track"), columns.arrays.get("label")
@@ -155,23 +125,7 @@ def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
 
 
 def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | None, list[Problem]]:
-    """Bring predicted labels into the order of ``clip.evaluated``.
-
-    Parameters
-    ----------
-    found : Prediction
-        Ids and labels as predicted.
-    clip : Clip
-        The clip that they are for.
-    file : str
-        Where they come from, for messages.
-
-    Returns
-    -------
-    labels : (n,) int64 or None
-        None when the file has problems or the ids do not match.
-    problems : list of Problem
-    """
+    """Bring predicted labels into the order of ``clip.evaluated``, or say why not."""
     if found.problems:
         return None, found.problems
     wanted = clip.dense.track_id[clip.evaluated]

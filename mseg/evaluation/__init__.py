@@ -95,10 +95,10 @@ def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
     >>> classification_error([1, 1, 1, 2], [7, 7, 3, 3])
     0.25
     """
+    from mseg.evaluation import metrics
     from mseg.evaluation.contingency import contingency
-    from mseg.evaluation.metrics import ERROR
 
-    return ERROR(contingency(truth, pred))
+    return metrics.classification_error(contingency(truth, pred))
 
 
 __getattr__, __dir__ = lazy(__name__, _PUBLIC)

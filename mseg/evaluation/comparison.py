@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from mseg.evaluation.metrics import METRICS, Metric
+from kt3dmoseg.registry import unknown_name
+from mseg.evaluation.metrics import Metric, all_metrics
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
 
@@ -23,50 +24,21 @@ _NOISE = 2.0
 
 @dataclass(frozen=True)
 class Pair:
-    """Two submissions on the same clips.
-
-    Parameters
-    ----------
-    first, second : str
-        Their names.
-    difference : float
-        Mean over clips of first minus second.
-    interval : Interval
-        95 % bootstrap interval of the difference, over clips.
-    p, p_holm : float
-        Wilcoxon signed-rank test over clips, alone and corrected for all pairs compared.
-    seed_sd : float or None
-        Standard deviation, over the choice of one seed each, of the difference of the two means;
-        None when one of them has a single seed.
-    sentence : str
-        What this says, in words.
-    """
+    """Two submissions on the same clips."""
 
     first: str
     second: str
-    difference: float
-    interval: Interval
-    p: float
-    p_holm: float
-    seed_sd: float | None
-    sentence: str = ""
+    difference: float  # mean over clips of first minus second
+    interval: Interval  # 95 % bootstrap interval of the difference, over clips
+    p: float  # Wilcoxon signed-rank test over clips
+    p_holm: float  # the same, corrected for all pairs compared
+    seed_sd: float | None  # of the difference when each takes one other seed; None with a single seed
+    sentence: str = ""  # what this says, in words
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Several submissions compared by one metric.
-
-    Parameters
-    ----------
-    metric : str
-        Name of the metric.
-    names : list of str
-        Of the submissions, unique.
-    tables : sequence of ScoreTable
-        Their scores.
-    pairs : list of Pair
-        Every pair.
-    """
+    """Several submissions, by unique names, compared pair by pair by one metric."""
 
     metric: str
     names: list[str]
@@ -94,7 +66,9 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
     if len(tables) < 2:
         raise InvalidValueError("compare", expected="two submissions or more", found=str(len(tables)))
     _check_same_data(tables)
-    spec: Metric = METRICS.load(metric)
+    if metric not in all_metrics():
+        raise unknown_name("metric", metric, all_metrics())
+    spec = all_metrics()[metric]
     names = _unique_names([table.meta.method for table in tables])
     values = [table.matrix(metric) for table in tables]
     means = [v.mean(axis=1) for v in values]
@@ -115,7 +89,7 @@ def comparison_table(comparison: Comparison) -> ResultsTable:
     """Lay out the submissions, one column each: every clip, mean and median, with the spread over seeds."""
     from mseg.evaluation.results import clip_table, failure_notes
 
-    spec: Metric = METRICS.load(comparison.metric)
+    spec = all_metrics()[comparison.metric]
     first = comparison.tables[0]
     named = dict(zip(comparison.names, comparison.tables, strict=True))
     values = {name: table.matrix(comparison.metric) for name, table in named.items()}
@@ -131,7 +105,7 @@ def pairs_table(comparison: Comparison) -> ResultsTable:
     """Lay out the paired statistics."""
     from mseg.evaluation.results import ResultsTable
 
-    scale = METRICS.load(comparison.metric).scale
+    scale = all_metrics()[comparison.metric].scale
     rows = [
         [
             f"{pair.first} - {pair.second}",

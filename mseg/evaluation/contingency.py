@@ -148,22 +148,12 @@ def label_vector(values: npt.ArrayLike, name: str) -> IntArray:
 
 
 def best_assignment(counts: IntArray) -> IntArray:
-    """Choose a different group for each motion so that most trajectories agree.
+    """Choose a different group for each motion so that most trajectories agree: columns (M,), -1 = none.
 
     Solves the rectangular assignment problem max sum_i counts[i, a(i)] over one-to-one maps a
     (Kuhn 1955). For as many groups as motions this is the search over all permutations of the
     Hopkins155 code, at cubic instead of factorial cost. Among equally good assignments the one
     with the larger sum of intersections over unions is taken.
-
-    Parameters
-    ----------
-    counts : (M, G) int64
-        Trajectories of motion i in group j; M and G may differ.
-
-    Returns
-    -------
-    (M,) int64
-        Column chosen for each row; -1 where a motion gets no group or shares nothing with it.
 
     Examples
     --------
@@ -180,35 +170,21 @@ def best_assignment(counts: IntArray) -> IntArray:
 
 
 def assign(gain: FloatArray) -> IntArray:
-    """Maximise the sum of gains over one-to-one choices of a column per row.
-
-    Parameters
-    ----------
-    gain : (M, G) float64
-        Non-negative gains.
-
-    Returns
-    -------
-    (M,) int64
-        The columns; -1 where a row is left without one or gains nothing.
-    """
+    """Maximise the sum of gains (M, G) >= 0 over one-to-one choices: columns (M,), -1 = none or no gain."""
     chosen = np.full(len(gain), -1, dtype=np.int64)
-    if not gain.size:
-        return chosen
-    # A fixed order of the columns makes the choice independent of how groups are numbered.
-    order = np.lexsort(gain)
-    rows, columns = _solve(gain[:, order])
-    chosen[rows] = order[columns]
-    chosen[gain[np.arange(len(gain)), chosen] <= 0] = -1
+    if gain.size:
+        # A fixed order of the columns makes the choice independent of how groups are numbered.
+        order = np.lexsort(gain)
+        rows, columns = _solve(gain[:, order])
+        chosen[rows] = order[columns]
+        chosen[gain[np.arange(len(gain)), chosen] <= 0] = -1
     return chosen
 
 
 def _solve(gain: FloatArray) -> tuple[IntArray, IntArray]:
-    """Find the best one-to-one choice: by search when it is small, else with scipy.
-
-    The search spares the import of scipy.optimize, which takes longer than scoring a benchmark.
-    """
+    """Find the best one-to-one choice: by search when it is small, else with scipy."""
     few, many = sorted(gain.shape)
+    # The search spares the import of scipy.optimize, which takes longer than scoring a benchmark.
     if math.perm(many, few) > _MAX_SEARCH:
         from scipy.optimize import linear_sum_assignment
 

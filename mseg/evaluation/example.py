@@ -62,8 +62,8 @@ def example_submission(
     if seeds < 1:
         raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
     with _new_folder(output) as folder:
-        place = Path(data) if data is not None else _write_made_up(folder.with_name(folder.name + "-data"))
-        clips = load_clips(place)
+        source = Path(data) if data is not None else _write_made_up(folder.with_name(folder.name + "-data"))
+        clips = load_clips(source)
         protocol = choose_protocol(benchmark, clips)
         counted = {name: clip for name, clip in clips.items() if protocol.holds(name)}
         runs = {seed: {n: _left_right(c, seed) for n, c in counted.items()} for seed in range(seeds)}
@@ -77,7 +77,7 @@ def example_submission(
             hardware="one CPU core",
         )
         write_submission(folder, counted.values(), runs[0] if seeds == 1 else runs, meta, format=format)
-        return Written(folder, place, len(counted))
+        return Written(folder, source, len(counted))
 
 
 def from_label_files(

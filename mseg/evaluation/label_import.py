@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.types import Clip, IntArray
@@ -18,6 +18,7 @@ from mseg.evaluation.contingency import label_vector
 
 CELLS = "ClusterIdx"
 _LIMIT = 256 << 20
+_MAX_DIGITS = 18  # these fit into 64 bits
 _FORMATS = (
     f"a .mat with the cell array {CELLS} (one label vector per sequence, as the authors' scripts save), "
     "or a folder of <clip>.txt (one label per line), <clip>.mat or <clip>.dat (Brox)"
@@ -64,47 +65,36 @@ def fit_to_clip(labels: npt.ArrayLike, clip: Clip, where: str) -> IntArray:
     except InvalidValueError as error:
         raise FileFormatError(str(error)) from None
     n, n_all = len(clip.evaluated), len(clip.dense)
-    if len(vector) == n:
-        return vector
-    if len(vector) == n_all:
-        return vector[clip.evaluated]
-    raise FileFormatError(
-        where, expected=f"{n} labels (evaluated trajectories) or {n_all} (all)", found=f"{len(vector)}"
-    )
+    if len(vector) not in (n, n_all):
+        expected = f"{n} labels (evaluated trajectories) or {n_all} (all)"
+        raise FileFormatError(where, expected=expected, found=f"{len(vector)}")
+    return vector if len(vector) == n else vector[clip.evaluated]
 
 
-def read_cluster_idx(path: str | os.PathLike[str]) -> list[npt.NDArray[Any]]:
-    """Read the label vectors of the cell array `ClusterIdx`, in order; empty cells are empty vectors.
-
-    Raises
-    ------
-    FileFormatError
-        When it is no MAT-file with that variable.
-    """
-    content = _guarded(Path(path), _read_mat73 if _is_hdf5(path) else _read_mat5)
+def read_cluster_idx(path: Path) -> list[npt.NDArray[Any]]:
+    """Read the label vectors of the cell array `ClusterIdx`, in order; empty cells are empty vectors."""
+    content = _matlab(path)
     if CELLS not in content:
         raise FileFormatError(f"{path}", expected=f"the variable {CELLS}", found=first_few(list(content)))
     cells = content[CELLS]
-    vectors = list(cells.ravel()) if cells.dtype == object else [cells]
-    return [np.asarray(v).ravel() for v in vectors]
+    return [np.asarray(v).ravel() for v in (cells.ravel() if cells.dtype == object else [cells])]
 
 
-def read_label_text(path: str | os.PathLike[str]) -> IntArray:
+def read_label_text(path: Path) -> IntArray:
     """Read one label per line; empty lines and lines that start with # are skipped."""
     lines = read_bytes(path, _LIMIT).decode("utf-8-sig", "replace").splitlines()
     cells = [line.strip().rstrip(",;") for line in lines if line.strip() and not line.startswith("#")]
-    bad = next((i for i, cell in enumerate(cells) if not cell.lstrip("+-").isdecimal()), None)
-    if bad is not None or max(map(len, cells), default=0) > 18:
-        found = repr(cells[bad or 0][:40])
-        raise FileFormatError(f"{path}", expected="one whole number per line", found=found)
-    return np.array([int(cell) for cell in cells], dtype=np.int64)
+    wrong = next((c for c in cells if not c.lstrip("+-").isdecimal() or len(c) > _MAX_DIGITS), None)
+    if wrong is not None:
+        raise FileFormatError(f"{path}", expected="one whole number per line", found=repr(wrong[:40]))
+    return np.array(cells, dtype=np.str_).astype(np.int64)
 
 
-def read_brox_labels(path: str | os.PathLike[str]) -> IntArray:
-    """Read the label of each track of a Brox ``.dat``.
+def read_brox_labels(path: Path) -> IntArray:
+    """Read the label of each track of a Brox ``.dat``, counted from 1, 0 = none.
 
     There, clusters count from 0 and -1 means none; a file without a label below 1 is taken as
-    counting from 1. The result counts from 1, 0 = none.
+    counting from 1.
     """
     from kt3dmoseg.io.brox import read_labels
 
@@ -113,19 +103,13 @@ def read_brox_labels(path: str | os.PathLike[str]) -> IntArray:
 
 
 def _folder(folder: Path, clips: Mapping[str, Clip]) -> dict[str, npt.NDArray[Any]]:
-    readers: dict[str, Callable[[Path], npt.NDArray[Any]]] = {
-        ".txt": read_label_text,
-        ".csv": read_label_text,
-        ".dat": read_brox_labels,
-        ".mat": _single_vector,
-    }
     out: dict[str, npt.NDArray[Any]] = {}
     for file in sorted(folder.iterdir()):
         name = next((n for n in (file.stem, file.stem.removesuffix("_Tracks")) if n in clips), None)
-        if name is not None and file.suffix.lower() in readers:
+        if name is not None and file.suffix.lower() in _READERS:
             if name in out:
                 raise FileFormatError(f"{file}", expected=f"one label file for clip {name}", found="several")
-            out[name] = readers[file.suffix.lower()](file)
+            out[name] = _READERS[file.suffix.lower()](file)
     return out
 
 
@@ -148,52 +132,38 @@ def _cells_by_name(
 
 
 def _single_vector(path: Path) -> npt.NDArray[Any]:
-    content = _guarded(path, _read_mat73 if _is_hdf5(path) else _read_mat5)
     vectors = {
-        k: np.asarray(v).ravel()
-        for k, v in content.items()
-        if v.dtype.kind in "iuf" and v.size == max(v.shape)
+        name: value.ravel()
+        for name, value in _matlab(path).items()
+        if value.dtype.kind in "iuf" and value.size == max(value.shape, default=0) and value.size > 1
     }
-    long = {k: v for k, v in vectors.items() if v.size > 1}
-    if len(long) != 1:
-        raise FileFormatError(
-            f"{path}", expected="one vector of labels", found=f"the vectors {first_few(list(long)) or 'none'}"
-        )
-    return next(iter(long.values()))
+    if len(vectors) != 1:
+        found = f"the vectors {first_few(list(vectors)) or 'none'}"
+        raise FileFormatError(f"{path}", expected="one vector of labels", found=found)
+    return next(iter(vectors.values()))
 
 
-def _guarded(path: Path, read: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
+def _matlab(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Read the variables of a MAT-file of any version, cells included."""
     if not path.is_file():
         raise InputFileError(f"{path}", expected="a MAT-file", found="no such file")
+    with path.open("rb") as stream:
+        is_hdf5 = b"\x89HDF" in stream.read(1024)
     try:
-        return read(path)
-    except KT3DMoSegError:
-        raise
+        if is_hdf5:
+            return _matlab73(path)
+        from scipy.io import loadmat
+
+        return {k: np.asarray(v) for k, v in loadmat(f"{path}").items() if not k.startswith("__")}
     except Exception as error:  # scipy and h5py raise anything on damaged files
         found = f"a file that cannot be read as one ({type(error).__name__})"
         raise FileFormatError(f"{path}", expected="a MAT-file", found=found) from None
 
 
-def _is_hdf5(path: str | os.PathLike[str]) -> bool:
-    try:
-        with open(path, "rb") as stream:
-            head = stream.read(1024)
-    except OSError:
-        return False
-    return b"\x89HDF" in head
-
-
-def _read_mat5(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    content = loadmat(os.fspath(path), mat_dtype=False)
-    return {k: np.asarray(v) for k, v in content.items() if not k.startswith("__")}
-
-
-def _read_mat73(path: Path) -> dict[str, Any]:
+def _matlab73(path: Path) -> dict[str, npt.NDArray[Any]]:
     import h5py
 
-    out: dict[str, Any] = {}
+    out: dict[str, npt.NDArray[Any]] = {}
     with h5py.File(path, "r") as file:
         for name, item in file.items():
             if not isinstance(item, h5py.Dataset) or name.startswith("#"):
@@ -206,3 +176,11 @@ def _read_mat73(path: Path) -> dict[str, Any]:
             elif item.dtype.kind in "iuf":
                 out[name] = np.asarray(item)
     return out
+
+
+_READERS: dict[str, Callable[[Path], npt.NDArray[Any]]] = {
+    ".txt": read_label_text,
+    ".csv": read_label_text,
+    ".dat": read_brox_labels,
+    ".mat": _single_vector,
+}

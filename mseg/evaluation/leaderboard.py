@@ -50,26 +50,10 @@ CREATE TABLE entries (
 
 @dataclass(frozen=True)
 class Entry:
-    """One scored submission.
-
-    Parameters
-    ----------
-    id, added : int, str
-        Number and time (UTC, ISO 8601) of the entry.
-    benchmark, method : str
-        What was scored on what.
-    dataset_version, dataset_sha256, submission_sha256, toolkit_version : str
-        Provenance, see `Provenance`.
-    clips, clips_in_full : int
-        Clips scored, and in the whole benchmark.
-    failed, seeds : int
-        Clip runs counted as fully wrong, and number of seeds.
-    mean, median : float
-        Classification error over clips, fractions.
-    """
+    """One scored submission."""
 
     id: int
-    added: str
+    added: str  # UTC, ISO 8601
     benchmark: str
     method: str
     dataset_version: str
@@ -77,28 +61,20 @@ class Entry:
     submission_sha256: str
     toolkit_version: str
     clips: int
-    clips_in_full: int
-    failed: int
+    clips_in_full: int  # of the whole benchmark
+    failed: int  # clip runs counted as fully wrong
     seeds: int
-    mean: float
+    mean: float  # classification error over clips, a fraction
     median: float
 
 
 @dataclass(frozen=True)
 class Board:
-    """Entries that may be compared: one benchmark, one and the same data.
+    """Entries that may be compared: one benchmark, one and the same data."""
 
-    Parameters
-    ----------
-    title, about : str
-        The benchmark; how much of it, and which data.
-    ranked : list of (int or None, Entry)
-        Best first; None for entries with failed or missing clips, which come last.
-    """
-
-    title: str
-    about: str
-    ranked: list[tuple[int | None, Entry]]
+    title: str  # the benchmark
+    about: str  # how much of it, and which data
+    ranked: list[tuple[int | None, Entry]]  # best first; entries with failed clips last, with None
 
     def table(self) -> ResultsTable:
         """Lay the board out."""

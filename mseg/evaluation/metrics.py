@@ -6,18 +6,18 @@ group ``mseg.metrics``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import entry_points
 from typing import Literal
 
 import numpy as np
 
-from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.contingency import Contingency, assign, contingency  # noqa: F401  # in the examples
 
-OBJECT_F = 0.75
+_OBJECT_F = 0.75
 
 
 @dataclass(frozen=True)
@@ -56,23 +56,6 @@ class Metric:
     def show(self, value: float) -> str:
         """Give a value as tables print it."""
         return f"{self.scale * value:.2f}"
-
-
-def evaluate(table: Contingency) -> dict[str, float]:
-    """Compute every metric of a clip, by name.
-
-    Examples
-    --------
-    >>> evaluate(contingency([1, 1, 1, 2], [5, 5, 9, 9]))["error"]
-    0.25
-    """
-    return {name: metric(table) for name, metric in all_metrics().items()}
-
-
-@cache
-def all_metrics() -> dict[str, Metric]:
-    """Every metric by name, third parties' included."""
-    return {name: METRICS.load(name) for name in METRICS.names()}
 
 
 # --- the two partitions as wholes -------------------------------------------------------------
@@ -220,50 +203,6 @@ def per_motion(table: Contingency) -> dict[str, FloatArray]:
     }
 
 
-def precision(table: Contingency) -> float:
-    """Precision averaged over motions, see `per_motion`.
-
-    Examples
-    --------
-    >>> round(precision(contingency([1, 1, 2, 2], [1, 2, 2, 2])), 4)
-    0.8333
-    """
-    return float(per_motion(table)["precision"].mean())
-
-
-def recall(table: Contingency) -> float:
-    """Recall averaged over motions, see `per_motion`.
-
-    Examples
-    --------
-    >>> recall(contingency([1, 1, 2, 2], [1, 2, 2, 2]))
-    0.75
-    """
-    return float(per_motion(table)["recall"].mean())
-
-
-def f_measure(table: Contingency) -> float:
-    """F-measure averaged over motions, see `per_motion`.
-
-    Examples
-    --------
-    >>> round(f_measure(contingency([1, 1, 2, 2], [1, 2, 2, 2])), 4)
-    0.7333
-    """
-    return float(per_motion(table)["f_measure"].mean())
-
-
-def iou(table: Contingency) -> float:
-    """Intersection over union averaged over motions, see `per_motion`.
-
-    Examples
-    --------
-    >>> round(iou(contingency([1, 1, 2, 2], [1, 2, 2, 2])), 4)
-    0.5833
-    """
-    return float(per_motion(table)["iou"].mean())
-
-
 def moving_error(table: Contingency) -> float:
     """Fraction of trajectories wrong when only background and moving are told apart.
 
@@ -307,7 +246,7 @@ def _moving(table: Contingency) -> tuple[int, int, int]:
 # --- regions, as the FBMS-59 benchmark counts them ---------------------------------------------
 
 
-def region_scores(table: Contingency) -> tuple[FloatArray, FloatArray, FloatArray]:
+def region_scores(table: Contingency) -> dict[str, FloatArray]:
     """Precision, recall and F-measure of each motion as a region, (M,) each; 0 without a group.
 
     Groups are assigned one-to-one so that the sum of F-measures is largest, not the sum of
@@ -318,8 +257,9 @@ def region_scores(table: Contingency) -> tuple[FloatArray, FloatArray, FloatArra
     --------
     F of (motion, group): (1, 1) 4/5, (1, 2) 2/5, (2, 1) 0, (2, 2) 2/3; the sum is largest for 1-1, 2-2.
 
-    >>> region_scores(contingency([1, 1, 1, 2], [1, 1, 2, 2]))[2].round(4).tolist()
-    [0.8, 0.6667]
+    >>> scores = region_scores(contingency([1, 1, 1, 2], [1, 1, 2, 2]))
+    >>> {name: values.round(4).tolist() for name, values in scores.items()}
+    {'precision': [1.0, 0.5], 'recall': [0.6667, 1.0], 'f_measure': [0.8, 0.6667]}
     """
     group_sizes = table.counts.sum(axis=0)
     f = 2 * table.counts / (table.sizes[:, None] + group_sizes[None, :])
@@ -329,51 +269,26 @@ def region_scores(table: Contingency) -> tuple[FloatArray, FloatArray, FloatArra
     shared[rows] = table.counts[rows, chosen[rows]]
     size[rows] = group_sizes[chosen[rows]]
     f_best[rows] = f[rows, chosen[rows]]
-    return shared / size, shared / table.sizes, f_best
-
-
-def region_precision(table: Contingency) -> float:
-    """Precision averaged over the true regions; a region without a group has 0.
-
-    Examples
-    --------
-    Group 1 is pure, group 2 is half motion 2: (1 + 1/2) / 2.
-
-    >>> region_precision(contingency([1, 1, 1, 2], [1, 1, 2, 2]))
-    0.75
-    """
-    return float(region_scores(table)[0].mean())
-
-
-def region_recall(table: Contingency) -> float:
-    """Recall averaged over the true regions.
-
-    Examples
-    --------
-    (2/3 + 1) / 2.
-
-    >>> round(region_recall(contingency([1, 1, 1, 2], [1, 1, 2, 2])), 4)
-    0.8333
-    """
-    return float(region_scores(table)[1].mean())
+    return {"precision": shared / size, "recall": shared / table.sizes, "f_measure": f_best}
 
 
 def region_f(table: Contingency) -> float:
-    """Harmonic mean of `region_precision` and `region_recall`.
+    """Harmonic mean of the precision and the recall of regions, each averaged over the true regions.
 
     Examples
     --------
-    2 * 0.75 * 0.8333 / (0.75 + 0.8333).
+    Precisions 1 and 1/2, recalls 2/3 and 1: 2 * 0.75 * 0.8333 / (0.75 + 0.8333).
 
     >>> round(region_f(contingency([1, 1, 1, 2], [1, 1, 2, 2])), 4)
     0.7895
     """
-    p, r = (float(values.mean()) for values in region_scores(table)[:2])
+    scores = region_scores(table)
+    p, r = float(scores["precision"].mean()), float(scores["recall"].mean())
     return 2 * p * r / (p + r) if p + r else 0.0
 
 
 def objects_found(table: Contingency) -> float:
-    """Count the moving objects (motions but the background) whose F-measure is at least 0.75.
+    """Count the moving objects (motions but the background) whose F-measure as regions is at least 0.75.
 
     Without a known background, the largest motion takes its place.
 
@@ -384,10 +299,22 @@ def objects_found(table: Contingency) -> float:
     >>> objects_found(contingency([1, 1, 1, 2, 3, 3], [1, 1, 1, 2, 3, 0], background=1))
     1.0
     """
-    return float((np.delete(region_scores(table)[2], table.static) >= OBJECT_F).sum())
+    return float((np.delete(region_scores(table)["f_measure"], table.static) >= _OBJECT_F).sum())
 
 
 # --- their names and what tables must know about them -------------------------------------------
+
+
+def _mean(
+    scores: Callable[[Contingency], Mapping[str, FloatArray]], name: str
+) -> Callable[[Contingency], float]:
+    """Average one of the scores of each motion over the motions."""
+
+    def mean(table: Contingency) -> float:
+        return float(scores(table)[name].mean())
+
+    mean.__doc__ = scores.__doc__
+    return mean
 
 
 def _always(value: float) -> Callable[[int], float]:
@@ -396,23 +323,40 @@ def _always(value: float) -> Callable[[int], float]:
 
 _ONE, _ZERO = _always(1.0), _always(0.0)
 _BELOW_CHANCE = _always(-0.5)  # the lower bound of the adjusted Rand index (Chacon and Rastrojo 2023)
+METRICS = {
+    "error": Metric(classification_error, "error", "lower", _ONE),
+    "adjusted_rand": Metric(adjusted_rand, "adj. Rand", "higher", _BELOW_CHANCE),
+    "nmi": Metric(normalised_mutual_information, "NMI", "higher", _ZERO),
+    "precision": Metric(_mean(per_motion, "precision"), "precision", "higher", _ZERO),
+    "recall": Metric(_mean(per_motion, "recall"), "recall", "higher", _ZERO),
+    "f_measure": Metric(_mean(per_motion, "f_measure"), "F", "higher", _ZERO),
+    "iou": Metric(_mean(per_motion, "iou"), "IoU", "higher", _ZERO),
+    "moving_error": Metric(moving_error, "moving error", "lower", _ONE),
+    "moving_f": Metric(moving_f, "moving F", "higher", _ZERO),
+    "over_segmentation": Metric(over_segmentation, "over-seg.", "lower", _ONE),
+    "under_segmentation": Metric(under_segmentation, "under-seg.", "lower", _ONE),
+    "count_error": Metric(motion_count_error, "count error", "lower", float, percent=False),
+    "region_precision": Metric(_mean(region_scores, "precision"), "region P", "higher", _ZERO),
+    "region_recall": Metric(_mean(region_scores, "recall"), "region R", "higher", _ZERO),
+    "region_f": Metric(region_f, "region F", "higher", _ZERO),
+    "objects": Metric(objects_found, "objects F>=.75", "higher", _ZERO, percent=False),
+}
+"""Our own; a third party's is behind an entry point of the group ``mseg.metrics``."""
 
-ERROR = Metric(classification_error, "error", "lower", _ONE)
-ADJUSTED_RAND = Metric(adjusted_rand, "adj. Rand", "higher", _BELOW_CHANCE)
-NMI = Metric(normalised_mutual_information, "NMI", "higher", _ZERO)
-PRECISION = Metric(precision, "precision", "higher", _ZERO)
-RECALL = Metric(recall, "recall", "higher", _ZERO)
-F_MEASURE = Metric(f_measure, "F", "higher", _ZERO)
-IOU = Metric(iou, "IoU", "higher", _ZERO)
-MOVING_ERROR = Metric(moving_error, "moving error", "lower", _ONE)
-MOVING_F = Metric(moving_f, "moving F", "higher", _ZERO)
-OVER_SEGMENTATION = Metric(over_segmentation, "over-seg.", "lower", _ONE)
-UNDER_SEGMENTATION = Metric(under_segmentation, "under-seg.", "lower", _ONE)
-COUNT_ERROR = Metric(motion_count_error, "count error", "lower", float, percent=False)
-REGION_PRECISION = Metric(region_precision, "region P", "higher", _ZERO)
-REGION_RECALL = Metric(region_recall, "region R", "higher", _ZERO)
-REGION_F = Metric(region_f, "region F", "higher", _ZERO)
-OBJECTS = Metric(objects_found, "objects F>=.75", "higher", _ZERO, percent=False)
 
-_BUILT_IN = [name for name, value in list(globals().items()) if isinstance(value, Metric)]
-METRICS = Registry("metric", {name.lower(): f"{__name__}:{name}" for name in _BUILT_IN}, group="mseg.metrics")
+@cache
+def all_metrics() -> dict[str, Metric]:
+    """Every metric by name, third parties' included."""
+    others = {each.name: each for each in entry_points(group="mseg.metrics")}
+    return METRICS | {name: each.load() for name, each in others.items() if name not in METRICS}
+
+
+def evaluate(table: Contingency) -> dict[str, float]:
+    """Compute every metric of a clip, by name.
+
+    Examples
+    --------
+    >>> evaluate(contingency([1, 1, 1, 2], [5, 5, 9, 9]))["error"]
+    0.25
+    """
+    return {name: metric(table) for name, metric in all_metrics().items()}

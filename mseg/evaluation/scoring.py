@@ -48,59 +48,30 @@ _MAX_JSON = 64 << 20
 
 @dataclass(frozen=True)
 class Provenance:
-    """What was scored on what.
+    """What was scored on what."""
 
-    Parameters
-    ----------
-    dataset_version, dataset_sha256 : str
-        Version by name, and the hash over names, trajectories and labels of the clips scored.
-    submission_sha256 : str
-        Hash over the files of the submission.
-    toolkit_version : str
-        Version of this package.
-    """
-
-    dataset_version: str
-    dataset_sha256: str
-    submission_sha256: str
-    toolkit_version: str
+    dataset_version: str  # by name
+    dataset_sha256: str  # over names, trajectories and labels of the clips scored
+    submission_sha256: str  # over the files of the submission
+    toolkit_version: str  # of this package
 
 
 @dataclass(frozen=True, eq=False)
 class ClipScore:
-    """Scores of one clip and one seed.
-
-    Parameters
-    ----------
-    clip, seed : str, int
-        Which.
-    n_motions, n : int
-        True motions and scored trajectories.
-    values : mapping of str to float
-        Every metric by name.
-    n_found : int
-        Predicted groups among the scored trajectories.
-    prevalence : float
-        Classification error of putting every trajectory into the largest motion.
-    reason : str
-        Why there are no labels; empty when there are.
-    table : Contingency or None
-        The counts behind the values, where they are at hand.
-    """
+    """Scores of one clip and one seed."""
 
     clip: str
     seed: int
-    n_motions: int
-    n: int
-    values: Mapping[str, float]
-    n_found: int = 0
-    prevalence: float = 1.0
-    reason: str = ""
-    table: Contingency | None = None
+    n_motions: int  # true ones
+    n: int  # scored trajectories
+    values: Mapping[str, float]  # every metric by name
+    n_found: int = 0  # predicted groups among the scored trajectories
+    prevalence: float = 1.0  # error of putting every trajectory into the largest motion
+    reason: str = ""  # why there are no labels
+    table: Contingency | None = None  # the counts behind the values, where they are at hand
 
 
-_BARE = SubmissionMeta("labels")
-_UNKNOWN = Provenance("", "", "", "")
+_BARE, _UNKNOWN = SubmissionMeta("labels"), Provenance("", "", "", "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,22 +298,16 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     for seed in checked.submission.seeds or [0]:
         for name, clip in checked.clips.items():
             pred, truth = checked.labels.get((seed, name)), clip.labels
-            if pred is not None:
+            if pred is None:
+                clips.append(failed_clip(name, seed, clip, _reason(checked, seed, name)))
+            else:
                 table = contingency(truth.label, pred, background=truth.background)
                 clips.append(score_clip(name, seed, table))
-            else:
-                clips.append(failed_clip(name, seed, clip, _reason(checked, seed, name)))
-    return ScoreTable(
-        tuple(clips),
-        checked.submission.meta,
-        checked.protocol,
-        provenance_of(checked),
-        tuple(checked.problems),
-    )
+    meta, problems = checked.submission.meta, tuple(checked.problems)
+    return ScoreTable(tuple(clips), meta, checked.protocol, _provenance(checked), problems)
 
 
-def provenance_of(checked: Validation) -> Provenance:
-    """Say what was scored on what, with which version of the toolkit."""
+def _provenance(checked: Validation) -> Provenance:
     labels = {n: hashlib.sha256(c.labels.label.tobytes()).hexdigest() for n, c in checked.clips.items()}
     text = "\n".join(f"{name} {checked.checksums[name]} {labels[name]}" for name in sorted(labels))
     known = checked.protocol.version_of(checked.checksums)
@@ -353,13 +318,11 @@ def provenance_of(checked: Validation) -> Provenance:
 
 def _reason(checked: Validation, seed: int, name: str) -> str:
     """Say why a clip has no labels."""
-    if (seed, name) in checked.submission.failures:
-        return f"failed: {checked.submission.failures[seed, name]}"
-    file = checked.submission.files.get((seed, name))
-    if file is None:
-        return "missing"
-    found = next((p for p in checked.problems if p.file == file), None)
-    return f"invalid: {found.found}" if found else "invalid"
+    read, key = checked.submission, (seed, name)
+    if key in read.failures:
+        return f"failed: {read.failures[key]}"
+    found = next((p.found for p in checked.problems if p.file == read.files.get(key)), "")
+    return f"invalid: {found}" if key in read.files else "missing"
 
 
 def _vector(value: Any) -> npt.ArrayLike:  # noqa: ANN401
@@ -393,15 +356,15 @@ def _labels_of(file: Path, clip: Any) -> IntArray:  # noqa: ANN401  # checked
 
 def to_json(scores: ScoreTable) -> dict[str, Any]:
     """Give all scores as JSON values; fractions stay fractions."""
-    groups = {}
-    for group, names in scores.groups():
-        metrics = {metric: asdict(scores.summary(metric, names)) for metric in scores.metrics if names}
-        groups[group.name] = {
+    groups = {
+        group.name: {
             "title": group.title,
             "clips": len(names),
             "clips_in_full": group.n_clips,
-            "metrics": metrics,
+            "metrics": {metric: asdict(scores.summary(metric, names)) for metric in scores.metrics if names},
         }
+        for group, names in scores.groups()
+    }
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -413,32 +376,29 @@ def to_json(scores: ScoreTable) -> dict[str, Any]:
         "seeds": scores.seeds,
         "groups": groups,
         "clips": [_clip_json(score) for score in scores.clips],
-        "problems": [problem.as_dict() for problem in scores.problems],
+        "problems": [asdict(problem) for problem in scores.problems],
     }
 
 
 def _clip_json(score: ClipScore) -> dict[str, Any]:
     names = ("clip", "seed", "n_motions", "n", "n_found", "prevalence", "reason")
-    out = {name: getattr(score, name) for name in names}
-    motions = _motions_json(score.table) if score.table is not None else []
-    return {**out, "values": dict(score.values), "motions": motions}
-
-
-def _motions_json(table: Contingency) -> list[dict[str, Any]]:
-    """Give every motion with its group, its confusion and its own scores; for readers, not read back."""
-    columns = per_motion(table)
-    return [
-        {
-            "motion": int(motion),
-            "n": int(table.sizes[i]),
-            "group": int(table.groups[table.assignment[i]]) if table.assignment[i] >= 0 else None,
-            "background": table.background == i,
-            "outliers": int(table.unassigned[i]),
-            "confusion": {str(g): int(c) for g, c in zip(table.groups, table.counts[i], strict=True)},
-            **{name: float(values[i]) for name, values in columns.items()},
-        }
-        for i, motion in enumerate(table.motions)
-    ]
+    out = {name: getattr(score, name) for name in names} | {"values": dict(score.values), "motions": []}
+    table = score.table
+    if table is not None:  # every motion with its group, its confusion and its own scores; not read back
+        scores, groups = per_motion(table), table.groups.tolist()
+        out["motions"] = [
+            {
+                "motion": int(motion),
+                "n": int(table.sizes[i]),
+                "group": groups[table.assignment[i]] if table.assignment[i] >= 0 else None,
+                "background": table.background == i,
+                "outliers": int(table.unassigned[i]),
+                "confusion": dict(zip(map(str, groups), table.counts[i].tolist(), strict=True)),
+                **{name: float(values[i]) for name, values in scores.items()},
+            }
+            for i, motion in enumerate(table.motions)
+        ]
+    return out
 
 
 def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
@@ -449,7 +409,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
     FileFormatError
         When it is something else.
     """
-    from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+    from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
     class OneClip(BaseModel):
         clip: str
@@ -469,20 +429,24 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         provenance: Provenance
         clips: list[OneClip] = Field(min_length=1)
 
-    expected = "scores as 'mseg score --json' writes them"
+        @model_validator(mode="after")
+        def check_grid(self) -> Scores:
+            runs = [(each.clip, each.seed) for each in self.clips]
+            clips, seeds = ({run[i] for run in runs} for i in (0, 1))
+            if len(set(runs)) != len(runs) or len(runs) != len(clips) * len(seeds):
+                raise ValueError("not every clip for every seed, once")
+            if len({tuple(each.values) for each in self.clips}) != 1:
+                raise ValueError("clips with different metrics")
+            return self
+
     try:
         read = Scores.model_validate_json(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        found = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)
-        raise FileFormatError(where, expected=expected, found=found[:120]) from None
+        found = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)[:120]
+        expected = "scores as 'mseg score --json' writes them"
+        raise FileFormatError(where, expected=expected, found=found) from None
     clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
-    keys = {(c.clip, c.seed) for c in clips}
-    full = len({c.clip for c in clips}) * len({c.seed for c in clips})
-    if len(keys) != len(clips) or len(clips) != full:
-        raise FileFormatError(where, expected=expected, found="not every clip for every seed, once")
-    if len({tuple(c.values) for c in clips}) != 1:
-        raise FileFormatError(where, expected=expected, found="clips with different metrics")
     protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
     return ScoreTable(clips, read.meta, protocol, read.provenance)
 

@@ -11,7 +11,6 @@ import numpy as np
 from kt3dmoseg.types import FloatArray
 
 _RESAMPLES = 4000
-_LEVEL = 0.95
 
 
 class Interval(NamedTuple):
@@ -23,38 +22,17 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """One metric over the clips of a group.
-
-    Parameters
-    ----------
-    mean, median : float
-        Over clips, of the means over seeds.
-    pooled : float
-        Mean over clips weighted by their numbers of scored trajectories; for the classification
-        error this is the error over all trajectories together.
-    seed_sd : float or None
-        Standard deviation over seeds of the mean over clips; None with one seed.
-    interval : Interval
-        95 % bootstrap interval of the mean over clips.
-    """
+    """One metric over the clips of a group; mean and median are of the means over seeds."""
 
     mean: float
     median: float
-    pooled: float
-    seed_sd: float | None
-    interval: Interval
+    pooled: float  # mean weighted by scored trajectories; of the error: that of all trajectories together
+    seed_sd: float | None  # standard deviation over seeds of the mean over clips; None with one seed
+    interval: Interval  # 95 % bootstrap interval of the mean over clips
 
 
 def summarise(values: FloatArray, weights: FloatArray) -> Summary:
-    """Summarise a metric.
-
-    Parameters
-    ----------
-    values : (clips, seeds) float64
-        The metric.
-    weights : (clips,) float64
-        Numbers of scored trajectories.
-    """
+    """Summarise a metric (clips, seeds), with the number of scored trajectories of each clip."""
     means = values.mean(axis=1)
     return Summary(
         float(means.mean()),
@@ -65,17 +43,10 @@ def summarise(values: FloatArray, weights: FloatArray) -> Summary:
     )
 
 
-def bootstrap_mean(values: FloatArray, *, level: float = _LEVEL, seed: int = 0) -> Interval:
-    """Percentile bootstrap interval of a mean (Efron 1979).
+def bootstrap_mean(values: FloatArray, *, level: float = 0.95, seed: int = 0) -> Interval:
+    """Percentile bootstrap interval of the mean of (n,) values or differences (Efron 1979).
 
-    Parameters
-    ----------
-    values : (n,) float64
-        One value per clip, or one difference per clip.
-    level : float
-        Coverage.
-    seed : int
-        Of the resampling; the same values give the same interval.
+    The same values give the same interval.
 
     Examples
     --------
@@ -90,15 +61,10 @@ def bootstrap_mean(values: FloatArray, *, level: float = _LEVEL, seed: int = 0) 
 
 
 def wilcoxon_p(differences: FloatArray) -> float:
-    """Two-sided p-value of the Wilcoxon signed-rank test on paired differences.
+    """Two-sided p-value of the Wilcoxon signed-rank test on paired differences (n,).
 
     Differences of zero are dropped; without any other, p = 1. The distribution is exact, given the
     ranks: every pattern of signs is as likely, equal sizes share their mean rank (Wilcoxon 1945).
-
-    Parameters
-    ----------
-    differences : (n,) float64
-        One per clip.
 
     Examples
     --------

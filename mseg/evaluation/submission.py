@@ -21,7 +21,6 @@ import stat
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -56,12 +55,13 @@ _CLIP_NAME = re.compile(r"\w[\w .-]{0,127}")
 _TEXT_LIMIT = 2000
 _IGNORED_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _LABEL_FILES = (".mat", ".dat", ".txt", ".npy", ".pkl", ".pickle", ".tsv", ".xlsx")
+_ENDINGS = (*SUFFIXES, FAILED)
 _EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
 
 
 @dataclass(frozen=True)
 class SubmissionMeta:
-    """What a submission says about itself; the fields of ``meta.toml``.
+    """What a submission says about itself: the fields of ``meta.toml``.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def _toml(value: object) -> str:
 # --- reading ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Submission:
     """What a submission holds, before it is compared with the data.
 
@@ -293,9 +293,9 @@ class Submission:
     """
 
     meta: SubmissionMeta
-    predictions: Mapping[tuple[int, str], Prediction] = field(default_factory=dict)
-    failures: Mapping[tuple[int, str], str] = field(default_factory=dict)
-    files: Mapping[tuple[int, str], str] = field(default_factory=dict)
+    predictions: dict[tuple[int, str], Prediction] = field(default_factory=dict)
+    failures: dict[tuple[int, str], str] = field(default_factory=dict)
+    files: dict[tuple[int, str], str] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
     sha256: str = ""
 
@@ -309,6 +309,10 @@ class Submission:
         """Names of the clips, of any seed, sorted."""
         return sorted({clip for _, clip in (*self.predictions, *self.failures)})
 
+    def bad(self, code: str, file: str, expected: str, found: str, fix: str) -> None:
+        """Add a problem."""
+        self.problems.append(Problem(code, file, "", expected, found, fix))
+
 
 def read_submission(path: str | os.PathLike[str]) -> Submission:
     """Read a submission from a folder or a zip, in memory; what is wrong with it is listed, not raised.
@@ -318,183 +322,84 @@ def read_submission(path: str | os.PathLike[str]) -> Submission:
     InputFileError
         When there is nothing at `path`.
     """
-    reader = _Reader(Path(path))
-    if reader.names or not reader.problems:  # else it is no zip, or too large, and that is all to say
-        reader.read()
-    return Submission(
-        reader.meta, reader.predictions, reader.failures, reader.files, reader.problems, reader.sha256
-    )
-
-
-class _Reader:
-    """The files of a folder or zip that are safe to read, and what was read from them."""
-
-    def __init__(self, path: Path) -> None:
-        self.meta = SubmissionMeta("unnamed")
-        self.predictions: dict[tuple[int, str], Prediction] = {}
-        self.failures: dict[tuple[int, str], str] = {}
-        self.files: dict[tuple[int, str], str] = {}
-        self.problems: list[Problem] = []
-        self.names: list[str] = []
-        self.prefix = self.sha256 = ""
-        self._digest = hashlib.sha256()
-        self._content: Callable[[str], bytes]
-        if path.is_dir():
-            self._open_folder(path)
-        elif path.exists():
-            self._open_zip(path)
-        else:
-            raise InputFileError(f"{path}", expected="a submission (folder or zip)", found="nothing there")
-
-    def read(self) -> None:
-        """Read every file."""
-        self._find_root()
-        name = self.prefix + META
-        if name in self.names and (content := self._read(name)) is not None:
-            self.meta, problems = parse_meta(content)
-            self.problems += problems
-        at_top = in_folders = 0
-        for name in self.names:
-            if name.startswith(self.prefix) and name != self.prefix + META:
-                path = PurePosixPath(name[len(self.prefix) :])
-                seed = self._seed(name, path)
-                if seed is not None:
-                    in_folders += len(path.parts) > 1
-                    at_top += len(path.parts) == 1 and path.suffix.lower() in (*SUFFIXES, FAILED)
-                    self._read_file(name, path, seed)
-        if at_top and in_folders:
-            expected = "all predictions at the top, or all in seed-<number> folders"
-            found = f"{at_top} at the top and {in_folders} in seed folders"
-            fix = "move the files at the top into a seed folder of their own"
-            self._bad("mixed-seeds", "", expected, found, fix)
-        if not at_top and not in_folders:
-            self._bad("no-predictions", "", f"one file per clip ({', '.join(SUFFIXES)})", "none", _EXAMPLE)
-        self.sha256 = self._digest.hexdigest()
-
-    def _bad(self, code: str, file: str, expected: str, found: str, fix: str) -> None:
-        self.problems.append(Problem(code, file, expected=expected, found=found, fix=fix))
-
-    def _open_folder(self, root: Path) -> None:
-        self._content = lambda name: read_bytes(root / name, MAX_FILE_BYTES)
-        total = 0
-        for folder, subfolders, files in os.walk(root, followlinks=False):
-            subfolders.sort()
-            for each in sorted([*files, *subfolders]):
-                path = Path(folder) / each
-                name = path.relative_to(root).as_posix()
-                if path.is_symlink():
-                    fix = "put the file itself there (zip follows links by default; cp -L does too)"
-                    self._bad("symlink", name, "a plain file", "a symbolic link", fix)
-                elif each in files and not _ignored(name):
-                    total += self._accept(name, path.stat(follow_symlinks=False))
-            subfolders[:] = [s for s in subfolders if not _ignored(s)]
-            if len(self.names) > LIMITS.files or total > LIMITS.total_bytes:
-                self.names.clear()
-                self._too_large("", f"over {LIMITS.files} files or {LIMITS.total_bytes >> 20} MiB")
-                break
-        self.names.sort()
-
-    def _accept(self, name: str, status: os.stat_result) -> int:
-        """Take a file of a folder when it is a plain one of moderate size; return its size."""
-        if not stat.S_ISREG(status.st_mode):
-            self._bad("special-file", name, "a plain file", "a device or pipe", "remove it")
-            return 0
-        if status.st_size > MAX_FILE_BYTES:
-            self._too_large(name, f"{status.st_size} bytes")
-            return 0
-        self.names.append(name)
-        return status.st_size
-
-    def _too_large(self, file: str, found: str) -> None:
-        whole = f"at most {LIMITS.files} files and {LIMITS.total_bytes >> 20} MiB"
-        expected = f"at most {MAX_FILE_BYTES >> 20} MiB" if file else whole
-        fix = "only meta.toml and prediction files belong here, with one label per evaluated trajectory"
-        self._bad("too-large", file, expected, found, fix)
-
-    def _open_zip(self, path: Path) -> None:
-        faults: list[ZipFault] = []
-        archive = SafeZip(path, LIMITS, path.name, faults=faults)
-        self.names = [name for name in archive.sizes if not _ignored(name)]
-        self._content = archive.read
-        for code, file, expected, found, fix in faults:
-            if code == "not-a-zip":
-                fix = "make it with: cd my-submission && zip -r ../my-submission.zip ."
-                self._bad(code, path.name, "a folder, or a zip of its content", found, fix)
-            elif code == "too-large":
-                self._too_large(file, found)
-            else:
-                self._bad(code, file, expected, found, fix)
-
-    def _find_root(self) -> None:
-        """Find where meta.toml lies: at the top, or one folder down when the folder itself was zipped."""
-        if META in self.names:
-            return
-        below = [n for n in self.names if PurePosixPath(n).name == META]
-        tops = {PurePosixPath(n).parts[0] for n in self.names}
-        if len(below) == 1 and len(tops) == 1:
-            self.prefix = below[0].removesuffix(META)
-            folder = self.prefix.rstrip("/")
-            found = f"everything inside the folder {self.prefix}"
-            fix = f"zip the content, not the folder: cd {folder} && zip -r ../{folder}.zip ."
-            self._bad("wrapped-folder", below[0], f"{META} at the top", found, fix)
-        else:
-            near = next((n for n in self.names if n.lower() == META), "")
-            found = f"{near} (lower case is needed)" if near else "none"
-            self._bad("no-meta", META, f"{META} at the top", found, _EXAMPLE)
-
-    def _read(self, name: str) -> bytes | None:
+    root, out = Path(path), Submission(SubmissionMeta("unnamed"))
+    if not root.exists():
+        raise InputFileError(f"{root}", expected="a submission (folder or zip)", found="nothing there")
+    names, content_of = _files_of_folder(root, out) if root.is_dir() else _files_of_zip(root, out)
+    if out.problems and not names:  # no zip, or too large, and that is all to say
+        return out
+    prefix = _root(names, out)
+    digest = hashlib.sha256()
+    for name in sorted(names, key=lambda name: (name != prefix + META, name)):
+        if not name.startswith(prefix):
+            continue
+        relative = PurePosixPath(name[len(prefix) :])
+        key = _key(name, relative, out)
+        if key is None:
+            continue
         try:
-            content = self._content(name)
+            content = content_of(name)
         except KT3DMoSegError as error:
-            self._bad("unreadable", name, "a readable file", str(error), "make the archive again")
-            return None
-        self._digest.update(f"{name[len(self.prefix) :]}\0{len(content)}\0".encode())
-        self._digest.update(content)
-        return content
-
-    def _seed(self, name: str, path: PurePosixPath) -> int | None:
-        if len(path.parts) == 1:
-            return 0
-        folder = _SEED_FOLDER.fullmatch(path.parts[0])
-        if folder and len(path.parts) == 2:
-            return int(folder[1])
-        expected = "files at the top, or in folders seed-0, seed-1, ..."
-        fix = "name the folders seed-<number>, or move the files to the top"
-        self._bad("unknown-folder", name, expected, f"the folder {path.parent}", fix)
-        return None
-
-    def _read_file(self, name: str, path: PurePosixPath, seed: int) -> None:
-        suffix = path.suffix.lower()
-        if suffix not in (*SUFFIXES, FAILED):
-            self._unknown_file(name, path)
-            return
-        content = self._read(name)
-        if content is None:
-            return
-        key = (seed, path.name[: -len(suffix)])
-        if key in self.files:
-            found = f"also {self.files[key]}"
-            self._bad("duplicate-clip", name, "one file per clip and seed", found, "keep one of them")
-            return
-        self.files[key] = name
-        if suffix == FAILED:
-            reason = " ".join(content.decode("utf-8", "replace").split())[:300]
-            self.failures[key] = reason or "no reason given"
+            out.bad("unreadable", name, "a readable file", str(error), "make the archive again")
+            continue
+        digest.update(f"{relative}\0{len(content)}\0".encode() + content)
+        if name == prefix + META:
+            out.meta, problems = parse_meta(content)
+            out.problems += problems
         else:
-            self.predictions[key] = parse_prediction(content, name[: -len(suffix)] + suffix, key[1])
-            self.problems += self.predictions[key].problems
+            _add_file(name, content, key, out)
+    out.sha256 = digest.hexdigest()
+    _check_layout([PurePosixPath(name[len(prefix) :]) for name in names if name.startswith(prefix)], out)
+    return out
 
-    def _unknown_file(self, name: str, path: PurePosixPath) -> None:
-        suffix = path.suffix.lower()
-        if suffix in (".txt", ".md", "") and path.name.lower().startswith(("readme", "licen")):
-            return
-        expected = f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}"
-        convert = (
-            "make it a csv 'track,label'; for label files (.mat, .txt, .dat) "
-            "'mseg example-submission DATA --from FILES -o OUT' does it"
-        )
-        fix = convert if suffix in _LABEL_FILES else "remove it"
-        self._bad("unknown-file", name, expected, path.suffix or "no ending", fix)
+
+def _files_of_folder(root: Path, out: Submission) -> tuple[list[str], Callable[[str], bytes]]:
+    """List the plain files of moderate size."""
+    sizes: dict[str, int] = {}
+    for folder, subfolders, files in os.walk(root, followlinks=False):
+        subfolders.sort()
+        for each in sorted([*files, *subfolders]):
+            path = Path(folder) / each
+            name = path.relative_to(root).as_posix()
+            status = path.stat(follow_symlinks=False)
+            if path.is_symlink():
+                fix = "put the file itself there (zip follows links by default; cp -L does too)"
+                out.bad("symlink", name, "a plain file", "a symbolic link", fix)
+            elif each not in files or _ignored(name):
+                continue
+            elif not stat.S_ISREG(status.st_mode):
+                out.bad("special-file", name, "a plain file", "a device or pipe", "remove it")
+            elif status.st_size > MAX_FILE_BYTES:
+                _too_large(name, f"{status.st_size} bytes", out)
+            else:
+                sizes[name] = status.st_size
+        subfolders[:] = [each for each in subfolders if not _ignored(each)]
+        if len(sizes) > LIMITS.files or sum(sizes.values()) > LIMITS.total_bytes:
+            _too_large("", f"over {LIMITS.files} files or {LIMITS.total_bytes >> 20} MiB", out)
+            sizes.clear()
+            break
+    return sorted(sizes), lambda name: read_bytes(root / name, MAX_FILE_BYTES)
+
+
+def _files_of_zip(path: Path, out: Submission) -> tuple[list[str], Callable[[str], bytes]]:
+    faults: list[ZipFault] = []
+    archive = SafeZip(path, LIMITS, path.name, faults=faults)
+    for code, file, expected, found, fix in faults:
+        if code == "not-a-zip":
+            fix = "make it with: cd my-submission && zip -r ../my-submission.zip ."
+            out.bad(code, path.name, "a folder, or a zip of its content", found, fix)
+        elif code == "too-large":
+            _too_large(file, found, out)
+        else:
+            out.bad(code, file, expected, found, fix)
+    return [name for name in archive.sizes if not _ignored(name)], archive.read
+
+
+def _too_large(file: str, found: str, out: Submission) -> None:
+    whole = f"at most {LIMITS.files} files and {LIMITS.total_bytes >> 20} MiB"
+    expected = f"at most {MAX_FILE_BYTES >> 20} MiB" if file else whole
+    fix = "only meta.toml and prediction files belong here, with one label per evaluated trajectory"
+    out.bad("too-large", file, expected, found, fix)
 
 
 def _ignored(name: str) -> bool:
@@ -502,28 +407,87 @@ def _ignored(name: str) -> bool:
     return any(part in _IGNORED_NAMES or part.startswith(".") for part in PurePosixPath(name).parts)
 
 
-def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
-    """Read ``meta.toml``.
+def _root(names: list[str], out: Submission) -> str:
+    """Find where meta.toml lies: at the top, or one folder down when the folder itself was zipped."""
+    if META in names:
+        return ""
+    below = [name for name in names if PurePosixPath(name).name == META]
+    if len(below) == 1 and len({PurePosixPath(name).parts[0] for name in names}) == 1:
+        prefix = below[0].removesuffix(META)
+        folder = prefix.rstrip("/")
+        found = f"everything inside the folder {prefix}"
+        fix = f"zip the content, not the folder: cd {folder} && zip -r ../{folder}.zip ."
+        out.bad("wrapped-folder", below[0], f"{META} at the top", found, fix)
+        return prefix
+    near = next((name for name in names if name.lower() == META), "")
+    found = f"{near} (lower case is needed)" if near else "none"
+    out.bad("no-meta", META, f"{META} at the top", found, _EXAMPLE)
+    return ""
 
-    Returns
-    -------
-    meta : SubmissionMeta
-        With defaults where a field is missing or wrong.
-    problems : list of Problem
-    """
+
+def _key(name: str, path: PurePosixPath, out: Submission) -> tuple[int, str] | None:
+    """Seed and clip of a file; None when it is none of a submission's."""
+    folder = _SEED_FOLDER.fullmatch(path.parts[0])
+    if len(path.parts) > 1 and not (folder and len(path.parts) == 2):
+        expected = "files at the top, or in folders seed-0, seed-1, ..."
+        fix = "name the folders seed-<number>, or move the files to the top"
+        out.bad("unknown-folder", name, expected, f"the folder {path.parent}", fix)
+        return None
+    suffix = path.suffix.lower()
+    if suffix in _ENDINGS or str(path) == META:
+        return int(folder[1]) if folder and len(path.parts) == 2 else 0, path.stem
+    if suffix in (".txt", ".md", "") and path.name.lower().startswith(("readme", "licen")):
+        return None
+    expected = f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}"
+    convert = (
+        "make it a csv 'track,label'; for label files (.mat, .txt, .dat) "
+        "'mseg example-submission DATA --from FILES -o OUT' does it"
+    )
+    fix = convert if suffix in _LABEL_FILES else "remove it"
+    out.bad("unknown-file", name, expected, path.suffix or "no ending", fix)
+    return None
+
+
+def _add_file(name: str, content: bytes, key: tuple[int, str], out: Submission) -> None:
+    if key in out.files:
+        fix = "keep one of them"
+        out.bad("duplicate-clip", name, "one file per clip and seed", f"also {out.files[key]}", fix)
+        return
+    out.files[key] = name
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix == FAILED:
+        reason = " ".join(content.decode("utf-8", "replace").split())[:300]
+        out.failures[key] = reason or "no reason given"
+    else:
+        out.predictions[key] = parse_prediction(content, name[: -len(suffix)] + suffix, key[1])
+        out.problems += out.predictions[key].problems
+
+
+def _check_layout(paths: list[PurePosixPath], out: Submission) -> None:
+    at_top = sum(len(path.parts) == 1 and path.suffix.lower() in _ENDINGS for path in paths)
+    in_folders = sum(bool(len(path.parts) == 2 and _SEED_FOLDER.fullmatch(path.parts[0])) for path in paths)
+    if at_top and in_folders:
+        expected = "all predictions at the top, or all in seed-<number> folders"
+        found = f"{at_top} at the top and {in_folders} in seed folders"
+        fix = "move the files at the top into a seed folder of their own"
+        out.bad("mixed-seeds", "", expected, found, fix)
+    if not at_top and not in_folders:
+        out.bad("no-predictions", "", f"one file per clip ({', '.join(SUFFIXES)})", "none", _EXAMPLE)
+
+
+def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
+    """Read ``meta.toml``: with defaults where a field is missing or wrong, and the problems."""
     problems: list[Problem] = []
 
     def bad(field: str, expected: str, found: str, fix: str = _EXAMPLE) -> None:
         expected = f"{field} = {expected}" if field else expected
-        problems.append(Problem("meta-field", META, expected=expected, found=found[:80], fix=fix))
+        problems.append(Problem("meta-field", META, "", expected, found[:80], fix))
 
     try:
         raw = tomllib.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         found = f"a syntax error: {' '.join(str(error).split())[:160]}"
-        return SubmissionMeta("unnamed"), [
-            Problem("meta-syntax", META, expected="TOML", found=found, fix=_EXAMPLE)
-        ]
+        return SubmissionMeta("unnamed"), [Problem("meta-syntax", META, "", "TOML", found, _EXAMPLE)]
     version = raw.pop("format_version", None)
     if version != FORMAT_VERSION or isinstance(version, bool):
         bad("format_version", str(FORMAT_VERSION), repr(version))
@@ -542,42 +506,24 @@ def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
 
 def _wrong_fields(raw: Mapping[str, Any]) -> dict[str, str]:
     """Name the fields of ``meta.toml`` of the wrong kind, and what each must be; "" = unknown."""
-    from pydantic import ValidationError
-
-    try:
-        _meta_model().model_validate(raw)
-    except ValidationError as error:
-        kinds = {each.name: str(each.type) for each in fields(SubmissionMeta)}
-        names = dict.fromkeys(str(each["loc"][0]) for each in error.errors(include_url=False))
-        return {name: _EXPECTED[kinds[name]] if name in kinds else "" for name in names}
-    return {}
-
-
-_EXPECTED = {
-    "str": "a text",
-    "bool": "true or false",
-    "float": "seconds >= 0",
-    "tuple[str, ...]": 'a list of names, ["A. Author"]',
-    "Mapping[str, str]": "a table of texts",
-}
-
-
-@cache
-def _meta_model() -> Any:  # noqa: ANN401  # a pydantic model
-    """Make the model of `SubmissionMeta`'s fields, each optional; imported late, so that help stays fast."""
-    from pydantic import ConfigDict, Field, create_model
+    from pydantic import ConfigDict, Field, ValidationError, create_model
 
     text = Annotated[str, Field(max_length=_TEXT_LIMIT)]
-    kinds: dict[str, Any] = {
-        "str": text,
-        "bool": bool,
-        "float": Annotated[float, Field(ge=0, allow_inf_nan=False)],
-        "tuple[str, ...]": Annotated[list[text], Field(max_length=_TEXT_LIMIT)],
-        "Mapping[str, str]": dict[str, text],
+    kinds: dict[str, tuple[Any, str]] = {
+        "str": (text, "a text"),
+        "bool": (bool, "true or false"),
+        "float": (Annotated[float, Field(ge=0, allow_inf_nan=False)], "seconds >= 0"),
+        "tuple[str, ...]": (Annotated[list[text], Field(max_length=_TEXT_LIMIT)], 'a list of names, ["A"]'),
+        "Mapping[str, str]": (dict[str, text], "a table of texts"),
     }
-    strict = ConfigDict(strict=True, extra="forbid")
-    members: dict[str, Any] = {f.name: (kinds[str(f.type)], None) for f in fields(SubmissionMeta)}
-    return create_model("Meta", __config__=strict, **members)
+    known = {each.name: kinds[str(each.type)] for each in fields(SubmissionMeta)}
+    model: dict[str, Any] = {name: (kind, None) for name, (kind, _) in known.items()}
+    try:
+        create_model("Meta", __config__=ConfigDict(strict=True, extra="forbid"), **model).model_validate(raw)
+    except ValidationError as error:
+        names = (str(each["loc"][0]) for each in error.errors(include_url=False))
+        return {name: known[name][1] if name in known else "" for name in names}
+    return {}
 
 
 def _check_required(raw: Mapping[str, Any], bad: Callable[..., None]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -29,28 +29,15 @@ _SCORABLE = frozenset({"missing-clip", "one-label"})
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """What `validate_submission` found.
+    """What `validate_submission` found."""
 
-    Parameters
-    ----------
-    submission : Submission
-        What was read.
-    protocol : Protocol
-        The benchmark against which it was checked.
-    clips : mapping of str to Clip
-        The labelled clips that must be predicted.
-    labels : mapping of (seed, clip) to (n,) int64
-        Valid predictions in the order of ``clip.evaluated``.
-    problems, notes : list of Problem
-        What makes it invalid; what is worth knowing but does not.
-    """
-
-    submission: Submission
-    protocol: Protocol
-    clips: Mapping[str, Clip]
+    submission: Submission  # as it was read
+    protocol: Protocol  # the benchmark against which it was checked
+    clips: Mapping[str, Clip]  # the labelled clips that must be predicted
+    # Valid predictions of (seed, clip), in the order of clip.evaluated.
     labels: dict[tuple[int, str], IntArray] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    notes: list[Problem] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)  # what makes it invalid
+    notes: list[Problem] = field(default_factory=list)  # what is worth knowing but does not
 
     @cached_property
     def checksums(self) -> dict[str, str]:
@@ -84,8 +71,8 @@ class Validation:
             "clips": sorted(self.clips),
             "seeds": self.submission.seeds,
             "sha256": self.submission.sha256,
-            "problems": [{"number": i, **p.as_dict()} for i, p in enumerate(self.problems, start=1)],
-            "notes": [note.as_dict() for note in self.notes],
+            "problems": [{"number": i, **asdict(p)} for i, p in enumerate(self.problems, start=1)],
+            "notes": [asdict(note) for note in self.notes],
         }
 
 

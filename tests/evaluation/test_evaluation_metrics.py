@@ -12,7 +12,7 @@ from mseg.evaluation import classification_error
 from mseg.evaluation.contingency import best_assignment, contingency
 from mseg.evaluation.metrics import METRICS, all_metrics, per_motion
 
-NAMES = METRICS.names()
+NAMES = list(METRICS)
 labels = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 5)), min_size=1, max_size=60).filter(
     lambda pairs: any(t for t, _ in pairs)
 )
