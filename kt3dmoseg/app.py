@@ -34,7 +34,7 @@ _USAGE = 2
 _RARE = " (rarely changed)"
 _LABELS = 26  # width of the column of names in help
 _FORMER = {"--set": "--parameter"}  # older names of flags, taken and not listed
-_FOOTER = "Every command also takes --config FILE (options in TOML, a table per command) and --help-all."
+_FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 
 def _positive(_: type, tokens: Sequence[cyclopts.Token]) -> int:
