@@ -309,15 +309,19 @@ def add(
 
 
 @leaderboard.command(name="list")
-def list_entries(*, db: Board = _BOARD) -> None:
+def list_entries(*, db: Board = _BOARD, json: Json = False) -> None:
     """Print everything that is kept, oldest first."""
     from mseg.evaluation.leaderboard import Leaderboard
 
-    print(Leaderboard(db, create=False).listing().text())
+    board = Leaderboard(db, create=False)
+    if json:
+        print(json_.dumps([dataclasses.asdict(entry) for entry in board.entries()], indent=1))
+    else:
+        print(board.listing().text())
 
 
 @leaderboard.command
-def rank(*, benchmark: Only = "", db: Board = _BOARD) -> None:
+def rank(*, benchmark: Only = "", db: Board = _BOARD, json: Json = False) -> None:
     """Print the ranks, per benchmark and data.
 
     A partial submission, or one with failed clips, is listed below the complete ones, without a rank.
@@ -325,8 +329,11 @@ def rank(*, benchmark: Only = "", db: Board = _BOARD) -> None:
     """
     from mseg.evaluation.leaderboard import Leaderboard
 
-    tables = Leaderboard(db, create=False).ranked(benchmark)
-    print("\n\n".join(table.text() for table in tables))
+    boards = Leaderboard(db, create=False).boards(benchmark)
+    if json:
+        print(json_.dumps([dataclasses.asdict(board) for board in boards], indent=1))
+    else:
+        print("\n\n".join(board.table().text() for board in boards))
 
 
 @leaderboard.command

@@ -1,3 +1,4 @@
+import json
 import re
 import sqlite3
 import subprocess
@@ -145,6 +146,12 @@ def test_command(tmp_path, capsys):
     for action in ("list", "rank"):
         assert mseg.cli.main(["leaderboard", action, "--db", db]) == 0
         assert "tested" in capsys.readouterr().out
+    assert mseg.cli.main(["leaderboard", "list", "--db", db, "--json"]) == 0
+    [entry] = json.loads(capsys.readouterr().out)
+    assert (entry["method"], entry["clips"], entry["failed"]) == ("tested", 2, 0)
+    assert mseg.cli.main(["leaderboard", "rank", "--db", db, "--json"]) == 0
+    [board] = json.loads(capsys.readouterr().out)
+    assert board["ranked"] == [[1, entry]]
     assert mseg.cli.main(["leaderboard", "export", "--db", db, "-o", str(tmp_path / "b.html")]) == 0
     assert mseg.cli.main(["leaderboard", "rank", "--db", str(tmp_path / "no")]) == 2
     assert mseg.cli.main(["leaderboard", "add", folder, "--db", db]) == 2

@@ -287,3 +287,12 @@ def test_methods_command(capsys):
     assert all(name in listed for name in mseg.methods.list())
     assert main(["methods", "subset"]) == 0
     assert "gamma" in capsys.readouterr().out
+    assert main(["methods", "--json"]) == 0
+    described = json.loads(capsys.readouterr().out)
+    assert [each["name"] for each in described] == mseg.methods.list()
+    assert main(["methods", "subset", "--json"]) == 0
+    [subset] = json.loads(capsys.readouterr().out)
+    assert subset in described
+    assert {"gamma": "0.01"}.items() <= {
+        each["name"]: each["default"] for each in subset["parameters"]
+    }.items()
