@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from mseg.clustering.cuts import Cut, lower_cut
-from mseg.clustering.eigen import smallest_eigenvectors
-from mseg.clustering.fusion import Fusion, constrain_subsets, coregularise
+from mseg.clustering.fusion import Cut, Fusion, WeightedSum, constrain_subsets, coregularise, lower_cut
 from mseg.clustering.kmeans import KMeans, kmeans
-from mseg.clustering.laplacian import (
+from mseg.clustering.spectral import (
     GraphLaplacian,
+    count_by_eigengap,
     normalised_laplacian,
+    relative_eigengaps,
+    smallest_eigenvectors,
+    spectral_clustering,
     spectral_embedding,
     unit_rows,
 )
-from mseg.clustering.spectral import spectral_clustering
-from mseg.clustering.symmetric import Symmetric, WeightedSum
 
 __all__ = [
     "Cut",
     "Fusion",
     "GraphLaplacian",
     "KMeans",
-    "Symmetric",
     "WeightedSum",
     "constrain_subsets",
     "coregularise",
+    "count_by_eigengap",
     "kmeans",
     "lower_cut",
     "normalised_laplacian",
+    "relative_eigengaps",
     "smallest_eigenvectors",
     "spectral_clustering",
     "spectral_embedding",

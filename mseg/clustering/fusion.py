@@ -1,22 +1,25 @@
-"""Multi-view spectral clustering: pairwise co-regularisation and the subset constraint."""
+"""Fusion of views: spectral embeddings that agree, and normalised cuts of one partition in all graphs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise, starmap
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import FloatArray
-from mseg.clustering.eigen import fixed_sign, smallest_subspace
-from mseg.clustering.laplacian import unit_rows
-from mseg.clustering.nesting import Nesting, nested
-from mseg.clustering.symmetric import LowRank, Symmetric, WeightedSum
+from kt3dmoseg.types import FloatArray, IntArray
+from mseg.clustering.spectral import GraphLaplacian, Symmetric, fixed_sign, smallest_subspace, unit_rows
 
 # Residuals of the eigenvectors, of the first sweeps and of the last: an objective is off by their square.
 _ROUGH, _ACCURATE = 1e-4, 1e-5
+# Entries of a matrix computed at once: they stay in the cache. Up to _KEPT_ENTRIES are kept.
+_BLOCK_ENTRIES = 1 << 17
+_KEPT_ENTRIES = 1 << 27
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +87,14 @@ def coregularise(
     CVPR 2018, section 3.2.
     """
 
-    def agreement(embeddings: list[FloatArray], view: int) -> LowRank:
-        return LowRank(np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1))
+    def others(embeddings: list[FloatArray], view: int) -> FloatArray:
+        return np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1)
 
     def earned(embeddings: list[FloatArray], view: int) -> float:
-        return float(((agreement(embeddings, view).factor.T @ embeddings[view]) ** 2).sum())
+        return float(((others(embeddings, view).T @ embeddings[view]) ** 2).sum())
+
+    def agreement(embeddings: list[FloatArray], view: int) -> Symmetric:
+        return _LowRank(others(embeddings, view))
 
     return _alternate(laplacians, n_clusters, agreement, earned, weight, tolerance, max_sweeps)
 
@@ -112,16 +118,11 @@ def constrain_subsets(
     Parameters
     ----------
     laplacians : sequence of V matrices (N, N)
-        Normalised Laplacians, arrays or `mseg.clustering.GraphLaplacian`, the smallest model first:
-        affine, homography, fundamental.
-    n_clusters : int
-        Number K of eigenvectors.
+        As in `coregularise`, the smallest model first: affine, homography, fundamental.
+    n_clusters, tolerance, max_sweeps
+        As in `coregularise`.
     weight : float
         gamma of the paper.
-    tolerance : float
-        Stop when the monitored objective changes by less.
-    max_sweeps : int
-        Most sweeps over the views.
 
     Returns
     -------
@@ -134,16 +135,16 @@ def constrain_subsets(
     Xu, Cheong, Li, CVPR 2018, section 3.2, equations of the subset constraint.
     """
 
-    def nesting(embeddings: list[FloatArray], view: int) -> LowRank | Nesting:
+    def nesting(embeddings: list[FloatArray], view: int) -> Symmetric:
         if len(embeddings) == 1:
-            return LowRank(np.zeros((len(embeddings[0]), 1)))
+            return _LowRank(np.zeros((len(embeddings[0]), 1)))
         smaller = embeddings[view - 1] if view > 0 else None
         larger = embeddings[view + 1] if view + 1 < len(embeddings) else None
-        return Nesting(smaller, larger, len(embeddings[view]))
+        return _Nesting(smaller, larger, len(embeddings[view]))
 
     def earned(embeddings: list[FloatArray], view: int) -> float:
         complete = view == len(embeddings) - 1
-        return sum(starmap(nested, pairwise(embeddings))) if complete else 0.0
+        return sum(starmap(_nested, pairwise(embeddings))) if complete else 0.0
 
     return _alternate(laplacians, n_clusters, nesting, earned, weight, tolerance, max_sweeps)
 
@@ -151,13 +152,13 @@ def constrain_subsets(
 def _alternate(
     laplacians: Sequence[Symmetric],
     n_clusters: int,
-    reward: Callable[[list[FloatArray], int], LowRank | Nesting],
+    reward: Callable[[list[FloatArray], int], Symmetric],
     earned: Callable[[list[FloatArray], int], float],
     weight: float,
     tolerance: float,
     max_sweeps: int,
 ) -> Fusion:
-    """Update one view after the other; `earned` tells what the objective gets after each update."""
+    """Update one view after the other; the objective gets what was `earned` after each update."""
     if len({laplacian.shape for laplacian in laplacians}) != 1:
         shapes = ", ".join(str(laplacian.shape) for laplacian in laplacians)
         raise InvalidValueError(
@@ -180,3 +181,165 @@ def _alternate(
         change = abs(value - objectives[-1]) if objectives else np.inf
         objectives.append(value)
     return Fusion(tuple(map(fixed_sign, embeddings)), tuple(objectives), change < tolerance)
+
+
+class WeightedSum:
+    """A sum of symmetric matrices of one shape, each times its weight, as something to multiply with."""
+
+    def __init__(self, *terms: tuple[float, Symmetric]) -> None:
+        self.terms, self.shape = terms, terms[0][1].shape
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        """Write the matrix out."""
+        return np.asarray(sum(weight * np.asarray(matrix) for weight, matrix in self.terms))
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        """Multiply with (N, b)."""
+        return np.asarray(sum(weight * (matrix @ vectors) for weight, matrix in self.terms))
+
+
+class _LowRank:
+    """U U^T of a thin factor U (N, b)."""
+
+    def __init__(self, factor: FloatArray) -> None:
+        self.factor, self.shape = factor, (len(factor),) * 2
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        return np.asarray(self.factor @ self.factor.T)
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        return np.asarray(self.factor @ (self.factor.T @ vectors))
+
+
+class _Nesting:
+    """max(U U^T, 0) of the smaller model plus min(U U^T, 0) of the larger, (N, N); one may be missing.
+
+    Computed once and kept while it is not too large. Products are in single precision: the weight of the
+    constraint takes its error below that of the eigenvectors.
+    """
+
+    def __init__(self, smaller: FloatArray | None, larger: FloatArray | None, size: int) -> None:
+        self.smaller, self.larger, self.shape = smaller, larger, (size, size)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        return np.concatenate([self._rows(part, np.float64) for part in _parts(self.shape[0])])
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        single = vectors.astype(np.float32)
+        if self._kept is not None:
+            return (self._kept @ single).astype(np.float64)
+        blocks = [self._rows(part, np.float32) @ single for part in _parts(self.shape[0])]
+        return np.concatenate(blocks).astype(np.float64)
+
+    @cached_property
+    def _kept(self) -> npt.NDArray[Any] | None:
+        if self.shape[0] ** 2 > _KEPT_ENTRIES:
+            return None
+        kept: npt.NDArray[Any] = np.empty(self.shape, np.float32)
+        for part in _parts(self.shape[0]):
+            kept[part] = self._rows(part, np.float32)
+        return kept
+
+    def _rows(self, part: slice, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+        total, *others = [
+            _clipped(clip, embedding.astype(dtype), part)
+            for clip, embedding in ((np.maximum, self.smaller), (np.minimum, self.larger))
+            if embedding is not None
+        ]
+        for other in others:
+            total += other
+        return total
+
+
+def _nested(smaller: FloatArray, larger: FloatArray) -> float:
+    """Traces of U_L^T max(S, 0) U_L and U_S^T min(L, 0) U_S, S and L the kernels of the embeddings U."""
+    total = 0.0
+    for part in _parts(len(smaller)):
+        together = _clipped(np.maximum, smaller, part) @ larger
+        apart = _clipped(np.minimum, larger, part) @ smaller
+        total += float(np.vdot(together, larger[part]) + np.vdot(apart, smaller[part]))
+    return total
+
+
+def _parts(size: int) -> Iterator[slice]:
+    """Blocks of rows of a square matrix."""
+    rows = max(1, _BLOCK_ENTRIES // max(1, size))
+    return (slice(start, start + rows) for start in range(0, size, rows))
+
+
+def _clipped(clip: np.ufunc, embedding: npt.NDArray[Any], part: slice) -> npt.NDArray[Any]:
+    """Rows of max(U U^T, 0) or min(U U^T, 0)."""
+    agreement: npt.NDArray[Any] = embedding[part] @ embedding.T
+    clip(agreement, 0, out=agreement)
+    return agreement
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """A partition and what it cuts.
+
+    Parameters
+    ----------
+    labels : (N,) int64
+        Cluster of each vertex, 0..K-1.
+    value : float
+        Sum over graphs and clusters of the weight that leaves the cluster, divided by all its weight.
+    """
+
+    labels: IntArray
+    value: float
+
+
+def lower_cut(graphs: Sequence[GraphLaplacian], labels: IntArray, n_clusters: int) -> Cut:
+    """Improve a partition until its normalised cuts, summed over the graphs, become no smaller.
+
+    With S_v the indicators of the clusters, scaled by D_v^1/2 and to unit length, the cut of graph v
+    is tr(S_v^T L_v S_v): what a spectral embedding minimises, but for a partition instead of any
+    orthonormal columns. All vertices move at once, each to the cluster whose weighted kernel mean is
+    nearest over all graphs; the last step that gained something is kept. No cluster is emptied.
+
+    Parameters
+    ----------
+    graphs : sequence of GraphLaplacian
+        Of the same N vertices.
+    labels : (N,) int64
+        Start, 0..K-1.
+    n_clusters : int
+        Number of clusters K. An empty one counts 1 per graph.
+
+    Returns
+    -------
+    Cut
+        Never larger than that of the start.
+
+    References
+    ----------
+    Shi and Malik, "Normalized cuts and image segmentation", PAMI 2000; Dhillon, Guan, Kulis,
+    "Weighted graph cuts without eigenvectors: a multilevel approach", PAMI 2007, for one graph.
+    """
+    value, nearness = _cut(graphs, labels, n_clusters)
+    while True:
+        moved = nearness.argmax(axis=1)
+        if len(np.unique(moved)) < len(np.unique(labels)):
+            return Cut(labels, value)
+        lower, nearness = _cut(graphs, moved, n_clusters)
+        if lower >= value:
+            return Cut(labels, value)
+        labels, value = moved, lower
+
+
+def _cut(graphs: Sequence[GraphLaplacian], labels: IntArray, n_clusters: int) -> tuple[float, FloatArray]:
+    """Value of a partition, and how near every vertex is to every cluster, (N, K)."""
+    indicator = (labels[:, None] == np.arange(n_clusters)).astype(np.float64)
+    nearness = np.zeros_like(indicator)
+    value = 0.0
+    for graph in graphs:
+        root = graph.root_degree[:, None]
+        scaled = root * indicator
+        weight = np.einsum("nk,nk->k", scaled, scaled)
+        weight[weight == 0] = np.inf
+        smooth = scaled - graph @ scaled
+        share = np.einsum("nk,nk->k", scaled, smooth) / weight
+        value += float((1 - share).sum())
+        nearness += root * (2 * smooth - root * share) / weight
+    return value, nearness

@@ -54,14 +54,19 @@ def kmeans(points: FloatArray, n_clusters: int, rng: np.random.Generator, *, n_r
     TooFewPointsError
         When there are fewer points than clusters.
     InvalidValueError
-        When the points are not a finite matrix or `n_restarts` is less than 1.
+        When the points are not a finite matrix.
 
     References
     ----------
     Lloyd, "Least squares quantization in PCM", 1982; Arthur and Vassilvitskii, "k-means++: the
     advantages of careful seeding", SODA 2007.
     """
-    _check(points, n_clusters, n_restarts)
+    if points.ndim != 2 or not np.isfinite(points).all():
+        raise InvalidValueError("points", expected="a finite matrix (N, d)", found=f"shape {points.shape}")
+    if not 1 <= n_clusters <= len(points):
+        raise TooFewPointsError(
+            "number of clusters", expected=f"1..{len(points)} (points)", found=str(n_clusters)
+        )
     # Distances do not change with the origin; near the mean they lose fewest digits.
     mean = points.mean(axis=0)
     centred = np.ascontiguousarray(points - mean)
@@ -95,11 +100,10 @@ def _plus_plus(
 
 
 def _lloyd(points: FloatArray, squares: FloatArray, centres: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Alternate assignment and means for all restarts until each stands still.
+    """Alternate assignment and means for all restarts until none changes any more.
 
     Without a cap: a restart goes on only while what its centres explain has grown, and there are finitely
-    many partitions, so each comes to rest (Selim and Ismail, "K-means-type algorithms: a generalized
-    convergence theorem", TPAMI 1984).
+    many partitions (Selim and Ismail, "K-means-type algorithms", TPAMI 1984).
     """
     n_restarts, n_clusters, dimension = centres.shape
     labels = np.full((n_restarts, len(points)), -1, dtype=np.int64)
@@ -127,10 +131,10 @@ def _means(points: FloatArray, labels: IntArray, centres: FloatArray) -> tuple[F
     A cluster that lost all its points keeps its centre.
     """
     n_restarts, n_clusters, dimension = centres.shape
-    member = (labels[:, None, :] == np.arange(n_clusters)[:, None]).astype(np.float64)
-    member = member.reshape(n_restarts * n_clusters, -1)
-    count = member.sum(axis=1, keepdims=True)
-    total = member @ points
+    inside = (labels[:, None, :] == np.arange(n_clusters)[:, None]).astype(np.float64)
+    inside = inside.reshape(n_restarts * n_clusters, -1)
+    count = inside.sum(axis=1, keepdims=True)
+    total = inside @ points
     mean = np.divide(total, count, out=centres.reshape(-1, dimension).copy(), where=count > 0)
     explained = count[:, 0] * np.einsum("cd,cd->c", mean, mean)
     return mean.reshape(centres.shape), explained.reshape(n_restarts, n_clusters).sum(axis=1)
@@ -143,14 +147,3 @@ def _distances(points: FloatArray, squares: FloatArray, centres: FloatArray) -> 
     distance += np.einsum("cd,cd->c", centres, centres)[:, None]
     np.maximum(distance, 0.0, out=distance)
     return distance
-
-
-def _check(points: FloatArray, n_clusters: int, n_restarts: int) -> None:
-    if points.ndim != 2 or not np.isfinite(points).all():
-        raise InvalidValueError("points", expected="a finite matrix (N, d)", found=f"shape {points.shape}")
-    if not 1 <= n_clusters <= len(points):
-        raise TooFewPointsError(
-            "number of clusters", expected=f"1..{len(points)} (points)", found=str(n_clusters)
-        )
-    if n_restarts < 1:
-        raise InvalidValueError("n_restarts", expected="at least 1", found=str(n_restarts))

@@ -1,26 +1,212 @@
-"""Spectral clustering: embedding, unit rows, k-means."""
+"""Spectral clustering: graph Laplacians, their smallest eigenvectors, and partitions read from them."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import eigh, eigvalsh
+from scipy.linalg.lapack import dgeqrf, dorgqr
+from scipy.sparse import csr_array, diags_array
 
-from kt3dmoseg.types import IntArray
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering.kmeans import kmeans
-from mseg.clustering.laplacian import spectral_embedding, unit_rows
+from mseg.errors import TooFewPointsError
+
+# A symmetric (N, N) array, or anything with that shape that multiplies vectors (N, b) float64.
+Symmetric: TypeAlias = Any
+_Array = npt.NDArray[Any]
+# Up to this size LAPACK is faster.
+_DENSE = 250
+# Vectors beyond those asked for, and the width of a block: eight columns cost BLAS no more than six.
+_GUARD = 3
+_WIDTH = 8
+_EXPANSIONS = 4
+_MAX_RESTARTS = 150
+_START_SEED = 20180618
+# Keeps eigenvalues that are zero but for rounding from deciding.
+_EIGENVALUE_FLOOR = 0.01
+
+
+def normalised_laplacian(affinity: _Array) -> _Array:
+    """Compute the symmetric normalised Laplacian I - D^-1/2 W D^-1/2.
+
+    Parameters
+    ----------
+    affinity : (N, N) float32 or float64
+        Symmetric weights W >= 0; D is the diagonal of its row sums. A vertex without any weight
+        gets the row of the identity, so it takes part in no smooth eigenvector.
+
+    Returns
+    -------
+    (N, N) of the same dtype
+        Symmetric, positive semi-definite, eigenvalues in 0..2.
+
+    Raises
+    ------
+    InvalidValueError
+        When the affinity is not square, not finite or negative.
+
+    References
+    ----------
+    Ng, Jordan, Weiss, "On spectral clustering: analysis and an algorithm", NIPS 2001; von Luxburg, "A
+    tutorial on spectral clustering", 2007, section 3.2.
+    """
+    _check_weights(affinity, affinity.shape)
+    degree = affinity.sum(axis=1)
+    scale = np.zeros_like(degree)
+    np.divide(1.0, np.sqrt(degree), out=scale, where=degree > 0)
+    laplacian: _Array = affinity * -scale[:, None]
+    laplacian *= scale
+    laplacian.flat[:: len(laplacian) + 1] += 1.0
+    return laplacian
+
+
+class GraphLaplacian:
+    """The normalised Laplacian of a sparse graph, as something to multiply with.
+
+    Parameters
+    ----------
+    affinity : (N, N) float, array or sparse
+        Symmetric weights W >= 0, mostly zero. Vertices without weight get rows of the identity.
+    uniform : float
+        Weight spread evenly over all pairs of vertices, as a fraction of the mean degree; 0 = none.
+        It keeps a few vertices that hang on no others from taking eigenvectors for themselves.
+
+    Raises
+    ------
+    InvalidValueError
+        When the affinity is not square, not finite or negative.
+
+    References
+    ----------
+    Amini, Chen, Bickel, Levina, "Pseudo-likelihood methods for community detection in large sparse
+    networks", Annals of Statistics 2013; Zhang and Rohe, "Understanding regularized spectral
+    clustering via graph conductance", NeurIPS 2018.
+    """
+
+    def __init__(self, affinity: _Array | csr_array, *, uniform: float = 0.0) -> None:
+        weights = csr_array(affinity).astype(np.float64)
+        _check_weights(weights.data, weights.shape)
+        self.shape = weights.shape
+        degree = np.asarray(weights.sum(axis=1))
+        weight = uniform * degree.mean() / len(degree) if len(degree) else 0.0
+        self.root_degree = np.sqrt(np.where(degree > 0, degree + weight * len(degree), 0.0))
+        """(N,) float64, square roots of the row sums, the uniform part included; 0 without weight."""
+        scale = np.zeros(len(degree))
+        np.divide(1.0, self.root_degree, out=scale, where=degree > 0)
+        self._adjacency = diags_array(scale) @ weights @ diags_array(scale)
+        self._uniform = (np.sqrt(weight) * scale)[:, None]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
+        """Write the matrix out, (N, N) float64."""
+        out: FloatArray = -self._adjacency.toarray()
+        out -= self._uniform @ self._uniform.T
+        out.flat[:: len(out) + 1] += 1.0
+        return out
+
+    def __matmul__(self, vectors: FloatArray) -> FloatArray:
+        """Multiply with (N, b)."""
+        out: FloatArray = vectors - self._adjacency @ vectors
+        out -= self._uniform @ (self._uniform.T @ vectors)
+        return out
+
+
+def smallest_eigenvectors(matrix: Symmetric, count: int, *, tolerance: float = 1e-8) -> FloatArray:
+    """Orthonormal eigenvectors of the smallest eigenvalues of a symmetric matrix.
+
+    Small matrices are written out and given to LAPACK. Larger ones go through a block Krylov
+    method with thick restarts, whose block is wider than `count` so that it finds eigenvalues of
+    that multiplicity, as graphs of several components have them. No random state is used: the same
+    matrix gives the same vectors.
+
+    Parameters
+    ----------
+    matrix : (N, N), array or anything that multiplies (N, b) float64
+        Symmetric.
+    count : int
+        Number of eigenvectors K.
+    tolerance : float
+        Largest norm of an eigenvector's residual |M u - theta u|.
+
+    Returns
+    -------
+    (N, K) float64
+        In the order of their eigenvalues, the largest entry of each positive.
+
+    Raises
+    ------
+    TooFewPointsError
+        When `count` is not in 1..N.
+
+    References
+    ----------
+    Stewart, "A Krylov-Schur algorithm for large eigenproblems", SIAM J. Matrix Anal. Appl. 2001;
+    Zhou and Saad, "Block Krylov-Schur method for large symmetric eigenvalue problems", 2008.
+    """
+    return fixed_sign(smallest_subspace(matrix, count, tolerance=tolerance)[:, :count])
+
+
+def smallest_subspace(
+    matrix: Symmetric, count: int, *, start: FloatArray | None = None, tolerance: float = 1e-8
+) -> FloatArray:
+    """Find what `smallest_eigenvectors` finds, without fixed signs, and some approximate ones more.
+
+    Parameters
+    ----------
+    matrix, count, tolerance
+        See there.
+    start : (N, m) float64, optional
+        What this function gave for a matrix nearby; saves most of the work.
+
+    Returns
+    -------
+    (N, m) float64
+        Orthonormal, m > K (m = N at most); the first K columns are the eigenvectors.
+    """
+    size = matrix.shape[0]
+    if not 1 <= count <= size:
+        raise TooFewPointsError("number of clusters", expected=f"1..{size} (points)", found=str(count))
+    block = -(-(count + _GUARD) // _WIDTH) * _WIDTH
+    if size <= max(_DENSE if start is None else 0, (_EXPANSIONS + 3) * block):
+        return _dense(matrix, min(block, size))
+    if start is None:
+        start = _orthonormal(np.random.default_rng(_START_SEED).standard_normal((size, block)))
+    return _krylov(matrix, start, count, block, tolerance)
+
+
+def fixed_sign(vectors: FloatArray) -> FloatArray:
+    """Flip columns so that the entry of largest magnitude is positive: an eigenvector has no sign."""
+    largest = np.abs(vectors).argmax(axis=0)
+    sign = np.sign(vectors[largest, np.arange(vectors.shape[1])])
+    return vectors * np.where(sign == 0, 1.0, sign)
+
+
+def unit_rows(points: FloatArray) -> FloatArray:
+    """Scale the rows to unit length; a row of zeros stays a row of zeros."""
+    length = np.linalg.norm(points, axis=1, keepdims=True)
+    scaled = np.zeros_like(points)
+    np.divide(points, length, out=scaled, where=length > 0)
+    return scaled
+
+
+def spectral_embedding(affinity: _Array, n_clusters: int) -> FloatArray:
+    """Embed the N vertices of a graph by the smoothest functions on it.
+
+    Returns
+    -------
+    (N, K) float64
+        `smallest_eigenvectors` of `normalised_laplacian`, and what these raise.
+    """
+    return smallest_eigenvectors(normalised_laplacian(affinity), n_clusters)
 
 
 def spectral_clustering(
-    affinity: npt.NDArray[Any],
-    n_clusters: int,
-    rng: np.random.Generator,
-    *,
-    n_restarts: int = 20,
-    normalise_rows: bool = True,
+    affinity: _Array, n_clusters: int, rng: np.random.Generator, *, n_restarts: int = 20
 ) -> IntArray:
-    """Partition the vertices of a weighted graph.
+    """Partition the vertices of a weighted graph: embedding, unit rows, k-means.
 
     Parameters
     ----------
@@ -32,8 +218,6 @@ def spectral_clustering(
         Randomness of k-means.
     n_restarts : int
         Restarts of k-means.
-    normalise_rows : bool
-        Whether rows of the embedding are scaled to unit length before k-means.
 
     Returns
     -------
@@ -49,6 +233,88 @@ def spectral_clustering(
     ----------
     Ng, Jordan, Weiss, "On spectral clustering: analysis and an algorithm", NIPS 2001.
     """
-    embedding = spectral_embedding(affinity, n_clusters)
-    points = unit_rows(embedding) if normalise_rows else embedding
+    points = unit_rows(spectral_embedding(affinity, n_clusters))
     return kmeans(points, n_clusters, rng, n_restarts=n_restarts).labels + 1
+
+
+def relative_eigengaps(affinity: FloatArray, largest: int) -> FloatArray:
+    """Gaps ``(lambda_{k+1} - lambda_k) / (lambda_k + 0.01)`` of the normalised Laplacian, k = 1..`largest`.
+
+    Dividing matters: on Hopkins155 the plain gap (von Luxburg, "A tutorial on spectral clustering", 2007,
+    section 8.3) takes the bulk of the spectrum for a cluster boundary.
+
+    Parameters
+    ----------
+    affinity : (N, N) float64
+        Symmetric weights >= 0.
+    largest : int
+        Number of gaps wanted; at most N - 1 exist.
+
+    Returns
+    -------
+    (min(largest, N - 1),) float64
+    """
+    largest = min(largest, len(affinity) - 1)
+    if largest < 1:
+        return np.zeros(0)
+    laplacian = normalised_laplacian(affinity)
+    values = eigvalsh(laplacian, subset_by_index=(0, largest), check_finite=False)
+    return np.asarray(np.diff(values) / (np.maximum(values[:-1], 0) + _EIGENVALUE_FLOOR))
+
+
+def count_by_eigengap(affinity: FloatArray, largest: int = 6) -> int:
+    """Count clusters by the widest of `relative_eigengaps`, the smallest k in 2..`largest` of equals.
+
+    At least two motions are assumed: with one there is nothing to segment. A single point counts 1.
+    """
+    gaps = relative_eigengaps(affinity, largest)
+    return int(np.argmax(gaps[1:])) + 2 if len(gaps) > 1 else 1
+
+
+def _check_weights(weights: _Array, shape: tuple[int, ...]) -> None:
+    if len(shape) != 2 or shape[0] != shape[1]:
+        raise InvalidValueError("affinity", expected="shape (N, N)", found=f"{shape}")
+    if weights.size and not (np.isfinite(weights).all() and weights.min() >= 0):
+        raise InvalidValueError("affinity", expected="finite weights >= 0", found="NaN, inf or negative")
+
+
+def _dense(matrix: Symmetric, count: int) -> FloatArray:
+    vectors = eigh(np.asarray(matrix), subset_by_index=(0, count - 1), driver="evr", check_finite=False)[1]
+    return np.ascontiguousarray(vectors)
+
+
+def _krylov(matrix: Symmetric, first: FloatArray, count: int, block: int, tolerance: float) -> FloatArray:
+    """Solve the problem projected on a basis, expand the basis by residuals, repeat.
+
+    LAPACK takes over where eigenvalues lie so close that this does not get there.
+    """
+    kept = first.shape[1]
+    basis = np.empty((len(first), max(kept, 2 * block) + _EXPANSIONS * block), order="F")
+    image = np.empty_like(basis, order="F")
+    basis[:, :kept], image[:, :kept] = first, matrix @ np.ascontiguousarray(first)
+    filled = kept
+    for _ in range(_MAX_RESTARTS):
+        projected = basis[:, :filled].T @ image[:, :filled]
+        values, rotation = np.linalg.eigh((projected + projected.T) / 2)
+        kept = min(filled, 2 * block)
+        best = np.asfortranarray(rotation[:, :kept])
+        basis[:, :kept], image[:, :kept] = basis[:, :filled] @ best, image[:, :filled] @ best
+        direction = image[:, :block] - basis[:, :block] * values[:block]
+        if np.linalg.norm(direction[:, :count], axis=0).max() < tolerance:
+            return np.ascontiguousarray(basis[:, :kept])
+        filled = kept
+        for _ in range(_EXPANSIONS):
+            for _ in range(2):
+                found = basis[:, :filled]
+                direction = _orthonormal(direction - found @ (found.T @ direction))
+            basis[:, filled : filled + block] = direction
+            direction = matrix @ np.ascontiguousarray(direction)
+            image[:, filled : filled + block] = direction
+            filled += block
+    return _dense(matrix, block)
+
+
+def _orthonormal(vectors: FloatArray) -> FloatArray:
+    # Straight to LAPACK: the blocks are thin, and wrappers would take most of the time.
+    reflectors, tau, *_ = dgeqrf(vectors)
+    return np.asarray(dorgqr(reflectors, tau)[0], dtype=np.float64)

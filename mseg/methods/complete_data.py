@@ -182,3 +182,11 @@ def _completion_report(filled: Completion, used: BoolArray) -> dict[str, Any]:
         "trajectories_left_out": int((~used).sum()),
         **filled.convergence.report("completion_"),
     }
+
+
+def by_size(cluster: IntArray) -> IntArray:
+    """Rename clusters (N,) to 1, 2, ... by decreasing size, of equal sizes the one that appears first."""
+    _, first, inverse, counts = np.unique(cluster, return_index=True, return_inverse=True, return_counts=True)
+    rank = np.empty(len(counts), dtype=np.int64)
+    rank[np.lexsort((first, -counts))] = np.arange(1, len(counts) + 1)
+    return np.asarray(rank[inverse])

@@ -7,18 +7,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Float32Array, IntArray, Trajectories
+from kt3dmoseg.types import Float32Array, FloatArray, IntArray, Trajectories
 from mseg.clustering import smallest_eigenvectors, unit_rows
-from mseg.clustering.coefficient_affinity import keep_largest
-from mseg.clustering.consistent import consistent_affinity
+from mseg.clustering.self_expression import keep_largest
+from mseg.clustering.spectral import smallest_subspace
+from mseg.iteration import Convergence, iterate
 from mseg.kernels import GUARD, covisible_frames
 from mseg.methods.paper import KINDS, ViewMethod
 
 _GUARD = 0.2
 _NEGLIGIBLE = 1e-5
+# Bounds of C from above and of D_v from below; ridge of C's least squares; eigenvalues that count as equal.
+_LARGEST, _SMALLEST, _RIDGE, _TIE = 5.0, 1e-4, 1e-4, 1e-6
 
 
 @dataclass(frozen=True)
@@ -28,13 +32,16 @@ class ConsistentMoSeg(ViewMethod):
     1. Kernels Z_v of the affine, homography and fundamental views, divided by the number of common frames
        plus 0.2, sparsified with alpha = 3, diagonals zero.
     2. ``min sum_v 1/2 |Z_v - C o D_v|^2 + l1/2 |D_v|^2 + l2 <Laplacian of C, W>`` over symmetric
-       0 <= C <= 5, D_v >= 1e-4 and the relaxed projector W of trace K (`mseg.clustering.consistent`).
+       0 <= C <= 5, D_v >= 1e-4 and 0 <= W <= I of trace K, by turns over D_v, C and W, each in closed form.
+       The last term is l2 times the sum of the K smallest eigenvalues of the Laplacian of C, which is zero
+       exactly when the graph has K components.
     3. Affinity: the sum of the symmetric parts of C o D_v, of each column the largest entries that make up
        90 per cent of its sum, then spectral clustering.
 
     Source: Jiang, Xu, Ma, Yang, Cao, Huang, "What to select: pursuing consistent motion segmentation from
-    multiple geometric models", AAAI 2021, and its authors' code; l1 = 0.001, l2 = 0.015 are theirs for
-    Hopkins155 and MTPV62 (0.005 and 0.05 for Hopkins12, 0.001 and 0.01 for KT3DMoSeg). Deviation: their
+    multiple geometric models", AAAI 2021, and its authors' code; the last term of step 2: Lu, Feng, Lin, Mei,
+    Yan, "Subspace clustering by block diagonal representation", TPAMI 2019; l1 = 0.001, l2 = 0.015 are theirs
+    for Hopkins155 and MTPV62 (0.005 and 0.05 for Hopkins12, 0.001 and 0.01 for KT3DMoSeg). Deviation: their
     affinity is left unsymmetric by the last step and goes into spectral clustering as such; here it is
     averaged with its transpose, and a small uniform weight is added as in the paper's views. The affinity
     itself equals that of their code (docs/baselines.md).
@@ -53,22 +60,95 @@ class ConsistentMoSeg(ViewMethod):
         self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator
     ) -> tuple[IntArray, dict[str, Any]]:
         """Find the shared graph and cut it."""
-        solved = consistent_affinity(
-            [view.toarray() for view in views],
-            n_motions,
-            specific_weight=self.specific_weight,
-            rank_weight=self.rank_weight,
-            tolerance=self.tolerance,
-            max_iterations=self.max_iterations,
-        )
-        affinity = solved.affinity()
+        kernels = np.array([view.toarray() for view in views])
+        shared, specific, convergence = self.solve(kernels, n_motions)
+        affinity = symmetric_parts(shared, specific)
         kept = keep_largest(np.where(affinity < _NEGLIGIBLE, 0.0, affinity), self.share)
         graph = self.laplacian(csr_array((kept + kept.T) / 2))
         labels, report = self.read_out(unit_rows(smallest_eigenvectors(graph, n_motions)), n_motions, rng)
-        return labels, {"views": list(KINDS), **solved.convergence.report(), **report}
+        return labels, {"views": list(KINDS), **convergence.report(), **report}
 
     def rescale(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
         """Divide by the common frames plus 0.2 instead of the paper's 0.1."""
         together = covisible_frames(points)
         scale = (together + np.float32(GUARD)) / (together + np.float32(_GUARD))
         return np.asarray(kernel * scale, dtype=np.float32)
+
+    def solve(self, views: FloatArray, n_clusters: int) -> tuple[FloatArray, FloatArray, Convergence]:
+        """Solve step 2.
+
+        Where no view has weight, C is zero and D_v is its bound from the first sweep on, so that the sweeps
+        run over the E pairs with weight in some view, entries above the diagonal.
+
+        Parameters
+        ----------
+        views : (V, N, N) float
+            Symmetric affinities Z_v >= 0; diagonals are ignored.
+        n_clusters : int
+            Number K of components.
+
+        Returns
+        -------
+        shared : (N, N) float64
+            Symmetric C.
+        specific : (V, N, N) float64
+            D_v.
+        convergence : Convergence
+            Of the squared change of C, or that of all D_v together if it is larger.
+        """
+        first, second = np.nonzero(np.triu(views.any(axis=0), 1))
+        weights = views[:, first, second].astype(np.float64)
+        c, d = np.ones(weights.shape[1]), np.zeros_like(weights)
+        # Of W, at first the identity, W_ii + W_jj - 2 W_ij is needed: squared distances of its factors.
+        apart = np.full_like(c, 2.0)
+        subspace: FloatArray | None = None
+
+        def graph() -> FloatArray:
+            full = np.zeros(views.shape[1:])
+            full[first, second] = full[second, first] = c
+            return full
+
+        def sweep() -> float:
+            nonlocal c, d, apart, subspace
+            c_before, d_before = c, d
+            d = np.maximum(c / (c**2 + self.specific_weight) * weights, _SMALLEST)
+            explained, weight = np.einsum("ve,ve->e", d, weights), np.einsum("ve,ve->e", d, d)
+            numerator = 2 * explained - self.rank_weight * apart
+            c = np.clip(numerator / (2 * weight + _RIDGE), 0, _LARGEST)
+            laplacian = -graph()
+            np.fill_diagonal(laplacian, -laplacian.sum(axis=1))
+            factors, subspace = _component_factors(laplacian, n_clusters, subspace)
+            apart = ((factors[first] - factors[second]) ** 2).sum(axis=1)
+            return 2 * float(max(((c - c_before) ** 2).sum(), ((d - d_before) ** 2).sum()))
+
+        convergence = iterate(sweep, tolerance=self.tolerance, max_iterations=self.max_iterations)
+        specific = np.full(views.shape, _SMALLEST)
+        specific[:, first, second] = specific[:, second, first] = d
+        return graph(), specific, convergence
+
+
+def symmetric_parts(shared: FloatArray, specific: FloatArray) -> FloatArray:
+    """Sum (N, N) of the symmetric parts of ``C o D_v``, of `shared` C (N, N) and `specific` D_v (V, N, N)."""
+    total = shared * specific.sum(axis=0)
+    return np.asarray((total + total.T) / 2)
+
+
+def _component_factors(
+    laplacian: FloatArray, n_clusters: int, start: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Minimise ``<laplacian, W>`` over 0 <= W <= I of trace K: F of W = F F^T, and a start for next time.
+
+    W is the projector on the eigenvectors of the K smallest eigenvalues. Where the K-th equals the next, all
+    eigenvectors of that value share what is left of the trace, so that the result does not depend on the
+    basis that the solver happened to choose.
+    """
+    subspace = smallest_subspace(laplacian, n_clusters, start=start)
+    last = subspace[:, n_clusters - 1 : n_clusters + 1]
+    values = np.einsum("ik,ik->k", last, laplacian @ last)
+    if n_clusters == len(laplacian) or values[1] - values[0] >= _TIE:
+        return subspace[:, :n_clusters], subspace
+    tied = float(values[0])
+    values, vectors = eigh(laplacian, subset_by_value=(-np.inf, tied + _TIE), check_finite=False)
+    below = values < tied - _TIE
+    share = np.where(below, 1.0, (n_clusters - below.sum()) / (~below).sum())
+    return np.asarray(vectors * np.sqrt(share)), subspace

@@ -9,10 +9,12 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import kmeans, spectral_embedding
-from mseg.clustering.coefficient_affinity import count_by_eigengap, low_rank_affinity
-from mseg.clustering.self_expressive import low_rank_representation
+from mseg.clustering import count_by_eigengap, kmeans, spectral_embedding, unit_rows
+from mseg.clustering.self_expression import low_rank_representation
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+
+# Smaller singular values of Z are noise.
+_RELATIVE_RANK = 1e-4
 
 
 @dataclass(frozen=True)
@@ -51,16 +53,17 @@ class LRR(CompleteDataMethod):
             tolerance=self.tolerance,
             max_iterations=self.max_iterations,
         )
-        affinity = low_rank_affinity(solved.coefficients, self.power)
+        affinity = _affinity(solved.coefficients, self.power)
         count = n_motions or count_by_eigengap(affinity)
-        labels = kmeans(random_walk_embedding(affinity, count), count, rng, n_restarts=self.restarts).labels
+        # Eigenvectors of the random walk: von Luxburg, "A tutorial on spectral clustering", proposition 3.
+        degree = affinity.sum(axis=1, keepdims=True)
+        embedding = spectral_embedding(affinity, count) / np.sqrt(np.where(degree > 0, degree, 1))
+        labels = kmeans(embedding, count, rng, n_restarts=self.restarts).labels
         return labels + 1, {**solved.convergence.report(), "n_motions": count}
 
 
-def random_walk_embedding(affinity: FloatArray, n_clusters: int) -> FloatArray:
-    """Eigenvectors (N, K) of the random walk on the graph: ``D^-1/2`` times the symmetric ones.
-
-    Source: von Luxburg, "A tutorial on spectral clustering", 2007, proposition 3.
-    """
-    degree = affinity.sum(axis=1, keepdims=True)
-    return spectral_embedding(affinity, n_clusters) / np.sqrt(np.where(degree > 0, degree, 1))
+def _affinity(coefficients: FloatArray, power: int = 4) -> FloatArray:
+    left, values, _ = np.linalg.svd(coefficients)
+    kept = values > _RELATIVE_RANK * values[0]
+    rows = unit_rows(left[:, kept] * np.sqrt(values[kept]))
+    return np.asarray(np.minimum(np.abs(rows @ rows.T), 1) ** power)

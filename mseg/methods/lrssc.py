@@ -9,12 +9,11 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import IntArray
-from mseg.clustering import spectral_clustering
-from mseg.clustering.coefficient_affinity import count_by_eigengap, sparse_affinity
-from mseg.clustering.low_rank_sparse import low_rank_sparse_representation
-from mseg.clustering.self_expressive import (
-    Representation,
+from mseg.clustering import count_by_eigengap, spectral_clustering
+from mseg.clustering.self_expression import (
     low_rank_representation,
+    low_rank_sparse_representation,
+    sparse_affinity,
     sparse_representation,
 )
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
@@ -50,20 +49,17 @@ class LRSSC(CompleteDataMethod):
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
     ) -> tuple[IntArray, dict[str, Any]]:
         """Label the columns of the trajectory matrix."""
-        solved, before = (self._joint(data), {}) if self.variant == "joint" else self._cascade(data)
+        report: dict[str, Any] = {}
+        cap = self.max_iterations
+        if self.variant == "joint":
+            solved = low_rank_sparse_representation(
+                data.homogeneous, sparsity=self.sparsity, alpha=self.alpha, max_iterations=cap
+            )
+        else:
+            low_rank = low_rank_representation(data.normalised, weight=self.weight)
+            report = low_rank.convergence.report("low_rank_")
+            solved = sparse_representation(low_rank.coefficients, alpha=self.alpha, max_iterations=cap)
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
         labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
-        return labels, {**before, **solved.convergence.report(), "n_motions": count}
-
-    def _joint(self, data: CompleteData) -> Representation:
-        return low_rank_sparse_representation(
-            data.homogeneous, sparsity=self.sparsity, alpha=self.alpha, max_iterations=self.max_iterations
-        )
-
-    def _cascade(self, data: CompleteData) -> tuple[Representation, dict[str, Any]]:
-        low_rank = low_rank_representation(data.normalised, weight=self.weight)
-        sparse = sparse_representation(
-            low_rank.coefficients, alpha=self.alpha, max_iterations=self.max_iterations
-        )
-        return sparse, low_rank.convergence.report("low_rank_")
+        return labels, {**report, **solved.convergence.report(), "n_motions": count}

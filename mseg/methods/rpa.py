@@ -10,15 +10,13 @@ import numpy as np
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering import kmeans
-from mseg.clustering.preference import preference_matrix, tanimoto_distance
-from mseg.clustering.symmetric_factors import SoftMembership, symmetric_factors
 from mseg.completion import robust_pca
-from mseg.geometry.subspaces import best_flat_distances, flat_distances
-from mseg.kernels import draw_near_subsets
+from mseg.geometry.subspaces import best_flat_distances
+from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
-from mseg.methods.tlinkage import FLAT_DIMENSION, rms_coordinates
+from mseg.methods.tlinkage import FLAT_DIMENSION, flat_residuals, tanimoto_distance
 
-# Multiplicative updates cannot leave zero.
+# Start of the other memberships: multiplicative updates cannot leave zero.
 _OTHER_CLUSTERS = 0.2
 _INLIER = 5.0
 
@@ -54,30 +52,41 @@ class RPA(CompleteDataMethod):
     ) -> tuple[IntArray, dict[str, Any]]:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
-        points = rms_coordinates(data.pixels, self.dimension)
-        size = min(FLAT_DIMENSION + 1, len(points))
-        subsets = draw_near_subsets(points, self.samples * len(points), size, rng)
-        preferences = preference_matrix(flat_distances(points, subsets), self.sigma, "cauchy")
-        kernel = np.exp(-(tanimoto_distance(preferences) ** 2))
-        clean = robust_pca(kernel, tolerance=1e-6)
-        soft = self._memberships(clean.low_rank, n_motions, rng)
-        groups = soft.memberships.argmax(axis=1)
+        points, residuals = flat_residuals(data.pixels, self.dimension, self.samples, rng)
+        preferences = 1 / (1 + (residuals / (_INLIER * self.sigma)) ** 2)
+        clean = robust_pca(np.exp(-(tanimoto_distance(preferences) ** 2)), tolerance=1e-6)
+        kernel = np.maximum((clean.low_rank + clean.low_rank.T) / 2, 0)
+        _, vectors = np.linalg.eigh(kernel)
+        first = kmeans(vectors[:, -n_motions:], n_motions, rng, n_restarts=self.restarts).labels
+        soft, convergence = _factors(kernel, (first[:, None] == np.arange(n_motions)) + _OTHER_CLUSTERS)
+        groups = soft.argmax(axis=1)
         distance = np.array([self._distances(points, np.flatnonzero(groups == k)) for k in np.unique(groups)])
         labels = distance.argmin(axis=0) + 1
         if self.reject_outliers:
             labels[distance.min(axis=0) > _INLIER * self.sigma] = 0
-        report = {**clean.convergence.report("kernel_"), **soft.convergence.report()}
-        return labels, report
+        return labels, {**clean.convergence.report("kernel_"), **convergence.report()}
 
-    def _memberships(self, kernel: FloatArray, n_motions: int, rng: np.random.Generator) -> SoftMembership:
-        kernel = np.maximum((kernel + kernel.T) / 2, 0)
-        _, vectors = np.linalg.eigh(kernel)
-        first = kmeans(vectors[:, -n_motions:], n_motions, rng, n_restarts=self.restarts).labels
-        start = (first[:, None] == np.arange(n_motions)) + _OTHER_CLUSTERS
-        return symmetric_factors(kernel, start)
-
-    def _distances(self, points: FloatArray, members: IntArray) -> FloatArray:
+    def _distances(self, points: FloatArray, group: IntArray) -> FloatArray:
         """Distances (N,) to a group's flat, fitted twice: the second time without what is far off."""
-        distance = best_flat_distances(points, members, FLAT_DIMENSION)
-        near = members[distance[members] < _INLIER * self.sigma]
+        distance = best_flat_distances(points, group, FLAT_DIMENSION)
+        near = group[distance[group] < _INLIER * self.sigma]
         return best_flat_distances(points, near, FLAT_DIMENSION) if len(near) > FLAT_DIMENSION else distance
+
+
+def _factors(affinity: FloatArray, start: FloatArray) -> tuple[FloatArray, Convergence]:
+    """Minimise ``|A - U U^T|_F^2`` over memberships U (N, K) >= 0 by damped multiplicative updates."""
+    # U <- U o (1/2 + 1/2 A U / (U U^T U)) never raises the objective: Ding, Li, Jordan, "Nonnegative matrix
+    # factorization for combinatorial optimization", ICDM 2008.
+    u = start.copy()
+
+    def step() -> float:
+        nonlocal u
+        denominator = u @ (u.T @ u)
+        gain = np.divide(affinity @ u, denominator, out=np.zeros_like(u), where=denominator > 0)
+        updated = u * (0.5 + 0.5 * gain)
+        moved = float(np.linalg.norm(updated - u))
+        u = updated
+        return moved / (float(np.linalg.norm(u)) or 1.0)
+
+    convergence = iterate(step, tolerance=1e-5, max_iterations=1000)
+    return u, convergence

@@ -6,17 +6,20 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import eigvalsh
+from scipy.linalg import eigh, eigvalsh
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import unit_rows
-from mseg.clustering.coefficient_affinity import relative_eigengaps
-from mseg.clustering.discretise import discretise, offset_ncut_embedding
+from mseg.clustering import relative_eigengaps, unit_rows
 from mseg.geometry.subspaces import leading_row_space
+from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 
 _NEGLIGIBLE = 1e-6
+_LARGEST_COUNT = 6
+_OFFSET = 0.5
+_MAX_ROUNDS = 50
+_NO_GAIN = 1e-15
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,10 @@ class RSIM(CompleteDataMethod):
     lambda the eigenvalues of ``D^-1 W``, largest first.
 
     Source: Ji, Salzmann, Li, "Shape interaction matrix revisited and robustified", ICCV 2015, algorithm 1
-    and equation 12; power 3.5 and the ranks are those of the authors' code. Deviation: their discretisation
-    starts from one random row, so that single sequences flip with the seed; here the best of several starts
-    counts.
+    and equation 12; power 3.5 and the ranks are those of the authors' code. Normalised cuts: Yu and Shi,
+    "Multiclass spectral clustering", ICCV 2003, with the offset of "Understanding popout through repulsion",
+    CVPR 2001. Deviation: the authors' discretisation starts from one random row, so that single sequences
+    flip with the seed; here the best of several starts counts.
     Input: complete trajectories (gaps are completed; the authors use GROUSE there). Number of motions:
     given, or by relative eigengaps averaged over the ranks (ours). Outliers:
     not handled. Cost: O(K N^3); O(N^2) memory.
@@ -49,44 +53,39 @@ class RSIM(CompleteDataMethod):
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
     ) -> tuple[IntArray, dict[str, Any]]:
         """Label the columns of the trajectory matrix."""
-        matrix = homogeneous_in_every_frame(data)
-        k = n_motions or count_motions(matrix, self.power)
+        # The row space of all homogeneous positions: a row of ones for each frame, as one.
+        ones = np.full(data.n_points, np.sqrt(data.normalised.shape[0] // 2))
+        matrix = np.vstack([data.normalised, ones])
+        k = n_motions or self._count(matrix)
         space = leading_row_space(matrix, 4 * k)
         ranks = range(min(k, space.shape[1]), space.shape[1] + 1)
         found, scores = [], []
         for rank in ranks:
-            affinity = shape_interaction_affinity(space[:, :rank], self.power)
-            found.append(discretise(offset_ncut_embedding(affinity, k), rng, n_starts=self.starts))
-            scores.append(cut_over_gap(affinity, found[-1].labels, k))
+            affinity = self._affinity(space[:, :rank])
+            found.append(_discretise(_ncut_embedding(affinity, k), rng, self.starts))
+            scores.append(_cut_over_gap(affinity, found[-1][0], k))
         best = int(np.argmin(scores))
+        labels, _, convergence = found[best]
         report = {"rank": ranks[best], "score": scores[best], "n_motions": k}
-        return found[best].labels + 1, report | found[best].convergence.report()
+        return labels + 1, report | convergence.report()
+
+    def _affinity(self, space: FloatArray) -> FloatArray:
+        """Affinity (N, N) of the rows of an orthonormal basis (N, r)."""
+        rows = unit_rows(space)
+        affinity = np.maximum(rows @ rows.T, 0) ** self.power
+        return np.where(affinity < _NEGLIGIBLE, 0.0, affinity)
+
+    def _count(self, matrix: FloatArray) -> int:
+        """Find the k whose relative eigengap, averaged over the ranks k..4k, is widest."""
+        space = leading_row_space(matrix, 4 * _LARGEST_COUNT)
+        ranks = range(1, space.shape[1] + 1)
+        gaps = [relative_eigengaps(self._affinity(space[:, :r]), _LARGEST_COUNT) for r in ranks]
+        counts = range(2, len(gaps[0]) + 1)
+        widest = [np.mean([g[k - 1] for g in gaps[k - 1 : 4 * k]] or 0) for k in counts]
+        return int(np.argmax(widest)) + 2 if widest else 1
 
 
-def homogeneous_in_every_frame(data: CompleteData) -> FloatArray:
-    """Return (2F + 1, N) with the row space of all homogeneous positions: F rows of ones as one."""
-    frames = data.normalised.shape[0] // 2
-    return np.vstack([data.normalised, np.full(data.n_points, np.sqrt(frames))])
-
-
-def shape_interaction_affinity(space: FloatArray, power: float) -> FloatArray:
-    """Affinity (N, N) of the rows of an orthonormal basis (N, r); entries under 1e-6 are dropped."""
-    rows = unit_rows(space)
-    affinity = np.maximum(rows @ rows.T, 0) ** power
-    return np.where(affinity < _NEGLIGIBLE, 0.0, affinity)
-
-
-def count_motions(matrix: FloatArray, power: float, largest: int = 6) -> int:
-    """Find the k in 2..`largest` whose relative eigengap, averaged over the ranks k..4k, is widest."""
-    space = leading_row_space(matrix, 4 * largest)
-    ranks = range(1, space.shape[1] + 1)
-    gaps = [relative_eigengaps(shape_interaction_affinity(space[:, :r], power), largest) for r in ranks]
-    widest = [np.mean([g[k - 1] for g in gaps[k - 1 : 4 * k]] or 0) for k in range(2, len(gaps[0]) + 1)]
-    return int(np.argmax(widest)) + 2 if widest else 1
-
-
-def cut_over_gap(affinity: FloatArray, labels: IntArray, n_clusters: int) -> float:
-    """Weight between groups over the eigengap of the random walk: small where the cut is clear."""
+def _cut_over_gap(affinity: FloatArray, labels: IntArray, n_clusters: int) -> float:
     n, degree = len(labels), affinity.sum(axis=1)
     cut = float(affinity[labels[:, None] != labels].sum())
     if n_clusters >= n:
@@ -96,3 +95,59 @@ def cut_over_gap(affinity: FloatArray, labels: IntArray, n_clusters: int) -> flo
     values = eigvalsh(walk, subset_by_index=(n - n_clusters - 1, n - 1), check_finite=False)
     gap = float(values[1] - values[0])
     return cut / gap if gap > 0 else np.inf
+
+
+def _ncut_embedding(affinity: FloatArray, n_clusters: int) -> FloatArray:
+    """Leading eigenvectors (N, K) of ``W + o I`` with degrees ``D + 2 o I``, each of norm ``sqrt(N)``.
+
+    The offset o keeps points without neighbours finite.
+    """
+    n = len(affinity)
+    scale = 1 / np.sqrt(affinity.sum(axis=1) + 2 * _OFFSET + np.finfo(np.float64).eps)
+    weights = affinity * scale[:, None] * scale
+    weights.flat[:: n + 1] += _OFFSET * scale**2
+    _, vectors = eigh(weights, subset_by_index=(n - n_clusters, n - 1), check_finite=False)
+    walk = vectors[:, ::-1] * scale[:, None]
+    return np.asarray(walk / np.linalg.norm(walk, axis=0) * np.sqrt(n))
+
+
+def _discretise(
+    embedding: FloatArray, rng: np.random.Generator, n_starts: int = 10
+) -> tuple[IntArray, float, Convergence]:
+    """Rotate an embedding (N, K) to the nearest indicator of a partition; of several starts the nearest wins.
+
+    The first axis of a start is a random row, each further axis the row least aligned with those before.
+    Returns clusters 0..K-1, how near they are, and the convergence of that.
+    """
+    rows = unit_rows(embedding)
+    best = None
+    for first in rng.integers(len(rows), size=n_starts).tolist():
+        axes, aligned = [rows[first]], np.zeros(len(rows))
+        for _ in range(rows.shape[1] - 1):
+            aligned += np.abs(rows @ axes[-1])
+            axes.append(rows[aligned.argmin()])
+        found = _rotate(rows, np.stack(axes, axis=1))
+        if best is None or found[1] > best[1] * (1 + 1e-12):
+            best = found
+    assert best is not None
+    return best
+
+
+def _rotate(rows: FloatArray, rotation: FloatArray) -> tuple[IntArray, float, Convergence]:
+    """Alternate assignment to the largest coordinate and rotation (orthogonal Procrustes)."""
+    k, alignment = rows.shape[1], -np.inf
+    labels = np.zeros(len(rows), dtype=np.int64)
+
+    def turn() -> float:
+        nonlocal labels, alignment, rotation
+        labels = (rows @ rotation).argmax(axis=1)
+        totals = np.stack([np.bincount(labels, weights=column, minlength=k) for column in rows.T], axis=1)
+        left, values, right = np.linalg.svd(totals)
+        reached = float(values.sum())
+        gain = (reached - alignment) / reached if reached > 0 else 0.0
+        if gain > _NO_GAIN:
+            alignment, rotation = reached, right.T @ left.T
+        return max(gain, 0.0)
+
+    convergence = iterate(turn, tolerance=_NO_GAIN, max_iterations=_MAX_ROUNDS)
+    return labels, alignment, convergence

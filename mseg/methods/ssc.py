@@ -9,9 +9,8 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import IntArray
-from mseg.clustering import spectral_clustering
-from mseg.clustering.coefficient_affinity import count_by_eigengap, sparse_affinity
-from mseg.clustering.self_expressive import sparse_representation
+from mseg.clustering import count_by_eigengap, spectral_clustering
+from mseg.clustering.self_expression import sparse_affinity, sparse_representation
 from mseg.geometry.subspaces import project
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 

@@ -1,4 +1,4 @@
-"""T-Linkage."""
+"""T-Linkage: random flats through trajectories; those that prefer the same flats are linked."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering.flat_code import code_length, reassign_by_code
-from mseg.clustering.linkage import tanimoto_linkage
-from mseg.clustering.preference import preference_matrix
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 from mseg.geometry.subspaces import flat_distances, project
-from mseg.iteration import Convergence
+from mseg.iteration import Convergence, iterate
 from mseg.kernels import draw_near_subsets
-from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.methods.complete_data import CompleteData, CompleteDataMethod, by_size
 
 FLAT_DIMENSION = 3
 _SAMPLE = FLAT_DIMENSION + 1
 _REDUCTION, _MOST_REDUCTIONS = 0.75, 20
 _SCALES = tuple(2 ** (k / 2) for k in range(-6, 3))
 _SWEEPS = 3
+_ORTHOGONAL = 1 - 1e-9
+# Pixels: a smaller spread counts as none.
+_PRECISION = 0.1
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,11 @@ class TLinkage(CompleteDataMethod):
     3. Preferences ``exp(-5 r / epsilon)`` of residuals r < epsilon, else 0.
     4. The two clusters of least Tanimoto distance merge, preferences by minimum, until all are orthogonal.
     5. With a given number K of motions: the K largest clusters stay, and every trajectory joins the one that
-       describes it best, up to three times (`mseg.clustering.flat_code`, ours). While step 4 gives fewer than
-       K clusters, epsilon is lowered by a quarter (ours). Without K: the clusters as they are.
+       describes it best, up to three times (ours). A group of n of the N points with principal variances
+       ``s_1 >= s_2 >= ...``, to which 0.01 square pixels are added, takes
+       ``n (1/2 sum_{i <= 3} log s_i + 1/2 log sum_{i > 3} s_i - log(n / N))`` nats: coordinates along its
+       flat, distance from it, name of the group. While step 4 gives fewer than K clusters, epsilon is
+       lowered by a quarter (ours). Without K: the clusters as they are.
     6. If wanted, small clusters are outliers: sizes are sorted, with the size of a sample among them, and
        those after the largest drop are labelled 0, unless that leaves a single cluster; then those after
        the next largest drop.
@@ -63,9 +66,7 @@ class TLinkage(CompleteDataMethod):
         self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
     ) -> tuple[IntArray, dict[str, Any]]:
         """Label the columns of the trajectory matrix."""
-        points = rms_coordinates(data.pixels, self.dimension)
-        subsets = draw_near_subsets(points, self.samples * len(points), min(_SAMPLE, len(points)), rng)
-        residuals = flat_distances(points, subsets)
+        points, residuals = flat_residuals(data.pixels, self.dimension, self.samples, rng)
         several = self.choose_epsilon and n_motions is not None
         found = [
             self._segmented(points, residuals, self.epsilon * scale, n_motions)
@@ -73,11 +74,11 @@ class TLinkage(CompleteDataMethod):
         ]
         # Points without a group cost no code: the fewest of them first.
         labels, clusters, epsilon, reassigned = min(
-            found, key=lambda one: ((one[0] == 0).sum(), code_length(points, one[0], FLAT_DIMENSION))
+            found, key=lambda one: ((one[0] == 0).sum(), _code_length(points, one[0], FLAT_DIMENSION))
         )
         sizes = np.bincount(clusters)[1:]
         if self.reject_outliers:
-            labels = np.where(clusters > count_large(sizes), 0, labels)
+            labels = np.where(clusters > _count_large(sizes), 0, labels)
         report = {"clusters": len(sizes), "sizes": sizes[:10].tolist(), "epsilon": epsilon}
         return labels, {**report, **reassigned.report("reassignment_")}
 
@@ -86,26 +87,145 @@ class TLinkage(CompleteDataMethod):
     ) -> tuple[IntArray, IntArray, float, Convergence]:
         """Labels, the clusters behind them, the epsilon that gave these, and how reassignment ended."""
         for _ in range(_MOST_REDUCTIONS):
-            clusters = tanimoto_linkage(preference_matrix(residuals, epsilon))
+            clusters = _linkage(np.where(residuals < epsilon, np.exp(-5.0 * residuals / epsilon), 0.0))
             if clusters.max() >= (n_motions or 1):
                 break
             epsilon *= _REDUCTION
         if n_motions is None:
             return clusters, clusters, epsilon, Convergence(True, 0, 0.0)
         kept = np.where(clusters <= n_motions, clusters, 0)
-        labels, reassigned = reassign_by_code(points, kept, FLAT_DIMENSION, _SWEEPS)
+        labels, reassigned = _reassign(points, kept, FLAT_DIMENSION, _SWEEPS)
         return labels, clusters, epsilon, reassigned
 
 
-def rms_coordinates(pixels: FloatArray, dimension: int) -> FloatArray:
-    """Centred principal components (N, dimension) of (2F, N), in root mean square pixels per frame."""
+def flat_residuals(
+    pixels: FloatArray, dimension: int, samples: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Points of trajectories, and their distances to flats through neighbours; see `TLinkage`, steps 1 and 2.
+
+    Parameters
+    ----------
+    pixels : (2F, N) float64
+        Complete trajectory matrix.
+    dimension : int
+        Dimension D of the projection.
+    samples : int
+        Flats per trajectory.
+    rng : numpy.random.Generator
+        Draws the neighbours.
+
+    Returns
+    -------
+    points : (N, D) float64
+        Centred principal components, root mean square pixels per frame.
+    residuals : (N, M) float64
+        Distances in the same unit.
+    """
     centred = pixels - pixels.mean(axis=1, keepdims=True)
-    return np.asarray(project(centred, dimension).T / np.sqrt(len(pixels) / 2))
+    points = np.asarray(project(centred, dimension).T / np.sqrt(len(pixels) / 2))
+    subsets = draw_near_subsets(points, samples * len(points), min(_SAMPLE, len(points)), rng)
+    return points, flat_distances(points, subsets)
 
 
-def count_large(sizes: IntArray) -> int:
+def tanimoto_distance(preferences: FloatArray) -> FloatArray:
+    """Tanimoto distances (N, N) of preference vectors (N, M) in [0, 1].
+
+    ``1 - <p, q> / (|p|^2 + |q|^2 - <p, q>)``; 0 for equal vectors, 1 for orthogonal ones and for any pair
+    of which one is zero (Magri and Fusiello, CVPR 2014, equation 4).
+    """
+    inner = preferences @ preferences.T
+    squares = np.diagonal(inner).copy()
+    union = squares[:, None] + squares - inner
+    alike = np.divide(inner, union, out=np.zeros_like(inner), where=union > 0)
+    distance = np.clip(1 - alike, 0, 1)
+    np.fill_diagonal(distance, 0)
+    return np.asarray(distance)
+
+
+def _linkage(preferences: FloatArray) -> IntArray:
+    """Clusters 1, 2, ... of step 4, the largest first; a merge costs one product of (N, M)."""
+    n = len(preferences)
+    cluster, owner = np.arange(n), np.arange(n)
+    squares = np.einsum("nm,nm->n", preferences, preferences)
+    distance = tanimoto_distance(preferences)
+    np.fill_diagonal(distance, np.inf)
+    alive = np.ones(n, dtype=bool)
+    while n > 1:
+        i, j = divmod(int(distance.argmin()), len(distance))
+        if not distance[i, j] < _ORTHOGONAL:
+            break
+        cluster[cluster == owner[j]] = owner[i]
+        np.minimum(preferences[i], preferences[j], out=preferences[i])
+        alive[j] = False
+        squares[i] = preferences[i] @ preferences[i]
+        inner = preferences @ preferences[i]
+        union = squares + squares[i] - inner
+        alike = np.divide(inner, union, out=np.zeros_like(inner), where=union > 0)
+        alike[~alive], alike[i] = -np.inf, -np.inf
+        distance[i] = distance[:, i] = 1 - alike
+        distance[j] = distance[:, j] = np.inf
+        if 2 * alive.sum() < len(alive):
+            preferences, owner, squares = preferences[alive], owner[alive], squares[alive]
+            distance = np.ascontiguousarray(distance[np.ix_(alive, alive)])
+            alive = np.ones(len(owner), dtype=bool)
+    return by_size(cluster)
+
+
+def _count_large(sizes: IntArray) -> int:
     """Count the clusters before the largest drop of sizes (descending), that of a sample included."""
     ordered = np.sort(np.append(sizes, _SAMPLE))[::-1]
     drops = ordered[:-1] - ordered[1:]
     largest = np.argsort(-drops, kind="stable") + 1
     return int(largest[1] if largest[0] == 1 and len(largest) > 1 else largest[0])
+
+
+def _code_length(points: FloatArray, labels: IntArray, flat: int) -> float:
+    """Nats of step 5 of all groups; one too small to leave its flat (n < flat + 2) takes nothing."""
+    nats = 0.0
+    for k in range(1, int(labels.max(initial=0)) + 1):
+        group = points[labels == k]
+        n = len(group)
+        if n >= flat + 2:
+            along, across, _ = _spreads(group, flat)
+            nats += n * float((np.log(along).sum() + np.log(across)) / 2 - np.log(n / len(points)))
+    return nats
+
+
+def _reassign(points: FloatArray, labels: IntArray, flat: int, sweeps: int) -> tuple[IntArray, Convergence]:
+    """Give every point to the group whose code for it is shortest, again and again until nothing changes.
+
+    Groups of fewer than ``flat + 2`` points receive none; where all are, labels stay as given. The
+    convergence is that of the share of points that moved.
+    """
+    groups = int(labels.max(initial=0))
+
+    def step() -> float:
+        nonlocal labels
+        length = np.array([_nats(points, labels == k, flat) for k in range(1, groups + 1)])
+        if not np.isfinite(length).any():
+            return 0.0
+        before, labels = labels, length.argmin(axis=0) + 1
+        return float((before != labels).mean())
+
+    convergence = iterate(step, tolerance=0.0, max_iterations=sweeps)
+    return labels, convergence
+
+
+def _nats(points: FloatArray, inside: BoolArray, flat: int) -> FloatArray:
+    """Nats (N,) of every point in a group."""
+    group = points[inside]
+    if len(group) < flat + 2:
+        return np.full(len(points), np.inf)
+    along, across, axes = _spreads(group, flat)
+    squares = ((points - group.mean(axis=0)) @ axes) ** 2
+    nats = (squares[:, :flat] / along + np.log(along)).sum(axis=1)
+    nats += squares[:, flat:].sum(axis=1) / across + np.log(across)
+    return np.asarray(nats / 2 - np.log(len(group) / len(points)))
+
+
+def _spreads(group: FloatArray, flat: int) -> tuple[FloatArray, float, FloatArray]:
+    """Variances (flat,) along and across a group's flat, and its axes (D, D) as columns, the widest first."""
+    variances, axes = np.linalg.eigh(np.atleast_2d(np.cov(group.T, bias=True)))
+    variances = np.maximum(variances[::-1], 0)
+    precision = _PRECISION**2
+    return variances[:flat] + precision, float(variances[flat:].sum()) + precision, axes[:, ::-1]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mseg.clustering.consistent import component_factors, consistent_affinity
+from mseg.methods.consistent import ConsistentMoSeg, _component_factors, symmetric_parts
 
 # Made by running the authors' MATLAB function (AAAI 2021, l1 = 0.001) in Octave 7.3 on the three views of
 # `bands` with K = 2. Sweeps until convergence; residuals (squared change of C, of all D_v) of the first
@@ -28,7 +28,7 @@ def bands():
     """Three views of ten points: likeness falls with distance, with a step between points 4 and 5."""
     i, j = np.indices((10, 10))
     views = [np.exp(-abs(i - j) / width) + 0.3 * ((i < 4) == (j < 4)) for width in (1, 2, 3)]
-    return [np.where((view < 0.2) | (i == j), 0, view) for view in views]
+    return np.array([np.where((view < 0.2) | (i == j), 0, view) for view in views])
 
 
 def entries(matrix):
@@ -38,21 +38,21 @@ def entries(matrix):
 @pytest.mark.parametrize("weight", REFERENCE)
 def test_every_sweep_is_that_of_the_authors(weight):
     sweeps, residuals, shared, affinity = REFERENCE[weight]
-    solved = consistent_affinity(bands(), 2, rank_weight=weight)
-    assert solved.convergence.converged
-    assert solved.convergence.iterations == sweeps
-    assert entries(solved.shared) == pytest.approx(shared, rel=1e-9)
-    assert entries(solved.affinity()) == pytest.approx(affinity, rel=1e-9)
+    c, d, convergence = ConsistentMoSeg(rank_weight=weight).solve(bands(), 2)
+    assert convergence.converged
+    assert convergence.iterations == sweeps
+    assert entries(c) == pytest.approx(shared, rel=1e-9)
+    assert entries(symmetric_parts(c, d)) == pytest.approx(affinity, rel=1e-9)
     for sweep, residual in zip((1, 2, 3, sweeps), residuals, strict=True):
-        part = consistent_affinity(bands(), 2, rank_weight=weight, max_iterations=sweep)
-        assert part.convergence.residual == pytest.approx(residual, rel=1e-7)
+        _, _, part = ConsistentMoSeg(rank_weight=weight, max_iterations=sweep).solve(bands(), 2)
+        assert part.residual == pytest.approx(residual, rel=1e-7)
 
 
 def test_pairs_without_weight_stay_apart():
-    solved = consistent_affinity(bands(), 2)
-    assert solved.shared[0, 9] == 0
-    assert (solved.specific[:, 0, 9] == 1e-4).all()
-    np.testing.assert_array_equal(solved.specific, solved.specific.transpose(0, 2, 1))
+    shared, specific, _ = ConsistentMoSeg().solve(bands(), 2)
+    assert shared[0, 9] == 0
+    assert (specific[:, 0, 9] == 1e-4).all()
+    np.testing.assert_array_equal(specific, specific.transpose(0, 2, 1))
 
 
 def laplacian(weights):
@@ -60,10 +60,10 @@ def laplacian(weights):
 
 
 def test_components_share_a_tie_evenly():
-    factors, _ = component_factors(np.zeros((4, 4)), 2)
+    factors, _ = _component_factors(np.zeros((4, 4)), 2)
     np.testing.assert_allclose(factors @ factors.T, np.eye(4) / 2, atol=1e-12)
     blocks = np.kron(np.eye(2), np.ones((3, 3)) - np.eye(3))
-    factors, _ = component_factors(laplacian(blocks), 2)
+    factors, _ = _component_factors(laplacian(blocks), 2)
     np.testing.assert_allclose(factors @ factors.T, np.kron(np.eye(2), np.ones((3, 3)) / 3), atol=1e-9)
 
 
@@ -73,8 +73,8 @@ def test_large_graphs_take_the_same_eigenvectors(rng, parts):
     noise = rng.random((320, 320))
     weights = np.kron(np.eye(parts), np.ones((320 // parts,) * 2))
     weights = weights * (noise + noise.T)[: len(weights), : len(weights)]
-    factors, start = component_factors(laplacian(weights), 2)
-    again, _ = component_factors(laplacian(weights), 2, start)
+    factors, start = _component_factors(laplacian(weights), 2)
+    again, _ = _component_factors(laplacian(weights), 2, start)
     np.testing.assert_allclose(factors @ factors.T, again @ again.T, atol=1e-8)
     expected = np.kron(np.eye(parts), np.full((320 // parts,) * 2, 2 / parts / (320 // parts)))
     np.testing.assert_allclose(factors @ factors.T, expected, atol=1e-8)
@@ -83,7 +83,8 @@ def test_large_graphs_take_the_same_eigenvectors(rng, parts):
 def test_consistent_graph_falls_into_components(rng):
     block = np.kron(np.eye(2), np.ones((8, 8)))
     noise = [rng.random((16, 16)) * 0.05 for _ in range(3)]
-    solved = consistent_affinity([block + n + n.T for n in noise], 2, rank_weight=0.2)
-    assert solved.convergence.iterations > 1
-    np.testing.assert_array_equal(solved.shared, solved.shared.T)
-    assert solved.shared[:8, 8:].max() < 0.1 * solved.shared[:8, :8].mean()
+    views = np.array([block + n + n.T for n in noise])
+    shared, _, convergence = ConsistentMoSeg(rank_weight=0.2).solve(views, 2)
+    assert convergence.iterations > 1
+    np.testing.assert_array_equal(shared, shared.T)
+    assert shared[:8, 8:].max() < 0.1 * shared[:8, :8].mean()

@@ -6,8 +6,7 @@ from scipy.optimize import linear_sum_assignment
 
 import kt3dmoseg
 import mseg.methods as methods
-from mseg.clustering.coefficient_affinity import sparse_affinity
-from mseg.clustering.self_expressive import low_rank_representation, sparse_representation
+from mseg.clustering.self_expression import low_rank_representation, sparse_affinity, sparse_representation
 from mseg.evaluation import load_protocol
 from mseg.methods.complete_data import complete_data
 

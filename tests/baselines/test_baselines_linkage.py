@@ -7,21 +7,21 @@ import pytest
 
 import mseg.methods as methods
 from kt3dmoseg.types import Clip, Labels, Trajectories
-from mseg.clustering.collaborative import collaborative_representation
-from mseg.clustering.flat_code import code_length, reassign_by_code
-from mseg.clustering.hyperplanes import EpipolarGroups, fundamental_matrices
-from mseg.clustering.linkage import by_size, tanimoto_linkage
-from mseg.clustering.lossy import _Groups, coding_lengths, compress
-from mseg.clustering.symmetric_factors import symmetric_factors
 from mseg.completion import robust_pca
 from mseg.errors import SegmentationError
 from mseg.geometry import fundamental
 from mseg.geometry.subspaces import best_flat_distances, flat_distances, trajectory_matrix
 from mseg.kernels import draw_near_subsets
-from mseg.methods.alc import elect, sparsity_preserving_dimension
-from mseg.methods.complete_data import complete_data
-from mseg.methods.tlinkage import count_large
-from mseg.methods.tpv import epipolar_views
+from mseg.methods.alc import _coding_lengths, _compress, _elect, _Groups, _sparsity_preserving_dimension
+from mseg.methods.complete_data import by_size, complete_data
+from mseg.methods.rpa import _factors
+from mseg.methods.tlinkage import _code_length, _count_large, _linkage, _reassign
+from mseg.methods.tpv import (
+    _collaborative_representation,
+    _epipolar_views,
+    _EpipolarGroups,
+    _fundamental_matrices,
+)
 
 
 def agree(labels, truth):
@@ -56,13 +56,13 @@ def test_a_number_of_motions_is_asked_for(make_scene, name):
 
 def test_linkage_separates_orthogonal_tastes():
     tastes = np.array([[1, 0.5, 0], [0, 0, 1], [0.9, 0.6, 0], [0, 0, 0], [1, 0.4, 0]])
-    np.testing.assert_array_equal(tanimoto_linkage(tastes), [1, 2, 1, 3, 1])
+    np.testing.assert_array_equal(_linkage(tastes), [1, 2, 1, 3, 1])
     np.testing.assert_array_equal(by_size(np.array([7, 3, 3, 9])), [2, 1, 1, 3])
 
 
 @pytest.mark.parametrize(("sizes", "large"), [([40, 30, 2, 1], 2), ([100, 20, 18, 1], 3), ([9], 1)])
 def test_outlier_clusters_come_after_the_largest_drop(sizes, large):
-    assert count_large(np.array(sizes)) == large
+    assert _count_large(np.array(sizes)) == large
 
 
 def test_distances_to_flats(rng):
@@ -91,7 +91,7 @@ def test_coding_length_of_the_definition(rng):
         part = points[:, labels == group]
         _, logarithm = np.linalg.slogdet(np.eye(3) + 3 / (0.5**2 * m) * part @ part.T)
         expected += (m + 3) / 2 * logarithm / np.log(2) - m * np.log2(m / 10)
-    np.testing.assert_allclose(coding_lengths(points, labels, np.array([0.5])), expected)
+    np.testing.assert_allclose(_coding_lengths(points, labels, np.array([0.5])), expected)
 
 
 @pytest.mark.parametrize("distortion", [1e-8, 0.05, 1.0])
@@ -100,38 +100,38 @@ def test_changes_under_merging_are_those_of_the_coding_length(rng, distortion):
     groups = _Groups(points, distortion)
     at = np.array([distortion])
     for _ in range(9):
-        before, expected = coding_lengths(points, groups.owner, at)[0], groups.best.min()
+        before, expected = _coding_lengths(points, groups.owner, at)[0], groups.best.min()
         if not groups.merge():
             break
-        change = coding_lengths(points, groups.owner, at)[0] - before
+        change = _coding_lengths(points, groups.owner, at)[0] - before
         assert change == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
 def test_compression_finds_planes(rng):
     planes = [rng.normal(size=(4, 2)) @ rng.normal(size=(2, 20)) * 50 for _ in range(2)]
     points = np.hstack(planes) + 0.01 * rng.normal(size=(4, 40))
-    assert agree(compress(points, 0.1), np.repeat([1, 2], 20))
+    assert agree(_compress(points, 0.1), np.repeat([1, 2], 20))
 
 
 def test_election_without_a_candidate_says_so(rng):
     points = rng.normal(size=(2, 12))
     found = [np.repeat([1, 2], 6), np.ones(12, dtype=int)]
-    labels, report = elect(points, np.array([0.1, 1.0]), found, 3)
+    labels, report = _elect(points, np.array([0.1, 1.0]), found, 3)
     np.testing.assert_array_equal(labels, found[0])
     assert report["exact_count"] is False
-    assert sparsity_preserving_dimension(60) == 16
+    assert _sparsity_preserving_dimension(60) == 16
 
 
 def test_factors_recover_memberships():
     truth = np.kron(np.eye(2), np.ones((5, 1)))
-    solved = symmetric_factors(truth @ truth.T, truth + 0.2)
-    assert solved.convergence.converged
-    np.testing.assert_allclose(solved.memberships, truth, atol=1e-3)
+    found, convergence = _factors(truth @ truth.T, truth + 0.2)
+    assert convergence.converged
+    np.testing.assert_allclose(found, truth, atol=1e-3)
 
 
 def test_correspondences_of_a_motion_lie_in_a_hyperplane(make_scene):
     clip = make_scene(np.random.default_rng(4), (30,))
-    for view in epipolar_views(clip.evaluated_trajectories, 3, 0.25):
+    for view in _epipolar_views(clip.evaluated_trajectories, 3, 0.25):
         assert np.linalg.svd(view)[1][-1] < 1e-9
         np.testing.assert_allclose(np.linalg.norm(view, axis=0), 1)
 
@@ -140,16 +140,18 @@ def test_short_trajectories_get_near_frames_and_more_pairs(make_scene):
     clip = make_scene(np.random.default_rng(5), (40,), n_frames=24)
     visible = (np.arange(24) // 8)[None] == (np.arange(40) % 3)[:, None]
     parts = Trajectories(np.where(visible[..., None], clip.dense.xy, np.nan), visible)
-    assert len(epipolar_views(clip.dense, 3, 0.5)) == 3
-    views = epipolar_views(parts, 3, 0.5)
-    assert np.any([view.any(axis=0) for view in views], axis=0).all()
+    assert len(_epipolar_views(clip.dense, 3, 0.5)) == 3
+    views = _epipolar_views(parts, 3, 0.5)
+    assert views.any(axis=(0, 1)).all()
 
 
 def test_collaboration_leaves_unseen_points_out(rng):
     views = [rng.normal(size=(3, 8)) for _ in range(2)]
     for view in views:
         view[:, 7] = 0
-    solved = collaborative_representation([v / np.maximum(np.linalg.norm(v, axis=0), 1e-9) for v in views])
+    solved = _collaborative_representation(
+        np.array([v / np.maximum(np.linalg.norm(v, axis=0), 1e-9) for v in views])
+    )
     assert not solved.coefficients[7].any()
     assert not solved.coefficients[:, 7].any()
     assert not np.diagonal(solved.coefficients).any()
@@ -158,10 +160,10 @@ def test_collaboration_leaves_unseen_points_out(rng):
 def two_motions(make_scene, unseen=0):
     """Groups of a clip of 30 and 30 trajectories, the first few unseen, without affinity between motions."""
     clip = make_scene(np.random.default_rng(4), (30, 30), noise=0.02)
-    views = np.stack(epipolar_views(clip.evaluated_trajectories, 4, 0.5))
+    views = _epipolar_views(clip.evaluated_trajectories, 4, 0.5)
     views[:, :, :unseen] = 0
     truth = clip.labels.label
-    return EpipolarGroups(views, (truth[:, None] == truth).astype(float), 0.005, 1.0), truth
+    return _EpipolarGroups(views, (truth[:, None] == truth).astype(float), 0.005, 1.0), truth
 
 
 def test_pieces_of_motions_merge(make_scene):
@@ -185,11 +187,11 @@ def test_trajectories_move_to_their_motion_and_the_cost_falls(make_scene):
 
 def test_epipolar_distance_is_that_of_sampson(make_scene):
     clip = make_scene(np.random.default_rng(6), (25,), noise=0.5)
-    view = epipolar_views(clip.evaluated_trajectories, 1, 1.0)[0]
+    view = _epipolar_views(clip.evaluated_trajectories, 1, 1.0)[0]
     first, second = view[6:8] / view[8], view[2:8:3] / view[8]
-    models = fundamental_matrices(view[None])
+    models = _fundamental_matrices(view[None])
     expected = fundamental.sampson(models, first.T, second.T)[:, 0]
-    cost = EpipolarGroups(view[None], np.eye(25), 1e-9, 0.0).cost(np.ones(25, dtype=int))
+    cost = _EpipolarGroups(view[None], np.eye(25), 1e-9, 0.0).cost(np.ones(25, dtype=int))
     assert cost == pytest.approx(np.log(expected.mean() + 1e-18) / 2)
 
 
@@ -198,12 +200,12 @@ def test_points_move_to_their_flat_and_the_code_shortens(rng):
     points, truth = np.vstack(flats), np.repeat([1, 2], 30)
     start = truth.copy()
     start[[0, 9, 40]], start[[1, 2]] = [2, 2, 1], 0
-    found, convergence = reassign_by_code(points, start, 2, 9)
+    found, convergence = _reassign(points, start, 2, 9)
     assert convergence.converged
-    assert not reassign_by_code(points, start, 2, 1)[1].converged
+    assert not _reassign(points, start, 2, 1)[1].converged
     np.testing.assert_array_equal(found, truth)
-    assert code_length(points, found, 2) < code_length(points, np.where(start == 0, 2, start), 2)
-    np.testing.assert_array_equal(reassign_by_code(points[:3], np.arange(1, 4), 2, 9)[0], [1, 2, 3])
+    assert _code_length(points, found, 2) < _code_length(points, np.where(start == 0, 2, start), 2)
+    np.testing.assert_array_equal(_reassign(points[:3], np.arange(1, 4), 2, 9)[0], [1, 2, 3])
 
 
 def test_code_length_of_the_definition(rng):
@@ -211,7 +213,7 @@ def test_code_length_of_the_definition(rng):
     s = np.linalg.eigvalsh(np.cov(points.T, bias=True)) + 0.01
     # The two variances across are added before the precision is: once 0.01, not twice.
     expected = 12 * (np.log(s[2]) + np.log(s[0] + s[1] - 0.01)) / 2
-    assert code_length(points, np.ones(12, dtype=int), 1) == pytest.approx(expected)
+    assert _code_length(points, np.ones(12, dtype=int), 1) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ from mseg.completion import shrink
 from mseg.errors import SegmentationError
 from mseg.iteration import Convergence, iterate
 
+_EPSILON = float(np.finfo(np.float64).eps)
+
 
 @dataclass(frozen=True, eq=False)
 class Representation:
@@ -61,10 +63,6 @@ def sparse_representation(
     max_iterations : int
         Cap.
 
-    Returns
-    -------
-    Representation
-
     Raises
     ------
     SegmentationError
@@ -76,9 +74,9 @@ def sparse_representation(
     2013, equation 13 and algorithm 2.
     """
     n = data.shape[1]
-    fit = alpha / smallest_coherence(data)
+    fit = alpha / _smallest_coherence(data)
     ones = np.full((1, n), np.sqrt(alpha) if affine else 0.0)
-    system = ShiftedInverse(np.vstack([np.sqrt(fit) * data, ones]))
+    system = _ShiftedInverse(np.vstack([np.sqrt(fit) * data, ones]))
     target = fit * (data.T @ data)
     threshold = np.asarray(weights) / alpha
     c = np.zeros((n, n)) if start is None else start.copy()
@@ -103,26 +101,6 @@ def sparse_representation(
 
     convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
     return Representation(c, convergence)
-
-
-def smallest_coherence(data: FloatArray) -> float:
-    """``min_j max_{i != j} |x_i . x_j|``: the smallest l1 weight for which no column of C vanishes.
-
-    Raises
-    ------
-    SegmentationError
-        When it is zero.
-    """
-    if data.shape[1] < 2:
-        raise SegmentationError("trajectories", expected="at least 2", found=str(data.shape[1]))
-    gram = np.abs(data.T @ data)
-    np.fill_diagonal(gram, 0)
-    smallest = float(gram.max(axis=0).min())
-    if smallest <= np.finfo(np.float64).tiny:
-        raise SegmentationError(
-            "trajectories", expected="each one correlated with another", found="one orthogonal to all others"
-        )
-    return smallest
 
 
 def low_rank_representation(
@@ -152,30 +130,33 @@ def low_rank_representation(
     max_iterations : int
         Cap.
 
-    Returns
-    -------
-    Representation
+    Raises
+    ------
+    InvalidValueError
+        When the data are zero.
 
     References
     ----------
     Liu, Lin, Yan, Sun, Yu, Ma, "Robust recovery of subspace structures by low-rank representation",
     TPAMI 2013, equation 7, algorithm 1 and section 4.2 (reduction by the row space).
     """
-    n = data.shape[1]
-    basis = row_space_basis(data)
+    _, values, right = np.linalg.svd(data, full_matrices=False)
+    rank = int((values > max(data.shape) * _EPSILON * values[0]).sum())
+    if rank == 0:
+        raise InvalidValueError("trajectory matrix", expected="numbers other than zero", found="only zeros")
+    basis = np.ascontiguousarray(right[:rank].T)
     dictionary = data @ basis
-    rank = basis.shape[1]
     inverse = np.linalg.inv(dictionary.T @ dictionary + np.eye(rank))
-    w, error = np.zeros((rank, n)), np.zeros_like(data)
-    y_fit, y_split = np.zeros_like(data), np.zeros((rank, n))
+    w, error = np.zeros((rank, data.shape[1])), np.zeros_like(data)
+    y_fit, y_split = np.zeros_like(data), np.zeros_like(w)
     penalty = 1e-6
 
     def step() -> float:
         nonlocal w, error, y_fit, y_split, penalty
-        low = shrink_leading(w + y_split / penalty, 1 / penalty)
+        low = _shrink_leading(w + y_split / penalty, 1 / penalty)
         w = inverse @ (dictionary.T @ (data - error + y_fit / penalty) + low - y_split / penalty)
         left = data - dictionary @ w
-        error = shrink_columns(left + y_fit / penalty, weight / penalty)
+        error = _shrink_columns(left + y_fit / penalty, weight / penalty)
         fit_gap, split_gap = left - error, w - low
         y_fit += penalty * fit_gap
         y_split += penalty * split_gap
@@ -186,28 +167,121 @@ def low_rank_representation(
     return Representation(basis @ w, convergence)
 
 
-def row_space_basis(data: FloatArray) -> FloatArray:
-    """Orthonormal basis (N, r) of the row space of data (D, N), r its numerical rank.
+def low_rank_sparse_representation(
+    data: FloatArray,
+    *,
+    sparsity: float = 0.1,
+    alpha: float = 800.0,
+    growth: float = 1.1,
+    tolerance: float = 2e-4,
+    max_iterations: int = 400,
+) -> Representation:
+    """Minimise nuclear norm, l1 norm and misfit of the coefficients together, by ADMM.
+
+        min |C|_* + sparsity |C|_1 + mu/2 |X - X C|_F^2   s.t.  diag C = 0
+
+    C is split into three copies (of the fit, of the nuclear norm, of the l1 norm with zero diagonal); the
+    last is returned. An iteration takes a symmetric N x N eigenproblem of a few leading vectors.
+
+    Parameters
+    ----------
+    data : (D, N) float64
+        Points X as columns.
+    sparsity : float
+        Weight lambda of the l1 norm.
+    alpha : float
+        ``mu = alpha / min_j max_{i != j} |x_i . x_j|``.
+    growth : float
+        Factor by which the penalty of the splitting (1 at first) grows.
+    tolerance : float
+        Stop when no entry of the two splittings' residuals exceeds it.
+    max_iterations : int
+        Cap.
 
     Raises
     ------
-    InvalidValueError
-        When the data are zero.
+    SegmentationError
+        When some point is orthogonal to all others.
+
+    References
+    ----------
+    Wang, Xu, Leng, "Provable subspace clustering: when LRR meets SSC", NIPS 2013, equation 2 (relaxed for
+    noise as in their section 6).
     """
-    _, values, right = np.linalg.svd(data, full_matrices=False)
-    rank = int((values > max(data.shape) * np.finfo(np.float64).eps * values[0]).sum())
-    if rank == 0:
-        raise InvalidValueError("trajectory matrix", expected="numbers other than zero", found="only zeros")
-    return np.ascontiguousarray(right[:rank].T)
+    n = data.shape[1]
+    fit = alpha / _smallest_coherence(data)
+    system = _ShiftedInverse(np.sqrt(fit) * data)
+    target = fit * (data.T @ data)
+    low, sparse = np.zeros((n, n)), np.zeros((n, n))
+    y_low, y_sparse = np.zeros((n, n)), np.zeros((n, n))
+    penalty = 1.0
+
+    def step() -> float:
+        nonlocal low, sparse, y_low, y_sparse, penalty
+        c = system.solve(target + penalty * (low + sparse) - y_low - y_sparse, 2 * penalty)
+        low = _shrink_leading(c + y_low / penalty, 1 / penalty)
+        sparse = shrink(c + y_sparse / penalty, sparsity / penalty)
+        np.fill_diagonal(sparse, 0)
+        y_low += penalty * (c - low)
+        y_sparse += penalty * (c - sparse)
+        penalty *= growth
+        return max(float(np.abs(c - low).max()), float(np.abs(c - sparse).max()))
+
+    convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
+    return Representation(sparse, convergence)
 
 
-def shrink_columns(matrix: FloatArray, threshold: float) -> FloatArray:
+def keep_largest(coefficients: FloatArray, share: float) -> FloatArray:
+    """Keep of each column (N, N) its largest magnitudes, as many as make up a share of their sum.
+
+    The entry that reaches the share is kept, the smaller ones become zero; a share of 1 keeps everything.
+
+    References
+    ----------
+    Elhamifar and Vidal, TPAMI 2013, section 7.1 (the step called thrC in their code).
+    """
+    if share >= 1:
+        return coefficients
+    magnitude = np.abs(coefficients)
+    order = np.argsort(-magnitude, axis=0, kind="stable")
+    ordered = np.take_along_axis(magnitude, order, axis=0)
+    before = ordered.cumsum(axis=0) - ordered
+    kept = np.zeros(coefficients.shape, dtype=bool)
+    np.put_along_axis(kept, order, before < share * magnitude.sum(axis=0), axis=0)
+    return np.where(kept, coefficients, 0.0)
+
+
+def sparse_affinity(coefficients: FloatArray, share: float = 0.7) -> FloatArray:
+    """Affinity of sparse coefficients C (N, N): kept, columns scaled to a maximum of one, ``|C| + |C|^T``.
+
+    `share` is that of `keep_largest`; the affinity (N, N) is symmetric, in [0, 2].
+    """
+    magnitude = np.abs(keep_largest(coefficients, share))
+    scaled = magnitude / (magnitude.max(axis=0) + _EPSILON)
+    return np.asarray(scaled + scaled.T)
+
+
+def _smallest_coherence(data: FloatArray) -> float:
+    """``min_j max_{i != j} |x_i . x_j|``: the smallest l1 weight for which no column of C vanishes."""
+    if data.shape[1] < 2:
+        raise SegmentationError("trajectories", expected="at least 2", found=str(data.shape[1]))
+    gram = np.abs(data.T @ data)
+    np.fill_diagonal(gram, 0)
+    smallest = float(gram.max(axis=0).min())
+    if smallest <= np.finfo(np.float64).tiny:
+        raise SegmentationError(
+            "trajectories", expected="each one correlated with another", found="one orthogonal to all others"
+        )
+    return smallest
+
+
+def _shrink_columns(matrix: FloatArray, threshold: float) -> FloatArray:
     """Shorten every column by `threshold`, to zero at most: the proximal map of the l2,1 norm."""
     length = np.linalg.norm(matrix, axis=0)
     return np.asarray(matrix * (np.maximum(length - threshold, 0) / np.where(length > 0, length, 1)))
 
 
-def shrink_leading(matrix: FloatArray, threshold: float) -> FloatArray:
+def _shrink_leading(matrix: FloatArray, threshold: float) -> FloatArray:
     """Soft threshold of the singular values of a matrix (D, N), D <= N, through ``M M^T``.
 
     Only the eigenvectors above the threshold are computed. Squaring costs half of the digits of values
@@ -218,16 +292,15 @@ def shrink_leading(matrix: FloatArray, threshold: float) -> FloatArray:
     return np.asarray((left * gain) @ (left.T @ matrix))
 
 
-class ShiftedInverse:
+class _ShiftedInverse:
     """Solve systems with ``B^T B + shift I`` through the row space of B (Woodbury)."""
 
     def __init__(self, rows: FloatArray) -> None:
         _, values, right = np.linalg.svd(rows, full_matrices=False)
-        kept = values > values[0] * np.finfo(np.float64).eps * max(rows.shape)
+        kept = values > values[0] * _EPSILON * max(rows.shape)
         self.basis = np.ascontiguousarray(right[kept].T)
         self.squares = values[kept, None] ** 2
 
     def solve(self, right: FloatArray, shift: float) -> FloatArray:
-        """Return ``(B^T B + shift I)^-1 right``."""
         gain = self.squares / (self.squares + shift)
         return np.asarray((right - self.basis @ (gain * (self.basis.T @ right))) / shift)
