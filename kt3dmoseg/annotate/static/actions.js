@@ -22,12 +22,14 @@ export function editableRegion(item, frame) {
 /** The selected object's region here, ready to be edited. */
 export const regionHere = () => editableRegion(selectedObject(), state.frame);
 
-const editObject = (change, ...values) => edit(change(state.doc, state.selected, ...values));
+/** The document with a key frame of the selected object. */
+const withKey = (doc, frame, ...region) => annotation.setKey(doc, state.selected, frame, ...region);
 
 /** Make the selected object's region here a key frame. */
-export const draw = (polygons, visibility) => editObject(annotation.setKey, state.frame, polygons, visibility);
+export const draw = (polygons, visibility) => edit(withKey(state.doc, state.frame, polygons, visibility));
 
-export const update = (fields) => editObject(annotation.update, fields);
+/** Change the selected object's properties. */
+export const update = (fields) => edit(annotation.update(state.doc, state.selected, fields));
 
 // Drawing
 
@@ -111,7 +113,8 @@ export function objectUnder(point) {
 export function setMotion(motion) {
   const { lassoed } = state;
   if (lassoed) {
-    edit(annotation.addMark(state.doc, { frame: lassoed.frame, motion, polygon: lassoed.polygon }));
+    const mark = { frame: lassoed.frame, motion, polygon: lassoed.polygon };
+    edit({ ...state.doc, marks: [...(state.doc.marks ?? []), mark] });
     set({ lassoed: null });
     say(`${lassoed.rows.length} trajectories marked`);
     return;
@@ -133,7 +136,7 @@ export function copyToNext() {
   if (!state.regions) say("No trajectories yet: copied without motion");
   const region = editableRegion(item, next);
   if (region.visibility !== "visible" || !region.polygons.length) return say("It is not visible there");
-  if (!region.key) editObject(annotation.setKey, next, region.polygons);
+  if (!region.key) edit(withKey(state.doc, next, region.polygons));
   goTo(next);
 }
 
@@ -156,25 +159,31 @@ function nearestPolygons(item) {
   return drawn[0]?.polygons ?? [];
 }
 
+/** The object enters in this frame: drawn here, outside in the frame before. */
 export function enterHere() {
   if (!chosen()) return;
+  const { doc, frame } = state;
   const { polygons, visibility } = regionHere();
   if (visibility !== "visible") return say("It is not visible here");
-  editObject(annotation.enterHere, state.frame, polygons);
+  const drawn = withKey(doc, frame, polygons);
+  edit(frame ? withKey(drawn, frame - 1, [], "outside") : drawn);
 }
 
 export function deleteHere() {
   const item = chosen();
   if (!item) return;
-  const next = state.frame + 1;
-  editObject(annotation.deleteHere, state.frame, next < state.clip.n_frames ? regionOf(item, next) : null);
+  const { doc, frame, clip } = state;
+  // Outside here, and back in the next frame as it is there.
+  const after = frame + 1 < clip.n_frames ? regionOf(item, frame + 1) : { visibility: "outside" };
+  const back = after.visibility !== "outside" && !after.key;
+  edit(withKey(back ? withKey(doc, frame + 1, after.polygons, after.visibility) : doc, frame, [], "outside"));
   say(`${item.name} is not in this frame; Shift+Delete removes it from the whole clip`);
 }
 
 export function deleteObject() {
   const item = chosen();
   if (!item) return;
-  editObject(annotation.removeObject);
+  edit({ ...state.doc, objects: state.doc.objects.filter((other) => other !== item) });
   set({ selected: null, vertex: null });
   say(`${item.name} deleted from the whole clip; Ctrl+Z brings it back`);
 }
@@ -183,7 +192,7 @@ export function forgetKey() {
   const item = chosen();
   if (!item || !annotation.keyAt(item, state.frame)) return;
   if (item.key_frames.length === 1) return say("This is its only key frame; Shift+Delete deletes the object");
-  editObject(annotation.removeKey, state.frame);
+  update({ key_frames: item.key_frames.filter((key) => key.frame !== state.frame) });
 }
 
 // Points

@@ -16,8 +16,6 @@ export function addObject(doc, values) {
   return { ...doc, objects: [...doc.objects, { ...item, ...values, id }] };
 }
 
-export const removeObject = (doc, id) => ({ ...doc, objects: doc.objects.filter((item) => item.id !== id) });
-
 export const update = (doc, id, fields) =>
   ({ ...doc, objects: doc.objects.map((item) => (item.id === id ? { ...item, ...fields } : item)) });
 
@@ -27,24 +25,6 @@ export function setKey(doc, id, frame, polygons, visibility = "visible") {
   const key_frames = [...others, { frame, visibility, polygons }].sort((a, b) => a.frame - b.frame);
   return update(doc, id, { key_frames });
 }
-
-export const removeKey = (doc, id, frame) =>
-  update(doc, id, { key_frames: objectOf(doc, id).key_frames.filter((key) => key.frame !== frame) });
-
-/** Take an object out of one frame only: outside here, back in the next as it is `after`. */
-export function deleteHere(doc, id, frame, after) {
-  const back = after && after.visibility !== "outside" && !after.key;
-  const kept = back ? setKey(doc, id, frame + 1, after.polygons, after.visibility) : doc;
-  return setKey(kept, id, frame, [], "outside");
-}
-
-/** The object enters in this frame: drawn here, outside in the frame before. */
-export function enterHere(doc, id, frame, polygons) {
-  const drawn = setKey(doc, id, frame, polygons);
-  return frame ? setKey(drawn, id, frame - 1, [], "outside") : drawn;
-}
-
-export const addMark = (doc, mark) => ({ ...doc, marks: [...(doc.marks ?? []), mark] });
 
 const changePart = (polygons, part, change) => polygons.map((polygon, k) => (k === part ? change(polygon) : polygon));
 

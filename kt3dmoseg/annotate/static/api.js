@@ -1,17 +1,7 @@
-// Requests to the server. Every failure is an ApiError with the server's own sentence.
+// Requests to the server. Every failure is an Error with the server's own sentence, its status and answer, and
+// `offline` where the server cannot be reached at all.
 
-export class ApiError extends Error {
-  constructor(message, status, body) {
-    super(message);
-    this.status = status;
-    this.body = body;
-  }
-
-  /** The server cannot be reached at all. */
-  get offline() {
-    return this.status === 0;
-  }
-}
+const failure = (message, status, body) => Object.assign(new Error(message), { status, body, offline: status === 0 });
 
 async function request(path, options = {}) {
   let response;
@@ -19,11 +9,11 @@ async function request(path, options = {}) {
     response = await fetch(path, options);
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw new ApiError("the server does not answer", 0, null);
+    throw failure("the server does not answer", 0, null);
   }
   if (response.ok) return response;
   const body = await response.json().catch(() => ({}));
-  throw new ApiError(body.error ?? response.statusText, response.status, body);
+  throw failure(body.error ?? response.statusText, response.status, body);
 }
 
 const json = (path, options) => request(path, options).then((response) => response.json());

@@ -60,20 +60,22 @@ export function colourOfLength(length, frames) {
   return LENGTHS[Math.min(LENGTHS.length - 1, Math.floor((length / frames) * LENGTHS.length))];
 }
 
-export function resize(canvas, width, height) {
-  const ratio = devicePixelRatio || 1;
-  canvas.width = Math.round(width * ratio);
-  canvas.height = Math.round(height * ratio);
-}
-
-/** Clear a canvas, and give its context in CSS pixels. */
+/** Clear a canvas, as large as it is shown, and give its context in CSS pixels. */
 export function begin(canvas) {
   const ratio = devicePixelRatio || 1;
+  canvas.width = Math.round(canvas.clientWidth * ratio);
+  canvas.height = Math.round(canvas.clientHeight * ratio);
   const context = canvas.getContext("2d");
-  context.setTransform(1, 0, 0, 1, 0, 0);
-  context.clearRect(0, 0, canvas.width, canvas.height);
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.scale(ratio, ratio);
   return context;
+}
+
+/** A strip over the frame that asks for one of its buttons, or nothing. */
+export function strip(id, text, ...buttons) {
+  const root = byId(id);
+  root.hidden = !text;
+  fill(root, element("span", {}, text), ...buttons);
+  if (text) buttons[0].focus();
 }
 
 const dialog = byId("dialog");

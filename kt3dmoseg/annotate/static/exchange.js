@@ -2,10 +2,11 @@
 
 import { addObject, nextMotion } from "./annotation.js";
 import * as api from "./api.js";
-import { button, byId, close, element, faint, fill, inform, line, open, row, table } from "./dom.js";
+import { button, byId, close, element, faint, inform, line, open, row, strip, table } from "./dom.js";
 import { boundsOf } from "./geometry.js";
 import { edit, on, set, state } from "./state.js";
-import { goTo, showBox, showTrack } from "./view.js";
+import { showTrack } from "./tracks.js";
+import { goTo, showBox } from "./view.js";
 
 const NAMES = {
   cvat: "CVAT for video 1.1 (XML)", davis: "DAVIS indexed PNG (zip)", mots_txt: "KITTI MOTS (text)",
@@ -85,23 +86,18 @@ function end() {
   byId("stage").focus();
 }
 
-/** The strip that asks about the proposal in view. */
 function drawReview() {
-  const { review: shown, proposals } = state;
-  const root = byId("review");
-  root.hidden = !shown;
-  if (!shown) return;
-  const { item, name, index } = shown;
-  if (!item) {
-    fill(root, element("span", {}, `${name} is an object now: put it right, then`),
-      button(proposals.length ? `Go on (${proposals.length} left)` : "Done", () => review(index), "primary"));
-    return;
+  const { item, name, index } = state.review ?? {};
+  const left = state.proposals?.length;
+  if (!state.review) strip("review", "");
+  else if (!item) {
+    const on = button(left ? `Go on (${left} left)` : "Done", () => review(index), "primary");
+    strip("review", `${name} is an object now: put it right, then`, on);
+  } else {
+    strip("review", `${item.name}: ${index + 1} of ${left} proposed`,
+      button("Accept", () => (accept(), review(index)), "primary"), button("Correct", correct),
+      button("Reject", () => (settle(), review(index))), button("Skip", () => review(index + 1)), button("Done", end));
   }
-  const first = button("Accept", () => (accept(), review(index)), "primary");
-  fill(root, element("span", {}, `${item.name}: ${index + 1} of ${proposals.length} proposed`), first,
-    button("Correct", correct), button("Reject", () => (settle(), review(index))),
-    button("Skip", () => review(index + 1)), button("Done", end));
-  first.focus();
 }
 
 // Files
@@ -200,14 +196,10 @@ function leave() {
 function drawDifference() {
   const { at, differences } = state.compared ?? {};
   const here = differences?.[at];
-  const root = byId("differences");
-  root.hidden = !here;
-  if (!here) return;
-  const next = button("Next", () => visit(at + 1), "primary");
-  fill(root, element("span", {}, `${at + 1} of ${differences.length}: here ${here.mine}, other ${here.theirs}`),
-    next, button("Previous", () => visit(at - 1)), button("List", list), button("Compare again", compare),
-    button("Done", leave));
-  next.focus();
+  if (!here) return strip("differences", "");
+  return strip("differences", `${at + 1} of ${differences.length}: here ${here.mine}, other ${here.theirs}`,
+    button("Next", () => visit(at + 1), "primary"), button("Previous", () => visit(at - 1)), button("List", list),
+    button("Compare again", compare), button("Done", leave));
 }
 
 on(["review", "proposals"], drawReview);

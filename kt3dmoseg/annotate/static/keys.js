@@ -6,6 +6,7 @@ import { button, close, element, open, row } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
 import { attempt, redo, state, undo } from "./state.js";
+import { nextProblem } from "./tracks.js";
 import * as view from "./view.js";
 
 const STEPS = { ArrowLeft: -1, "Shift+ArrowLeft": -5, ArrowRight: 1, "Shift+ArrowRight": 5 };
@@ -72,7 +73,7 @@ export const KEYS = {
     key("t", "T", "trails", () => view.toggle("trails")),
     key("y", "Y", "colour by label, by length, none", view.cycleColouring),
     key("u", "U", "only unlabelled and conflicts", () => view.toggle("problems")),
-    key("g", "G", "go to the next of them", view.nextProblem),
+    key("g", "G", "go to the next of them", nextProblem),
     key("h", "H", "hide the regions", () => view.toggle("hidden")),
     key("b", "B", "brighter picture", view.brighten),
   ],

@@ -2,7 +2,7 @@
 
 import { setTool } from "./actions.js";
 import { clips, openClip } from "./clips.js";
-import { byId, resize } from "./dom.js";
+import { byId } from "./dom.js";
 import { press } from "./keys.js";
 import "./objects.js";
 import "./pointer.js";
@@ -45,8 +45,7 @@ for (const b of document.querySelectorAll("[data-tool]")) {
 }
 byId("clips").addEventListener("click", () => attempt(clips));
 
-new ResizeObserver(([{ target }]) => {
-  for (const id of ["picture", "tracks", "regions"]) resize(byId(id), target.clientWidth, target.clientHeight);
+new ResizeObserver(() => {
   set({ resized: performance.now() });
   if (state.clip) fitAll();
 }).observe(byId("stage"));

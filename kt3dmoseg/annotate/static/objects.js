@@ -2,7 +2,7 @@
 
 import { deleteHere, deleteObject, forgetKey, regionOf, setMotion, setVisibility, update } from "./actions.js";
 import {
-  BACKGROUND, PROBLEM, REJECTED, begin, byId, chip, colourOfMotion, element, faint, fill, resize, row,
+  BACKGROUND, PROBLEM, REJECTED, begin, byId, chip, colourOfMotion, element, faint, fill, row,
 } from "./dom.js";
 import { on, select, selectedObject, set, state } from "./state.js";
 import { fitObject, goTo } from "./view.js";
@@ -45,9 +45,8 @@ function objectButton(item) {
 /** One row per object, one column per frame. */
 function drawTimeline() {
   if (!state.doc) return;
-  const { clientWidth: width, clientHeight: height } = canvas;
-  resize(canvas, width, height);
   begin(canvas);
+  const { clientWidth: width, clientHeight: height } = canvas;
   const column = width / state.clip.n_frames;
   context.fillStyle = "#2f6f9660";
   context.fillRect(state.frame * column, 0, Math.max(2, column), height);

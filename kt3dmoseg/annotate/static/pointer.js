@@ -1,4 +1,4 @@
-// Mouse, pen and touch on the stage.
+// Mouse, pen and touch on the stage. What is being dragged is an object with `move` and `up`.
 
 import * as actions from "./actions.js";
 import { insertPoint, replacePoint, setKey, shift } from "./annotation.js";
@@ -26,11 +26,10 @@ function down(event) {
   stage.focus({ preventScroll: true });
   stage.setPointerCapture(event.pointerId);
   const { screen, point } = at(event);
-  if (event.button === 1) drag = { kind: "pan", from: screen };
+  if (event.button === 1) drag = panning(screen);
   else if (event.button === 2) removeVertex(point);
-  else if (state.pending) drag = { kind: "draw", from: screen, point };
+  else if (state.pending) drag = drawing(screen, point);
   else drag = grab(point, screen);
-  stage.classList.toggle("panning", drag?.kind === "pan");
 }
 
 /** What is under the pointer: a point, an edge or the inside of the selected region, or nothing. */
@@ -38,87 +37,91 @@ function grab(point, screen) {
   const reach = REACH / state.view.scale;
   const item = state.hidden ? null : selectedObject();
   const region = item && actions.regionHere();
-  if (item) {
-    const vertex = nearestVertex(point, region.polygons, reach);
-    if (vertex) {
-      set({ vertex: { part: vertex.part, index: vertex.index } });
-      return { ...vertex, ...region, kind: "vertex", id: item.id };
-    }
-    const edge = nearestEdge(point, region.polygons, reach * 0.7);
-    if (edge) {
-      const polygons = insertPoint(region.polygons, edge.part, edge.index, edge.point);
-      return { ...edge, ...region, kind: "vertex", id: item.id, polygons };
-    }
+  const vertex = item && nearestVertex(point, region.polygons, reach);
+  if (vertex) {
+    set({ vertex: { part: vertex.part, index: vertex.index } });
+    return movingVertex(item, region, vertex);
   }
+  const edge = item && nearestEdge(point, region.polygons, reach * 0.7);
+  if (edge) return movingVertex(item, { ...region, polygons: withPoint(region, edge) }, edge);
   const under = state.hidden ? null : actions.objectUnder(point);
-  if (under && under.id === state.selected) return { ...region, kind: "region", id: item.id, from: point };
-  return { kind: "pan", from: screen, under };
+  return under && under === item ? movingRegion(item, region, point) : panning(screen, under);
+}
+
+const withPoint = ({ polygons }, { part, index, point }) => insertPoint(polygons, part, index, point);
+
+function reshape(item, region, polygons) {
+  const visibility = region.visibility === "occluded" ? "occluded" : "visible";
+  preview(setKey(state.doc, item.id, state.frame, polygons, visibility));
+}
+
+function movingVertex(item, region, { part, index }) {
+  return {
+    move(_, point) {
+      reshape(item, region, replacePoint(region.polygons, part, index, point));
+      set({ vertex: { part, index } });
+    },
+    up: () => state.dragging && edit(state.doc),
+  };
+}
+
+function movingRegion(item, region, from) {
+  return {
+    move: (_, point) => reshape(item, region, shift(region.polygons, point[0] - from[0], point[1] - from[1])),
+    up: () => (state.dragging ? edit(state.doc) : set({ vertex: null })),
+  };
+}
+
+/** Pan; a click that does not move selects what is under it. */
+function panning(from, under) {
+  let moved = false;
+  stage.classList.add("panning");
+  return {
+    move(screen) {
+      if (!moved && distance(screen, from) < FREEHAND) return;
+      pan(screen[0] - from[0], screen[1] - from[1]);
+      moved = true;
+      from = screen;
+    },
+    up: () => moved || select(under?.id ?? null),
+  };
+}
+
+/** Draw freehand; a click that does not move adds a point, or closes the outline on its first. */
+function drawing(from, start) {
+  let moved = false;
+  return {
+    move(screen, point) {
+      if (distance(screen, from) < FREEHAND) return;
+      if (!moved) {
+        set({ pending: { ...state.pending, freehand: true } });
+        actions.addPoint(start);
+      }
+      moved = true;
+      from = screen;
+      actions.addPoint(point);
+    },
+    up(point) {
+      const { points } = state.pending;
+      const closing = points.length >= 3 && distance(toScreen(points[0]), toScreen(point)) < REACH;
+      if (moved ? points.length > 8 : closing) actions.finish();
+      else if (!moved) actions.addPoint(point);
+    },
+  };
 }
 
 function move(event) {
   if (!state.view) return;
   const { screen, point } = at(event);
-  if (!drag) hover(point);
-  else if (drag.kind === "pan") panTo(screen);
-  else if (drag.kind === "draw") drawFreehand(screen, point);
-  else reshape(point);
-}
-
-function hover(pointer) {
-  if (state.pending) set({ pointer });
-  else set({ pointer, hovered: state.doc ? actions.objectUnder(pointer)?.id ?? null : null });
-}
-
-function panTo(screen) {
-  const [dx, dy] = [screen[0] - drag.from[0], screen[1] - drag.from[1]];
-  if (!drag.moved && Math.hypot(dx, dy) < FREEHAND) return;
-  drag.moved = true;
-  drag.from = screen;
-  pan(dx, dy);
-}
-
-function drawFreehand(screen, point) {
-  if (distance(screen, drag.from) < FREEHAND) return;
-  if (!drag.moved) {
-    drag.moved = true;
-    set({ pending: { ...state.pending, freehand: true } });
-    actions.addPoint(drag.point);
-  }
-  drag.from = screen;
-  actions.addPoint(point);
-}
-
-function reshape(point) {
-  const { kind, part, index, from } = drag;
-  drag.moved = true;
-  const polygons = kind === "vertex"
-    ? replacePoint(drag.polygons, part, index, point)
-    : shift(drag.polygons, point[0] - from[0], point[1] - from[1]);
-  const visibility = drag.visibility === "occluded" ? "occluded" : "visible";
-  preview(setKey(state.doc, drag.id, state.frame, polygons, visibility));
-  if (kind === "vertex") set({ vertex: { part, index } });
+  if (drag) drag.move(screen, point);
+  else if (state.pending) set({ pointer: point });
+  else set({ pointer: point, hovered: state.doc ? actions.objectUnder(point)?.id ?? null : null });
 }
 
 function up(event) {
   const ended = drag;
   release();
-  if (!ended) return;
-  if (ended.kind === "draw") endDraw(ended, at(event).point);
-  else if (ended.kind === "pan") {
-    if (!ended.moved) select(ended.under?.id ?? null);
-  } else if (ended.moved) edit(state.doc);
-  else if (ended.kind === "region") set({ vertex: null });
-}
-
-function endDraw({ moved }, point) {
-  const { points } = state.pending;
-  if (moved) {
-    if (points.length > 8) actions.finish();
-    return;
-  }
-  const closing = points.length >= 3 && distance(toScreen(points[0]), toScreen(point)) < REACH;
-  if (closing) actions.finish();
-  else actions.addPoint(point);
+  ended?.up(at(event).point);
 }
 
 function doubleClick(event) {
@@ -128,11 +131,9 @@ function doubleClick(event) {
   }
   if (!selectedObject()) return;
   const { point } = at(event);
-  const { polygons } = actions.regionHere();
-  const edge = nearestEdge(point, polygons, REACH / state.view.scale);
-  if (edge && !nearestVertex(point, polygons, 2 / state.view.scale)) {
-    actions.draw(insertPoint(polygons, edge.part, edge.index, edge.point));
-  }
+  const region = actions.regionHere();
+  const edge = nearestEdge(point, region.polygons, REACH / state.view.scale);
+  if (edge && !nearestVertex(point, region.polygons, 2 / state.view.scale)) actions.draw(withPoint(region, edge));
 }
 
 function removeVertex(point) {

@@ -4,7 +4,8 @@
 import * as api from "./api.js";
 import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
 import { clamp } from "./geometry.js";
-import { now, on, set, state } from "./state.js";
+import { now, on, say, set, state } from "./state.js";
+import { goTo, showPoint, toScreen } from "./view.js";
 
 const SOON = 40;
 const POLL = 400;
@@ -56,40 +57,53 @@ async function label() {
   }
 }
 
-/** Rows of the trajectories that are visible in a frame and satisfy a test of their position. */
-export function rowsWhere(frame, test) {
-  const { tracks } = state;
-  const rows = [];
-  for (let row = 0; tracks && row < tracks.count; row++) {
-    const at = 2 * (row * tracks.frames + frame);
-    const x = tracks.xy[at];
-    if (x === x && test([x, tracks.xy[at + 1]])) rows.push(row);
-  }
-  return rows;
+/** Where a trajectory is in a frame; undefined where it is not seen. */
+function position(row, frame) {
+  const { xy, frames } = state.tracks;
+  const at = 2 * (row * frames + frame);
+  return Number.isNaN(xy[at]) ? undefined : [xy[at], xy[at + 1]];
+}
+
+const rowsOf = (tracks) => [...Array(tracks?.count ?? 0).keys()];
+
+const framesOf = (row) => [...Array(state.tracks.frames).keys()].filter((frame) => position(row, frame));
+
+/** Rows of the trajectories whose position in a frame satisfies a test. */
+export const rowsWhere = (frame, test) => rowsOf(state.tracks).filter((row) => {
+  const point = position(row, frame);
+  return point && test(point);
+});
+
+/** Show one trajectory in one frame. */
+export function showTrack(row, frame) {
+  goTo(frame);
+  showPoint(position(row, frame));
+}
+
+let problem = -1;
+
+/** Go to the next trajectory that is unlabelled or in conflict. */
+export function nextProblem() {
+  const { labels } = state;
+  const rows = labels ? [...labels.reason.keys()].filter((row) => [2, 3].includes(labels.reason[row])) : [];
+  if (!rows.length) return say("No trajectory is unlabelled or in conflict");
+  problem = (problem + 1) % rows.length;
+  const row = rows[problem];
+  const frames = framesOf(row);
+  showTrack(row, frames[Math.floor(frames.length / 2)]);
+  const reason = labels.reason[row] === 3 ? "in conflict" : "too short to label";
+  say(`trajectory ${row} is ${reason} (${problem + 1} of ${rows.length}); lasso it with Q`);
 }
 
 const canvas = byId("tracks");
-let groups = [];
+let groups = new Map();
 
 /** Group the rows by colour: one path each. */
 function group() {
   const { tracks, labels, colouring } = state;
-  const byColour = new Map();
-  for (let row = 0; tracks && row < tracks.count; row++) {
-    const colour = colouring === "length"
-      ? colourOfLength(lengthOf(row), tracks.frames)
-      : colourOfTrack(labels?.label[row] ?? 1, labels?.reason[row] ?? 0);
-    if (!byColour.has(colour)) byColour.set(colour, []);
-    byColour.get(colour).push(row);
-  }
-  groups = [...byColour].map(([colour, rows]) => ({ colour, rows }));
-}
-
-function lengthOf(row) {
-  const { xy, frames } = state.tracks;
-  let length = 0;
-  for (let frame = 0; frame < frames; frame++) length += !Number.isNaN(xy[2 * (row * frames + frame)]);
-  return length;
+  groups = Map.groupBy(rowsOf(tracks), (row) => (colouring === "length"
+    ? colourOfLength(framesOf(row).length, tracks.frames)
+    : colourOfTrack(labels?.label[row] ?? 1, labels?.reason[row] ?? 0)));
 }
 
 export function drawTracks() {
@@ -98,56 +112,47 @@ export function drawTracks() {
   if (!tracks || !view || colouring === "none") return;
   const frame = flickered ?? state.frame;
   const size = clamp(view.scale * 1.2, 2, 5);
-  for (const { colour, rows } of groups) {
+  const fill = (rows, width, colour) => {
+    context.fillStyle = colour;
+    context.fill(squares(rows, frame, width));
+  };
+  for (const [colour, rows] of groups) {
     if (state.problems && colour !== PROBLEM) continue;
-    const wide = size + (colour === PROBLEM ? LARGER : 0);
+    const width = size + (colour === PROBLEM ? LARGER : 0);
     if (state.trails) {
       context.globalAlpha = 0.55;
-      context.lineWidth = 1;
       context.strokeStyle = colour;
-      context.stroke(trails(rows, frame, view));
+      context.stroke(trails(rows, frame));
       context.globalAlpha = 1;
     }
     // Dark around each, to be seen on a bright ground.
-    context.fillStyle = "#0b0d1090";
-    context.fill(points(rows, frame, view, wide + 1.4));
-    context.fillStyle = colour;
-    context.fill(points(rows, frame, view, wide));
+    fill(rows, width + 1.4, "#0b0d1090");
+    fill(rows, width, colour);
   }
-  if (lassoed?.frame === frame) {
-    context.fillStyle = "#ffffff";
-    context.fill(points(lassoed.rows, frame, view, size + 2));
-  }
+  if (lassoed?.frame === frame) fill(lassoed.rows, size + 2, "#ffffff");
 }
 
-function points(rows, frame, view, wide) {
-  const { xy, frames } = state.tracks;
+function squares(rows, frame, width) {
   const path = new Path2D();
   for (const row of rows) {
-    const at = 2 * (row * frames + frame);
-    const x = xy[at];
-    if (x === x) {
-      path.rect((x - view.x) * view.scale - wide / 2, (xy[at + 1] - view.y) * view.scale - wide / 2, wide, wide);
-    }
+    const point = position(row, frame);
+    if (!point) continue;
+    const [x, y] = toScreen(point);
+    path.rect(x - width / 2, y - width / 2, width, width);
   }
   return path;
 }
 
-function trails(rows, frame, view) {
-  const { xy, frames } = state.tracks;
+function trails(rows, frame) {
   const path = new Path2D();
   for (const row of rows) {
-    const start = 2 * row * frames;
-    if (xy[start + 2 * frame] !== xy[start + 2 * frame]) continue;
-    let drawing = false;
+    if (!position(row, frame)) continue;
+    let step = "moveTo";
     for (let k = Math.max(0, frame - TRAIL); k <= frame; k++) {
-      const x = xy[start + 2 * k];
-      if (x !== x) continue;
-      const sx = (x - view.x) * view.scale;
-      const sy = (xy[start + 2 * k + 1] - view.y) * view.scale;
-      if (drawing) path.lineTo(sx, sy);
-      else path.moveTo(sx, sy);
-      drawing = true;
+      const point = position(row, k);
+      if (!point) continue;
+      path[step](...toScreen(point));
+      step = "lineTo";
     }
   }
   return path;

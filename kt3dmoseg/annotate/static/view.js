@@ -90,6 +90,9 @@ export function showBox([left, top, right, bottom]) {
   set({ view: centred((left + right) / 2, (top + bottom) / 2, scale) });
 }
 
+/** Zoom in on a point, and put the cross there. */
+export const showPoint = (cross) => set({ cross, view: centred(...cross, Math.max(state.view.scale, 4)) });
+
 export function fitObject() {
   const item = chosen();
   if (!item) return;
@@ -127,30 +130,6 @@ export function cycleColouring() {
   const colouring = order[(order.indexOf(state.colouring) + 1) % order.length];
   set({ colouring });
   say({ label: "Trajectories by label", length: "Trajectories by length", none: "No trajectories" }[colouring]);
-}
-
-let problem = -1;
-
-/** Go to the next trajectory that is unlabelled or in conflict. */
-export function nextProblem() {
-  const { labels, tracks } = state;
-  const rows = labels ? [...labels.reason.keys()].filter((row) => [2, 3].includes(labels.reason[row])) : [];
-  if (!rows.length) return say("No trajectory is unlabelled or in conflict");
-  problem = (problem + 1) % rows.length;
-  const row = rows[problem];
-  const seen = [...Array(tracks.frames).keys()].filter((f) => !Number.isNaN(tracks.xy[2 * (row * tracks.frames + f)]));
-  showTrack(row, seen[Math.floor(seen.length / 2)]);
-  const reason = labels.reason[row] === 3 ? "in conflict" : "too short to label";
-  say(`trajectory ${row} is ${reason} (${problem + 1} of ${rows.length}); lasso it with Q`);
-}
-
-/** Show one trajectory in one frame. */
-export function showTrack(row, frame) {
-  const { xy, frames } = state.tracks;
-  const at = 2 * (row * frames + frame);
-  const cross = [xy[at], xy[at + 1]];
-  goTo(frame);
-  set({ cross, view: centred(...cross, Math.max(state.view.scale, 4)) });
 }
 
 // The picture: frames are loaded once, the shown one first, then its neighbours
