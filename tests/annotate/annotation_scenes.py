@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, Mark, formats
-from kt3dmoseg.annotate.formats.masks import label_image
+from kt3dmoseg.annotate.formats.masks import label_images
 from kt3dmoseg.annotate.model import KINDS, REJECT
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
@@ -112,7 +112,7 @@ def motions(annotation):
     """The motion of every pixel in every frame, 99 = rejected."""
     values = {o.id: 99 if o.motion == REJECT else int(o.motion) for o in annotation.objects}
     regions = formats.regions(annotation)
-    return [label_image(annotation, regions, f, values).tolist() for f in range(annotation.n_frames)]
+    return [image.tolist() for image in label_images(annotation, regions, values)]
 
 
 def zipped(**files):

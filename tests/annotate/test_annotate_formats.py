@@ -20,7 +20,6 @@ from kt3dmoseg.annotate.formats.masks import (
     encode_rle,
     mask_of,
     polygons_of,
-    simplify,
 )
 from kt3dmoseg.errors import KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.io.images import decode_indices, encode_indices
@@ -145,10 +144,12 @@ def test_indexed_png_is_what_opencv_and_palette_say():
     assert colours[0, 1].tolist() == [0, 0, 128]  # BGR: DAVIS's first object is dark red
 
 
-def test_simplify_keeps_corners():
-    found = simplify(np.array([(0, 0), (5, 0.2), (10, 0), (10, 10), (0, 10)], float), 0.5).tolist()
-    first = found.index([0, 0])
-    assert found[first:] + found[:first] == [[0, 0], [10, 0], [10, 10], [0, 10]]
+def test_a_simplified_outline_keeps_corners():
+    mask = np.ones((12, 20), bool)
+    mask[0, 5:7] = mask[8:10, 19] = False
+    (polygon,) = polygons_of(mask, tolerance=1.5)
+    assert set(polygon) == {(-0.5, -0.5), (19.5, -0.5), (19.5, 11.5), (-0.5, 11.5)}
+    assert len(polygons_of(mask)[0]) == 12
 
 
 def indexed(height, width):

@@ -19,14 +19,14 @@ from kt3dmoseg.annotate.formats.foreign import (
     ForeignObject,
     assemble,
     check_frame,
+    motion_from,
     unzip_only,
     with_centre_origin,
     with_corner_origin,
 )
-from kt3dmoseg.annotate.model import KINDS, REJECT, AnnotatedObject, Annotation, Motion, Visibility, within
+from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, Visibility, within
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.types import FloatArray
 
 _WHAT = "CVAT XML"
 _DECLARATION = '<?xml version="1.0" encoding="utf-8"?>\n'
@@ -39,18 +39,18 @@ _NOWHERE = "0.00,0.00;1.00,0.00;0.00,1.00"
 
 
 def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()) -> bytes:
-    del names
     root = ET.Element("annotations")
-    ET.SubElement(root, "version").text = "1.1"
-    _meta(root, annotation)
+    _put(root, "version", "1.1")
+    _put_task(_put(_put(root, "meta"), "task"), annotation)
     tracks = (
         (item, part)
         for item in annotation.objects
         for part in range(max(1, *(len(region.polygons) for region in regions[item.id])))
     )
     for number, (item, part) in enumerate(tracks):
-        track = {"id": str(number), "label": item.kind, "source": "manual"}
-        _track(ET.SubElement(root, "track", track), item, regions[item.id], part)
+        track = _put(root, "track", id=str(number), label=item.kind, source="manual")
+        for frame, region in enumerate(regions[item.id]):
+            _put_shape(track, item, frame, region, part)
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode")
     return f"{_DECLARATION}{_UNWRITABLE.sub(_UNKNOWN, text)}\n".encode()
@@ -58,7 +58,6 @@ def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Se
 
 def _parse(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
     """Read one XML file, or the zip file with one that CVAT offers."""
-    del names
     root = _root(unzip_only(content, ".xml", _WHAT) if content.startswith(b"PK") else content)
     if root.tag != "annotations":
         raise FileFormatError(_WHAT, expected="<annotations>", found=f"<{root.tag[:40]}>")
@@ -66,8 +65,6 @@ def _parse(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annot
     for k, track in enumerate(root.findall("track")):
         with within(f"track[{k}]"):
             _read_track(track, k, like, found)
-    for item in found.values():
-        item.visibility = dict(sorted(item.visibility.items()))
     return assemble(found, like, outside_between=False)
 
 
@@ -89,51 +86,50 @@ def _root(content: bytes) -> ET.Element:
     return root
 
 
-def _meta(root: ET.Element, annotation: Annotation) -> None:
-    task = ET.SubElement(ET.SubElement(root, "meta"), "task")
-    ET.SubElement(task, "name").text = annotation.clip
-    ET.SubElement(task, "size").text = str(annotation.n_frames)
-    ET.SubElement(task, "mode").text = "interpolation"
-    labels = ET.SubElement(task, "labels")
+def _put(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
+    child = ET.SubElement(parent, tag, attributes)
+    child.text = text
+    return child
+
+
+def _put_task(task: ET.Element, annotation: Annotation) -> None:
+    _put(task, "name", annotation.clip)
+    _put(task, "size", str(annotation.n_frames))
+    _put(task, "mode", "interpolation")
+    labels = _put(task, "labels")
     for kind in KINDS:
-        label = ET.SubElement(labels, "label")
-        ET.SubElement(label, "name").text = kind
-        attributes = ET.SubElement(label, "attributes")
+        label = _put(labels, "label")
+        _put(label, "name", kind)
+        attributes = _put(label, "attributes")
         for name in ("object", "name", "motion", "note"):
-            attribute = ET.SubElement(attributes, "attribute")
-            ET.SubElement(attribute, "name").text = name
-            ET.SubElement(attribute, "mutable").text = "False"
-            ET.SubElement(attribute, "input_type").text = "text"
-    size = ET.SubElement(task, "original_size")
-    ET.SubElement(size, "width").text, ET.SubElement(size, "height").text = map(str, annotation.image_size)
+            attribute = _put(attributes, "attribute")
+            _put(attribute, "name", name)
+            _put(attribute, "mutable", "False")
+            _put(attribute, "input_type", "text")
+    size = _put(task, "original_size")
+    _put(size, "width", str(annotation.image_size[0]))
+    _put(size, "height", str(annotation.image_size[1]))
 
 
-def _track(track: ET.Element, item: AnnotatedObject, regions: list[Region], part: int) -> None:
+def _put_shape(track: ET.Element, item: AnnotatedObject, frame: int, region: Region, part: int) -> None:
+    drawn = part < len(region.polygons)
+    hidden = region.visibility == "occluded"
     points = _NOWHERE
-    for frame, region in enumerate(regions):
-        drawn = part < len(region.polygons)
-        somewhere = region.visibility == "occluded" and part == 0
-        if drawn:
-            points = _points(region.polygons[part])
-        shape = ET.SubElement(
-            track,
-            "polygon",
-            {
-                "frame": str(frame),
-                "outside": str(int(not drawn and not somewhere)),
-                "occluded": str(int(region.visibility == "occluded")),
-                "keyframe": str(int(region.key)),
-                "points": points if drawn else _NOWHERE,
-                "z_order": "0",
-            },
-        )
-        values = {"object": str(item.id), "name": item.name, "motion": str(item.motion), "note": item.note}
-        for name, value in values.items():
-            ET.SubElement(shape, "attribute", {"name": name}).text = value
-
-
-def _points(polygon: FloatArray) -> str:
-    return ";".join(f"{x:.2f},{y:.2f}" for x, y in with_corner_origin(polygon))
+    if drawn:
+        points = ";".join(f"{x:.2f},{y:.2f}" for x, y in with_corner_origin(region.polygons[part]))
+    shape = _put(
+        track,
+        "polygon",
+        frame=str(frame),
+        outside=str(int(not drawn and not (hidden and part == 0))),
+        occluded=str(int(hidden)),
+        keyframe=str(int(region.key)),
+        points=points,
+        z_order="0",
+    )
+    values = {"object": str(item.id), "name": item.name, "motion": str(item.motion), "note": item.note}
+    for name, value in values.items():
+        _put(shape, "attribute", value, name=name)
 
 
 def _read_track(
@@ -148,8 +144,8 @@ def _read_track(
     key = int(given) if given.isdecimal() and len(given) <= _DIGITS else given or f"track {number}"
     if key not in found:
         name = attributes.get("name") or f"{label or 'object'} {len(found) + 1}"
-        note = attributes.get("note", "")
-        found[key] = ForeignObject(name, label.lower(), _motion(attributes.get("motion", "")), note)
+        motion = motion_from(attributes.get("motion", ""))
+        found[key] = ForeignObject(name, label.lower(), motion, attributes.get("note", ""))
     if min(_number(shape, "frame") for shape in shapes) > 0:
         found[key].visibility.setdefault(0, "outside")
     for shape in shapes:
@@ -174,12 +170,6 @@ def _read_shape(shape: ET.Element, frame: int, item: ForeignObject) -> None:
         except ValueError:
             raise InvalidValueError("points", expected="x,y;x,y;...", found=repr(text)[:60]) from None
         item.add(frame, [with_centre_origin(pairs, "points")], visibility)
-
-
-def _motion(given: str) -> Motion | None:
-    if given == REJECT:
-        return REJECT
-    return int(given) if given.isdecimal() and len(given) <= 4 else None
 
 
 def _number(shape: ET.Element, name: str) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 from kt3dmoseg.annotate.model import (
     KINDS,
     MAX_FRAMES,
+    REJECT,
     AnnotatedObject,
     Annotation,
     KeyFrame,
@@ -57,42 +58,31 @@ def assemble(
     in which it was not found.
     """
     numbered = all(isinstance(key, int) and key >= 1 for key in found)
-    motions = own_motions(item.motion for item in found.values())
+    free = count(max((item.motion for item in found.values() if isinstance(item.motion, int)), default=0) + 1)
     objects = []
-    for number, ((key, item), motion) in enumerate(zip(found.items(), motions, strict=True), start=1):
+    for number, (key, item) in enumerate(found.items(), start=1):
         identity = key if numbered and isinstance(key, int) else number
-        seen = {f: KeyFrame(f, v, tuple(item.polygons.get(f, ()))) for f, v in item.visibility.items()}
-        keys = key_frames_of(seen, like.n_frames) if outside_between else tuple(seen.values())
-        name, kind = item.name or f"object {identity}", known_kind(item.kind)
+        name = item.name or f"object {identity}"
+        kind: Kind = next((kind for kind in KINDS if kind == item.kind), "other")
+        motion = next(free) if item.motion is None else item.motion
+        keys = _key_frames(item, like.n_frames if outside_between else 0)
         objects.append(AnnotatedObject(identity, name, kind, motion, keys, item.note))
     return replace(like, objects=tuple(objects))
 
 
-def known_kind(name: str) -> Kind:
-    """Return the kind of that name, ``"other"`` where we have none."""
-    return next((kind for kind in KINDS if kind == name), "other")
+def _key_frames(item: ForeignObject, n_frames: int) -> tuple[KeyFrame, ...]:
+    """Those frames in which the object is seen, and of `n_frames` those from which it is gone."""
+    seen = item.visibility
+    gone = (k for k in range(n_frames) if k not in seen and (k == 0 or k - 1 in seen))
+    keys = [KeyFrame(k, visibility, tuple(item.polygons.get(k, ()))) for k, visibility in seen.items()]
+    return (*keys, *(KeyFrame(k, "outside") for k in gone))
 
 
-def own_motions(given: Iterable[Motion | None]) -> list[Motion]:
-    """Give every object without a motion one of its own, from after the largest given on.
-
-    >>> own_motions([None, 3, "reject", None])
-    [4, 3, 'reject', 5]
-    """
-    motions = list(given)
-    free = count(max((motion for motion in motions if isinstance(motion, int)), default=0) + 1)
-    return [next(free) if motion is None else motion for motion in motions]
-
-
-def key_frames_of(seen: Mapping[int, KeyFrame], n_frames: int) -> tuple[KeyFrame, ...]:
-    """Key frames of an object that is seen in some frames: those, and one wherever it is gone."""
-    keys: list[KeyFrame] = []
-    for frame in range(n_frames):
-        if frame in seen:
-            keys.append(seen[frame])
-        elif not keys or keys[-1].visibility != "outside":
-            keys.append(KeyFrame(frame, "outside"))
-    return tuple(keys)
+def motion_from(text: str) -> Motion | None:
+    """Read a motion as we write it into other tools' fields; None when it is none."""
+    if text == REJECT:
+        return REJECT
+    return int(text) if text.isdecimal() and len(text) <= 4 else None
 
 
 def with_corner_origin(polygon: FloatArray) -> list[list[float]]:

@@ -18,11 +18,12 @@ from kt3dmoseg.annotate.formats import AnnotationFormat
 from kt3dmoseg.annotate.formats.foreign import (
     ForeignObject,
     assemble,
+    motion_from,
     unzip_frames,
     with_centre_origin,
     with_corner_origin,
 )
-from kt3dmoseg.annotate.model import REJECT, Annotation, Polygon, within
+from kt3dmoseg.annotate.model import Annotation, Polygon, within
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
@@ -95,9 +96,8 @@ def _read_shape(shape: dict[str, Any], frame: int, found: dict[int | str, Foreig
     key = label if group is None else int(group)
     if key not in found:
         ours = _DESCRIPTION.search(str(shape.get("description") or ""))
-        kind, motion = ours.groups() if ours else (label.lower(), None)
-        given = motion if motion in (None, REJECT) else int(motion)
-        found[key] = ForeignObject(label, kind, given)
+        kind, motion = ours.groups() if ours else (label.lower(), "")
+        found[key] = ForeignObject(label, kind, motion_from(motion))
     hidden = (shape.get("flags") or {}).get("occluded") or found[key].visibility.get(frame) == "occluded"
     found[key].add(frame, [points], "occluded" if hidden else "visible")
 

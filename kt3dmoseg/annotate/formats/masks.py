@@ -91,47 +91,34 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
     out = []
     for k in np.sort(np.argsort(-sizes, kind="stable")[:MAX_POLYGONS]):
         rows, columns = boxes[k]
-        joined = _joined(_loops(parts[rows, columns] == k + 1)) + np.array(
-            [columns.start - 0.5, rows.start - 0.5]
-        )
-        simple = simplify(joined, tolerance) if tolerance > 0 else joined
-        simple = simple[:: -(-len(simple) // MAX_POINTS)]
-        if len(simple) >= 3:
-            out.append(tuple((float(x), float(y)) for x, y in simple))
+        offset = np.array([columns.start, rows.start]) - 0.5
+        outline = _joined(_loops(parts[rows, columns] == k + 1)) + offset
+        if tolerance > 0:  # Douglas and Peucker (1973)
+            outline = cv2.approxPolyDP(outline.astype(np.float32)[:, None], tolerance, True)[:, 0]
+        outline = outline[:: -(-len(outline) // MAX_POINTS)]
+        if len(outline) >= 3:
+            out.append(tuple((float(x), float(y)) for x, y in outline))
     return out
 
 
-def simplify(polygon: FloatArray, tolerance: float) -> FloatArray:
-    """Leave out points that are within `tolerance` pixels of the outline without them.
-
-    Douglas and Peucker (1973), as OpenCV has it.
-    """
-    found = cv2.approxPolyDP(polygon.astype(np.float32)[:, None], tolerance, True)
-    return np.asarray(found[:, 0], dtype=np.float64)
-
-
-def label_image(
-    annotation: Annotation, regions: Regions, frame: int, values: Mapping[int, int]
-) -> npt.NDArray[np.int64]:
-    """Paint the visible objects of one frame into an (H, W) image, each with its value; 0 = background.
+def label_images(
+    annotation: Annotation, regions: Regions, values: Mapping[int, int]
+) -> Iterator[npt.NDArray[np.int64]]:
+    """Paint the visible objects of every frame into an (H, W) image, each with its value; 0 = background.
 
     Later objects cover earlier ones, static ones cover moving ones, rejected ones cover all, as in
     `label_tracks`.
     """
     width, height = annotation.image_size
-    image = np.zeros((height, width), dtype=np.int64)
     layers = {REJECT: 2, BACKGROUND: 1}
-    for item in sorted(annotation.objects, key=lambda item: layers.get(item.motion, 0)):
-        region = regions[item.id][frame]
-        if region.visibility == "visible":
-            image[mask_of(region.polygons, annotation.image_size)] = values[item.id]
-    return image
-
-
-def _label_images(
-    annotation: Annotation, regions: Regions, values: Mapping[int, int]
-) -> Iterator[npt.NDArray[np.int64]]:
-    return (label_image(annotation, regions, frame, values) for frame in range(annotation.n_frames))
+    ordered = sorted(annotation.objects, key=lambda item: layers.get(item.motion, 0))
+    for frame in range(annotation.n_frames):
+        image = np.zeros((height, width), dtype=np.int64)
+        for item in ordered:
+            region = regions[item.id][frame]
+            if region.visibility == "visible":
+                image[mask_of(region.polygons, annotation.image_size)] = values[item.id]
+        yield image
 
 
 def _loops(part: BoolArray) -> list[FloatArray]:
@@ -246,13 +233,12 @@ def add_mask(
 
 
 def _dump_davis(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    del names
     largest = max(annotation.motions, default=0)
     if largest >= _DAVIS_VOID:
         expected = f"at most {_DAVIS_VOID - 1}, as DAVIS can hold"
         raise InvalidValueError("motion", expected=expected, found=str(largest))
     values = {o.id: _DAVIS_VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
-    images = _label_images(annotation, regions, values)
+    images = label_images(annotation, regions, values)
     palette = davis_palette()
     return zip_bytes(
         {f"{k:05d}.png": encode_indices(image.astype(np.uint8), palette) for k, image in enumerate(images)}
@@ -268,7 +254,6 @@ def _parse_davis(content: bytes, like: Annotation, names: Sequence[str] = ()) ->
 
 
 def _dump_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    del names
     images = _mots_images(annotation, regions)
     encoded = (cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images)
     return zip_bytes({f"{k:06d}.png": content for k, content in enumerate(encoded)})
@@ -280,7 +265,6 @@ def _parse_mots_png(content: bytes, like: Annotation, names: Sequence[str] = ())
 
 
 def _dump_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    del names
     width, height = annotation.image_size
     lines = [
         f"{frame} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
@@ -291,7 +275,6 @@ def _dump_mots_text(annotation: Annotation, regions: Regions, names: Sequence[st
 
 
 def _parse_mots_text(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-    del names
     found: dict[int, ForeignObject] = {}
     lines = content.decode("ascii", "replace").splitlines()
     most = MAX_OBJECTS * like.n_frames
@@ -347,7 +330,7 @@ def _mots_images(annotation: Annotation, regions: Regions) -> Iterator[npt.NDArr
         number = _MOTS_IGNORE if item.motion == REJECT else int(item.motion)
         kind = 0 if item.motion in (REJECT, BACKGROUND) else _MOTS_CLASS.get(item.kind, 1)
         values[item.id] = _MOTS_STEP * kind + number
-    return _label_images(annotation, regions, values)
+    return label_images(annotation, regions, values)
 
 
 def _mots_line(line: str, like: Annotation, where: str) -> tuple[int, int, BoolArray]:

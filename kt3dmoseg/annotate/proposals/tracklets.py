@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from kt3dmoseg import catalog
-from kt3dmoseg.annotate.formats.foreign import key_frames_of, known_kind
-from kt3dmoseg.annotate.model import AnnotatedObject, KeyFrame, Polygon
+from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
+from kt3dmoseg.annotate.model import AnnotatedObject, Polygon
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.kitti import RawDrive, Tracklet
 from kt3dmoseg.types import FloatArray
@@ -36,15 +36,18 @@ def propose(request: Request) -> list[AnnotatedObject]:
         raise InputFileError("tracklets", found="no KITTI folder", fix="start with --kitti FOLDER")
     drive, numbers = _drive(request, request.kitti)
     tracklets = drive.tracklets()
-    moving = _moving(drive, tracklets, numbers)
-    objects: list[AnnotatedObject] = []
-    for tracklet, moves in zip(tracklets, moving, strict=True):
-        keys = _key_frames(drive, tracklet, numbers)
-        if moves and any(key.polygons for key in keys):
-            number, kind = len(objects) + 1, tracklet.kind.lower()
-            name, ours = f"{kind} {number}", known_kind(_KIND_OF.get(kind, kind))
-            objects.append(AnnotatedObject(number, name, ours, number, keys, "from a KITTI tracklet"))
-    return objects
+    found: dict[int | str, ForeignObject] = {}
+    for tracklet, moves in zip(tracklets, _moving(drive, tracklets, numbers), strict=True):
+        number, kind = len(found) + 1, tracklet.kind.lower()
+        item = ForeignObject(f"{kind} {number}", _KIND_OF.get(kind, kind), number, "from a KITTI tracklet")
+        for frame, image in enumerate(numbers):
+            polygon = _polygon(drive, tracklet, image) if image in tracklet.numbers else None
+            if polygon is not None:
+                hidden = int(tracklet.occlusion[tracklet.row(image)]) == _FULLY_OCCLUDED
+                item.add(frame, [polygon], "occluded" if hidden else "visible")
+        if moves and item.polygons:
+            found[number] = item
+    return list(assemble(found, request.annotation.emptied()).objects)
 
 
 def _drive(request: Request, root: Path) -> tuple[RawDrive, tuple[int, ...]]:
@@ -90,16 +93,6 @@ def _moving(drive: RawDrive, tracklets: list[Tracklet], numbers: tuple[int, ...]
         ).reshape(-1, 4)
         out.append(bool(len(at)) and float(np.ptp(at[:, :2], axis=0).max()) > _PARKED)
     return out
-
-
-def _key_frames(drive: RawDrive, tracklet: Tracklet, numbers: tuple[int, ...]) -> tuple[KeyFrame, ...]:
-    seen: dict[int, KeyFrame] = {}
-    for frame, number in enumerate(numbers):
-        polygon = _polygon(drive, tracklet, number) if number in tracklet.numbers else None
-        if polygon is not None:
-            hidden = int(tracklet.occlusion[tracklet.row(number)]) == _FULLY_OCCLUDED
-            seen[frame] = KeyFrame(frame, "occluded" if hidden else "visible", (polygon,))
-    return key_frames_of(seen, len(numbers))
 
 
 def _polygon(drive: RawDrive, tracklet: Tracklet, number: int) -> Polygon | None:
