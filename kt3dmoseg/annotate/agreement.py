@@ -75,16 +75,15 @@ class Agreement:
         return sorted(found, key=lambda group: -len(group[2]))
 
 
-def agree(a: npt.ArrayLike, b: npt.ArrayLike, *, match: bool = True) -> Agreement:
+def agree(a: npt.ArrayLike, b: npt.ArrayLike) -> Agreement:
     """Compare two labellings of the same trajectories.
+
+    The labels of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955).
 
     Parameters
     ----------
     a, b : (n,) int
         Labels; 0 = unlabelled.
-    match : bool
-        Rename the labels of `a` by the one-to-one assignment with the largest overlap (Kuhn 1955);
-        otherwise equal numbers mean the same motion.
 
     Raises
     ------
@@ -95,8 +94,6 @@ def agree(a: npt.ArrayLike, b: npt.ArrayLike, *, match: bool = True) -> Agreemen
     if mine.ndim != 1 or mine.shape != other.shape:
         found = f"{mine.shape} and {other.shape}"
         raise InvalidValueError("labels", expected="two vectors of one length", found=found)
-    if not match:
-        return Agreement(mine, other, {})
     matching = match_labels(mine, other)
     renamed = np.zeros_like(mine)
     spare = max(int(other.max(initial=0)), int(mine.max(initial=0))) + 1

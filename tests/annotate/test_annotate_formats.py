@@ -182,6 +182,10 @@ HOSTILE = [
     ("davis", zipped(**{"00000.png": indexed(9, 9)})),
     ("davis", zipped(**{"a__00000.png": b"x", "b__00000.png": b"x"})),
     ("davis", zipped()),
+    ("davis", zipped(**{"00000.png": cv2.imencode(".png", np.zeros((64, 96), np.uint16))[1].tobytes()})),
+    ("cvat", zipped(**{"a.xml": b"<annotations/>", "b.xml": b"<annotations/>"})),
+    ("cvat", b"<annotations><track><polygon frame='-1' points='1,1;2,2;3,1'/></track></annotations>"),
+    ("mots_txt", b"-1 1001 1 64 96 Qa0"),
     ("mots_png", zipped(**{"00000.png": cv2.imencode(".png", np.zeros((64, 96, 3), np.uint8))[1].tobytes()})),
     ("mots_txt", b"0 1001 1 64 96"),
     ("mots_txt", b"0 1001 1 9 9 Qa0"),
@@ -286,3 +290,6 @@ def test_motions_that_a_format_cannot_hold():
     with pytest.raises(KT3DMoSegError, match="253"):
         cycle("davis", annotation)
     assert cycle("mots_png", annotation).motions == [999]
+    larger = replace(annotation, objects=(replace(item, motion=1000),))
+    with pytest.raises(KT3DMoSegError, match="below 1000"):
+        cycle("mots_txt", larger)

@@ -5,16 +5,18 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from kt3dmoseg import synthetic
 from kt3dmoseg.annotate import Annotation, label_tracks, proposals
-from kt3dmoseg.annotate.formats.masks import mask_of
+from kt3dmoseg.annotate.formats.masks import encode_rle, mask_of
 from kt3dmoseg.annotate.proposals import outline, tracklets
 from kt3dmoseg.catalog import Drive, Entry
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.types import Labels, Trajectories
 
 SIZE, FRAMES = (400, 200), 8
@@ -151,8 +153,38 @@ def test_tracklets_of_frames_that_were_copied_elsewhere(drive, tmp_path, monkeyp
     entry = Entry("clip", Drive("2011_09_26", 1), 0, 8, numbers=tuple(range(8)))
     monkeypatch.setattr(tracklets.catalog, "load", lambda: {"clip": entry})
     check_boxes(proposals.propose("tracklets", tracklet_request(drive, frames)), scene)
+    by_bytes = SimpleNamespace(drive=Drive("2011_09_26", 1), camera=0, numbers=None)
+    monkeypatch.setattr(tracklets.catalog, "load", lambda: {"clip": by_bytes})
+    check_boxes(proposals.propose("tracklets", tracklet_request(drive, frames)), scene)
+    frames[3].write_bytes(b"another picture")
+    with pytest.raises(InvalidValueError, match="000004"):
+        proposals.propose("tracklets", tracklet_request(drive, frames))
     hollow = replace(tracklet_request(drive, frames), clip="other")
     with pytest.raises(InvalidValueError, match="catalog"):
         proposals.propose("tracklets", hollow)
     with pytest.raises(InputFileError, match="--kitti"):
         proposals.propose("tracklets", replace(hollow, kitti=None))
+
+
+def mask_request(folder):
+    return proposals.Request("clip", Annotation("clip", (8, 4), 2), None, (), masks=folder)
+
+
+def test_masks_as_mots_text_or_the_reason_why_not(tmp_path):
+    with pytest.raises(InputFileError, match="--masks"):
+        proposals.propose("masks", mask_request(None))
+    with pytest.raises(InputFileError, match="none"):
+        proposals.propose("masks", mask_request(tmp_path))
+    pixels = np.zeros((4, 8), bool)
+    pixels[1:3, 2:5] = True
+    (tmp_path / "clip.txt").write_text(f"1 1007 1 4 8 {encode_rle(pixels)}\n")
+    (item,) = proposals.propose("masks", mask_request(tmp_path))
+    assert (item.kind, item.motion, item.key_frames[1].frame) == ("car", 7, 1)
+    assert item.key_frames[1].polygons == (((1.5, 0.5), (4.5, 0.5), (4.5, 2.5), (1.5, 2.5)),)
+
+
+def test_masks_of_neither_format_are_refused_for_the_first_reason(tmp_path):
+    (tmp_path / "clip").mkdir()
+    cv2.imwrite(str(tmp_path / "clip" / "00000.png"), np.zeros((9, 9), np.uint8))
+    with pytest.raises(FileFormatError, match="8x4"):
+        proposals.propose("masks", mask_request(tmp_path))

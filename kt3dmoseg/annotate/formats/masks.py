@@ -94,7 +94,8 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
         offset = np.array([columns.start, rows.start]) - 0.5
         outline = _joined(_loops(parts[rows, columns] == k + 1)) + offset
         if tolerance > 0:  # Douglas and Peucker (1973)
-            outline = cv2.approxPolyDP(outline.astype(np.float32)[:, None], tolerance, True)[:, 0]
+            simple = cv2.approxPolyDP(outline.astype(np.float32)[:, None], tolerance, True)
+            outline = np.asarray(simple[:, 0], dtype=np.float64)
         outline = outline[:: -(-len(outline) // MAX_POINTS)]
         if len(outline) >= 3:
             out.append(tuple((float(x), float(y)) for x, y in outline))
