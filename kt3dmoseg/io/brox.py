@@ -13,8 +13,8 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import read_bytes, write_text
-from kt3dmoseg.io.fields import clip_name, origin
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
+from kt3dmoseg.io.fields import clip_of_tracks
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 
 _MAX_FILE = 1 << 30
 # A track of 5 points in a thousand frames fills 60 cells per token.
@@ -51,13 +51,7 @@ def read(path: str | os.PathLike[str]) -> Clip:
     """
     numbers, frames, tracks = _parse(path)
     xy, visible = _fill(numbers, tracks, frames, os.fspath(path))
-    return Clip(
-        name=clip_name(path),
-        dense=Trajectories(xy, visible),
-        evaluated=np.arange(len(xy)),
-        labels=Labels(np.maximum(tracks[:, 0], 0)),
-        provenance=origin(path, "brox-dat"),
-    )
+    return clip_of_tracks(path, "brox-dat", Trajectories(xy, visible), np.maximum(tracks[:, 0], 0))
 
 
 def read_labels(path: str | os.PathLike[str]) -> IntArray:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import sha256_file
-from kt3dmoseg.types import IntArray
+from kt3dmoseg.types import Camera, Clip, IntArray, Labels, Trajectories
 
 _ENDINGS = ("_Tracks", "_truth")
 _LONGEST = 200
@@ -113,14 +113,65 @@ def origin(path: str | os.PathLike[str], format: str) -> dict[str, Any]:
     return {"format": format, "source": Path(path).name, "sha256": sha256_file(path)}
 
 
-def json_text(values: Mapping[str, Any], what: str) -> str:
-    """Return JSON with sorted keys, so that equal values give equal bytes.
+def clip_of_tracks(
+    path: str | os.PathLike[str],
+    format: str,
+    dense: Trajectories,
+    label: IntArray | None = None,
+    camera: Camera | None = None,
+) -> Clip:
+    """Return a clip from a format that knows only tracks: named by its file, all of them evaluated."""
+    label = np.zeros(len(dense), dtype=np.int64) if label is None else label
+    rows = np.arange(len(dense))
+    return Clip(clip_name(path), dense, rows, Labels(label), camera=camera, provenance=origin(path, format))
 
-    Raises
-    ------
-    InvalidValueError
-        When a value is none of JSON's.
-    """
+
+def clip_values(clip: Clip) -> dict[str, Any]:
+    """Return everything of a clip but positions and visibility; what is not known is left out."""
+    size, background, camera = clip.dense.image_size, clip.labels.background, clip.camera
+    values = {
+        "name": clip.name,
+        "track_id": clip.dense.track_id,
+        "evaluated": clip.evaluated,
+        "label": clip.labels.label,
+        "label_names": _json_text({str(k): v for k, v in clip.labels.names.items()}, "names"),
+        "frame_numbers": clip.frame_numbers,
+        "provenance": _json_text(clip.provenance, "provenance"),
+        "image_size": None if size is None else np.array(size, dtype=np.int64),
+        "background": None if background is None else np.int64(background),
+        "timestamps": clip.timestamps,
+        "camera_name": None if camera is None else camera.name,
+        "K": None if camera is None else camera.K,
+    }
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def clip_from(values: Mapping[str, Any], place: str) -> Clip:
+    """Return the clip of what `clip_values` gave, `xy` and `visible`; `place` precedes names in messages."""
+    background = values.get("background")
+    has_camera = "K" in values or "camera_name" in values
+    names = json_object(values.get("label_names", "{}"), f"{place}label_names")
+    odd = next((key for key in names if not _NUMBER.fullmatch(key)), None)
+    if odd is not None:
+        raise FileFormatError(f"{place}label_names", expected="numbers of motions", found=repr(odd))
+    return Clip(
+        name=values["name"],
+        dense=Trajectories(values["xy"], values["visible"], values["track_id"], values.get("image_size")),
+        evaluated=values["evaluated"],
+        labels=Labels(
+            values["label"],
+            None if background is None else int(background),
+            {int(key): str(name) for key, name in names.items()},
+        ),
+        frame_numbers=values["frame_numbers"],
+        timestamps=values.get("timestamps"),
+        camera=Camera(values.get("camera_name", ""), values.get("K")) if has_camera else None,
+        provenance=json_object(values.get("provenance", "{}"), f"{place}provenance"),
+    )
+
+
+def _json_text(values: Mapping[str, Any], what: str) -> str:
+    """Return JSON with sorted keys, so that equal values give equal bytes."""
     try:
         return json.dumps(dict(values), sort_keys=True, ensure_ascii=False, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -136,12 +187,3 @@ def json_object(text: str, where: str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise FileFormatError(where, expected="a JSON object", found=type(values).__name__)
     return values
-
-
-def motion_names(text: str, where: str) -> dict[int, str]:
-    """Parse a JSON object of the names of motions, its keys being their numbers."""
-    values = json_object(text, where)
-    odd = next((key for key in values if not _NUMBER.fullmatch(key)), None)
-    if odd is not None:
-        raise FileFormatError(where, expected="numbers of motions", found=repr(odd))
-    return {int(key): str(name) for key, name in values.items()}

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.io.fields import clip_name
+from kt3dmoseg.io.fields import clip_name, clip_values
 from kt3dmoseg.types import Clip
 
 _HEAD = 128
@@ -24,18 +24,9 @@ _PICKLE_FIX = "pickles run code when read; save the arrays with numpy.savez"
 
 @dataclass(frozen=True)
 class Format:
-    """One clip format.
+    """One clip format; `recognise` says whether a file with these first 128 bytes may be of it.
 
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    suffix : str
-        Of its files.
-    recognise : callable
-        Whether a file with these first 128 bytes may be of this format.
-    module : str
-        Has the functions ``read(path) -> Clip`` and ``write(clip, path)``; imported when it is used.
+    Its `module`, imported when it is used, has ``read(path) -> Clip`` and ``write(clip, path)``.
     """
 
     name: str
@@ -64,6 +55,21 @@ FORMATS = (
     Format("dat", ".dat", _is_text_of_numbers, "kt3dmoseg.io.brox"),
 )
 CLIP_SUFFIXES = tuple(f.suffix for f in FORMATS)
+_WORDS = {
+    "name": "name",
+    "xy": "coordinates",
+    "track_id": "track ids",
+    "image_size": "image size",
+    "evaluated": "which trajectories are evaluated",
+    "label": "labels",
+    "background": "which label is the background",
+    "label_names": "names of the motions",
+    "frame_numbers": "frame numbers",
+    "timestamps": "timestamps",
+    "camera_name": "camera",
+    "K": "camera",
+    "provenance": "provenance",
+}
 
 
 def load(path: str | os.PathLike[str]) -> Clip:
@@ -296,27 +302,9 @@ def _convert_flow(source: str | os.PathLike[str], target: str | os.PathLike[str]
 
 
 def _lost(before: Clip, after: Clip) -> list[str]:
-    """Compare what a clip holds, by the words that describe it."""
-    pairs = zip(_parts(before).items(), _parts(after).values(), strict=True)
-    return [what for (what, value), kept in pairs if not _same(value, kept)]
-
-
-def _parts(clip: Clip) -> dict[str, object]:
-    camera = clip.camera
-    return {
-        "name": clip.name,
-        "coordinates": clip.dense.xy,
-        "track ids": clip.dense.track_id,
-        "image size": clip.dense.image_size,
-        "which trajectories are evaluated": clip.evaluated,
-        "labels": clip.labels.label,
-        "which label is the background": clip.labels.background,
-        "names of the motions": dict(clip.labels.names),
-        "frame numbers": clip.frame_numbers,
-        "timestamps": clip.timestamps,
-        "camera": camera and (camera.name, None if camera.K is None else camera.K.tolist()),
-        "provenance": dict(clip.provenance),
-    }
+    first, second = ({"xy": clip.dense.xy} | clip_values(clip) for clip in (before, after))
+    lost = [_WORDS[name] for name in _WORDS if not _same(first.get(name), second.get(name))]
+    return list(dict.fromkeys(lost))
 
 
 def _same(first: object, second: object) -> bool:

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
-from kt3dmoseg.io.fields import json_object, json_text, motion_names
-from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
+from kt3dmoseg.io.fields import clip_from, clip_values, json_object
+from kt3dmoseg.types import Clip, Trajectories
 
 FORMAT, VERSION = "kt3dmoseg clip", 1
 _CHUNK_BYTES = 1 << 18
@@ -31,17 +31,35 @@ _MAX_CHUNK = 1 << 26
 _MAX_TEXT = 1 << 26
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 
-DESCRIPTIONS = {
-    "dense/xy": "(N, F, 2) positions, x right, y down, pixels; (0, 0) is the centre of the top-left "
-    "pixel; NaN where not visible",
-    "dense/visible": "(N, F) 1 where the trajectory exists in the frame, else 0",
-    "dense/track_id": "(N,) identity of each trajectory",
-    "evaluated": "(n,) rows of dense that are scored, from 0",
-    "labels/label": "(n,) motion of each evaluated trajectory; 0 = unlabelled or outlier",
-    "frames/number": "(F,) number of each frame in its source",
-    "frames/timestamp": "(F,) seconds",
-    "camera/K": "(3, 3) normalised to pixel coordinates",
+_POSITIONS = (
+    "(N, F, 2) positions, x right, y down, pixels; (0, 0) is the centre of the top-left pixel; "
+    "NaN where not visible"
+)
+_LABELS = "(n,) motion of each evaluated trajectory; 0 = unlabelled or outlier"
+# Of each array of a clip its path in the file, type, number of dimensions, and what it is.
+_DATASETS = {
+    "xy": ("dense/xy", "f8", 3, _POSITIONS),
+    "visible": ("dense/visible", "u1", 2, "(N, F) 1 where the trajectory exists in the frame, else 0"),
+    "track_id": ("dense/track_id", "i8", 1, "(N,) identity of each trajectory"),
+    "evaluated": ("evaluated", "i8", 1, "(n,) rows of dense that are scored, from 0"),
+    "label": ("labels/label", "i8", 1, _LABELS),
+    "frame_numbers": ("frames/number", "i8", 1, "(F,) number of each frame in its source"),
+    "timestamps": ("frames/timestamp", "f8", 1, "(F,) seconds"),
+    "K": ("camera/K", "f8", 2, "(3, 3) normalised to pixel coordinates"),
 }
+DESCRIPTIONS = {place: text for place, _, _, text in _DATASETS.values()}
+_OPTIONAL = ("timestamps", "K")
+_ATTRIBUTES = {
+    "format": "format",
+    "version": "version",
+    "name": "name",
+    "provenance": "provenance",
+    "label_names": "labels/names",
+    "image_size": "dense/image_size",
+    "background": "labels/background",
+    "camera_name": "camera/name",
+}
+_TEXTS = ("name", "provenance", "label_names", "camera_name")
 
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -57,11 +75,14 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
     with _new_file() as file:
         _write_trajectories(file, clip.dense)
-        for name, values in _arrays(clip).items():
-            _create(file, name, values.shape, values.dtype)[...] = _one_nan(values)
-        for name, value in _attributes(clip).items():
-            group, _, key = name.rpartition("/")
-            _untimed_group(file, group).attrs.create(key, _fixed(value))
+        values: dict[str, Any] = {"format": FORMAT, "version": np.int64(VERSION)} | clip_values(clip)
+        for name, (place, *_) in _DATASETS.items():
+            if name in values:
+                _create(file, place, values[name].shape, values[name].dtype)[...] = _one_nan(values[name])
+        for name, place in _ATTRIBUTES.items():
+            if name in values:
+                group, _, key = place.rpartition("/")
+                _untimed_group(file, group).attrs.create(key, _fixed(values[name]))
         file.flush()
         image = file.id.get_file_image()
     write_bytes(path, image)
@@ -80,28 +101,18 @@ def read(path: str | os.PathLike[str]) -> Clip:
     where = os.fspath(path)
     with open_hdf5(where) as file:
         _check_version(file, where)
-        names = motion_names(_text(file, "labels/names", where, "{}"), f"{where}: names")
-        times = read_array(file, "frames/timestamp", where, "f8", 1) if "frames/timestamp" in file else None
-        K = read_array(file, "camera/K", where, "f8", 2) if "camera/K" in file else None
-        return Clip(
-            name=_text(file, "name", where),
-            dense=Trajectories(
-                read_array(file, "dense/xy", where, "f8", 3),
-                read_array(file, "dense/visible", where, "u1", 2) != 0,
-                read_array(file, "dense/track_id", where, "i8", 1),
-                _attribute(file, "dense/image_size", where),
-            ),
-            evaluated=read_array(file, "evaluated", where, "i8", 1),
-            labels=Labels(
-                read_array(file, "labels/label", where, "i8", 1),
-                _integer(file, "labels/background", where),
-                names,
-            ),
-            frame_numbers=read_array(file, "frames/number", where, "i8", 1),
-            timestamps=times,
-            camera=Camera(_text(file, "camera/name", where, ""), K) if "camera" in file else None,
-            provenance=json_object(_text(file, "provenance", where, "{}"), f"{where}: provenance"),
-        )
+        values: dict[str, Any] = {
+            name: read_array(file, place, where, dtype, ndim)
+            for name, (place, dtype, ndim, _) in _DATASETS.items()
+            if name not in _OPTIONAL or place in file
+        }
+        values["visible"] = values["visible"] != 0
+        values["image_size"] = _attribute(file, _ATTRIBUTES["image_size"], where)
+        values["background"] = _integer(file, _ATTRIBUTES["background"], where)
+        values |= {name: _text(file, _ATTRIBUTES[name], where) for name in _TEXTS}
+        if values["name"] is None:
+            raise FileFormatError(f"{where}: attribute name", expected="a text", found="nothing")
+        return clip_from({name: value for name, value in values.items() if value is not None}, f"{where}: ")
 
 
 def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -109,7 +120,7 @@ def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
     where = os.fspath(path)
     with open_hdf5(where) as file:
         _check_version(file, where)
-        return json_object(_text(file, "provenance", where, "{}"), f"{where}: provenance")
+        return json_object(_text(file, "provenance", where) or "{}", f"{where}: provenance")
 
 
 def _new_file() -> h5py.File:
@@ -165,36 +176,8 @@ def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fix
     return np.array(content, dtype=h5py.string_dtype("utf-8", max(1, len(content))))
 
 
-def _arrays(clip: Clip) -> dict[str, npt.NDArray[Any]]:
-    arrays: dict[str, npt.NDArray[Any] | None] = {
-        "dense/track_id": clip.dense.track_id,
-        "evaluated": clip.evaluated,
-        "labels/label": clip.labels.label,
-        "frames/number": clip.frame_numbers,
-        "frames/timestamp": clip.timestamps,
-        "camera/K": None if clip.camera is None else clip.camera.K,
-    }
-    return {name: values for name, values in arrays.items() if values is not None}
-
-
-def _attributes(clip: Clip) -> dict[str, Any]:
-    names = {str(key): text for key, text in sorted(clip.labels.names.items())}
-    size, background = clip.dense.image_size, clip.labels.background
-    attributes = {
-        "format": FORMAT,
-        "version": np.int64(VERSION),
-        "name": clip.name,
-        "provenance": json_text(clip.provenance, "provenance"),
-        "labels/names": json_text(names, "names"),
-        "dense/image_size": None if size is None else np.array(size, dtype=np.int64),
-        "labels/background": None if background is None else np.int64(background),
-        "camera/name": clip.camera and clip.camera.name,
-    }
-    return {name: value for name, value in attributes.items() if value is not None}
-
-
 def _check_version(file: h5py.File, where: str) -> None:
-    kind = _text(file, "format", where, "")
+    kind = _text(file, "format", where)
     if kind != FORMAT:
         found = f"format {kind!r}" if kind else "another HDF5 file (no attribute 'format')"
         fix = "give a file that kt3dmoseg build, track or convert wrote"
@@ -216,6 +199,8 @@ def _check_version(file: h5py.File, where: str) -> None:
 def _attribute(file: h5py.File, name: str, where: str) -> Any:  # noqa: ANN401  # as h5py gives it
     """Return an attribute; None when it is not there."""
     group, _, key = name.rpartition("/")
+    if group and group not in file:
+        return None
     owner = _hard_linked(file, group, where) if group else file
     if key not in owner.attrs:
         return None
@@ -224,15 +209,12 @@ def _attribute(file: h5py.File, name: str, where: str) -> Any:  # noqa: ANN401  
     return owner.attrs[key]
 
 
-def _text(file: h5py.File, name: str, where: str, default: str | None = None) -> str:
+def _text(file: h5py.File, name: str, where: str) -> str | None:
     value = _attribute(file, name, where)
     if isinstance(value, bytes):
         return value.decode("utf-8", errors="replace")
-    if value is None and default is not None:
-        return default
-    if not isinstance(value, str):
-        found = "nothing" if value is None else type(value).__name__
-        raise FileFormatError(f"{where}: attribute {name}", expected="a text", found=found)
+    if not isinstance(value, str | None):
+        raise FileFormatError(f"{where}: attribute {name}", expected="a text", found=type(value).__name__)
     return value
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -67,7 +67,14 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
             found=f"only {next(iter(pictures.values())).name}" if pictures else "no pictures",
             fix="give the folder that holds the frames of one clip",
         )
-    _check_consecutive(root, list(pictures))
+    for before, after in pairwise(pictures):
+        if after != before + 1:
+            raise FileFormatError(
+                f"{root}: frame {before + 1}",
+                expected=f"frames numbered {min(pictures)} to {max(pictures)} without a gap",
+                found=f"{before} followed by {after}",
+                fix="add the missing frames, or split the folder at the gap",
+            )
     return list(pictures.values())
 
 
@@ -186,13 +193,6 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
 def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
     """Decode a PNG to its numbers, whatever colours its palette gives them.
 
-    Parameters
-    ----------
-    content : bytes
-        The file.
-    where : str
-        Its name, for messages.
-
     Returns
     -------
     indices : (H, W) int64
@@ -224,15 +224,7 @@ def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
 
 
 def encode_indices(indices: ByteArray, palette: ByteArray) -> bytes:
-    """Encode indices as a PNG with a palette.
-
-    Parameters
-    ----------
-    indices : (H, W) uint8
-        The numbers.
-    palette : (256, 3) uint8
-        Red, green and blue of each number.
-    """
+    """Encode indices (H, W) as a PNG with a palette, (256, 3) uint8 red, green and blue of each number."""
     image = Image.fromarray(indices)
     image.putpalette(palette.tobytes())
     buffer = io.BytesIO()
@@ -313,14 +305,3 @@ def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> By
             fix="convert it to gray, or ask for its luma with --colour luma (colour='luma')",
         )
     return np.asarray(cv2.cvtColor(channels, cv2.COLOR_BGR2GRAY))
-
-
-def _check_consecutive(root: Path, numbers: Sequence[int]) -> None:
-    for before, after in pairwise(numbers):
-        if after != before + 1:
-            raise FileFormatError(
-                f"{root}: frame {before + 1}",
-                expected=f"frames numbered {numbers[0]} to {numbers[-1]} without a gap",
-                found=f"{before} followed by {after}",
-                fix="add the missing frames, or split the folder at the gap",
-            )

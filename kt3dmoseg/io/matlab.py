@@ -25,7 +25,7 @@ from scipy.io import savemat
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import write_bytes
-from kt3dmoseg.io.fields import Fields, clip_name, origin
+from kt3dmoseg.io.fields import Fields, clip_name, clip_of_tracks, origin
 from kt3dmoseg.io.mat5 import MAX_BYTES, read_mat
 from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, Labels, Trajectories
 
@@ -119,14 +119,9 @@ def _hopkins(path: str | os.PathLike[str], variables: Mapping[str, Any]) -> Clip
         if fields.array(name).size != size:
             raise fields.error(name, f"{size} numbers", f"{fields.array(name).size}")
     image_size = (fields.array("width").item(), fields.array("height").item())
-    return Clip(
-        name=clip_name(path),
-        dense=Trajectories(xy, visible, image_size=image_size),
-        evaluated=np.arange(len(xy)),
-        labels=Labels(fields.whole("s", None, 0, 999)),
-        camera=Camera(K=fields.array("K").reshape(3, 3)),
-        provenance=origin(path, "hopkins155"),
-    )
+    dense = Trajectories(xy, visible, image_size=image_size)
+    camera = Camera(K=fields.array("K").reshape(3, 3))
+    return clip_of_tracks(path, "hopkins155", dense, fields.whole("s", None, 0, 999), camera)
 
 
 def _points(fields: Fields, name: str, mask: str) -> tuple[FloatArray, BoolArray]:

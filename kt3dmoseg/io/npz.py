@@ -20,10 +20,26 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import SafeZip, ZipLimits, read_bytes, write_bytes
-from kt3dmoseg.io.fields import Fields, clip_name, json_object, json_text, motion_names, origin
-from kt3dmoseg.types import BoolArray, Camera, Clip, Labels, Trajectories
+from kt3dmoseg.io.fields import Fields, clip_from, clip_of_tracks, clip_values
+from kt3dmoseg.types import BoolArray, Clip, Trajectories
 
-KEYS = {"xy", "visible", "evaluated", "label", "track_id", "frame_numbers", "name"}
+# Kind and shape of the arrays of a clip, and its texts.
+_NEEDED: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "xy": ("f", (None, None, None)),
+    "visible": ("b", (None, None)),
+    "track_id": ("iu", (None,)),
+    "evaluated": ("iu", (None,)),
+    "label": ("iu", (None,)),
+    "frame_numbers": ("iu", (None,)),
+}
+_OPTIONAL: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "image_size": ("iu", (2,)),
+    "background": ("iu", ()),
+    "timestamps": ("f", (None,)),
+    "K": ("f", (3, 3)),
+}
+_TEXTS = ("label_names", "camera_name", "provenance")
+KEYS = {"name", *_NEEDED}
 COTRACKER_KEYS = {"pred_tracks", "pred_visibility"}
 TAPVID_KEYS = {"points", "occluded", "video"}
 _FREE = 1 << 24
@@ -120,26 +136,8 @@ def _name(file: str) -> str:
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write a clip; the same clip gives the same bytes."""
-    dense, labels = clip.dense, clip.labels
-    optional = {
-        "image_size": dense.image_size,
-        "background": labels.background,
-        "timestamps": clip.timestamps,
-        "camera_name": None if clip.camera is None else clip.camera.name,
-        "K": None if clip.camera is None else clip.camera.K,
-    }
-    arrays = {
-        "name": np.array(clip.name),
-        "xy": dense.xy,
-        "visible": dense.visible,
-        "track_id": dense.track_id,
-        "evaluated": clip.evaluated,
-        "label": labels.label,
-        "label_names": np.array(json_text({str(k): v for k, v in labels.names.items()}, "names")),
-        "frame_numbers": clip.frame_numbers,
-        "provenance": np.array(json_text(clip.provenance, "provenance")),
-    }
-    write_npz(path, arrays | {k: np.asarray(v) for k, v in optional.items() if v is not None})
+    first = {"name": clip.name, "xy": clip.dense.xy, "visible": clip.dense.visible}
+    write_npz(path, {name: np.asarray(value) for name, value in (first | clip_values(clip)).items()})
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
@@ -162,31 +160,10 @@ def read(path: str | os.PathLike[str]) -> Clip:
 def _clip(path: str | os.PathLike[str]) -> Clip:
     place = f"{os.fspath(path)}: "
     fields = Fields(place, read_npz(path))
-
-    def optional(name: str, kinds: str, shape: tuple[int | None, ...]) -> Any:  # noqa: ANN401
-        return fields.array(name, shape, kinds) if name in fields else None
-
-    background = optional("background", "iu", ())
-    has_camera = "K" in fields or "camera_name" in fields
-    return Clip(
-        name=fields.text("name"),
-        dense=Trajectories(
-            fields.array("xy", (None, None, None), "f"),
-            fields.array("visible", (None, None), "b"),
-            fields.array("track_id", (None,), "iu"),
-            optional("image_size", "iu", (2,)),
-        ),
-        evaluated=fields.array("evaluated", (None,), "iu"),
-        labels=Labels(
-            fields.array("label", (None,), "iu"),
-            None if background is None else int(background),
-            motion_names(fields.text("label_names", "{}"), f"{place}label_names"),
-        ),
-        frame_numbers=fields.array("frame_numbers", (None,), "iu"),
-        timestamps=optional("timestamps", "f", (None,)),
-        camera=Camera(fields.text("camera_name", ""), optional("K", "f", (3, 3))) if has_camera else None,
-        provenance=json_object(fields.text("provenance", "{}"), f"{place}provenance"),
-    )
+    optional = {name: kind for name, kind in _OPTIONAL.items() if name in fields}
+    arrays = {name: fields.array(name, shape, kinds) for name, (kinds, shape) in (_NEEDED | optional).items()}
+    texts = {name: fields.text(name) for name in ("name", *(name for name in _TEXTS if name in fields))}
+    return clip_from(arrays | texts, place)
 
 
 def _cotracker(path: str | os.PathLike[str]) -> Clip:
@@ -196,7 +173,7 @@ def _cotracker(path: str | os.PathLike[str]) -> Clip:
     if seen.shape not in (tracks.shape[:3], (*tracks.shape[:3], 1)):
         raise fields.error("pred_visibility", f"shape {tracks.shape[:3]}", f"{seen.shape}")
     visible = seen.reshape(tracks.shape[1:3]).T > 0.5
-    return _tracks(path, "cotracker", np.swapaxes(tracks[0], 0, 1), visible, None)
+    return _tracks(path, "cotracker", np.swapaxes(tracks[0], 0, 1), visible)
 
 
 def _tapvid(path: str | os.PathLike[str], video: tuple[int, ...]) -> Clip:
@@ -215,14 +192,7 @@ def _tracks(
     format: str,
     xy: npt.NDArray[Any],
     visible: BoolArray,
-    size: tuple[int, int] | None,
+    size: tuple[int, int] | None = None,
 ) -> Clip:
-    return Clip(
-        name=clip_name(path),
-        dense=Trajectories(
-            np.where(visible[..., None], xy.astype(np.float64), np.nan), visible, image_size=size
-        ),
-        evaluated=np.arange(len(xy)),
-        labels=Labels(np.zeros(len(xy), dtype=np.int64)),
-        provenance=origin(path, format),
-    )
+    positions = np.where(visible[..., None], xy.astype(np.float64), np.nan)
+    return clip_of_tracks(path, format, Trajectories(positions, visible, image_size=size))
