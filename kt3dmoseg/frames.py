@@ -11,12 +11,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from kt3dmoseg import catalog
-from kt3dmoseg.catalog.models import format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_file, sha256_files
 from kt3dmoseg.io import dataset_paths, load
@@ -32,9 +30,11 @@ from kt3dmoseg.io.images import (
     read_frames,
 )
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
-from kt3dmoseg.kitti import Drive, RawDrive
-from kt3dmoseg.kitti.raw import LOCATED
 from kt3dmoseg.types import ByteArray, Camera, Clip, FloatArray
+
+# What KITTI's drives need is imported where there are any.
+if TYPE_CHECKING:
+    from kt3dmoseg.kitti import RawDrive
 
 _DRIVE_FOLDERS = "????_??_??/*_drive_????_sync"
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})")
@@ -243,6 +243,11 @@ def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
     FileFormatError
         When the file is no catalog, or a clip in it skips frames.
     """
+    from kt3dmoseg import catalog
+    from kt3dmoseg.catalog.models import format_numbers
+    from kt3dmoseg.kitti import RawDrive
+    from kt3dmoseg.kitti.raw import LOCATED
+
     path = Path(root) / LOCATED
     found: list[FrameSource] = []
     for clip in (catalog.load(path, built_in=False) if path.is_file() else {}).values():
@@ -292,6 +297,8 @@ def kitti_sources(
     InvalidValueError
         When a range or a name is given for several drives.
     """
+    from kt3dmoseg.kitti import Drive, RawDrive
+
     span = _span(frames)
     wanted = None if drive is None else Drive(date or "2011_09_26", drive).number  # type: ignore[arg-type]  # it converts
     found = [
@@ -331,6 +338,8 @@ def frame_folder(clip: Clip, root: str | os.PathLike[str]) -> Path | None:
     below, source = [Path(root, clip.name)], _kitti_source(clip)
     drive = _DRIVE.fullmatch(str(source.get("drive")))
     if drive and source.get("camera") in (0, 1, 2, 3):
+        from kt3dmoseg.kitti import Drive
+
         below.append(Path(root, Drive(drive[1], int(drive[2])).camera_folder(source["camera"]), "data"))
     return next((folder for folder in below if folder.is_dir()), None)
 

@@ -21,11 +21,12 @@ import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -123,8 +124,7 @@ class _Pool(Generic[TaskT, ResultT]):
                 while len(self.processes) < min(self.workers, len(self.waiting) + len(self.running)):
                     self._start()
                 for connection in wait(list(self.processes)):
-                    assert isinstance(connection, Connection)
-                    yield from self._receive(connection)
+                    yield from self._receive(cast(Connection, connection))
         finally:
             for process in self.processes.values():
                 process.kill()
@@ -135,7 +135,7 @@ class _Pool(Generic[TaskT, ResultT]):
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self.work))
-        with _inherited(_ENVIRONMENT):
+        with _inherited():
             process.start()
         theirs.close()  # so that the end of the process ends what can be read
         self.processes[ours] = process
@@ -182,8 +182,7 @@ class _Pool(Generic[TaskT, ResultT]):
 
 
 def _serve(connection: Connection, work: Callable[[Any, Progress], Any]) -> None:
-    """Do one task after the other, in a worker process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too, and ends its workers
+    """Do one task after the other, in a worker process; on Ctrl-C its parent ends it."""
     tasks: SimpleQueue[Any] = SimpleQueue()
     threading.Thread(target=_take_tasks, args=(connection, tasks), daemon=True).start()
 
@@ -210,15 +209,21 @@ def _take_tasks(connection: Connection, tasks: SimpleQueue[Any]) -> None:
 
 
 @contextmanager
-def _inherited(values: Mapping[str, str]) -> Iterator[None]:
-    """Give a process that starts in the block these variables, where they are not set already."""
-    added = values.keys() - os.environ.keys()
-    os.environ.update({name: values[name] for name in added})
+def _inherited() -> Iterator[None]:
+    """Let processes that start in the block inherit `_ENVIRONMENT` where it is not set, and no Ctrl-C."""
+    blocks = hasattr(signal, "pthread_sigmask")  # not on Windows
+    if blocks:
+        resource_tracker.ensure_running()  # which would unblock the signal when it starts itself
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    added = _ENVIRONMENT.keys() - os.environ.keys()
+    os.environ.update({name: _ENVIRONMENT[name] for name in added})
     try:
         yield
     finally:
         for name in added:
             del os.environ[name]
+        if blocks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _ignore(*_: object) -> None:

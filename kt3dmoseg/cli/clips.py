@@ -12,7 +12,7 @@ from cyclopts import Group, Parameter
 from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Whole, flags, progress_bar
 from kt3dmoseg.demo import DemoOptions
 from kt3dmoseg.draw import DrawOptions
-from kt3dmoseg.pipeline.options import BuildOptions
+from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.tracking.options import TrackOptions
 
 if TYPE_CHECKING:

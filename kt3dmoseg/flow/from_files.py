@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import sha256_arrays
-from kt3dmoseg.flow.base import check_pair
+from kt3dmoseg.flow import check_pair
 from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow
 from kt3dmoseg.io.images import frame_paths, read_frame
 from kt3dmoseg.options import option
@@ -32,7 +32,7 @@ class FlowFiles:
     backward: str = option("", "folder with the flow of each frame to the one before")
 
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
-        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`.
+        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`.
 
         Raises
         ------

@@ -8,7 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from kt3dmoseg.flow.base import check_pair
+from kt3dmoseg.flow import check_pair
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
@@ -28,7 +28,7 @@ class DisMedium:
     )
 
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
-        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`."""
+        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`."""
         check_pair(a, b)
         solver = cv2.DISOpticalFlow.create(_PRESETS[self.preset])
         return np.asarray(solver.calc(a, b, None), np.float32)  # type: ignore[call-overload]  # its stub forgets None
@@ -46,7 +46,7 @@ class Farneback:
     sigma: float = option(1.5, "standard deviation of the fit's weights in pixels", low=0.1, high=10)
 
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
-        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`."""
+        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`."""
         check_pair(a, b)
         unused = np.empty((*a.shape, 2), dtype=np.float32)
         field = cv2.calcOpticalFlowFarneback(

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.flow.base import check_pair, smooth
+from kt3dmoseg.flow import check_pair, smooth
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
@@ -70,7 +70,7 @@ class VariationalPyramid:
             raise InvalidValueError("reach", expected="distances of at least 1 pixel", found=f"{self.reach}")
 
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
-        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`."""
+        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`."""
         check_pair(a, b)
         field = _seed(a, b)
         frames = [smooth(frame * np.float32(self.contrast), self.smoothing) for frame in (a, b)]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from kt3dmoseg.errors import MissingDependencyError
-from kt3dmoseg.flow.base import check_pair
+from kt3dmoseg.flow import check_pair
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
@@ -30,7 +30,7 @@ class Raft:
     device: str = option("cpu", "where torch computes: cpu, cuda, ...")
 
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
-        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.base.Flow`.
+        """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`.
 
         Raises
         ------

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from kt3dmoseg.lazy import lazy
-from kt3dmoseg.pipeline.options import BuildOptions
+from kt3dmoseg.options import option
 
 if TYPE_CHECKING:
     from kt3dmoseg.frames import FrameFolder as FrameFolder
@@ -22,6 +23,20 @@ if TYPE_CHECKING:
 
 ALGORITHM_VERSION = 1
 """Raised when the same tracks and annotations or masks get other labels, or other rows are evaluated."""
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """From frames to a dataset file."""
+
+    flow: str = option("dis", "optical flow backend, a name of kt3dmoseg.flow.list()", metavar="NAME")
+    fraction: float = option(0.1, "share of the background that is drawn for evaluation", low=0, high=1)
+    seed: int = option(0, "seed of that draw; each clip draws by its own name", low=0)
+    smallest: int = option(
+        1, "moving objects with fewer trajectories are not evaluated (the 2018 release: 16)", low=1
+    )
+    colour: Literal["refuse", "luma"] = option("refuse", "colour frames: refuse them, or take their luma")
+
 
 # Imported on first use: `kt3dmoseg build --help` reads the options without loading OpenCV.
 _PUBLIC = {

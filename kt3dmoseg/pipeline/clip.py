@@ -1,25 +1,60 @@
-"""One clip: frames in, trajectories, labels and the evaluated rows out."""
+"""One clip: frames in, trajectories, labels and the evaluated rows out, and what they depend on."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
+import kt3dmoseg
+from kt3dmoseg import pipeline, tracking
 from kt3dmoseg.annotate import label_tracks, load_annotation
-from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import sha256_file, sha256_files
-from kt3dmoseg.flow import create
+from kt3dmoseg.flow import Flow, backend_identity, create
 from kt3dmoseg.frames import FrameSource, find_sources
+from kt3dmoseg.io import hdf5
+from kt3dmoseg.options import from_mapping, option_names
+from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.pipeline.masks import by_frame, label_by_masks, mask_paths
-from kt3dmoseg.pipeline.options import Settings
-from kt3dmoseg.pipeline.provenance import inputs_of
-from kt3dmoseg.tracking import Progress, subsample_background, track
+from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.tracking import Progress, TrackOptions, subsample_background, track
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
+
+_LIBRARIES = ("numpy", "scipy", "h5py")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that a clip depends on apart from its sources."""
+
+    build: BuildOptions = field(default_factory=BuildOptions)
+    tracks: TrackOptions = field(default_factory=TrackOptions)
+    flow_parameters: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, options: dict[str, Any], flow_parameters: dict[str, Any] | None = None) -> Settings:
+        """Sort keywords into the two groups of options; a misspelt one is an `UnknownNameError`."""
+        own, tracker = option_names(BuildOptions), option_names(TrackOptions)
+        for name in options:
+            if name not in (*own, *tracker):
+                raise unknown_name("option", name, [*own, *tracker])
+        return cls(
+            from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own}),
+            from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker}),
+            dict(flow_parameters or {}),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """All options by name, for the provenance."""
+        return asdict(self.build) | asdict(self.tracks)
 
 
 def build_clip(
@@ -153,3 +188,71 @@ class Job:
         rng = np.random.default_rng([chosen.seed, *self.source.name.encode()])
         rows = subsample_background(labels, rng, chosen.fraction, chosen.smallest)
         return rows, Labels(labels.label[rows], labels.background, labels.names)
+
+
+def inputs_of(
+    name: str, source: Mapping[str, Any], labels: Mapping[str, str], settings: Settings, flow: Flow
+) -> dict[str, Any]:
+    """Everything that the bytes of a built clip depend on, as JSON values.
+
+    `source` describes its frames, `labels` holds the sha256 of what labels it; a null flow means a
+    backend that depends on more than its parameters.
+    """
+    return {
+        "name": name,
+        "source": dict(source),
+        "labels": dict(labels),
+        "options": settings.as_dict(),
+        "flow": backend_identity(flow),
+        "versions": {"kt3dmoseg": kt3dmoseg.__version__} | _libraries(),
+        "algorithms": {"tracking": tracking.ALGORITHM_VERSION, "pipeline": pipeline.ALGORITHM_VERSION},
+    }
+
+
+def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -> str:
+    """Explain why a clip's file must be written, or why anyway by `force`; empty when it is up to date.
+
+    Raises
+    ------
+    InputFileError
+        For an intact clip that no build has made, unless forced: it may be the only copy.
+    """
+    if not target.exists():
+        return "new"
+    try:
+        provenance = hdf5.provenance(target)
+    except KT3DMoSegError as error:
+        return f"the file there is no intact clip ({error})"
+    found = provenance.get("inputs", provenance.get("fingerprint"))  # its name in 0.1.0
+    if not isinstance(found, dict):
+        if force:
+            return "asked for"
+        raise InputFileError(
+            f"{target}",
+            expected="no file, or a clip that was built from frames",
+            found="another clip",
+            fix="give another output folder, or --force to write over it",
+        )
+    if wanted["flow"] is None:
+        return "the fields of this flow backend may depend on more than its parameters"
+    changes = list(_differences(found, wanted, ""))
+    if force and not changes:
+        return "asked for"
+    return "; ".join(changes[:3]) + (f"; {len(changes) - 3} more changes" if len(changes) > 3 else "")
+
+
+def _differences(old: object, new: object, where: str) -> Iterator[str]:
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in sorted({*old, *new}):
+            yield from _differences(old.get(key), new.get(key), f"{where} {key}".strip())
+    elif old is None or new is None:
+        if old is not new:
+            yield f"{where} {'added' if old is None else 'removed'}"
+    elif old != new:
+        checksum = where.startswith("labels") or where.endswith("sha256")
+        yield f"{where} changed" if checksum else f"{where} was {old!r}, now {new!r}"
+
+
+@cache
+def _libraries() -> dict[str, str]:
+    return {"opencv": cv2.__version__} | {name: version(name) for name in _LIBRARIES}

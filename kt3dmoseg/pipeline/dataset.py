@@ -17,10 +17,8 @@ from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.parallel import Progress, run_tasks
-from kt3dmoseg.pipeline.clip import Job, check_usage, label_files
+from kt3dmoseg.pipeline.clip import Job, Settings, check_usage, label_files, why_build
 from kt3dmoseg.pipeline.masks import has_masks
-from kt3dmoseg.pipeline.options import Settings
-from kt3dmoseg.pipeline.provenance import why_build
 
 FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
 """Called after each frame with the clip, frames done, frames in all or None."""

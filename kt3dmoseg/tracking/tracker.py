@@ -20,9 +20,8 @@ from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame, read_frames
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking.appearance import Appearance
-from kt3dmoseg.tracking.linking import inside, step
+from kt3dmoseg.tracking.linking import inside, new_seeds, step
 from kt3dmoseg.tracking.options import TrackOptions
-from kt3dmoseg.tracking.seeding import new_seeds
 from kt3dmoseg.tracking.trajectories import RunTrajectories
 from kt3dmoseg.types import (
     BoolArray,

@@ -1,4 +1,4 @@
-"""Every registered flow backend keeps the contract of `kt3dmoseg.flow.base.Flow`."""
+"""Every registered flow backend keeps the contract of `kt3dmoseg.flow.Flow`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from kt3dmoseg import flow
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError, UnknownNameError
-from kt3dmoseg.flow.base import Flow
+from kt3dmoseg.flow import Flow
 from kt3dmoseg.io.flow_files import write_flow
 
 SHIFT = (3.0, -2.0)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from kt3dmoseg.flow.base import smooth
+from kt3dmoseg.flow import smooth
 from kt3dmoseg.tracking import TrackOptions
-from kt3dmoseg.tracking.seeding import grid, new_seeds, smaller_eigenvalue, structured, uncovered
+from kt3dmoseg.tracking.linking import grid, new_seeds, smaller_eigenvalue, structured, uncovered
 
 DEFAULT = TrackOptions()
 
