@@ -14,12 +14,13 @@ import dataclasses
 import types
 import typing
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, TypeVar, Union
+from typing import Any, Literal, TypeVar
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 
 T = TypeVar("T")
+_BOOLEANS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 
 def option(
@@ -91,7 +92,8 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
         if key not in known:
             raise unknown_name("option" if where else f"option of {cls.__name__}", key, known, where=where)
         if key in presets(cls):
-            given = {**presets(cls)[key].values, **given} if _boolean(value, _at(where, key)) else given
+            asked = _convert(value, bool, _at(where, key))
+            given = {**presets(cls)[key].values, **given} if asked else given
         else:
             given[key] = _convert(value, hints[key], _at(where, key))
     return check(cls(**given), where=where)
@@ -148,70 +150,41 @@ def describe(cls: type[Any]) -> list[tuple[str, str, str]]:
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401
-    origin = typing.get_origin(hint)
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):  # X | None
+        missing = value is None or (isinstance(value, str) and value in ("", "none", "None"))
+        return None if missing else _convert(value, inner[0], where)
+    if origin is tuple:  # tuple[X, ...]
+        parts = [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+        if not isinstance(parts, Iterable):
+            raise InvalidValueError(where, expected="several values", found=repr(value))
+        return tuple(_convert(part, inner[0], where) for part in parts)
     if origin is Literal:
-        return _one_of(value, typing.get_args(hint), where)
-    if origin in (Union, types.UnionType):
-        return _first_fit(value, typing.get_args(hint), where)
-    if origin is tuple:
-        return _tuple(value, typing.get_args(hint), where)
-    if hint is bool:
-        return _boolean(value, where)
-    if hint in (int, float, str):
-        return _scalar(value, hint, where)
-    return value
+        return _choice(value, {str(choice): choice for choice in inner}, where)
+    if hint is bool and not isinstance(value, bool):
+        return _choice(str(value).lower(), _BOOLEANS, where, "true or false")
+    return _scalar(value, hint, where) if hint in (int, float, str) else value
 
 
-def _one_of(value: Any, choices: tuple[Any, ...], where: str) -> Any:  # noqa: ANN401
-    for choice in choices:
-        if value == choice or str(value) == str(choice):
-            return choice
-    raise InvalidValueError(where, expected=f"one of {', '.join(map(str, choices))}", found=repr(value))
-
-
-def _first_fit(value: Any, hints: tuple[Any, ...], where: str) -> Any:  # noqa: ANN401
-    if type(None) in hints and (value is None or value in ("", "none", "None")):
-        return None
-    failure: InvalidValueError | None = None
-    for hint in hints:
-        if hint is not type(None):
-            try:
-                return _convert(value, hint, where)
-            except InvalidValueError as error:
-                failure = failure or error
-    assert failure is not None
-    raise failure
-
-
-def _tuple(value: Any, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:  # noqa: ANN401
-    parts = [p.strip() for p in value.split(",")] if isinstance(value, str) else list(value)
-    each = [hints[0]] * len(parts) if len(hints) == 2 and hints[1] is Ellipsis else list(hints)
-    if len(each) != len(parts):
-        raise InvalidValueError(where, expected=f"{len(each)} values", found=repr(value))
-    return tuple(_convert(p, h, where) for p, h in zip(parts, each, strict=True))
-
-
-def _boolean(value: Any, where: str) -> bool:  # noqa: ANN401
-    if isinstance(value, bool):
-        return value
-    words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-    word = str(value).lower()
-    if word not in words:
-        raise InvalidValueError(where, expected="true or false", found=repr(value))
-    return words[word]
+def _choice(value: Any, choices: Mapping[str, Any], where: str, expected: str = "") -> Any:  # noqa: ANN401
+    if str(value) not in choices:
+        expected = expected or f"one of {', '.join(choices)}"
+        raise InvalidValueError(where, expected=expected, found=repr(value))
+    return choices[str(value)]
 
 
 def _scalar(value: Any, kind: type[Any], where: str) -> Any:  # noqa: ANN401
-    allowed = {int: (int, str), float: (int, float, str), str: (str,)}[kind]
+    noun, allowed = {
+        int: ("a whole number", (int, str)),
+        float: ("a number", (int, float, str)),
+        str: ("text", (str,)),
+    }[kind]
     try:
-        if isinstance(value, bool) or not (isinstance(value, allowed) or hasattr(value, "item")):
-            raise ValueError
-        number = kind(value)
-        if kind is float and number != number:
-            raise ValueError
-        if kind is int and not isinstance(value, str) and number != value:
-            raise ValueError
+        fits = (isinstance(value, allowed) or hasattr(value, "item")) and not isinstance(value, bool)
+        converted = kind(value) if fits else None
     except (ValueError, TypeError, OverflowError):
-        noun = {int: "a whole number", float: "a number", str: "text"}[kind]
-        raise InvalidValueError(where, expected=noun, found=repr(value)) from None
-    return number
+        converted = None
+    same = kind is not int or isinstance(value, str) or converted == value
+    if converted is None or converted != converted or not same:
+        raise InvalidValueError(where, expected=noun, found=repr(value))
+    return converted

@@ -32,8 +32,8 @@ class Registry:
 
     def targets(self) -> dict[str, str]:
         """Every name and its target; built-in names first, then third parties' by name."""
-        others = {e.name: e.value for e in sorted(entry_points(group=self.group), key=lambda e: e.name)}
-        return self.table | {name: value for name, value in others.items() if name not in self.table}
+        others = sorted((point.name, point.value) for point in entry_points(group=self.group))
+        return self.table | {name: value for name, value in others if name not in self.table}
 
     def names(self) -> list[str]:
         """All names, built-in first."""
