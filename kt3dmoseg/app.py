@@ -122,19 +122,8 @@ def _flags(cls: type[Any]) -> Iterator[inspect.Parameter]:
         hint, about = hints[spec.name], spec.metadata
         metavar = about["metavar"] or {int: "N", float: "X"}.get(hint, spec.name.upper())
         kind = hint if hint is bool or typing.get_origin(hint) is Literal else str | hint
-        yield flag(
-            spec.name,
-            spec.default,
-            kind,
-            help=about["help"],
-            metavar=metavar,
-            group=groups[spec.name not in everyday],
-            show_default=_shown if isinstance(spec.default, tuple) else None,
-        )
-
-
-def _shown(default: tuple[object, ...]) -> str:
-    return ",".join(map(str, default))
+        group = groups[spec.name not in everyday]
+        yield flag(spec.name, spec.default, kind, help=about["help"], metavar=metavar, group=group)
 
 
 class _Help:
@@ -281,7 +270,7 @@ def _commands(app: cyclopts.App) -> list[str]:
 
 
 def _mistake(error: cyclopts.CycloptsError) -> str:
-    """Say in one line what is wrong with the arguments."""
+    """Describe in one line what is wrong with the arguments."""
     if isinstance(error, cyclopts.UnknownOptionError):
         return _unknown_option(error)
     if isinstance(error, cyclopts.UnusedCliTokensError):

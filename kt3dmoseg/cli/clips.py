@@ -41,8 +41,8 @@ def demo(
 ) -> None:
     """Go the whole way on synthetic drives: render, annotate, build, segment, validate, score, report.
 
-    Takes about a minute; nothing is downloaded. Every step says which command does it on real
-    data.
+    Takes about a minute; nothing is downloaded. Every step names the command that does it on
+    real data.
 
     Parameters
     ----------
@@ -422,7 +422,7 @@ def _write(clip: Clip, target: Path, at: int | None, rate: float, drawn: Callabl
 
 
 def info(path: Either, /, *, json: Flag = False) -> None:
-    """Say what is inside a clip, a folder of clips, a folder of frames, a video or a flow field.
+    """Describe a clip, a folder of clips, a folder of frames, a video or a flow field.
 
     Parameters
     ----------
@@ -441,8 +441,8 @@ def info(path: Either, /, *, json: Flag = False) -> None:
 def convert(source: File, target: File, /) -> None:
     """Convert a clip (.h5, .mat, .npz, .dat) or a flow field (.flo, .png, .npy, .npz).
 
-    The suffix of TARGET names the format; SOURCE is recognised by its content. The command says what the
-    format of TARGET cannot hold.
+    The suffix of TARGET names the format; SOURCE is recognised by its content. What the format of TARGET
+    cannot hold is listed.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ def pull(
 ) -> None:
     """Fetch the clips' frames from KITTI raw, and nothing else.
 
-    Only the needed members of KITTI's zips are read: frames, their timestamps and GPS/IMU packets, the
+    Only the needed files of KITTI's zips are read: frames, their timestamps and GPS/IMU packets, the
     calibration, and tracklets where there are any. Run it again after an interruption: it continues, and
     fetches nothing twice. A second run that finds everything in place makes no request.
 
@@ -49,7 +49,7 @@ def locate(
 ) -> None:
     """Find the frame numbers of clips in their KITTI drives.
 
-    The directory of a drive's zip tells CRC32 and size of every frame; that is enough when the clip's frames
+    The directory of a drive's zip has CRC32 and size of every frame; that is enough when the clip's frames
     are KITTI's own files, and costs a few hundred kB. Otherwise the drive's frames are read and compared by
     pixels; and, when the clip's own frames are given, by correlation. What is proved goes to located.toml in
     the output folder, where `kt3dmoseg pull` and `kt3dmoseg build` find it.
@@ -92,13 +92,13 @@ def list_clips(*, catalogs: Catalogs = ()) -> None:
     from kt3dmoseg.catalog import load
     from kt3dmoseg.catalog.models import format_numbers
 
-    entries = load(*catalogs)
-    width = max(map(len, entries), default=4)
+    clips = load(*catalogs)
+    width = max(map(len, clips), default=4)
     print(f"{'clip':<{width}}  {'drive':<21}  camera  frames  size       numbers")
-    for entry in entries.values():
-        size = "x".join(map(str, entry.size)) if entry.size else "unknown"
-        numbers = format_numbers(entry.numbers) if entry.numbers else "to be located"
-        columns = f"{entry.name:<{width}}  {entry.drive.name:<21}  {entry.camera:>6}  {entry.length:>6}"
+    for clip in clips.values():
+        size = "x".join(map(str, clip.size)) if clip.size else "unknown"
+        numbers = format_numbers(clip.numbers) if clip.numbers else "to be located"
+        columns = f"{clip.name:<{width}}  {clip.drive.name:<21}  {clip.camera:>6}  {clip.length:>6}"
         print(f"{columns}  {size:<9}  {numbers}")
 
 
@@ -117,13 +117,13 @@ def check(*catalogs: Path) -> None:
     names: dict[str, str] = {}
     wrong = 0
     for path in catalogs or [BUILT_IN]:
-        entries, problems = parse(path)
-        problems += [f"clips.{name}: also in {names[name]}" for name in entries if name in names]
-        names |= dict.fromkeys(entries, str(path))
+        clips, problems = parse(path)
+        problems += [f"clips.{name}: also in {names[name]}" for name in clips if name in names]
+        names |= dict.fromkeys(clips, str(path))
         for problem in problems:
             print(f"{path}: {problem}")
         wrong += len(problems)
-        print(f"{path}: {len(entries)} clips, {len(problems)} problems")
+        print(f"{path}: {len(clips)} clips, {len(problems)} problems")
     if wrong:
         raise FileFormatError("catalog check", found=f"{wrong} problems")
 

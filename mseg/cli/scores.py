@@ -81,7 +81,7 @@ def example_submission(
 
 
 def validate(submission: Submission, data: Data, /, *, benchmark: Benchmark = "", json: Json = False) -> int:
-    """Say everything that is wrong with a submission, numbered, with how to fix it.
+    """Report everything that is wrong with a submission, numbered, with how to fix it.
 
     Exit code 0: valid; 1: invalid; 2: wrong usage (no such file, no data).
     """

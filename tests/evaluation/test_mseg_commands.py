@@ -1,4 +1,4 @@
-"""What the commands say beside what their functions do."""
+"""What the commands print in addition to what their functions do."""
 
 import pytest
 from evaluation_helpers import CLIPS, perfect
@@ -20,36 +20,36 @@ def data(tmp_path):
 def usage_error(capsys, *words):
     """Exit with 2 and one line; return the line."""
     code = mseg.cli.main(list(words))
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     assert code == 2
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    return said.err
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    return printed.err
 
 
 def test_run_names_the_clips_that_failed_and_the_next_step(data, tmp_path, capsys):
     out = str(tmp_path / "p")
     assert mseg.cli.main(["run", data, "-o", out, "--method", "affine", "--n-motions", "50"]) == 0
-    said = capsys.readouterr()
-    [line] = [line for line in said.err.splitlines() if "example_two" in line]
+    printed = capsys.readouterr()
+    [line] = [line for line in printed.err.splitlines() if "example_two" in line]
     assert line.startswith("failed: example_two.failed: expected at least 50 ")
-    # Each file tells it once, also beside the name that is given by whoever shows it.
+    # The file does not name the clip: whoever shows it does.
     assert "example_two" not in (tmp_path / "p" / "example_two.failed").read_text()
-    assert f"check it: mseg validate {out} {data}" in said.err
-    assert "(1 run failed)" in said.err
-    assert said.out == ""
+    assert f"check it: mseg validate {out} {data}" in printed.err
+    assert "(1 run failed)" in printed.err
+    assert printed.out == ""
 
 
 @pytest.mark.parametrize("flag", ["--seeds", "--workers", "--n-motions"])
 @pytest.mark.parametrize("value", ["0", "-1", "two", "1.5"])
 def test_counts_are_whole_numbers_from_1_up(flag, value, data, tmp_path, capsys):
-    said = usage_error(capsys, "run", data, "-o", str(tmp_path / "p"), flag, value)
-    assert f"argument {flag}: expected a whole number >= 1, found '{value}'" in said
+    printed = usage_error(capsys, "run", data, "-o", str(tmp_path / "p"), flag, value)
+    assert f"argument {flag}: expected a whole number >= 1, found '{value}'" in printed
 
 
 def test_seed_is_not_taken_for_seeds(data, tmp_path, capsys):
-    said = usage_error(capsys, "run", data, "-o", str(tmp_path / "p"), "--seed", "3")
-    assert "did you mean '--seeds'?" in said
+    printed = usage_error(capsys, "run", data, "-o", str(tmp_path / "p"), "--seed", "3")
+    assert "did you mean '--seeds'?" in printed
 
 
 def test_data_come_last(data, tmp_path, capsys):
@@ -63,20 +63,20 @@ def test_data_come_last(data, tmp_path, capsys):
 
 def test_a_leaderboard_is_not_made_for_nothing(tmp_path, capsys):
     submission, board = str(perfect(tmp_path / "s")), tmp_path / "board.sqlite"
-    said = usage_error(capsys, "leaderboard", "add", submission, "--db", str(board))
-    assert "give it after the submission" in said
+    printed = usage_error(capsys, "leaderboard", "add", submission, "--db", str(board))
+    assert "give it after the submission" in printed
     assert not board.exists()
 
 
-def test_an_output_that_cannot_be_written_is_told_before_the_work(data, tmp_path, capsys, monkeypatch):
+def test_an_output_that_cannot_be_written_is_reported_before_the_work(data, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(predictions, "run_tasks", None)
     (tmp_path / "file").write_text("")
-    said = usage_error(capsys, "run", data, "-o", str(tmp_path / "file"))
-    assert "cannot write" in said
-    assert "a file is where a folder should be" in said
+    printed = usage_error(capsys, "run", data, "-o", str(tmp_path / "file"))
+    assert "cannot write" in printed
+    assert "a file is where a folder should be" in printed
 
 
-def test_an_example_that_could_not_be_written_whole_leaves_nothing(data, tmp_path, capsys, monkeypatch):
+def test_an_example_that_could_not_be_written_completely_leaves_nothing(data, tmp_path, capsys, monkeypatch):
     def full_disk(folder, *_, **__):
         (folder / "first.csv").parent.mkdir()
         (folder / "first.csv").write_text("track,label")
@@ -91,10 +91,10 @@ def test_a_leaderboard_that_cannot_be_written_is_one_line(data, tmp_path, capsys
     assert mseg.cli.main(["example-submission", data, "-o", str(tmp_path / "s")]) == 0
     capsys.readouterr()
     (tmp_path / "board").mkdir()
-    said = usage_error(
+    printed = usage_error(
         capsys, "leaderboard", "add", str(tmp_path / "s"), data, "--db", str(tmp_path / "board")
     )
-    assert "board: cannot write" in said
+    assert "board: cannot write" in printed
 
 
 def test_clips_without_labels_need_a_number_of_motions(tmp_path, capsys):

@@ -179,7 +179,6 @@ def test_help_names_the_values_and_the_defaults(call, monkeypatch):
     assert "--alpha X Power, 50 % of it (default: 8.0)" in text
     assert "--kind {a,b} Kind (default: a)" in text
     assert "--where FOLDER Where they are 1 more" in text  # no default
-    assert "--scales SCALES Scales (default: 1.0)" in text
     assert "--steep High powers: alpha 30.0, rounds 9" in text
     assert "--fast, --no-fast Speed (default: False)" in text
     assert "\nWhat the tests set:\n" in out
