@@ -10,19 +10,18 @@ from kt3dmoseg.lazy import lazy
 from kt3dmoseg.options import option
 
 if TYPE_CHECKING:
-    from kt3dmoseg.draw.painting import Painting, by_label, by_length, by_prediction, draw_frame
+    from kt3dmoseg.draw.painting import Painting as Painting
+    from kt3dmoseg.draw.painting import by_label as by_label
+    from kt3dmoseg.draw.painting import by_length as by_length
+    from kt3dmoseg.draw.painting import by_prediction as by_prediction
+    from kt3dmoseg.draw.painting import draw_frame as draw_frame
 
-__all__ = [
-    "PALETTE",
-    "UNLABELLED",
-    "DrawOptions",
-    "Painting",
-    "by_label",
-    "by_length",
-    "by_prediction",
-    "draw_frame",
-    "label_colour",
-]
+# Imported on first use: `kt3dmoseg show --help` reads the options without loading OpenCV.
+_PAINTING = ("Painting", "by_label", "by_length", "by_prediction", "draw_frame")
+
+__all__ = ["PALETTE", "UNLABELLED", "DrawOptions", "label_colour", *_PAINTING]  # noqa: PLE0604
+
+__getattr__, __dir__ = lazy(__name__, dict.fromkeys(_PAINTING, "painting"))
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,3 @@ class DrawOptions:
     radius: float = option(2.0, "radius of the points, pixels of the frame", low=0.5, high=50)
     scale: int = option(1, "enlargement of the frames and of all that is drawn", low=1, high=8)
     dim: float = option(0.6, "brightness of the frames under the trajectories", low=0, high=1)
-
-
-# Imported on first use: `kt3dmoseg show --help` reads the options without loading OpenCV.
-_PAINTING = ("Painting", "by_label", "by_length", "by_prediction", "draw_frame")
-
-__getattr__, __dir__ = lazy(__name__, dict.fromkeys(_PAINTING, "painting"))

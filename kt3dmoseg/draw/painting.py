@@ -53,9 +53,9 @@ def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None =
     """
     values = np.asarray(label, dtype=np.int64)
     background = None if names is None else clip.labels.background
-    called = (
-        {0: "unlabelled"} | ({} if background is None else {background: "background"}) | dict(names or {})
-    )
+    called = {0: "unlabelled"} | dict(names or {})
+    if background is not None:
+        called.setdefault(background, "background")
     legend = []
     for value, count in zip(*(part.tolist() for part in np.unique(values, return_counts=True)), strict=True):
         text = f"{value} {called.get(value, '')}".rstrip()
@@ -195,16 +195,17 @@ def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int3
 
 
 def _draw_legend(canvas: ByteArray, title: str, legend: Legend, scale: int) -> None:
-    lines = ([title] if title else []) + [text for text, _ in legend]
+    lines: list[tuple[str, Colour | None]] = [(title, None)] if title else []
+    lines += legend
     if not lines:
         return
     size, line = _FONT_SCALE * scale, _LINE * scale
-    widest = max(cv2.getTextSize(text, _FONT, size, scale)[0][0] for text in lines)
+    widest = max(cv2.getTextSize(text, _FONT, size, scale)[0][0] for text, _ in lines)
     canvas[: line * len(lines) + 8 * scale, : min(widest + 30 * scale, canvas.shape[1])] //= 4
-    for number, text in enumerate(lines):
-        left = 6 if title and not number else 22
-        place = (left * scale, line * (number + 1))
-        cv2.putText(canvas, text, place, _FONT, size, _WHITE, scale, cv2.LINE_AA)
-    for number, (_, colour) in enumerate(legend, start=len(lines) - len(legend)):
-        top = line * number + 5 * scale
-        cv2.rectangle(canvas, (7 * scale, top), (17 * scale, top + 9 * scale), colour, cv2.FILLED)
+    for number, (text, colour) in enumerate(lines):
+        left, top = 6 if colour is None else 22, line * number + 5 * scale
+        cv2.putText(
+            canvas, text, (left * scale, line * (number + 1)), _FONT, size, _WHITE, scale, cv2.LINE_AA
+        )
+        if colour is not None:
+            cv2.rectangle(canvas, (7 * scale, top), (17 * scale, top + 9 * scale), colour, cv2.FILLED)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kt3dmoseg.synthetic.materials import Material
-from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+from kt3dmoseg.types import FloatArray, IntArray
 
 NEAR = 0.1  # metres; nothing nearer to the camera is seen
 SKY = -1  # "face" of a ray that hits nothing
@@ -185,17 +185,13 @@ def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):  # rays parallel to the face
             z = distance[row] / _along(normal[row], x, y)
-            inside = _on_face(mesh, row, x, y, z) & (z < known)
+            u, v = surface_coordinates(mesh, row, x, y, z)
+            (width, height), (left, right) = mesh.extent[row], mesh.lean[row]
+            inside = (z > NEAR) & (z < known) & (v >= 0) & (v <= height)
+            inside &= (u >= left * v) & (u <= width - right * v)
         depth[where] = np.where(inside, z, known)
         face[where] = np.where(inside, row, face[where])
     return depth, face
-
-
-def _on_face(mesh: Mesh, row: int, x: FloatArray, y: FloatArray, z: FloatArray) -> BoolArray:
-    u, v = surface_coordinates(mesh, row, x, y, z)
-    (width, height), (left, right) = mesh.extent[row], mesh.lean[row]
-    inside: BoolArray = (z > NEAR) & (v >= 0) & (v <= height) & (u >= left * v) & (u <= width - right * v)
-    return inside
 
 
 def surface_coordinates(

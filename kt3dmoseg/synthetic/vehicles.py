@@ -58,24 +58,12 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Vehicle:
-    """A rigid moving object.
+    """A rigid moving object."""
 
-    Parameters
-    ----------
-    name : str
-        For instance ``"oncoming van"``.
-    kind : str
-        ``"car"``, ``"van"`` or ``"truck"``.
-    drive : Drive
-        Its motion; time 0 is the middle of the clip.
-    size : (width, height, length)
-        Metres.
-    """
-
-    name: str
+    name: str  # for instance "oncoming van"
     kind: Kind
-    drive: Drive
-    size: tuple[float, float, float]
+    drive: Drive  # its motion; time 0 is the middle of the clip
+    size: tuple[float, float, float]  # width, height, length in metres
 
 
 def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:

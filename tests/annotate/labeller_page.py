@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 from kt3dmoseg.annotate import load_annotation
@@ -31,10 +32,14 @@ class Server:
         ]
         environment = os.environ | {"OMP_NUM_THREADS": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+        watchdog = threading.Timer(LIMIT, self.process.kill)  # a server that never answers ends the loop
+        watchdog.start()
         for line in self.process.stdout:
             if found := re.search(r"http://\S+:(\d+)/\S*", line):
+                watchdog.cancel()
                 self.address, self.port = found.group(0), int(found.group(1))
                 return
+        watchdog.cancel()
         raise AssertionError("the server did not start")
 
     def stop(self, how=signal.SIGINT):
