@@ -16,7 +16,6 @@ from kt3dmoseg.types import Clip
 from mseg.benchmark.results import BenchmarkResult
 from mseg.benchmark.tasks import (
     Configuration,
-    Outcome,
     Task,
     keep_outcome,
     lost_task,
@@ -95,25 +94,35 @@ def run(
     if not wanted or not configurations:
         raise InvalidValueError("benchmark", expected="at least one method and one seed", found="none")
     paths, others = find_clips(protocol, data)
-    clips = {name: load(path) for name, path in paths.items()}
+    clips = [load(path) for path in paths.values()]
+    shape = (len(configurations), len(clips), len(wanted))
     keys = {
-        (configuration.title, name, seed): outcome_key(configuration, clip, clip.n_motions, seed)
-        for configuration in configurations
-        for name, clip in clips.items()
-        for seed in wanted
+        (m, i, s): outcome_key(configurations[m], clips[i], clips[i].n_motions, wanted[s])
+        for m, i, s in np.ndindex(shape)
     }
     store = Cache(cache)
     outcomes = {key: outcome for key in keys.values() if (outcome := read_outcome(store, key))}
-    tasks = _tasks(configurations, clips, wanted, keys, outcomes, str(kernels or ""))
-    results = run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask)
-    for done, (task, made) in enumerate(results, 1):
+    tasks = _tasks(configurations, clips, wanted, keys, set(outcomes), str(kernels or ""))
+    for done, (task, made) in enumerate(
+        run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask), 1
+    ):
         for outcome in made:
             outcomes[outcome.key] = outcome
             keep_outcome(store, outcome)
         if progress:
             progress(done, len(tasks), task.name)
-    found = {where: outcomes[key] for where, key in keys.items()}
-    return _result(protocol, configurations, clips, wanted, found, others)
+    errors, seconds, failures = np.ones(shape), np.full(shape, np.nan), []
+    for (m, i, s), key in keys.items():
+        outcome = outcomes[key]
+        seconds[m, i, s] = outcome.seconds
+        if outcome.labels is None:
+            failures.append((configurations[m], clips[i].name, wanted[s], outcome.reason))
+        else:
+            errors[m, i, s] = classification_error(clips[i].labels.label, outcome.labels)
+    motions = {name: clip.n_motions for name, clip in zip(paths, clips, strict=True)}
+    return BenchmarkResult(
+        protocol, configurations, motions, wanted, errors, seconds, tuple(failures), tuple(others)
+    )
 
 
 def find_clips(
@@ -196,46 +205,19 @@ def _default_folders(protocol: Protocol) -> list[Path]:
 
 def _tasks(
     configurations: Sequence[Configuration],
-    clips: Mapping[str, Clip],
+    clips: Sequence[Clip],
     seeds: Sequence[int],
-    keys: Mapping[tuple[str, str, int], str],
-    done: Mapping[str, Outcome],
+    keys: Mapping[tuple[int, int, int], str],
+    claimed: set[str],
     kernels: str,
 ) -> list[Task]:
     """One task per clip and seed that has anything left to run; large clips first."""
     tasks = []
-    claimed = set(done)
-    for name in sorted(clips, key=lambda n: -len(clips[n].evaluated) * clips[n].n_frames):
-        clip = clips[name]
-        for seed in seeds:
-            work = [(keys[c.title, name, seed], c) for c in configurations]
-            todo = tuple((k, c) for k, c in work if k not in claimed)
-            claimed.update(k for k, _ in todo)
+    for i in sorted(range(len(clips)), key=lambda i: -len(clips[i].evaluated) * clips[i].n_frames):
+        for s, seed in enumerate(seeds):
+            work = [(keys[m, i, s], configuration) for m, configuration in enumerate(configurations)]
+            todo = tuple((key, configuration) for key, configuration in work if key not in claimed)
+            claimed.update(key for key, _ in todo)
             if todo:
-                tasks.append(Task(clip.without_labels(), clip.n_motions, seed, todo, kernels))
+                tasks.append(Task(clips[i].without_labels(), clips[i].n_motions, seed, todo, kernels))
     return tasks
-
-
-def _result(
-    protocol: Protocol,
-    configurations: tuple[Configuration, ...],
-    clips: Mapping[str, Clip],
-    seeds: tuple[int, ...],
-    outcomes: Mapping[tuple[str, str, int], Outcome],
-    others: Sequence[str],
-) -> BenchmarkResult:
-    shape = (len(configurations), len(clips), len(seeds))
-    errors, seconds = np.ones(shape), np.full(shape, np.nan)
-    failures = []
-    for m, i, s in np.ndindex(shape):
-        configuration, (name, clip), seed = configurations[m], list(clips.items())[i], seeds[s]
-        outcome = outcomes[configuration.title, name, seed]
-        seconds[m, i, s] = outcome.seconds
-        if outcome.labels is None:
-            failures.append((configuration, name, seed, outcome.reason))
-        else:
-            errors[m, i, s] = classification_error(clip.labels.label, outcome.labels)
-    motions = {name: clip.n_motions for name, clip in clips.items()}
-    return BenchmarkResult(
-        protocol, configurations, motions, seeds, errors, seconds, tuple(failures), tuple(others)
-    )

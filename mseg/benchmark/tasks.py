@@ -44,49 +44,23 @@ class Configuration:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a method made of a clip.
+    """What a method made of a clip."""
 
-    Parameters
-    ----------
-    key : str
-        Of the configuration, clip and seed, see `outcome_key`.
-    labels : (n,) int64 or None
-        None when it failed.
-    seconds : float
-        CPU time, including that of kernels which another method of the task had made already.
-    reason : str
-        Why it failed; empty when it did not.
-    """
-
-    key: str
-    labels: IntArray | None
-    seconds: float
-    reason: str = ""
+    key: str  # of the configuration, clip and seed
+    labels: IntArray | None  # None when it failed
+    seconds: float  # CPU time, with that of kernels which another method of the task had made already
+    reason: str = ""  # why it failed
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Configurations to run on one clip with one seed; they share kernels.
+    """Configurations to run on one clip with one seed; they share kernels."""
 
-    Parameters
-    ----------
-    clip : Clip
-        The sequence, without labels.
-    n_motions : int or None
-        Number of motions given to the methods.
-    seed : int
-        Seed of every configuration.
-    work : tuple of (key, Configuration)
-        What to run.
-    kernels : str
-        Folder where kernels are kept for later runs; empty = nowhere.
-    """
-
-    clip: Clip
-    n_motions: int | None
+    clip: Clip  # without labels
+    n_motions: int | None  # given to the methods
     seed: int
-    work: tuple[tuple[str, Configuration], ...]
-    kernels: str = ""
+    work: tuple[tuple[str, Configuration], ...]  # keys and what to run
+    kernels: str = ""  # folder where kernels are kept for later runs
 
     @property
     def name(self) -> str:

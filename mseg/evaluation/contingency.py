@@ -124,14 +124,9 @@ def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | 
 
 
 def label_vector(values: npt.ArrayLike, name: str) -> IntArray:
-    """Return labels as an (n,) int64 vector.
+    """Return labels as an (n,) int64 vector; InvalidValueError for NaN, fractions, negative numbers, texts.
 
     Whole numbers held as floats (as MATLAB does) and (n, 1) or (1, n) arrays are accepted.
-
-    Raises
-    ------
-    InvalidValueError
-        For anything else: NaN, fractions, negative numbers, matrices, text.
     """
     array = np.asarray(values)
     if array.ndim == 2 and 1 in array.shape:

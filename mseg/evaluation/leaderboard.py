@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import write_text
-from mseg.evaluation.protocol import list_protocols, load_protocol
+from mseg.evaluation.protocol import list_protocols, load_protocol, share
 from mseg.evaluation.scoring import ScoreTable, from_json, to_json
 
 if TYPE_CHECKING:
@@ -26,31 +25,12 @@ _VERSION = 1
 _WAIT_SECONDS = 60.0
 # What makes two submissions the same.
 _SAME = ("benchmark", "dataset_sha256", "submission_sha256", "toolkit_version")
-_SCHEMA = f"""
-CREATE TABLE entries (
-    id INTEGER PRIMARY KEY,
-    added TEXT NOT NULL,
-    benchmark TEXT NOT NULL,
-    method TEXT NOT NULL,
-    dataset_version TEXT NOT NULL,
-    dataset_sha256 TEXT NOT NULL,
-    submission_sha256 TEXT NOT NULL,
-    toolkit_version TEXT NOT NULL,
-    clips INTEGER NOT NULL,
-    clips_in_full INTEGER NOT NULL,
-    failed INTEGER NOT NULL,
-    seeds INTEGER NOT NULL,
-    mean REAL NOT NULL,
-    median REAL NOT NULL,
-    scores TEXT NOT NULL,
-    UNIQUE ({", ".join(_SAME)})
-)
-"""
+_TYPES = {"str": "TEXT NOT NULL", "int": "INTEGER NOT NULL", "float": "REAL NOT NULL"}
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One scored submission."""
+    """One scored submission; the columns of the file, which also has the scores as JSON."""
 
     id: int
     added: str  # UTC, ISO 8601
@@ -61,7 +41,7 @@ class Entry:
     submission_sha256: str
     toolkit_version: str
     clips: int
-    clips_in_full: int  # of the whole benchmark
+    clips_in_full: int  # of the complete benchmark
     failed: int  # clip runs counted as fully wrong
     seeds: int
     mean: float  # classification error over clips, a fraction
@@ -80,19 +60,11 @@ class Board:
         """Lay the board out."""
         from mseg.evaluation.results import ResultsTable
 
-        rows = [
-            [
-                "-" if rank is None else str(rank),
-                entry.method,
-                f"{100 * entry.mean:.2f}",
-                f"{100 * entry.median:.2f}",
-                str(entry.seeds),
-                str(entry.failed) if entry.failed else "",
-                entry.added[:10],
-                entry.submission_sha256[:8],
-            ]
-            for rank, entry in self.ranked
-        ]
+        rows = []
+        for rank, e in self.ranked:
+            errors = [f"{100 * e.mean:.2f}", f"{100 * e.median:.2f}"]
+            facts = [str(e.seeds), str(e.failed or ""), e.added[:10], e.submission_sha256[:8]]
+            rows.append([str(rank or "-"), e.method, *errors, *facts])
         columns = ["rank", "method", "mean", "median", "seeds", "failed", "added", "submission"]
         return ResultsTable(f"{self.title}: {self.about}", columns, rows)
 
@@ -121,16 +93,24 @@ class Leaderboard:
 
     def __init__(self, path: str | os.PathLike[str], *, create: bool = True) -> None:
         self.path = Path(path)
-        if not create and not self.path.is_file():
-            raise InputFileError(
-                f"{self.path}",
-                expected="a leaderboard",
-                found="no such file",
-                fix="'mseg leaderboard add' makes it",
-            )
         if create:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._prepare()
+        elif not self.path.is_file():
+            fix = "'mseg leaderboard add' makes it"
+            raise InputFileError(f"{path}", expected="a leaderboard", found="no such file", fix=fix)
+        with self._transaction() as connection:
+            version = connection.execute("PRAGMA user_version").fetchone()[0]
+            tables = {r[0] for r in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            if not version and not tables:
+                columns = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:]]
+                columns = ["id INTEGER PRIMARY KEY", *columns, "scores TEXT NOT NULL"]
+                connection.execute(
+                    f"CREATE TABLE entries ({', '.join(columns)}, UNIQUE ({', '.join(_SAME)}))"
+                )
+                connection.execute(f"PRAGMA user_version = {_VERSION}")
+            elif version != _VERSION or "entries" not in tables:
+                expected = f"a leaderboard of version {_VERSION}"
+                raise FileFormatError(f"{path}", expected=expected, found=f"version {version}")
 
     def add(self, scores: ScoreTable) -> tuple[int, bool]:
         """Keep scores.
@@ -143,7 +123,20 @@ class Leaderboard:
             False when the very same submission was there already, scored on the same data by the
             same version of the toolkit.
         """
-        row = _row(scores)
+        summary = scores.summary()
+        row = {
+            "added": datetime.now(UTC).isoformat(timespec="seconds"),
+            "benchmark": scores.benchmark.name,
+            "method": scores.meta.method,
+            **asdict(scores.provenance),
+            "clips": len(scores.names),
+            "clips_in_full": scores.benchmark.n_clips,
+            "failed": len(scores.failures),
+            "seeds": len(scores.seeds),
+            "mean": summary.mean,
+            "median": summary.median,
+            "scores": json.dumps(to_json(scores)),
+        }
         insert = f"INSERT OR IGNORE INTO entries ({', '.join(row)}) VALUES (:{', :'.join(row)})"
         same = "SELECT id FROM entries WHERE " + " AND ".join(f"{name} = :{name}" for name in _SAME)
         with self._transaction() as connection:
@@ -152,10 +145,9 @@ class Leaderboard:
 
     def entries(self) -> list[Entry]:
         """Everything that is kept, oldest first."""
+        columns = ", ".join(each.name for each in fields(Entry))
         with self._transaction() as connection:
-            columns = ", ".join(field.name for field in fields(Entry))
-            rows = connection.execute(f"SELECT {columns} FROM entries ORDER BY id").fetchall()
-        return [Entry(*row) for row in rows]
+            return [Entry(*row) for row in connection.execute(f"SELECT {columns} FROM entries ORDER BY id")]
 
     def scores(self, number: int) -> ScoreTable:
         """Return the full scores of an entry."""
@@ -166,17 +158,11 @@ class Leaderboard:
         return from_json(row[0], f"{self.path}: entry {number}")
 
     def boards(self, benchmark: str = "") -> list[Board]:
-        """Rank what is comparable; fuller data first.
-
-        Parameters
-        ----------
-        benchmark : str
-            Only this one; empty = all.
-        """
+        """Rank what is comparable, of one benchmark or of all; fuller data first."""
         wanted = [e for e in self.entries() if benchmark in ("", e.benchmark)]
         wanted.sort(key=lambda e: (e.benchmark, -e.clips, e.dataset_sha256))
         keyed = groupby(wanted, key=lambda e: (e.benchmark, e.dataset_sha256))
-        return [_board(list(entries)) for _, entries in keyed]
+        return [_board(list(each)) for _, each in keyed]
 
     def ranked(self, benchmark: str = "") -> list[ResultsTable]:
         """Lay out `boards`."""
@@ -186,46 +172,19 @@ class Leaderboard:
         """Lay out `entries`, with their provenance."""
         from mseg.evaluation.results import ResultsTable
 
-        rows = [
-            [
-                str(e.id),
-                e.added,
-                e.benchmark,
-                e.method,
-                f"{100 * e.mean:.2f}",
-                f"{e.clips}/{e.clips_in_full}",
-                str(e.failed),
-                e.dataset_version,
-                e.dataset_sha256[:8],
-                e.submission_sha256[:8],
-                e.toolkit_version,
-            ]
-            for e in self.entries()
-        ]
+        rows = []
+        for e in self.entries():
+            scored = [f"{100 * e.mean:.2f}", f"{e.clips}/{e.clips_in_full}", str(e.failed), e.dataset_version]
+            source = [e.dataset_sha256[:8], e.submission_sha256[:8], e.toolkit_version]
+            rows.append([str(e.id), e.added, e.benchmark, e.method, *scored, *source])
         columns = ["id", "added", "benchmark", "method", "mean %", "clips", "failed", "version", "data"]
         return ResultsTable(self.path.name, [*columns, "submission", "toolkit"], rows)
-
-    def _prepare(self) -> None:
-        """Make the table unless another process has; refuse a file that is something else."""
-        with self._transaction() as connection:
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            tables = {r[0] for r in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-            if not version and not tables:
-                connection.execute(_SCHEMA)
-                connection.execute(f"PRAGMA user_version = {_VERSION}")
-            elif version != _VERSION or "entries" not in tables:
-                raise FileFormatError(
-                    f"{self.path}",
-                    expected=f"a leaderboard of version {_VERSION}",
-                    found=f"version {version}",
-                )
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         connection = None
         try:
             connection = sqlite3.connect(self.path, timeout=_WAIT_SECONDS, isolation_level=None)
-            _write_ahead(connection)
             connection.execute("BEGIN IMMEDIATE")
             yield connection
             connection.execute("COMMIT")
@@ -265,40 +224,9 @@ def _board(entries: list[Entry]) -> Board:
     first = entries[0]
     known = first.benchmark in list_protocols()
     name = load_protocol(first.benchmark).title if known else "Clips of no benchmark"
-    full = first.clips == first.clips_in_full
-    amount = f"all {first.clips} clips" if full else f"{first.clips} of {first.clips_in_full} clips, a part"
+    part = "" if first.clips == first.clips_in_full else ", a part"
+    amount = f"{share(first.clips, first.clips_in_full)} clips{part}"
     about = f"{amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"
     ordered = sorted(entries, key=lambda e: (e.failed > 0, e.mean, e.id))
     clean = [e.mean for e in ordered if not e.failed]
     return Board(name, about, [(None if e.failed else 1 + clean.index(e.mean), e) for e in ordered])
-
-
-def _row(scores: ScoreTable) -> dict[str, str | int | float]:
-    """Everything that is kept of a submission's scores, by column."""
-    summary = scores.summary()
-    return {
-        "added": datetime.now(UTC).isoformat(timespec="seconds"),
-        "benchmark": scores.benchmark.name,
-        "method": scores.meta.method,
-        **asdict(scores.provenance),
-        "clips": len(scores.names),
-        "clips_in_full": scores.benchmark.n_clips,
-        "failed": len(scores.failures),
-        "seeds": len(scores.seeds),
-        "mean": summary.mean,
-        "median": summary.median,
-        "scores": json.dumps(to_json(scores)),
-    }
-
-
-def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Switch to write-ahead logging; SQLite does not wait by itself while another process does so."""
-    deadline = time.monotonic() + _WAIT_SECONDS
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.02)

@@ -27,7 +27,6 @@ from mseg.evaluation.validation import Validation, validate_submission
 
 # What identifies a run rather than describes it: behind a click.
 _ORIGIN = ("parameters", "dataset sha256", "submission sha256", "toolkit")
-_MAX_DOTS = 30
 _STEPS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20, 0.25)
 _MISSING = -32768
 _MAX_WIDTH = 960
@@ -106,11 +105,12 @@ def report_html(
 
     Without `overlays` it holds scores only: nothing from which true labels could be read.
     """
-    means = dict(zip(scores.names, scores.per_clip(), strict=True))
-    order = sorted(scores.names, key=lambda name: -means[name])
+    error = scores.matrix()
+    ranks = sorted(range(len(error)), key=lambda i: -error[i].mean())
+    order = [scores.names[i] for i in ranks]
     pictures = _pictures(checked, order, Path(frames)) if frames is not None else {}
+    shown = [_section(checked, scores, name, pictures.get(name, [])) for name in order if overlays]
     facts = {name: value for name, value in results.meta_lines(scores) if name != "method"}
-    prevalence = [scores.of(name).prevalence for name in order]
     return render(
         "report.html",
         scores=scores,
@@ -120,12 +120,12 @@ def report_html(
         facts=facts,
         cards=_cards(scores),
         failures=scores.failures,
-        bars=[_bar(scores, name) for name in order],
-        step=_step(float(scores.matrix().max()), *prevalence),
+        failed={each.clip for each in scores.failures},
+        order=order,
+        errors=error[ranks],
+        step=_step(float(error.max()), *(scores.of(name).prevalence for name in order)),
         published=_published(scores),
-        sections=[_section(checked, scores, name, pictures.get(name, [])) for name in order]
-        if overlays
-        else [],
+        sections=shown,
         headline=results.headline(scores),
         all_means=results.all_means(scores),
         per_clip=results.per_clip(scores),
@@ -171,18 +171,6 @@ def _cards(scores: ScoreTable) -> list[tuple[str, str]]:
     if scores.failures:
         cards.append((f"{len({c.clip for c in scores.failures})}", "failed or missing clips"))
     return cards
-
-
-def _bar(scores: ScoreTable, name: str) -> dict[str, Any]:
-    """Describe a clip's bar: the mean over seeds, dots for the seeds, a line at the prevalence baseline."""
-    runs = scores.matrix()[scores.names.index(name)]
-    return {
-        "name": name,
-        "mean": runs.mean(),
-        "prevalence": scores.of(name).prevalence,
-        "seeds": runs[:_MAX_DOTS] if len(runs) > 1 else [],
-        "failed": any(scores.of(name, seed).reason for seed in scores.seeds),
-    }
 
 
 def _published(scores: ScoreTable) -> list[dict[str, Any]]:
@@ -245,48 +233,31 @@ def _section(
     }
     if first is None or first.table is None:
         return section
-    note = f", seed {first.seed}" if len(runs) > 1 else ""
-    return section | _confusion(first.table, clip.labels.names) | {"note": note}
-
-
-def _confusion(table: Contingency, names: Mapping[int, str]) -> dict[str, Any]:
-    """Collect the counts of motions in groups, assigned groups first, and the scores of each motion."""
-    order, colours = shown_groups(table), group_colours(table)
-    scores = np.column_stack(list(per_motion(table).values()))
-    motions = []
-    for i, motion in enumerate(table.motions):
-        name = names.get(int(motion), "") or ("background" if table.background == i else "")
-        shares = table.counts[i] / table.sizes[i]
-        match = table.assignment[i]
-        cells = [{"n": table.counts[i, j], "share": shares[j], "match": match == j} for j in order]
-        motions.append(
-            {
-                "title": f"{motion} {name}".rstrip(),
-                "n": table.sizes[i],
-                "cells": cells,
-                "outliers": table.unassigned[i],
-                "scores": scores[i],
-            }
-        )
-    return {
-        "groups": [{"label": table.groups[j], "colour": colours[j]} for j in order],
-        "outliers": bool(table.unassigned.any()),
-        "motions": motions,
+    table, names = first.table, clip.labels.names
+    static = int(table.motions[table.background]) if table.background is not None else None
+    titles = [names.get(m, "") or ("background" if m == static else "") for m in table.motions.tolist()]
+    return section | {
+        "table": table,
+        "note": f", seed {first.seed}" if len(runs) > 1 else "",
+        "groups": _shown_groups(table),
+        "colours": _group_colours(table),
+        "motions": [f"{m} {title}".rstrip() for m, title in zip(table.motions, titles, strict=True)],
+        "scores": list(per_motion(table).values()),
         "found": count(len(table.groups), "group"),
     }
 
 
-def shown_groups(table: Contingency) -> list[int]:
+def _shown_groups(table: Contingency) -> list[int]:
     """Order predicted groups for display: assigned ones by motion, then the others by size."""
     assigned = [int(j) for j in table.assignment if j >= 0]
     free = [j for j in range(len(table.groups)) if j not in assigned]
     return assigned + sorted(free, key=lambda j: -int(table.counts[:, j].sum()))
 
 
-def group_colours(table: Contingency) -> dict[int, int]:
+def _group_colours(table: Contingency) -> dict[int, int]:
     """Give an assigned group the colour number of its motion, the others numbers of their own."""
     colours = {int(j): i + 1 for i, j in enumerate(table.assignment) if j >= 0}
-    free = [j for j in shown_groups(table) if j not in colours]
+    free = [j for j in _shown_groups(table) if j not in colours]
     return colours | {j: len(table.motions) + 1 + k for k, j in enumerate(free)}
 
 
@@ -299,7 +270,7 @@ def _drawn(checked: Validation, clip: Clip, run: ClipScore) -> dict[str, str] | 
     if labels is None or table is None:
         return None
     colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
-    for j, value in group_colours(table).items():
+    for j, value in _group_colours(table).items():
         colour[table.groups[j]] = value
     shown, truth = colour[labels], _ranks(clip.labels.label)
     return {"shown": _packed(shown), "wrong": _packed(((truth > 0) & (shown != truth)).astype(np.int64))}

@@ -23,24 +23,12 @@ ABSENT = "-"
 
 @dataclass(frozen=True, eq=False)
 class ResultsTable:
-    """Rows of texts under headings.
+    """Rows of texts under headings; the first column is set left, the others right."""
 
-    Parameters
-    ----------
-    title : str
-        What the table shows, with its unit.
-    columns : sequence of str
-        Headings; the first column is set left, the others right.
-    rows : sequence of sequence of str
-        As many cells as columns.
-    notes : sequence of str
-        Lines below the table.
-    """
-
-    title: str
+    title: str  # what the table shows, with its unit
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
-    notes: Sequence[str] = ()
+    notes: Sequence[str] = ()  # lines below the table
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -80,20 +68,18 @@ class ResultsTable:
         return self.frame.to_csv(index=False, lineterminator="\n")
 
 
-def headline(scores: ScoreTable, *, published: bool = True) -> ResultsTable:
-    """Classification error per group of the benchmark, and the published rows.
-
-    Parameters
-    ----------
-    scores : ScoreTable
-        One submission.
-    published : bool
-        Add the rows of Table 1 of Xu et al. 2018, where the benchmark has them.
-    """
+def headline(scores: ScoreTable) -> ResultsTable:
+    """Classification error per group of the benchmark, and the rows of Table 1 of Xu et al. 2018."""
     rows = {scores.meta.method: scores.matrix()}
-    names = list(scores.benchmark.published) if published else []
     title = f"{scores.benchmark.title}: classification error in %"
-    return error_table(title, scores.benchmark, scores.motions, rows, names, notes=headline_notes(scores))
+    return error_table(
+        title,
+        scores.benchmark,
+        scores.motions,
+        rows,
+        list(scores.benchmark.published),
+        notes=headline_notes(scores),
+    )
 
 
 def error_table(
@@ -108,22 +94,9 @@ def error_table(
 ) -> ResultsTable:
     """One row per method: mean with its spread over seeds, and median, for every group of a benchmark.
 
-    Parameters
-    ----------
-    title : str
-        Title of the table.
-    protocol : Protocol
-        The benchmark.
-    motions : mapping of str to int
-        The clips scored, in order, and their true numbers of motions.
-    errors : mapping of str to (clips, seeds) float64
-        Method -> classification error, a fraction.
-    published : sequence of str
-        Rows of the published table to add.
-    extra : mapping, optional
-        More columns: heading -> one cell per method.
-    notes : sequence of str
-        Lines below the table.
+    `motions` are the clips, in order, with their true numbers of motions, `errors` the fractions
+    (clips, seeds) of each method, `published` the rows of the published table to add, `extra` more
+    columns with one cell per method.
     """
     order = {name: row for row, name in enumerate(motions)}
     groups = [(group, [order[n] for n in protocol.clips_of(group, motions)]) for group in protocol.groups]
@@ -156,22 +129,8 @@ def clip_table(
 ) -> ResultsTable:
     """One row per clip, one column per method: mean over seeds, with the spread over seeds.
 
-    Parameters
-    ----------
-    title : str
-        Title of the table.
-    values : mapping of str to (clips, seeds) float64
-        Method -> a metric.
-    motions : mapping of str to int
-        The clips, in order, and their true numbers of motions.
-    scale : int
-        Factor of what is printed.
-    total : str
-        What mean and median are over, such as "14 of 22".
-    last : sequence of rows
-        More rows at the end.
-    notes : sequence of str
-        Lines below the table.
+    `values` are a metric (clips, seeds) of each method, `scale` is the factor of what is printed, `total`
+    says what mean and median are over, such as "14 of 22", and `last` are more rows at the end.
     """
     rows = [
         [clip, str(n), *(_with_spread(v[i], scale) for v in values.values())]
