@@ -14,7 +14,7 @@ class KT3DMoSegError(Exception):
     Parameters
     ----------
     where : str
-        The file, field or argument at fault; or the whole message when it stands alone.
+        The file, field or argument at fault; or the whole message when nothing else is given.
     expected, found, fix : str, optional
         What was expected there, what was found instead, and what the user can do about it.
     """

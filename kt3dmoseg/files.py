@@ -39,7 +39,7 @@ _ENCRYPTED = 0x1
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary path beside `path`; on success it takes the name `path`, durably.
+    """Give a temporary path in the folder of `path`; on success it takes the name `path`, durably.
 
     The folder is created when missing. On any exception, and on ``kill -9``, `path` keeps its
     former content or stays absent; the temporary file is removed when the process can.
@@ -70,17 +70,11 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """See that files can be made in a folder, which need not exist yet, before long work is done for it.
-
-    Raises
-    ------
-    InputFileError
-        When not.
-    """
+    """Raise InputFileError when no files can be made in a folder, which need not exist yet."""
     folder = Path(path)
-    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     try:
-        with tempfile.TemporaryFile(dir=there):
+        with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
         raise _unwritable(folder, error) from error
@@ -93,17 +87,8 @@ def hold_folder(path: str | os.PathLike[str], busy: Callable[[], object] | None 
     The system releases the folder when the process ends, however it ends. Where there is no ``flock``
     (Windows) nothing is held.
 
-    Parameters
-    ----------
-    path : path
-        The folder.
-    busy : callable, optional
-        Called when somebody else holds it, before waiting for it; may raise instead.
-
-    Raises
-    ------
-    InputFileError
-        When the folder cannot be created or opened.
+    `busy` is called when somebody else holds it, before waiting for it; it may raise instead. InputFileError
+    when the folder cannot be created or opened.
     """
     folder = Path(path)
     try:
@@ -132,13 +117,7 @@ def write_text(path: str | os.PathLike[str], content: str) -> None:
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
-    """Read a file of at most `limit` bytes.
-
-    Raises
-    ------
-    InputFileError
-        When it cannot be read or is larger.
-    """
+    """Read a file; InputFileError when it cannot be read or is larger than `limit` bytes."""
     try:
         with open(path, "rb") as stream:
             # By blocks: asking for n bytes at once allocates n, however small the file is.
@@ -153,11 +132,11 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     return b"".join(blocks)
 
 
-def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
-    """Pack a zip file without times, readable by everyone: the same entries give the same bytes."""
+def zip_bytes(files: Mapping[str, bytes]) -> bytes:
+    """Pack a zip file without times, readable by everyone: the same files give the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
-        for name, content in entries.items():
+        for name, content in files.items():
             info = zipfile.ZipInfo(name)  # dated 1980, whatever the day
             info.external_attr = 0o644 << 16
             archive.writestr(info, content, zipfile.ZIP_DEFLATED)
@@ -166,18 +145,9 @@ def zip_bytes(entries: Mapping[str, bytes]) -> bytes:
 
 @dataclass(frozen=True)
 class ZipLimits:
-    """What `SafeZip` accepts.
+    """What `SafeZip` accepts: number of files, unpacked bytes of one and of all wanted ones, parts of a path.
 
-    Parameters
-    ----------
-    files : int
-        Number of files in the archive.
-    file_bytes, total_bytes : int
-        Unpacked bytes of one file and of all wanted ones; the archive itself may have `total_bytes` too.
-    ratio, free_bytes : int
-        A file may unpack to `free_bytes`, or to `ratio` times its packed bytes.
-    depth : int
-        Parts of a path: folders and the name.
+    A file may unpack to `free_bytes`, or to `ratio` times its packed bytes.
     """
 
     files: int
@@ -189,10 +159,9 @@ class ZipLimits:
 
 
 class ZipFault(NamedTuple):
-    """Why a zip archive, or one file in it, is not read.
+    """Why a zip archive (`file` is empty), or one file in it, is not read.
 
-    `code` is one of not-a-zip, too-large, unsafe-path, symlink, duplicate-name, encrypted; `file` is empty
-    when the whole archive is refused.
+    `code` is one of not-a-zip, too-large, unsafe-path, symlink, duplicate-name, encrypted.
     """
 
     code: str
@@ -220,10 +189,8 @@ class SafeZip:
 
     Raises
     ------
-    FileFormatError
-        For the first fault, when there is no list to take it up.
-    InputFileError
-        When the file cannot be opened.
+    InputFileError, FileFormatError
+        When the file cannot be opened; for the first fault, when there is no list to take it up.
     """
 
     def __init__(

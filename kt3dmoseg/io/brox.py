@@ -40,15 +40,7 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip; every row counts as evaluated, label 0 being unlabelled.
-
-    Raises
-    ------
-    FileFormatError
-        When the numbers do not follow the layout or contradict each other.
-    InputFileError
-        When the file cannot be read.
-    """
+    """Read a clip; every row counts as evaluated, label 0 being unlabelled."""
     numbers, frames, tracks = _parse(path)
     xy, visible = _fill(numbers, tracks, frames, os.fspath(path))
     return clip_of_tracks(path, "brox-dat", Trajectories(xy, visible), np.maximum(tracks[:, 0], 0))

@@ -24,10 +24,10 @@ _WORDS = {NUMBERS: "numbers", "iu": "whole numbers", "f": "floating-point number
 
 
 class Fields:
-    """Checked access to the named `values` of a file; `place` precedes their names in messages."""
+    """Checked access to the named `values` of a file; `prefix` precedes their names in messages."""
 
-    def __init__(self, place: str, values: Mapping[str, Any]) -> None:
-        self.place, self.values = place, values
+    def __init__(self, prefix: str, values: Mapping[str, Any]) -> None:
+        self.prefix, self.values = prefix, values
 
     def __contains__(self, name: str) -> bool:
         """Whether there is a field of that name."""
@@ -73,7 +73,7 @@ class Fields:
 
     def error(self, name: str, expected: str, found: str) -> FileFormatError:
         """Make the error that names the field."""
-        return FileFormatError(f"{self.place}{name}", expected=expected, found=found)
+        return FileFormatError(f"{self.prefix}{name}", expected=expected, found=found)
 
 
 def _describe(value: object) -> str:
@@ -146,14 +146,14 @@ def clip_values(clip: Clip) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def clip_from(values: Mapping[str, Any], place: str) -> Clip:
-    """Return the clip of what `clip_values` gave, `xy` and `visible`; `place` precedes names in messages."""
+def clip_from(values: Mapping[str, Any], prefix: str) -> Clip:
+    """Return the clip of what `clip_values` gave, `xy` and `visible`; `prefix` precedes names in messages."""
     background = values.get("background")
     has_camera = "K" in values or "camera_name" in values
-    names = json_object(values.get("label_names", "{}"), f"{place}label_names")
+    names = json_object(values.get("label_names", "{}"), f"{prefix}label_names")
     odd = next((key for key in names if not _NUMBER.fullmatch(key)), None)
     if odd is not None:
-        raise FileFormatError(f"{place}label_names", expected="numbers of motions", found=repr(odd))
+        raise FileFormatError(f"{prefix}label_names", expected="numbers of motions", found=repr(odd))
     return Clip(
         name=values["name"],
         dense=Trajectories(values["xy"], values["visible"], values["track_id"], values.get("image_size")),
@@ -166,7 +166,7 @@ def clip_from(values: Mapping[str, Any], place: str) -> Clip:
         frame_numbers=values["frame_numbers"],
         timestamps=values.get("timestamps"),
         camera=Camera(values.get("camera_name", ""), values.get("K")) if has_camera else None,
-        provenance=json_object(values.get("provenance", "{}"), f"{place}provenance"),
+        provenance=json_object(values.get("provenance", "{}"), f"{prefix}provenance"),
     )
 
 

@@ -18,7 +18,7 @@ from kt3dmoseg.io.fields import clip_name, clip_values
 from kt3dmoseg.types import Clip
 
 _HEAD = 128
-_FIX = "is the file whole? fetch it, or write it, again"
+_FIX = "is the file complete? fetch it, or write it, again"
 _PICKLE_FIX = "pickles run code when read; save the arrays with numpy.savez"
 
 
@@ -95,10 +95,7 @@ def load(path: str | os.PathLike[str]) -> Clip:
     try:
         return format.read(file)
     except InvalidValueError as error:
-        raise FileFormatError(f"{file}: {error}", fix=_FIX) from None
-    except FileFormatError as error:
-        fix = error.fix or _FIX
-        raise FileFormatError(error.where, expected=error.expected, found=error.found, fix=fix) from None
+        raise FileFormatError(f"{file}: {error}") from None
     except KT3DMoSegError:
         raise
     except OSError as error:
@@ -126,13 +123,7 @@ def save(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 
 def written_as(path: str | os.PathLike[str]) -> Format:
-    """Return the format in which a path's suffix says that a clip is written.
-
-    Raises
-    ------
-    InvalidValueError
-        When no format has that suffix.
-    """
+    """Return the format of a path's suffix; InvalidValueError when there is none."""
     suffix = Path(path).suffix.lower()
     for format in FORMATS:
         if format.suffix == suffix:
@@ -143,15 +134,7 @@ def written_as(path: str | os.PathLike[str]) -> Format:
 
 
 def recognise(file: Path) -> Format:
-    """Return the format of a file from its first bytes.
-
-    Raises
-    ------
-    InputFileError
-        When it cannot be read.
-    FileFormatError
-        When it is none of `FORMATS`.
-    """
+    """Return the format of a file from its first bytes; FileFormatError when it is none of `FORMATS`."""
     try:
         with open(file, "rb") as stream:
             head = stream.read(_HEAD)

@@ -47,7 +47,7 @@ _DATASETS = {
     "timestamps": ("frames/timestamp", "f8", 1, "(F,) seconds"),
     "K": ("camera/K", "f8", 2, "(3, 3) normalised to pixel coordinates"),
 }
-DESCRIPTIONS = {place: text for place, _, _, text in _DATASETS.values()}
+DESCRIPTIONS = {inner: text for inner, _, _, text in _DATASETS.values()}
 _OPTIONAL = ("timestamps", "K")
 _ATTRIBUTES = {
     "format": "format",
@@ -63,25 +63,17 @@ _TEXTS = ("name", "provenance", "label_names", "camera_name")
 
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
-    """Write a clip, atomically; the same clip gives the same bytes.
-
-    Raises
-    ------
-    InputFileError
-        When the file cannot be written.
-    InvalidValueError
-        When the provenance is not made of JSON values.
-    """
+    """Write a clip; InvalidValueError when its provenance is not made of JSON values."""
     # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
     with _new_file() as file:
         _write_trajectories(file, clip.dense)
         values: dict[str, Any] = {"format": FORMAT, "version": np.int64(VERSION)} | clip_values(clip)
-        for name, (place, *_) in _DATASETS.items():
+        for name, (inner, *_) in _DATASETS.items():
             if name in values:
-                _create(file, place, values[name].shape, values[name].dtype)[...] = _one_nan(values[name])
-        for name, place in _ATTRIBUTES.items():
+                _create(file, inner, values[name].shape, values[name].dtype)[...] = _one_nan(values[name])
+        for name, inner in _ATTRIBUTES.items():
             if name in values:
-                group, _, key = place.rpartition("/")
+                group, _, key = inner.rpartition("/")
                 _untimed_group(file, group).attrs.create(key, _fixed(values[name]))
         file.flush()
         image = file.id.get_file_image()
@@ -89,22 +81,14 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
-    """Read a clip.
-
-    Raises
-    ------
-    FileFormatError
-        When the file is no clip, damaged, of a newer version, or hostile in its sizes.
-    InputFileError
-        When it cannot be read.
-    """
+    """Read a clip; see `kt3dmoseg.io.load` for the errors."""
     where = os.fspath(path)
     with open_hdf5(where) as file:
         _check_version(file, where)
         values: dict[str, Any] = {
-            name: read_array(file, place, where, dtype, ndim)
-            for name, (place, dtype, ndim, _) in _DATASETS.items()
-            if name not in _OPTIONAL or place in file
+            name: read_array(file, inner, where, dtype, ndim)
+            for name, (inner, dtype, ndim, _) in _DATASETS.items()
+            if name not in _OPTIONAL or inner in file
         }
         values["visible"] = values["visible"] != 0
         values["image_size"] = _attribute(file, _ATTRIBUTES["image_size"], where)
@@ -228,15 +212,7 @@ def _integer(file: h5py.File, name: str, where: str) -> int | None:
 
 @contextmanager
 def open_hdf5(path: str) -> Iterator[h5py.File]:
-    """Open a file for reading; whatever the HDF5 library raises in the block becomes one line.
-
-    Raises
-    ------
-    InputFileError
-        When the file cannot be read.
-    FileFormatError
-        When it is damaged.
-    """
+    """Open a file for reading; what h5py raises in the block becomes an InputFileError or FileFormatError."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             yield file
@@ -251,24 +227,17 @@ def open_hdf5(path: str) -> Iterator[h5py.File]:
 
 
 def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) -> npt.NDArray[Any]:
-    """Read a dataset of known type and number of dimensions.
-
-    Raises
-    ------
-    FileFormatError
-        When it is missing, of another type, stored outside this file, or larger than what the
-        file can hold.
-    """
-    place = f"{where}: {name}"
+    """Read a dataset of known type and number of dimensions, stored in this very file within bounds."""
+    field = f"{where}: {name}"
     dataset = _hard_linked(file, name, where)
     if not isinstance(dataset, h5py.Dataset):
-        raise FileFormatError(place, expected="a dataset", found="a group")
+        raise FileFormatError(field, expected="a dataset", found="a group")
     wanted = np.dtype(dtype)
     same = dataset.dtype.kind == wanted.kind and dataset.dtype.itemsize == wanted.itemsize
     if not same or dataset.ndim != ndim:
         found = f"{dataset.dtype} with {dataset.ndim}"
-        raise FileFormatError(place, expected=f"{wanted} with {ndim} dimensions", found=found)
-    _check_storage(dataset, place)
+        raise FileFormatError(field, expected=f"{wanted} with {ndim} dimensions", found=found)
+    _check_storage(dataset, field)
     values = np.asarray(dataset[()], dtype=wanted)
     values.flags.writeable = False  # a clip takes it as it is, without a copy
     return values
@@ -287,20 +256,20 @@ def _hard_linked(file: h5py.File, name: str, where: str) -> h5py.Group | h5py.Da
     return here
 
 
-def _check_storage(dataset: h5py.Dataset, place: str) -> None:
+def _check_storage(dataset: h5py.Dataset, field: str) -> None:
     if dataset.external or dataset.is_virtual:
-        raise FileFormatError(place, expected="data in this file", found="a reference to another file")
+        raise FileFormatError(field, expected="data in this file", found="a reference to another file")
     plan = dataset.id.get_create_plist()
     filters = {plan.get_filter(i)[0] for i in range(plan.get_nfilters())}
     if not filters <= _FILTERS:
-        raise FileFormatError(place, expected="gzip compression", found=f"filter {max(filters - _FILTERS)}")
+        raise FileFormatError(field, expected="gzip compression", found=f"filter {max(filters - _FILTERS)}")
     size = math.prod(dataset.shape) * dataset.dtype.itemsize
     stored = dataset.id.get_storage_size()
     limit = min(_MAX_BYTES, max(_RATIO_FREE, _MAX_RATIO * stored))
     if size > limit:
         found = f"{size} bytes, shape {dataset.shape}, from {stored} stored"
-        raise FileFormatError(place, expected=f"at most {limit} bytes", found=found)
+        raise FileFormatError(field, expected=f"at most {limit} bytes", found=found)
     if dataset.chunks and math.prod(dataset.chunks) * dataset.dtype.itemsize > _MAX_CHUNK:
         raise FileFormatError(
-            place, expected=f"chunks of at most {_MAX_CHUNK} bytes", found=f"{dataset.chunks}"
+            field, expected=f"chunks of at most {_MAX_CHUNK} bytes", found=f"{dataset.chunks}"
         )

@@ -84,13 +84,7 @@ def has_pictures(folder: Path) -> bool:
 
 
 def numbered_pictures(folder: Path) -> dict[int, Path]:
-    """Return the pictures of a folder by number, in order; there may be gaps.
-
-    Raises
-    ------
-    FileFormatError
-        When a name has no number, or a number is given twice.
-    """
+    """Return the pictures of a folder by number, in order; there may be gaps, but no number twice."""
     out: dict[int, Path] = {}
     for file in sorted(folder.iterdir()):
         if file.suffix.lower() not in IMAGE_SUFFIXES or not file.is_file():
@@ -149,10 +143,7 @@ def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteA
 def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refuse") -> Iterator[ByteArray]:
     """Read frames one after the other, all of one size; see `read_frame`.
 
-    Raises
-    ------
-    FileFormatError
-        Also for a frame of another size than the first.
+    FileFormatError also for a frame of another size than the first.
     """
     first: tuple[str, tuple[int, ...]] | None = None
     for path in paths:
@@ -171,10 +162,7 @@ def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refus
 def decode(content: bytes, where: str) -> npt.NDArray[Any]:
     """Decode a picture as it is stored: (H, W) or (H, W, C), in OpenCV's BGR order.
 
-    Raises
-    ------
-    FileFormatError
-        When it is no picture, is cut short or damaged as far as its format shows that, or is huge.
+    FileFormatError when it is no picture, huge, cut short, or damaged as far as its format shows that.
     """
     with _opened(content, where) as (image, stored):
         if image.mode[0] != "I" and _DEEP.search(stored):  # of 16-bit colours, Pillow keeps 8 bits
@@ -191,7 +179,7 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
 
 
 def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
-    """Decode a PNG to its numbers, whatever colours its palette gives them.
+    """Decode a PNG of one channel to its numbers, whatever colours its palette gives them.
 
     Returns
     -------
@@ -199,11 +187,6 @@ def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
         The numbers.
     bits : int
         Bits per pixel in the file: 1, 2, 4, 8 or 16.
-
-    Raises
-    ------
-    FileFormatError
-        When it is no PNG of one channel, or damaged.
     """
     if not content.startswith(_PNG):
         raise FileFormatError(where, expected="an indexed or gray PNG", found="another file")

@@ -69,25 +69,29 @@ def info(path: str | os.PathLike[str]) -> str:
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return what `info` says as values of JSON; `kind` is clip, clips, frames, video, picture or flow."""
-    place = Path(path)
-    if not place.exists():
-        raise InputFileError(f"{place}", expected="a file or folder", found="nothing")
-    if place.is_dir():
-        return _folder(place)
-    check_regular(place)
-    with open(place, "rb") as stream:
+    target = Path(path)
+    if not target.exists():
+        raise InputFileError(f"{target}", expected="a file or folder", found="nothing")
+    if target.is_dir():
+        return _folder(target)
+    check_regular(target)
+    with open(target, "rb") as stream:
         head = stream.read(8)
-    suffix = place.suffix.lower()
-    if head[:4] == b"PIEH" or head[:6] == b"\x93NUMPY" or (head[:2] == b"PK" and len(npz_shapes(place)) == 1):
-        return _flow(place)
+    suffix = target.suffix.lower()
+    if (
+        head[:4] == b"PIEH"
+        or head[:6] == b"\x93NUMPY"
+        or (head[:2] == b"PK" and len(npz_shapes(target)) == 1)
+    ):
+        return _flow(target)
     if suffix in IMAGE_SUFFIXES:
-        picture = _picture(place)
+        picture = _picture(target)
         if picture.dtype == np.uint16 and picture.ndim == 3:
-            return _flow(place)
+            return _flow(target)
         return {"kind": "picture", "image_size": _shape(picture), "pixels": _pixels(picture)}
     if suffix in VIDEO_SUFFIXES:
-        return _video(place)
-    return _clip(load(place), recognise(place).name)
+        return _video(target)
+    return _clip(load(target), recognise(target).name)
 
 
 def table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:

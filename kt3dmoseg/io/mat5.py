@@ -44,25 +44,10 @@ class Undecoded(NamedTuple):
 
 
 def read_mat(path: str | os.PathLike[str]) -> dict[str, Value]:
-    """Read every variable of a version 5 MAT-file.
+    """Read every variable of a version 5 MAT-file of at most `MAX_BYTES`.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Returns
-    -------
-    dict of str to value
-        Arrays have the class that MATLAB shows (double, logical, ...), whatever integer type the
-        file stores them in. A 1x1 struct is a dict, a row of characters a str, others are `Undecoded`.
-
-    Raises
-    ------
-    FileFormatError
-        When the file is not a version 5 MAT-file, is truncated, or lies about a size.
-    InputFileError
-        When it cannot be read or is larger than `MAX_BYTES`.
+    Arrays have the class that MATLAB shows (double, logical, ...), whatever integer type the file stores
+    them in. A 1x1 struct is a dict, a row of characters a str, other classes are `Undecoded`.
     """
     where = os.fspath(path)
     content = read_bytes(path, MAX_BYTES)
@@ -89,8 +74,8 @@ def _byte_order(content: bytes, where: str) -> str:
 class _Reader:
     """Decodes elements; every one must lie within the one that holds it."""
 
-    def __init__(self, place: str, order: str) -> None:
-        self.place, self.order = place, order
+    def __init__(self, where: str, order: str) -> None:
+        self.where, self.order = where, order
 
     def parts(self, data: memoryview) -> _Parts:
         """Give type and bytes of each element, after checking that they are there."""
@@ -195,4 +180,4 @@ class _Reader:
             self._fail("zlib data", f"{error}; the file is truncated or damaged")
 
     def _fail(self, expected: str, found: str) -> NoReturn:
-        raise FileFormatError(self.place, expected=expected, found=found)
+        raise FileFormatError(self.where, expected=expected, found=found)

@@ -29,7 +29,7 @@ from kt3dmoseg.io.fields import Fields, clip_name, clip_of_tracks, origin
 from kt3dmoseg.io.mat5 import MAX_BYTES, read_mat
 from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, Labels, Trajectories
 
-# In place of the platform and the date that scipy writes, so that equal content gives equal bytes.
+# Instead of the platform and the date that scipy writes, so that equal content gives equal bytes.
 _TEXT = b"MATLAB 5.0 MAT-file, written by kt3dmoseg".ljust(116)
 # In the release the static scene is motion 1 in every clip; the other collections do not say.
 _BACKGROUND = 1
@@ -42,13 +42,6 @@ def read(path: str | os.PathLike[str]) -> Clip:
 
     `dense` holds `yAll`; without it the labelled trajectories, all of them evaluated. Without a mask every
     point counts as visible.
-
-    Raises
-    ------
-    FileFormatError
-        When the file is damaged, of version 7.3 or 4, or of another struct.
-    InputFileError
-        When it cannot be read.
     """
     variables = read_mat(path)
     data = variables.get("Data")
@@ -70,7 +63,7 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
 
     A clip that was read from such a file gets the fields that its file had (Hopkins12 and MTPV62
     have no `yAll`), as far as they still hold everything. Names of motions, frame numbers, image
-    size and camera have no place in the schema.
+    size and camera are not part of the schema.
     """
     values = _field_values(clip)
     if (size := 8 * values["yAll"].size) > MAX_BYTES:

@@ -60,12 +60,7 @@ def read_npz(
 ) -> dict[str, npt.NDArray[Any]]:
     """Read the arrays of a .npz file; of `names`, when given, those that are there.
 
-    Raises
-    ------
-    FileFormatError
-        When it is damaged, holds Python objects, or lies about a size.
-    InputFileError
-        When it cannot be read.
+    FileFormatError when it is damaged, holds Python objects, or lies about a size.
     """
     where = os.fspath(path)
     with SafeZip(path, _LIMITS, where, lambda file: names is None or _name(file) in names) as archive:
@@ -158,12 +153,12 @@ def read(path: str | os.PathLike[str]) -> Clip:
 
 
 def _clip(path: str | os.PathLike[str]) -> Clip:
-    place = f"{os.fspath(path)}: "
-    fields = Fields(place, read_npz(path))
+    prefix = f"{os.fspath(path)}: "
+    fields = Fields(prefix, read_npz(path))
     optional = {name: kind for name, kind in _OPTIONAL.items() if name in fields}
     arrays = {name: fields.array(name, shape, kinds) for name, (kinds, shape) in (_NEEDED | optional).items()}
     texts = {name: fields.text(name) for name in ("name", *(name for name in _TEXTS if name in fields))}
-    return clip_from(arrays | texts, place)
+    return clip_from(arrays | texts, prefix)
 
 
 def _cotracker(path: str | os.PathLike[str]) -> Clip:

@@ -15,7 +15,7 @@ from kt3dmoseg.files import atomic_path, hold_folder, read_bytes, sha256_arrays,
 from kt3dmoseg.registry import Registry
 
 
-def test_a_failed_write_leaves_the_former_content_and_no_litter(tmp_path):
+def test_a_failed_write_leaves_the_former_content_and_no_other_file(tmp_path):
     target = tmp_path / "deep" / "a.txt"
     write_text(target, "old")
     with pytest.raises(RuntimeError), atomic_path(target) as temporary:
@@ -38,7 +38,7 @@ def test_kill_9_in_the_middle_leaves_the_former_content(tmp_path):
     assert target.read_text() == "old"
 
 
-def test_an_unwritable_place_is_one_line(tmp_path):
+def test_an_unwritable_folder_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(errors.InputFileError, match="cannot write") as caught:
         write_text(tmp_path / "file" / "below", "x")
@@ -62,20 +62,20 @@ def test_a_folder_is_held_alone_and_released_by_the_dead(tmp_path):
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     assert other.stdout.readline() == "held\n"
-    told = []
+    events = []
 
     def busy():
-        told.append("busy")
-        if len(told) > 1:
+        events.append("busy")
+        if len(events) > 1:
             other.communicate("\n")
         else:
             raise errors.InputFileError("somebody is at work")
 
     with pytest.raises(errors.InputFileError, match="somebody"), hold_folder(target, busy=busy):
-        told.append("in")
+        events.append("in")
     with hold_folder(target, busy=busy):
-        told.append("in")
-    assert told == ["busy", "busy", "in"]
+        events.append("in")
+    assert events == ["busy", "busy", "in"]
 
 
 def test_a_folder_is_held_against_other_threads(tmp_path):

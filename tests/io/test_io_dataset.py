@@ -1,4 +1,4 @@
-"""Folders of clips, what `info` says and `convert` does."""
+"""Folders of clips, `info` and `convert`."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_info_of_a_clip(tmp_path, capsys):
         assert expected in words
 
 
-def test_info_tells_the_motions_before_where_the_clip_comes_from(tmp_path):
+def test_info_lists_the_motions_before_the_provenance(tmp_path):
     options = {f"option_{k}": k for k in range(30)}
     origin = {"format": "build", "inputs": {"options": options, "labels": {}, "code": "e72f"}}
     save(dataclasses.replace(small_clip(), provenance=origin), tmp_path / "tiny.h5")
@@ -142,7 +142,7 @@ def test_info_of_a_video(tmp_path, capfd):
 @pytest.mark.parametrize(
     "name", ["tiny.h5", "frames", "frames/clip", "clips", "a.flo", "a.avi", "frames/clip/1.png"]
 )
-def test_info_as_json_says_the_same(name, tmp_path, capsys):
+def test_info_as_json(name, tmp_path, capsys):
     for folder in (tmp_path, tmp_path / "clips"):
         save(small_clip(), folder / "tiny.h5")
     (tmp_path / "frames/clip").mkdir(parents=True)
@@ -165,7 +165,7 @@ def test_info_of_nothing(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_convert_says_what_is_lost(tmp_path, capsys):
+def test_convert_reports_what_is_lost(tmp_path, capsys):
     save(small_clip(), tmp_path / "tiny.h5")
     assert main(["convert", str(tmp_path / "tiny.h5"), str(tmp_path / "tiny.npz")]) == 0
     assert capsys.readouterr().err.strip().endswith("written")

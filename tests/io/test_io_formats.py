@@ -96,7 +96,7 @@ def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "empty file; is the file whole"),
+        (b"", "empty file; is the file complete"),
         (b"<html>not found</html>", "starts with"),
         (pickle.dumps({"video": 1}), "a pickle.*savez"),
     ],
@@ -108,7 +108,7 @@ def test_other_files_are_named_for_what_they_are(content, words, tmp_path):
         load(path)
 
 
-def test_a_missing_file_is_said_to_be_missing(tmp_path):
+def test_a_missing_file_is_reported_as_missing(tmp_path):
     with pytest.raises(InputFileError, match="no such file"):
         load(tmp_path / "nothing.h5")
 

@@ -47,7 +47,7 @@ def damage(draw: st.DrawFn, content: bytes) -> bytes:
 
 
 def survives(read, path, content):
-    """Read the damaged file: it may well be sound still, else it is a single line."""
+    """Read the damaged file: it may well be intact still, else it is a single line."""
     path.write_bytes(content)
     tracemalloc.start()
     try:

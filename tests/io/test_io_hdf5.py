@@ -175,7 +175,7 @@ def test_bombs_and_strange_filters_are_refused(options, file):
         hdf5.read(file)
 
 
-def test_flipped_data_is_told_by_its_checksum(file):
+def test_flipped_data_is_noticed_by_its_checksum(file):
     content = bytearray(file.read_bytes())
     with h5py.File(file) as stream:
         at = stream["dense/xy"].id.get_chunk_info(0).byte_offset

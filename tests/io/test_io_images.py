@@ -59,10 +59,10 @@ def test_bad_folders(names, words, tmp_path):
 def test_info_of_a_bad_folder_is_one_line(names, tmp_path, capsys):
     folder = _frames(tmp_path / "clip", names)
     assert main(["info", str(folder)]) == 2
-    said = capsys.readouterr()
-    assert said.err.count("\n") == 1
-    assert said.out == ""
-    _frames(tmp_path / "good", ["1.png", "2.png"])  # one of several is told in its row
+    output = capsys.readouterr()
+    assert output.err.count("\n") == 1
+    assert output.out == ""
+    _frames(tmp_path / "good", ["1.png", "2.png"])  # one of several has the reason in its row
     assert main(["info", str(tmp_path)]) == 0
     assert str(folder) in capsys.readouterr().out
 
@@ -169,7 +169,7 @@ def test_a_jpeg_is_refused_wherever_it_is_cut_short(settings, tmp_path, capfd):
 
 
 @pytest.mark.parametrize("settings", _JPEGS)
-def test_a_whole_jpeg_is_read_with_what_cameras_add_to_it(settings, tmp_path):
+def test_a_complete_jpeg_is_read_with_what_cameras_add_to_it(settings, tmp_path):
     content, preview = _jpeg(**settings), _jpeg()
     pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     metadata = b"Exif\0\0" + preview
@@ -284,7 +284,7 @@ def test_16_bit_colours_keep_their_depth(suffix, rng):
 @pytest.mark.parametrize("bits", [1, 2, 4, 8])
 def test_indices_come_back_whatever_the_palette(bits, rng):
     indices = rng.integers(0, 1 << bits, (5, 7))
-    palette = bytes(3 << bits)  # all black: colours tell nothing
+    palette = bytes(3 << bits)  # all black: colours show nothing
     read, depth = decode_indices(_palette_png(indices, bits, palette), "mask.png")
     np.testing.assert_array_equal(read, indices)
     assert depth == bits

@@ -81,9 +81,9 @@ def test_the_mask_of_an_additional_hopkins_sequence(tmp_path):
 
 @pytest.mark.data
 def test_hopkins12_and_mtpv(data_root):
-    whole = load(data_root / "hopkins12/oc1R2RC_Tracks.mat")
-    assert whole.dense.visible.all()
-    assert "no mask" in whole.provenance["visibility"]
+    complete = load(data_root / "hopkins12/oc1R2RC_Tracks.mat")
+    assert complete.dense.visible.all()
+    assert "no mask" in complete.provenance["visibility"]
     gaps = load(data_root / "mtpv62/MTPV_data_Boat_Tracks.mat")
     assert 0.3 < gaps.dense.visible.mean() < 0.91
     assert (gaps.labels.label == 0).sum() == 12
@@ -126,8 +126,8 @@ def _release(**changes):
     ],
 )
 def test_bad_hopkins_files(changes, words, tmp_path):
-    whole = {"y": np.ones((3, 2, 4)), "s": np.array([[1], [2]]), "K": np.eye(3), "width": 9, "height": 9}
-    content = {key: value for key, value in (whole | changes).items() if value is not None}
+    good = {"y": np.ones((3, 2, 4)), "s": np.array([[1], [2]]), "K": np.eye(3), "width": 9, "height": 9}
+    content = {key: value for key, value in (good | changes).items() if value is not None}
     scipy.io.savemat(tmp_path / "a_truth.mat", content)
     with pytest.raises(FileFormatError, match=words):
         load(tmp_path / "a_truth.mat")
@@ -173,7 +173,7 @@ def test_another_struct_is_refused_with_what_it_holds(tmp_path):
         load(path)
 
 
-def test_version_7_3_says_how_to_save_it_again(tmp_path):
+def test_version_7_3_is_refused_with_the_way_to_save_it_again(tmp_path):
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "clip.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -285,7 +285,7 @@ def test_a_big_endian_file_is_read(tmp_path):
     np.testing.assert_array_equal(read_mat(path)["x"], [[1.5, -2.0]])
 
 
-def test_a_built_clip_gets_the_whole_schema(tmp_path):
+def test_a_built_clip_gets_all_fields_of_the_schema(tmp_path):
     save(small_clip(), tmp_path / "clip.mat")
     fields = _struct(tmp_path / "clip.mat")
     assert fields["SparseIndex"].ravel().tolist() == [1, 3, 6, 4]
