@@ -177,7 +177,7 @@ class Server:
     """KITTI's server, or a mirror; the target folder keeps the directories of its zips."""
 
     def __init__(self, address: str, client: Client, target: TargetFolder) -> None:
-        if not re.match(r"https?://[\w.-]", address):
+        if not re.match(r"https?://[^/\s]", address):
             raise InvalidValueError("mirror", expected="an address http:// or https://", found=repr(address))
         self._base, self._client, self._target = address.rstrip("/"), client, target
 

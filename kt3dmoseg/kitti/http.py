@@ -195,6 +195,8 @@ class Client:
             )
         except exceptions.TooManyRedirects:
             raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
+        except (exceptions.InvalidURL, exceptions.InvalidSchema) as error:
+            raise InputFileError(f"{url}: {error}") from None
         except (exceptions.RequestException, OSError) as error:
             if "certificate" in str(error).lower():
                 raise InputFileError(f"{url}: the server's certificate is not trusted") from None
