@@ -59,15 +59,12 @@ class LabelledTracks:
         Weight of the votes per candidate.
     candidates : tuple of (0, motions..., "reject")
         What the columns of `votes` are for.
-    regions : mapping of int to list of Region
-        The objects' regions in every frame that the votes were cast on.
     """
 
     labels: Labels
     reason: IntArray
     votes: FloatArray
     candidates: tuple[Motion, ...]
-    regions: Mapping[int, list[Region]]
 
     def rows(self, reason: Reason) -> IntArray:
         """Rows of the trajectories with that outcome, ascending."""
@@ -166,7 +163,7 @@ def label_tracks_detailed(
         reason[held] = _REJECTED if mark.motion == REJECT else _LABELLED
     number = np.array([0 if motion == REJECT else motion + 1 for motion in candidates], dtype=np.int64)
     labels = Labels(np.where(reason == _LABELLED, number[choice], 0), BACKGROUND + 1, _names(annotation))
-    return LabelledTracks(labels, reason, votes, candidates, regions)
+    return LabelledTracks(labels, reason, votes, candidates)
 
 
 def _votes(

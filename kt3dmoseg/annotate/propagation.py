@@ -146,14 +146,6 @@ class FlowMotion:
         return x1[known], x2[known]
 
 
-def fit_similarity(x1: FloatArray, x2: FloatArray) -> FloatArray | None:
-    """Fit a similarity to points (n, 2), robustly: (2, 3) ``[A | t]``, or None for fewer than 4."""
-    if len(x1) < _ENOUGH:
-        return None
-    models, _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
-    return np.asarray(models[0])
-
-
 def fit_similarities(x1: FloatArray, x2: FloatArray, known: BoolArray) -> tuple[FloatArray, BoolArray]:
     """Fit similarities ``x2 = A x1 + t``, A a scaled rotation, to B sets of points (B, n, 2), robustly.
 
@@ -253,11 +245,12 @@ def _carry(
 def _step(region: Sequence[FloatArray], i: int, j: int, motion: ImageMotion | None) -> FloatArray | None:
     if motion is None or not region:
         return None
-    model = fit_similarity(*motion.matches(region, i, j))
-    if model is None:
+    x1, x2 = motion.matches(region, i, j)
+    if len(x1) < _ENOUGH:
         return None
+    (model,), _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
     growth = float(np.hypot(model[0, 0], model[1, 0]))
-    return model if 1 / _MAX_GROWTH <= growth <= _MAX_GROWTH else None
+    return np.asarray(model) if 1 / _MAX_GROWTH <= growth <= _MAX_GROWTH else None
 
 
 def _centre(polygons: Sequence[FloatArray]) -> FloatArray:

@@ -7,7 +7,7 @@ import pytest
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, FlowMotion, KeyFrame, TrackMotion, propagate
 from kt3dmoseg.annotate.geometry import area, blend, inside, resample, signed_distance
-from kt3dmoseg.annotate.propagation import apply, fit_similarity
+from kt3dmoseg.annotate.propagation import apply, fit_similarities
 from kt3dmoseg.types import Trajectories
 
 FRAMES = 9
@@ -94,12 +94,15 @@ def test_fit_ignores_a_minority_that_moves_otherwise():
     model = np.array([[1.02, -0.03, 4.0], [0.03, 1.02, -2.0]])
     x2 = apply(model, x1) + rng.normal(0, 0.05, x1.shape)
     x2[:20] += (15, 3)
-    assert np.abs(apply(fit_similarity(x1, x2), x1) - apply(model, x1)).max() < 0.15
+    (found,), _ = fit_similarities(x1[None], x2[None], np.ones((1, 60), bool))
+    assert np.abs(apply(found, x1) - apply(model, x1)).max() < 0.15
 
 
 def test_fit_needs_four():
-    assert fit_similarity(np.zeros((3, 2)), np.ones((3, 2))) is None
-    assert np.allclose(fit_similarity(np.zeros((4, 2)), np.ones((4, 2))), [[1, 0, 1], [0, 1, 1]])
+    known = np.array([[True] * 3 + [False], [True] * 4])
+    models, ok = fit_similarities(np.zeros((2, 4, 2)), np.ones((2, 4, 2)), known)
+    assert ok.tolist() == [False, True]
+    assert np.allclose(models[1], [[1, 0, 1], [0, 1, 1]])
 
 
 def test_outlines_drawn_again_are_blended_by_shape():

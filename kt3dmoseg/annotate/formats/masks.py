@@ -54,7 +54,8 @@ _EDGES: dict[Corner, tuple[Corner, Corner]] = {
     (1, 0): ((1, 1), (0, 1)),
     (0, -1): ((0, 1), (0, 0)),
 }
-_RUNS = re.compile("[0-o]+")
+# pycocotools reads and writes beyond the end of a text that stops in the middle of a number.
+_RUNS = re.compile("[0-o]*[0-O]")
 _MAX_PIXELS = 1 << 28
 _DAVIS_VOID = 254
 _MOTS_IGNORE = 10_000

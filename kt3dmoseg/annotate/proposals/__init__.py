@@ -16,6 +16,7 @@ import numpy as np
 
 from kt3dmoseg.annotate.formats import load
 from kt3dmoseg.annotate.formats.masks import polygons_of
+from kt3dmoseg.annotate.geometry import area, arrays
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, KeyFrame, Polygon
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes, zip_bytes
@@ -82,13 +83,10 @@ def propose(name: str, request: Request) -> list[AnnotatedObject]:
     found = objects_from_labels(request.trajectories, answer) if isinstance(answer, Labels) else list(answer)
     first_id = max((item.id for item in request.annotation.objects), default=0) + 1
     used = max(request.annotation.motions, default=0)
+    shifted = [o.motion if o.motion in (BACKGROUND, REJECT) else o.motion + used for o in found]
     return [
-        replace(
-            item,
-            id=first_id + k,
-            motion=item.motion if item.motion in (BACKGROUND, REJECT) else item.motion + used,
-        )
-        for k, item in enumerate(found)
+        replace(item, id=first_id + k, motion=motion)
+        for k, (item, motion) in enumerate(zip(found, shifted, strict=True))
     ]
 
 
@@ -120,8 +118,7 @@ def objects_from_labels(trajectories: Trajectories, labels: Labels) -> list[Anno
     Key frames are on every 4th frame and where visibility changes. Labels with fewer than 8 trajectories
     in every frame are left out.
     """
-    background = labels.background or 1
-    motions = [int(m) for m in labels.motions if m != background]
+    motions = [int(m) for m in labels.motions if m != (labels.background or 1)]
     motions.sort(key=lambda m: -int((labels.label == m).sum()))
     objects: list[AnnotatedObject] = []
     for motion in motions:
@@ -141,7 +138,10 @@ def outline(points: FloatArray, image_size: tuple[int, int]) -> list[Polygon]:
         cv2.circle(canvas, (int(x), int(y)), _REACH, 1, -1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _SHRINK + 1, 2 * _SHRINK + 1))
     inner = cv2.erode(canvas, disc)[_REACH:-_REACH, _REACH:-_REACH].astype(np.bool_)
-    return polygons_of(_largest_parts(inner), tolerance=1.0)
+    polygons = polygons_of(inner, tolerance=1.0)
+    sizes = [abs(area(polygon)) for polygon in arrays(polygons)]
+    # Parts smaller than a tenth of the largest are single stray trajectories.
+    return [polygon for polygon, size in zip(polygons, sizes, strict=True) if size >= 0.1 * max(sizes)]
 
 
 def _key_frames(trajectories: Trajectories, rows: BoolArray) -> tuple[KeyFrame, ...]:
@@ -160,15 +160,3 @@ def _key_frames(trajectories: Trajectories, rows: BoolArray) -> tuple[KeyFrame, 
             if polygons:
                 keys.append(KeyFrame(frame, "visible", tuple(polygons)))
     return tuple(keys) or (KeyFrame(0, "outside"),)
-
-
-def _largest_parts(mask: BoolArray) -> BoolArray:
-    """Drop parts smaller than a tenth of the largest: single stray trajectories."""
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
-    if count < 2:
-        return mask
-    sizes = statistics[:, cv2.CC_STAT_AREA].copy()
-    sizes[0] = 0
-    kept = sizes >= 0.1 * sizes.max()
-    kept[0] = False
-    return np.asarray(kept[parts])

@@ -192,8 +192,6 @@ def serve(
     port = listener.getsockname()[1]
     token = "" if is_loopback(host) else secrets.token_urlsafe(24)
     app = create_app(routes, hosts=_hosts(host, port), token=token)
-    # Found out now, not while the first page waits for it.
-    _ = routes.suffixes, routes.proposers
     config = uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
     if ready is not None:
         shown = f"[{host}]" if ":" in host else host

@@ -19,8 +19,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,6 @@ _MOST_DIFFERENCES = 2_000
 _ETAG = re.compile(r'"(\d{1,16})"')
 
 
-@dataclass(frozen=True, eq=False)
 class Routes:
     """The clips being labelled and the requests about them.
 
@@ -67,30 +65,25 @@ class Routes:
         Where proposals may find masks and KITTI raw drives.
     """
 
-    sessions: Mapping[str, ClipSession]
-    annotator: str = ""
-    other: Path | None = None
-    masks: Path | None = None
-    kitti: Path | None = None
-
-    @cached_property
-    def suffixes(self) -> dict[str, str]:
-        """The formats and their files' suffixes."""
-        return {name: formats.load(name).suffix for name in formats.FORMATS.names()}
-
-    @cached_property
-    def summaries(self) -> Summaries:
-        """The progress of all clips."""
-        return Summaries(self.sessions)
-
-    @cached_property
-    def proposers(self) -> dict[str, str]:
-        """The proposers by name, each with what it lacks here, if anything."""
+    def __init__(
+        self,
+        sessions: Mapping[str, ClipSession],
+        *,
+        annotator: str = "",
+        other: Path | None = None,
+        masks: Path | None = None,
+        kitti: Path | None = None,
+    ) -> None:
+        self.sessions, self.annotator = sessions, annotator
+        self.other, self.masks, self.kitti = other, masks, kitti
+        self.summaries = Summaries(sessions)
+        # Found out now, not while the first page waits for it.
+        self.suffixes = {name: formats.load(name).suffix for name in formats.FORMATS.names()}
         lacking = {
-            "tracklets": "" if self.kitti else "start with --kitti FOLDER",
-            "masks": "" if self.masks else "start with --masks FOLDER",
+            "tracklets": "" if kitti else "start with --kitti FOLDER",
+            "masks": "" if masks else "start with --masks FOLDER",
         }
-        return {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
+        self.proposers = {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
 
     def table(self) -> list[Route]:
         """Return the routes for starlette."""
