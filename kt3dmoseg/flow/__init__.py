@@ -66,32 +66,29 @@ class Flow(Protocol):
 
 
 def check_pair(a: ByteArray, b: ByteArray) -> None:
-    """Reject what no backend can work on.
+    """Raise an `InvalidValueError` for frames that no backend can work on; see `check_frame`."""
+    check_frame("first frame", a)
+    check_frame("second frame", b, a.shape)
+
+
+def check_frame(name: str, frame: ByteArray, first: tuple[int, ...] | None = None) -> None:
+    """Reject a frame that cannot be tracked.
 
     Raises
     ------
     InvalidValueError
-        When a frame is not (H, W) uint8, the two differ in size, or a side is under 32 pixels
+        When it is not (H, W) uint8, differs in size from the first one, or a side is under 32 pixels
         (OpenCV's DIS crashes on thinner frames instead of raising).
     """
-    for name, frame in (("first frame", a), ("second frame", b)):
-        if not isinstance(frame, np.ndarray) or frame.ndim != 2 or frame.dtype != np.uint8:
-            found = f"{getattr(frame, 'dtype', type(frame).__name__)} of shape {np.shape(frame)}"
-            raise InvalidValueError(name, expected="a gray frame, (H, W) uint8", found=found)
-        if min(frame.shape) < _MIN_SIDE:
-            raise InvalidValueError(
-                name,
-                expected=f"sides of at least {_MIN_SIDE} pixels",
-                found=_size(frame),
-                fix="enlarge it first",
-            )
-    if a.shape != b.shape:
-        raise InvalidValueError("second frame", expected=f"{_size(a)} pixels like the first", found=_size(b))
-
-
-def _size(frame: ByteArray) -> str:
-    height, width = frame.shape
-    return f"{width}x{height}"
+    if not isinstance(frame, np.ndarray) or frame.ndim != 2 or frame.dtype != np.uint8:
+        found = f"{getattr(frame, 'dtype', type(frame).__name__)} of shape {np.shape(frame)}"
+        raise InvalidValueError(name, expected="a gray frame, (H, W) uint8", found=found)
+    size, fix = f"{frame.shape[1]}x{frame.shape[0]}", "enlarge it first"
+    if min(frame.shape) < _MIN_SIDE:
+        raise InvalidValueError(name, expected=f"sides of at least {_MIN_SIDE} pixels", found=size, fix=fix)
+    if first is not None and frame.shape != first:
+        expected, fix = f"{first[1]}x{first[0]} pixels like the first frame", "give frames of one size"
+        raise InvalidValueError(name, expected=expected, found=size, fix=fix)
 
 
 def list() -> builtins.list[str]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import cache
-from importlib.metadata import version
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
+import scipy
 
 import kt3dmoseg
 from kt3dmoseg import pipeline, tracking
@@ -28,33 +28,25 @@ from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.tracking import Progress, TrackOptions, subsample_background, track
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 
-_LIBRARIES = ("numpy", "scipy", "h5py")
-
 
 @dataclass(frozen=True)
 class Settings:
     """Everything that a clip depends on apart from its sources."""
 
-    build: BuildOptions = field(default_factory=BuildOptions)
-    tracks: TrackOptions = field(default_factory=TrackOptions)
-    flow_parameters: dict[str, Any] = field(default_factory=dict)
+    build: BuildOptions
+    tracks: TrackOptions
+    flow: Flow
 
     @classmethod
-    def of(cls, options: dict[str, Any], flow_parameters: dict[str, Any] | None = None) -> Settings:
-        """Sort keywords into the two groups of options; a misspelt one is an `UnknownNameError`."""
+    def of(cls, options: Mapping[str, Any], flow_parameters: Mapping[str, Any] | None) -> Settings:
+        """Sort keywords into the two groups of options and create the flow; raises as `build_clip` does."""
         own, tracker = option_names(BuildOptions), option_names(TrackOptions)
         for name in options:
             if name not in (*own, *tracker):
                 raise unknown_name("option", name, [*own, *tracker])
-        return cls(
-            from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own}),
-            from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker}),
-            dict(flow_parameters or {}),
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """All options by name, for the provenance."""
-        return asdict(self.build) | asdict(self.tracks)
+        build = from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own})
+        tracks = from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker})
+        return cls(build, tracks, create(build.flow, **(flow_parameters or {})))
 
 
 def build_clip(
@@ -99,30 +91,21 @@ def build_clip(
     InvalidValueError, UnknownNameError
         For a bad option.
     """
-    settings = Settings.of(options, dict(flow_parameters or {}))
+    settings = Settings.of(options, flow_parameters)
     if isinstance(source, (str, os.PathLike)):
         found = find_sources(source)
         if len(found) != 1:
             number, fix = f"{len(found)}", "build_dataset builds many"
             raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
         source = found[0]
-    check_usage(settings, annotation, masks)
+    check_label_paths(annotation, masks)
     return Job(source, label_files(source.name, annotation, masks), settings).build(cache, progress)
 
 
-def check_usage(
-    settings: Settings, annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
+def check_label_paths(
+    annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
 ) -> None:
-    """Find what is wrong for every clip alike, before the first one is read.
-
-    Raises
-    ------
-    UnknownNameError, InvalidValueError, MissingDependencyError
-        For a flow backend that cannot be made.
-    InputFileError
-        When a path of annotations or masks does not exist.
-    """
-    create(settings.build.flow, **settings.flow_parameters)
+    """Raise an `InputFileError` when a path of annotations or masks does not exist."""
     for given, what in ((annotation, "annotations"), (masks, "masks")):
         if given is not None and not Path(given).exists():
             raise InputFileError(f"{given}", expected=what, found="no such file or folder")
@@ -145,17 +128,33 @@ def label_files(
 
 
 class Job:
-    """One clip to build, checked and described (`inputs`), without a frame decoded."""
+    """One clip to build, checked, without a frame decoded.
+
+    Its `inputs` are everything that the bytes of the clip depend on, as JSON values; a null flow means a
+    backend that depends on more than its parameters.
+    """
 
     def __init__(self, source: FrameSource, labels: Mapping[str, Sequence[Path]], settings: Settings) -> None:
         self.source, self.labels, self.settings = source, labels, settings
         self.info = source.inspect()
-        self.flow = create(settings.build.flow, **settings.flow_parameters)
-        hashed = {
-            kind: sha256_file(paths[0]) if kind == "annotation" else sha256_files(paths)
-            for kind, paths in labels.items()
+        self.inputs = {
+            "name": source.name,
+            "source": self.info.description,
+            "labels": {
+                kind: sha256_file(paths[0]) if kind == "annotation" else sha256_files(paths)
+                for kind, paths in labels.items()
+            },
+            "options": asdict(settings.build) | asdict(settings.tracks),
+            "flow": backend_identity(settings.flow),
+            "versions": {
+                "kt3dmoseg": kt3dmoseg.__version__,
+                "numpy": np.__version__,
+                "scipy": scipy.__version__,
+                "opencv": cv2.__version__,
+                "h5py": h5py.__version__,
+            },
+            "algorithms": {"tracking": tracking.ALGORITHM_VERSION, "pipeline": pipeline.ALGORITHM_VERSION},
         }
-        self.inputs = inputs_of(source.name, self.info.description, hashed, settings, self.flow)
 
     def build(self, cache: str | os.PathLike[str] | None, progress: Progress | None) -> Clip:
         """Track, label, subsample."""
@@ -163,7 +162,7 @@ class Job:
         report = None if progress is None else lambda done, _: progress(done, total)
         frames, options = self.source.frames(self.settings.build.colour), asdict(self.settings.tracks)
         try:
-            dense = track(frames, self.flow, cache=cache, progress=report, **options)
+            dense = track(frames, self.settings.flow, cache=cache, progress=report, **options)
         except InvalidValueError as error:  # of the frames' arrays: say whose they are
             raise InvalidValueError(f"{self.source.where}: {error}") from None
         numbers = np.arange(dense.n_frames) if info.numbers is None else np.array(info.numbers)
@@ -188,25 +187,6 @@ class Job:
         rng = np.random.default_rng([chosen.seed, *self.source.name.encode()])
         rows = subsample_background(labels, rng, chosen.fraction, chosen.smallest)
         return rows, Labels(labels.label[rows], labels.background, labels.names)
-
-
-def inputs_of(
-    name: str, source: Mapping[str, Any], labels: Mapping[str, str], settings: Settings, flow: Flow
-) -> dict[str, Any]:
-    """Everything that the bytes of a built clip depend on, as JSON values.
-
-    `source` describes its frames, `labels` holds the sha256 of what labels it; a null flow means a
-    backend that depends on more than its parameters.
-    """
-    return {
-        "name": name,
-        "source": dict(source),
-        "labels": dict(labels),
-        "options": settings.as_dict(),
-        "flow": backend_identity(flow),
-        "versions": {"kt3dmoseg": kt3dmoseg.__version__} | _libraries(),
-        "algorithms": {"tracking": tracking.ALGORITHM_VERSION, "pipeline": pipeline.ALGORITHM_VERSION},
-    }
 
 
 def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -> str:
@@ -251,8 +231,3 @@ def _differences(old: object, new: object, where: str) -> Iterator[str]:
     elif old != new:
         checksum = where.startswith("labels") or where.endswith("sha256")
         yield f"{where} changed" if checksum else f"{where} was {old!r}, now {new!r}"
-
-
-@cache
-def _libraries() -> dict[str, str]:
-    return {"opencv": cv2.__version__} | {name: version(name) for name in _LIBRARIES}

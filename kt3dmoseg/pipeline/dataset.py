@@ -17,7 +17,7 @@ from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.parallel import Progress, run_tasks
-from kt3dmoseg.pipeline.clip import Job, Settings, check_usage, label_files, why_build
+from kt3dmoseg.pipeline.clip import Job, Settings, check_label_paths, label_files, why_build
 from kt3dmoseg.pipeline.masks import has_masks
 
 FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
@@ -106,10 +106,10 @@ def build_dataset(
     MissingDependencyError
         When the flow backend needs a package that is not installed.
     """
-    settings = Settings.of(options, dict(flow_parameters or {}))
+    settings = Settings.of(options, flow_parameters)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     _check_names(sources)
-    check_usage(settings, annotations, masks)
+    check_label_paths(annotations, masks)
     _check_masks(sources, masks)
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))

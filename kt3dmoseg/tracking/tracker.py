@@ -15,7 +15,7 @@ import numpy.typing as npt
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import sha256_file
-from kt3dmoseg.flow import Flow, FlowCache, flow_pair
+from kt3dmoseg.flow import Flow, FlowCache, check_frame, flow_pair
 from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame, read_frames
 from kt3dmoseg.options import from_mapping
@@ -170,17 +170,8 @@ def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterato
         name, frame = f"frame {number}", item
         if isinstance(frame, (str, os.PathLike)):
             name, frame = os.fspath(frame), read_frame(Path(frame))
-        if not isinstance(frame, np.ndarray) or frame.ndim != 2 or frame.dtype != np.uint8:
-            found = f"{getattr(frame, 'dtype', type(frame).__name__)} of shape {np.shape(frame)}"
-            raise InvalidValueError(name, expected="a gray frame, (H, W) uint8", found=found)
-        first = first or frame.shape
-        if frame.shape != first:
-            raise InvalidValueError(
-                name,
-                expected=f"{first[1]}x{first[0]} pixels like the first frame",
-                found=f"{frame.shape[1]}x{frame.shape[0]}",
-                fix="give frames of one size",
-            )
+        check_frame(name, frame, first)
+        first = frame.shape
         yield frame
 
 
