@@ -14,7 +14,7 @@ import pytest
 from kt3dmoseg import flow
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.tracking import track
-from kt3dmoseg.tracking.trajectories import RunTrajectories
+from kt3dmoseg.tracking.tracker import RunTrajectories
 
 
 @pytest.fixture(scope="module")

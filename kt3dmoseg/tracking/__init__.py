@@ -9,20 +9,15 @@ from kt3dmoseg.tracking.options import RELIABLE, TrackOptions
 
 if TYPE_CHECKING:
     from kt3dmoseg.tracking.tracker import Progress as Progress
+    from kt3dmoseg.tracking.tracker import subsample_background as subsample_background
     from kt3dmoseg.tracking.tracker import track as track
     from kt3dmoseg.tracking.tracker import track_clip as track_clip
-    from kt3dmoseg.tracking.trajectories import subsample_background as subsample_background
 
 ALGORITHM_VERSION = 1
 """Raised when the same frames and flow give other tracks."""
 
 # Imported on first use: `kt3dmoseg track --help` reads the options without loading OpenCV.
-_PUBLIC = {
-    "track": "tracker",
-    "Progress": "tracker",
-    "track_clip": "tracker",
-    "subsample_background": "trajectories",
-}
+_PUBLIC = dict.fromkeys(("track", "track_clip", "subsample_background", "Progress"), "tracker")
 
 __all__ = ["RELIABLE", "TrackOptions", *_PUBLIC]  # noqa: PLE0604
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kt3dmoseg.io import hdf5
-from kt3dmoseg.tracking.trajectories import RunTrajectories
+from kt3dmoseg.tracking.tracker import RunTrajectories
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
 
