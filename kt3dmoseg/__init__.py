@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kt3dmoseg.lazy import lazy
+from kt3dmoseg.registry import lazy
 
 __version__ = "0.1.0"
 
@@ -43,8 +43,4 @@ __all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
 
 _FORMER = {"build": "pipeline", "tracks": "tracking"}  # names of 0.1.0
 
-_load, __dir__ = lazy(__name__, _PUBLIC, _MODULES)
-
-
-def __getattr__(name: str) -> object:
-    return _load(_FORMER.get(name, name))
+__getattr__, __dir__ = lazy(__name__, _PUBLIC, dict(zip(_MODULES, _MODULES, strict=True)) | _FORMER)

@@ -1,14 +1,13 @@
-"""Tables of named things: "module:attribute" strings, loaded only when used.
+"""Named things that are imported when used: tables of methods and the like, public names of packages.
 
-Listing a table imports nothing. Third parties add to a table through an entry point group.
+Listing names imports nothing. Third parties add to a table through an entry point group.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 from kt3dmoseg.errors import UnknownNameError
@@ -32,6 +31,8 @@ class Registry:
 
     def targets(self) -> dict[str, str]:
         """Every name and its target; built-in names first, then third parties' by name."""
+        from importlib.metadata import entry_points
+
         others = sorted((point.name, point.value) for point in entry_points(group=self.group))
         return self.table | {name: value for name, value in others if name not in self.table}
 
@@ -61,6 +62,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     >>> nearest("sbset", ["affine", "Subset"])
     'Subset'
     """
+    from difflib import get_close_matches
+
     folded = {each.lower(): each for each in known}
     close = get_close_matches(name.lower(), folded, n=1)
     return folded[close[0]] if close else ""
@@ -73,3 +76,31 @@ def unknown_name(kind: str, name: object, known: Iterable[str], *, where: str = 
     fix = f"did you mean {meant!r}?" if meant else f"known: {', '.join(names) or 'none'}"
     message = f"unknown {kind} {str(name)!r}"
     return UnknownNameError(f"{where}: {message}" if where else message, fix=fix)
+
+
+def lazy(
+    package: str,
+    names: Mapping[str, str],
+    modules: Mapping[str, str] = {},  # only read
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Make the ``__getattr__`` and the ``__dir__`` of a package whose names are imported on first use.
+
+    Parameters
+    ----------
+    package : str
+        Its ``__name__``.
+    names : mapping of str to str
+        Public name -> the module of the package that has it, or the full name of another module.
+    modules : mapping of str to str
+        Public name of a module of the package -> the module.
+    """
+
+    def getattr_(name: str) -> Any:  # noqa: ANN401  # whatever the name stands for
+        if name in modules:
+            return import_module(f"{package}.{modules[name]}")
+        if name not in names:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module = names[name]
+        return getattr(import_module(module if "." in module else f"{package}.{module}"), name)
+
+    return getattr_, lambda: sorted(sys.modules[package].__all__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from kt3dmoseg import __version__ as __version__
-from kt3dmoseg.lazy import lazy
+from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
     from mseg import benchmark as benchmark
@@ -26,4 +26,4 @@ _MODULES = ("methods", "benchmark", "errors", "types")
 
 __all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
 
-__getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)
+__getattr__, __dir__ = lazy(__name__, _PUBLIC, dict(zip(_MODULES, _MODULES, strict=True)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 from kt3dmoseg import app
 
@@ -22,8 +22,4 @@ COMMANDS = {
 _PURPOSE = "Build, label and read KT3DMoSeg, the 3D motion segmentation dataset cut from KITTI raw."
 
 program = app.application("kt3dmoseg", _PURPOSE, COMMANDS)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run `kt3dmoseg` and return its exit code."""
-    return app.main(program, argv)
+main = partial(app.main, program)  # (argv=None) -> exit code

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.draw.palette import PALETTE, UNLABELLED, label_colour
-from kt3dmoseg.lazy import lazy
 from kt3dmoseg.options import option
+from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
     from kt3dmoseg.draw.painting import Painting as Painting

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kt3dmoseg.lazy import lazy
+from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
     from kt3dmoseg.catalog import Drive as Drive

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from kt3dmoseg.lazy import lazy
 from kt3dmoseg.options import option
+from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
     from kt3dmoseg.frames import FrameFolder as FrameFolder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kt3dmoseg.lazy import lazy
+from kt3dmoseg.registry import lazy
 from kt3dmoseg.tracking.options import RELIABLE, TrackOptions
 
 if TYPE_CHECKING:

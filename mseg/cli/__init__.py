@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 from kt3dmoseg import app
 
@@ -20,8 +20,4 @@ COMMANDS = {
 _PURPOSE = "3D motion segmentation of point trajectories: methods, benchmarks, scores."
 
 program = app.application("mseg", _PURPOSE, COMMANDS)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run `mseg` and return its exit code."""
-    return app.main(program, argv)
+main = partial(app.main, program)  # (argv=None) -> exit code

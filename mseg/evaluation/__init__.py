@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
-from kt3dmoseg.lazy import lazy
+from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import compare as compare
