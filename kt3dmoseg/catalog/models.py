@@ -41,9 +41,8 @@ class Drive:
 
     def __post_init__(self) -> None:
         try:
-            check_text(self.date, "date", r"\d{4}_\d{2}_\d{2}", "the form 2011_09_26")
-            datetime.date(*map(int, self.date.split("_")))
-        except ValueError:
+            datetime.datetime.strptime(self.date if len(self.date) == 10 else "", "%Y_%m_%d")
+        except (TypeError, ValueError):
             raise InvalidValueError("date", expected="the form 2011_09_26", found=repr(self.date)) from None
         object.__setattr__(self, "number", check_integer(self.number, "drive", 9999))
 

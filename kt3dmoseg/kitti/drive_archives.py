@@ -7,7 +7,6 @@ are read through ranges; a folder has the zips as downloaded, or the files extra
 from __future__ import annotations
 
 import json
-import os
 import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,7 +19,7 @@ from typing import NamedTuple, TypeAlias
 from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import hold_folder, read_bytes, write_bytes
+from kt3dmoseg.files import hold_folder, read_bytes, write_bytes, write_text
 from kt3dmoseg.kitti.http import AbsentError, Client, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.raw import LOCATED
@@ -67,8 +66,7 @@ class TargetFolder:
     def lock(self) -> AbstractContextManager[object]:
         """Hold the folder alone; when another process holds it, report that and wait.
 
-        The system releases it when a process ends, however it ends. Where it has no ``flock`` (Windows), two
-        pulls are still safe, but may fetch the same file twice.
+        Where the system has no ``flock`` (Windows), two pulls are safe, but may fetch the same file twice.
         """
         waiting = f"another process works in {self.root}; waiting for it"
         return nullcontext() if self.frozen else hold_folder(self.state, lambda: print(waiting, flush=True))
@@ -87,18 +85,12 @@ class TargetFolder:
 
     def keep_directory(self, url: str, size: int, tail: bytes) -> None:
         """Keep the end of an archive, or that it does not exist."""
-        self.write(
-            self.path_for(url, "directory"), json.dumps([size, zlib.crc32(tail)]).encode() + b"\n" + tail
-        )
+        if not self.frozen:
+            head = json.dumps([size, zlib.crc32(tail)]).encode()
+            write_bytes(self.path_for(url, "directory"), head + b"\n" + tail)
 
     def files(self) -> dict[str, tuple[int, int]]:
-        """Files that were brought, relative to the root, with size and CRC32.
-
-        Raises
-        ------
-        FileFormatError
-            When the list is damaged.
-        """
+        """Files that were brought, relative to the root, with size and CRC32."""
         path = self.state / "files.json"
         if not path.is_file():
             return {}
@@ -106,8 +98,9 @@ class TargetFolder:
             listed = json.loads(read_bytes(path, LARGEST_FILE))
             return {str(name): (int(size), int(crc, 16)) for name, (size, crc) in listed.items()}
         except (ValueError, TypeError, AttributeError):
+            fix = "remove it and pull again"
             raise FileFormatError(
-                str(path), expected="a list of files", found="something else", fix="remove it and pull again"
+                str(path), expected="a list of files", found="other data", fix=fix
             ) from None
 
     def keep_files(self, brought: Mapping[str, tuple[int, int]]) -> None:
@@ -116,7 +109,7 @@ class TargetFolder:
         if brought.items() - present.items():
             merged = sorted((present | dict(brought)).items())
             text = json.dumps({name: [size, f"{crc:08x}"] for name, (size, crc) in merged}, indent=0)
-            self.write(self.state / "files.json", f"{text}\n".encode())
+            write_text(self.state / "files.json", f"{text}\n")
 
     def located(self) -> dict[str, Entry]:
         """Clips whose frame numbers were proved, by name."""
@@ -127,7 +120,7 @@ class TargetFolder:
         """Keep clips' frame numbers, in ``located.toml``."""
         present = self.located()
         merged = present | {clip.name: clip for clip in clips}
-        if not self.frozen and merged != present:
+        if merged != present:
             catalog.save(self.root / LOCATED, [merged[name] for name in sorted(merged)], comment=_COMMENT)
 
     def path_for(self, url: str, suffix: str) -> Path:
@@ -139,11 +132,6 @@ class TargetFolder:
         for path in [*self.state.glob("*.zip"), *self.state.glob("*.part")]:
             path.unlink()
 
-    def write(self, path: Path, content: bytes) -> None:
-        """Write a file, but not in a dry run."""
-        if not self.frozen:
-            write_bytes(path, content)
-
 
 class Extracted:
     """Extracted files of a drive or a day; they answer as an `Archive` does."""
@@ -153,12 +141,8 @@ class Extracted:
 
     def __init__(self, root: Path, folder: str) -> None:
         self.name, self._root = str(root / folder), root
-        files = (Path(at, file) for at, _, names in os.walk(root / folder) for file in names)
-        self.sizes = {
-            file.relative_to(root).as_posix(): file.stat().st_size
-            for file in files
-            if not file.name.startswith(".")
-        }
+        files = [f for f in (root / folder).rglob("[!.]*") if f.is_file()]
+        self.sizes = {file.relative_to(root).as_posix(): file.stat().st_size for file in files}
         self.crc32 = cache(lambda name: crc32_file(root / name))
 
     def cost(self, names: Iterable[str]) -> int:

@@ -15,7 +15,7 @@ from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.catalog.models import format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import write_bytes
+from kt3dmoseg.files import write_bytes, write_text
 from kt3dmoseg.kitti.drive_archives import (
     FileSet,
     LocalFolder,
@@ -315,13 +315,14 @@ class _Pull:
 
 
 def _show_licence(target: TargetFolder, options: PullOptions, say: Callable[[str], object]) -> None:
-    if (target.state / "licence.txt").is_file():
+    path = target.state / "licence.txt"
+    if path.is_file():
         return
     say(LICENCE)
-    if options.accept_license:
-        target.write(target.state / "licence.txt", LICENCE.encode())
-    elif not options.dry_run:
+    if not (options.accept_license or options.dry_run):
         raise InvalidValueError("licence", expected="your acknowledgement", fix="add --accept-license")
+    if not options.dry_run:
+        write_text(path, LICENCE)
 
 
 def _with_numbers(clip: Entry, files: FileSet, known: Entry | None) -> Entry:
