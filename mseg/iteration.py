@@ -1,4 +1,4 @@
-"""Iterate until a residual is small, and tell the truth about whether it became so."""
+"""Iterate until a residual is small, and report whether it became so."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Convergence:
     residual: float
 
     def report(self, prefix: str = "") -> dict[str, Any]:
-        """Return the fields as entries of ``Segmentation.report``, names prefixed by `prefix`."""
+        """Return the fields as items of ``Segmentation.report``, names prefixed by `prefix`."""
         return {f"{prefix}{name}": value for name, value in asdict(self).items()}
 
 

@@ -21,6 +21,8 @@ GUARD = 0.1
 _Array = npt.NDArray[Any]
 # How often a degenerate sample is drawn.
 _TRIES = 12
+# Standard deviation of the distance of near points over the largest distance.
+_REACH = 0.25
 # Rows spread into a sum, entries raised to a power at once: few enough to stay in the cache.
 _BLOCK = 128
 _BLOCK_ENTRIES = 1 << 16
@@ -97,7 +99,7 @@ def draw_subsets(sizes: IntArray, count: int, rng: np.random.Generator) -> IntAr
     Returns
     -------
     (K, p) int64
-        Distinct members in each row.
+        Distinct numbers in each row.
 
     References
     ----------
@@ -113,14 +115,12 @@ def draw_subsets(sizes: IntArray, count: int, rng: np.random.Generator) -> IntAr
     return chosen
 
 
-def draw_near_subsets(
-    points: FloatArray, count: int, size: int, rng: np.random.Generator, *, reach: float = 0.25
-) -> IntArray:
+def draw_near_subsets(points: FloatArray, count: int, size: int, rng: np.random.Generator) -> IntArray:
     """Draw subsets of points that lie near each other, since near points more often belong to one motion.
 
     The first points run through all points in turn; the others are drawn one by one, without
     replacement, with probability proportional to ``exp(-d^2 / sigma^2)``, d the distance to the first and
-    sigma a part of the largest distance between points.
+    sigma a quarter of the largest distance between points.
 
     Parameters
     ----------
@@ -130,8 +130,6 @@ def draw_near_subsets(
         Number M of subsets and their size p <= N.
     rng : numpy.random.Generator
         Randomness.
-    reach : float
-        sigma over the largest distance.
 
     Returns
     -------
@@ -145,7 +143,7 @@ def draw_near_subsets(
     """
     squares = (points**2).sum(axis=1)
     distance = np.maximum(squares[:, None] + squares - 2 * (points @ points.T), 0)
-    widest = reach**2 * float(distance.max())
+    widest = _REACH**2 * float(distance.max())
     logarithm = -distance / widest if widest > 0 else np.zeros_like(distance)
     np.fill_diagonal(logarithm, np.inf)
     first = np.arange(count) % len(points)

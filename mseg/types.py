@@ -13,6 +13,8 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
 
 ModelKind: TypeAlias = Literal["affine", "homography", "fundamental"]
+Grouping: TypeAlias = tuple[IntArray, dict[str, Any]]
+"""Labels (m,) int64 of the trajectories that take part, 0 = outlier, and what there is to report."""
 
 
 @dataclass(frozen=True, eq=False)

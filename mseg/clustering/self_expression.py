@@ -19,6 +19,8 @@ from mseg.completion import shrink
 from mseg.errors import SegmentationError
 from mseg.iteration import Convergence, iterate
 
+# Factor by which a penalty grows from one iteration to the next.
+_GROWTH = 1.1
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
@@ -107,7 +109,6 @@ def low_rank_representation(
     data: FloatArray,
     *,
     weight: float = 4.0,
-    growth: float = 1.1,
     tolerance: float = 1e-8,
     max_iterations: int = 1000,
 ) -> Representation:
@@ -123,8 +124,6 @@ def low_rank_representation(
         Points X as columns.
     weight : float
         Weight lambda of the columns' errors.
-    growth : float
-        Factor by which the penalty (1e-6 at first) grows.
     tolerance : float
         Stop when no entry of the two constraints' residuals exceeds it.
     max_iterations : int
@@ -160,7 +159,7 @@ def low_rank_representation(
         fit_gap, split_gap = left - error, w - low
         y_fit += penalty * fit_gap
         y_split += penalty * split_gap
-        penalty = min(penalty * growth, 1e10)
+        penalty = min(penalty * _GROWTH, 1e10)
         return max(float(np.abs(fit_gap).max()), float(np.abs(split_gap).max()))
 
     convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)
@@ -172,7 +171,6 @@ def low_rank_sparse_representation(
     *,
     sparsity: float = 0.1,
     alpha: float = 800.0,
-    growth: float = 1.1,
     tolerance: float = 2e-4,
     max_iterations: int = 400,
 ) -> Representation:
@@ -191,8 +189,6 @@ def low_rank_sparse_representation(
         Weight lambda of the l1 norm.
     alpha : float
         ``mu = alpha / min_j max_{i != j} |x_i . x_j|``.
-    growth : float
-        Factor by which the penalty of the splitting (1 at first) grows.
     tolerance : float
         Stop when no entry of the two splittings' residuals exceeds it.
     max_iterations : int
@@ -224,7 +220,7 @@ def low_rank_sparse_representation(
         np.fill_diagonal(sparse, 0)
         y_low += penalty * (c - low)
         y_sparse += penalty * (c - sparse)
-        penalty *= growth
+        penalty *= _GROWTH
         return max(float(np.abs(c - low).max()), float(np.abs(c - sparse).max()))
 
     convergence = iterate(step, tolerance=tolerance, max_iterations=max_iterations)

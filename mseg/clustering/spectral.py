@@ -262,12 +262,12 @@ def relative_eigengaps(affinity: FloatArray, largest: int) -> FloatArray:
     return np.asarray(np.diff(values) / (np.maximum(values[:-1], 0) + _EIGENVALUE_FLOOR))
 
 
-def count_by_eigengap(affinity: FloatArray, largest: int = 6) -> int:
-    """Count clusters by the widest of `relative_eigengaps`, the smallest k in 2..`largest` of equals.
+def count_by_eigengap(affinity: FloatArray) -> int:
+    """Count clusters by the widest of `relative_eigengaps`, the smallest k in 2..6 of equals.
 
     At least two motions are assumed: with one there is nothing to segment. A single point counts 1.
     """
-    gaps = relative_eigengaps(affinity, largest)
+    gaps = relative_eigengaps(affinity, 6)
     return int(np.argmax(gaps[1:])) + 2 if len(gaps) > 1 else 1
 
 

@@ -1,10 +1,10 @@
-"""Missing and corrupted entries of a trajectory matrix."""
+"""Missing and corrupted positions in a trajectory matrix."""
 
 from __future__ import annotations
 
 from mseg.completion.chen import Completion, complete
 from mseg.completion.local import complete_locally
-from mseg.completion.robust_pca import RobustPCA, robust_pca, shrink, shrink_singular_values
+from mseg.completion.robust_pca import RobustPCA, robust_pca, shrink
 
 __all__ = [
     "Completion",
@@ -13,5 +13,4 @@ __all__ = [
     "complete_locally",
     "robust_pca",
     "shrink",
-    "shrink_singular_values",
 ]

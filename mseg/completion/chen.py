@@ -15,13 +15,13 @@ problems", BIT 15, 1975 (the Jacobian without its second-order term).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, FloatArray
 from mseg.errors import TooFewPointsError
 from mseg.iteration import Convergence, iterate
 
@@ -71,6 +71,8 @@ def complete(
 
         sum_j min_c |P_j (x_j - U c)|^2 + ridge |c|^2
 
+    One step costs ``V D^2 r^2 + (D r)^3 / 3`` operations for V distinct patterns of visibility.
+
     Parameters
     ----------
     matrix : (D, N) float64
@@ -96,10 +98,6 @@ def complete(
         When a row has no seen entry.
     InvalidValueError
         When `rank` or `ridge` makes no sense.
-
-    Notes
-    -----
-    One step costs ``V D^2 r^2 + (D r)^3 / 3`` operations for V distinct patterns of visibility.
     """
     seen = np.isfinite(matrix)
     if rank < 1 or ridge < 0:
@@ -131,28 +129,35 @@ class _Solution:
     objective: float
 
 
-@dataclass(eq=False)
 class _Search:
     """State of the Levenberg-Marquardt search over subspaces."""
 
-    data: FloatArray
-    seen: BoolArray
-    rank: int
-    ridge: float
-    patterns: FloatArray = field(init=False)
-    pattern_of: IntArray = field(init=False)
-    basis: FloatArray = field(init=False)
-    solution: _Solution = field(init=False)
-    damping: float = field(init=False, default=_DAMPING)
-
-    def __post_init__(self) -> None:
-        patterns, pattern_of = np.unique(self.seen.T, axis=0, return_inverse=True)
+    def __init__(self, data: FloatArray, seen: BoolArray, rank: int, ridge: float) -> None:
+        self.data, self.seen, self.rank, self.ridge = data, seen, rank, ridge
+        patterns, pattern_of = np.unique(seen.T, axis=0, return_inverse=True)
         self.patterns, self.pattern_of = patterns.astype(np.float64), pattern_of.ravel()
-        left, _, _ = np.linalg.svd(self.data, full_matrices=False)
-        self.basis = np.ascontiguousarray(left[:, : self.rank])
-        self.solution = self.solve(self.basis)
+        left, _, _ = np.linalg.svd(data, full_matrices=False)
+        self.basis = np.ascontiguousarray(left[:, :rank])
+        self.solution = self._solve(self.basis)
+        self.damping = _DAMPING
 
-    def solve(self, basis: FloatArray) -> _Solution:
+    def step(self) -> float:
+        """Take one descent step and return the relative decrease of the objective."""
+        before = self.solution.objective
+        gradient = self._tangent(self.solution.residual @ self.solution.coefficients.T)
+        hessian = self._hessian()
+        unit = float(np.trace(hessian)) / len(hessian)
+        while before > 0 and unit > 0 and self.damping < _MOST_DAMPING:
+            basis, _ = np.linalg.qr(self.basis + _damped_solve(hessian, gradient, self.damping * unit))
+            trial = self._solve(basis)
+            if trial.objective < before:
+                self.basis, self.solution = basis, trial
+                self.damping = max(self.damping / 10, 1e-9)
+                return (before - trial.objective) / before
+            self.damping *= 10
+        return 0.0
+
+    def _solve(self, basis: FloatArray) -> _Solution:
         """Eliminate the coefficients: one small system per pattern of visibility."""
         r = self.rank
         outer = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), r * r)
@@ -162,23 +167,6 @@ class _Search:
         residual = np.where(self.seen, self.data - basis @ coefficients, 0.0)
         objective = float((residual**2).sum() + self.ridge * (coefficients**2).sum())
         return _Solution(coefficients, residual, inverse, objective)
-
-    def step(self) -> float:
-        """Take one descent step and return the relative decrease of the objective."""
-        before = self.solution.objective
-        gradient = self._tangent(self.solution.residual @ self.solution.coefficients.T)
-        hessian = self._hessian()
-        unit = float(np.trace(hessian)) / len(hessian)
-        while before > 0 and unit > 0 and self.damping < _MOST_DAMPING:
-            move = _damped_solve(hessian, gradient, self.damping * unit)
-            basis, _ = np.linalg.qr(self.basis + move)
-            trial = self.solve(basis)
-            if trial.objective < before:
-                self.basis, self.solution = basis, trial
-                self.damping = max(self.damping / 10, 1e-9)
-                return (before - trial.objective) / before
-            self.damping *= 10
-        return 0.0
 
     def _tangent(self, direction: FloatArray) -> FloatArray:
         """Remove the part of (D, ...) inside the space: it only changes the basis."""

@@ -7,25 +7,22 @@ its own motion, what is filled lies on the flat of that motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 from mseg.completion.chen import Completion, complete
-from mseg.iteration import Convergence, iterate
+from mseg.iteration import iterate
 
 # Standard deviation of a tracked position, pixels.
 _NOISE = 0.5
-# Trajectories that share fewer frames, or all that one of them has, cannot be told to move alike.
+# Trajectories that share fewer frames, unless one of them has no more, may move alike or not.
 _SHARED = 3
-# What a frame counts in which a position is filled, beside one where both are seen.
+# What a frame counts in which a position is filled, compared with one where both are seen.
 _TRUST = 0.5
 # Holds what no seen trajectory reaches to the first completion; its square is the weight.
 _ANCHOR = 0.1
-_STAGES = (0.0, _TRUST)
 
 
 def complete_locally(
@@ -94,57 +91,43 @@ def complete_locally(
     centre = first.matrix.reshape(-1, 2, matrix.shape[1]).mean(axis=(0, 2))
     shift = np.tile(centre, len(matrix) // 2)[:, None]
     search = _Filling(matrix - shift, first.matrix - shift, n_neighbours)
-    convergence = Convergence(False, 0, np.inf)
-    for trust in _STAGES:
-        search.choose(trust)
-        convergence = iterate(search.step, tolerance=tolerance, max_iterations=max_iterations)
+    iterate(search.step, tolerance=tolerance, max_iterations=max_iterations)
+    search.choose(_TRUST)
+    convergence = iterate(search.step, tolerance=tolerance, max_iterations=max_iterations)
     filled = np.where(np.isfinite(matrix), matrix, search.filled + shift)
-    return Completion(filled, first.rank, search.rms, int((~search.led).sum()), convergence)
+    return Completion(filled, first.rank, search.rms, int((~search.has_neighbour).sum()), convergence)
 
 
-@dataclass(eq=False)
 class _Filling:
     """State of the filling: positions (2F, N) near the origin, of which those of `matrix` are seen."""
 
-    matrix: FloatArray
-    first: FloatArray
-    n_neighbours: int
-    filled: FloatArray = field(init=False)
-    seen: BoolArray = field(init=False)
-    gaps: IntArray = field(init=False)
-    neighbours: IntArray = field(init=False)
-    prices: FloatArray = field(init=False)
-    rms: float = field(init=False, default=0.0)
-
-    def __post_init__(self) -> None:
-        self.seen = np.isfinite(self.matrix)
-        self.filled = self.first.copy()
+    def __init__(self, matrix: FloatArray, first: FloatArray, n_neighbours: int) -> None:
+        self.matrix, self.first, self.n_neighbours = matrix, first, n_neighbours
+        self.seen = np.isfinite(matrix)
+        self.filled = first.copy()
         self.gaps = np.flatnonzero(~self.seen.all(axis=0))
-
-    @property
-    def led(self) -> BoolArray:
-        """Which incomplete columns have a neighbour."""
-        return np.asarray(np.isfinite(self.prices).any(axis=1))
+        self.rms = 0.0
+        self.choose(0.0)
 
     def choose(self, trust: float) -> None:
         """Choose the neighbours of the incomplete columns, and the prices of their weights."""
         squares, variances = self._pairs(trust)
-        scores = squares * variances
-        chosen = np.argsort(scores, axis=1, kind="stable")[:, : self.n_neighbours]
-        self.neighbours = chosen
-        self.prices = np.take_along_axis(variances, chosen, axis=1)
+        self.neighbours = np.argsort(squares * variances, axis=1, kind="stable")[:, : self.n_neighbours]
+        self.prices = np.take_along_axis(variances, self.neighbours, axis=1)
+        self.has_neighbour = np.asarray(np.isfinite(self.prices).any(axis=1))
 
     def _pairs(self, trust: float) -> tuple[FloatArray, FloatArray]:
         """Mean squared distances and variances (G, N) between incomplete columns and all; inf: unknown."""
-        both = _Moments.of(self.matrix, self.seen, self.gaps)
-        moments = both.plus(_Moments.of(self.filled, np.ones_like(self.seen), self.gaps), trust)
+        both = _moments(self.matrix, self.seen, self.gaps)
+        every = _moments(self.filled, np.ones_like(self.seen), self.gaps)
+        number, dx, dy, total = (1 - trust) * both + trust * every
         lengths = self.seen[::2].sum(axis=0)
         fewest = np.minimum(np.minimum(lengths, lengths[self.gaps, None]), _SHARED)
-        known = both.frames >= np.maximum(fewest, 2)
+        known = both[0] >= np.maximum(fewest, 2)
         known[np.arange(len(self.gaps)), self.gaps] = False
-        frames = np.where(known, moments.frames, 2.0)
-        squares = moments.squares / frames
-        scatter = np.maximum(moments.squares - (moments.sums**2).sum(axis=0) / frames, 0)
+        frames = np.where(known, number, 2.0)
+        squares = total / frames
+        scatter = np.maximum(total - (dx**2 + dy**2) / frames, 0)
         variances = (scatter + _NOISE**2) / (frames - 1)
         return np.where(known, squares, np.inf), np.where(known, variances, np.inf)
 
@@ -183,45 +166,30 @@ class _Filling:
         if not len(unseen):
             return
         shares = shares[blind]
-        system = np.diag(self.led[blind].astype(np.float64)) - shares[:, unseen]
+        system = np.diag(self.has_neighbour[blind].astype(np.float64)) - shares[:, unseen]
         known = np.where(self.seen[rows], self.filled[rows], 0.0)
         right = shares @ known.T + offset[rows][:, blind].T
-        # Least squares: combinations that lean on each other in a ring would else run away.
+        # Least squares: combinations that depend on each other in a ring would else diverge.
         gram = system.T @ system
         gram[np.diag_indices_from(gram)] += _ANCHOR**2
         right = system.T @ right + _ANCHOR**2 * self.first[rows, unseen].T
         self.filled[rows, unseen] = cho_solve(cho_factor(gram, overwrite_a=True), right).T
 
 
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    """Over frames: their number, the sums (2, G, N) of differences and the sums of squared distances."""
+def _moments(matrix: FloatArray, seen: BoolArray, columns: IntArray) -> FloatArray:
+    """Moments (4, G, N) of the differences of some columns (G of N) and all, over the frames that see both.
 
-    frames: FloatArray
-    sums: FloatArray
-    squares: FloatArray
-
-    @classmethod
-    def of(cls, matrix: FloatArray, seen: BoolArray, columns: IntArray) -> _Moments:
-        """Moments of the differences of some columns (G of N) and all, over the frames that see both."""
-        weight = seen[::2].astype(np.float64)
-        frames = weight[:, columns].T @ weight
-        sums, squares = np.empty((2, *frames.shape)), np.zeros_like(frames)
-        for axis in range(2):
-            x = np.where(seen[axis::2], matrix[axis::2], 0.0)
-            own, of_own = x[:, columns].T, weight[:, columns].T
-            sums[axis] = own @ weight - of_own @ x
-            squares += own**2 @ weight + of_own @ x**2 - 2 * own @ x
-        return cls(frames, sums, np.maximum(squares, 0))
-
-    def plus(self, every: _Moments, trust: float) -> _Moments:
-        """Add the frames of `every` that are not among these, at a lower weight."""
-        kept = 1 - trust
-        return _Moments(
-            kept * self.frames + trust * every.frames,
-            kept * self.sums + trust * every.sums,
-            kept * self.squares + trust * every.squares,
-        )
+    Number of frames, sums of the differences in x and y, and sum of squared distances.
+    """
+    weight = seen[::2].astype(np.float64)
+    frames = weight[:, columns].T @ weight
+    sums, squares = np.empty((2, *frames.shape)), np.zeros_like(frames)
+    for axis in range(2):
+        x = np.where(seen[axis::2], matrix[axis::2], 0.0)
+        own, of_own = x[:, columns].T, weight[:, columns].T
+        sums[axis] = own @ weight - of_own @ x
+        squares += own**2 @ weight + of_own @ x**2 - 2 * own @ x
+    return np.stack([frames, *sums, np.maximum(squares, 0)])
 
 
 def _nearest_seen(seen: BoolArray) -> IntArray:

@@ -19,23 +19,16 @@ class RobustPCA:
     convergence: Convergence
 
 
-def robust_pca(
-    matrix: FloatArray,
-    weight: float | None = None,
-    *,
-    tolerance: float = 1e-7,
-    max_iterations: int = 1000,
-) -> RobustPCA:
+def robust_pca(matrix: FloatArray, *, tolerance: float = 1e-7, max_iterations: int = 1000) -> RobustPCA:
     """Minimise ``|A|_* + weight |E|_1`` subject to ``A + E = X`` by the inexact augmented Lagrangian.
 
-    Missing entries are errors that cost nothing, so that the low-rank part alone decides them.
+    The weight is ``1 / sqrt(max(D, N))`` (Candes et al. 2011). Missing elements are errors that cost nothing,
+    so that the low-rank part alone decides them.
 
     Parameters
     ----------
     matrix : (D, N) float64
         Data X, NaN where missing.
-    weight : float or None
-        Weight of the errors; by default ``1 / sqrt(max(D, N))`` (Candes et al. 2011).
     tolerance : float
         Stop when ``|X - A - E|_F <= tolerance |X|_F``.
     max_iterations : int
@@ -49,12 +42,12 @@ def robust_pca(
     References
     ----------
     Lin, Chen, Ma, "The augmented Lagrange multiplier method for exact recovery of corrupted low-rank
-    matrices", 2010, algorithm 5 (penalty 1.25 / sigma_1, growth 1.5). Missing entries: Candes, Li, Ma,
+    matrices", 2010, algorithm 5 (penalty 1.25 / sigma_1, growth 1.5). Missing elements: Candes, Li, Ma,
     Wright, "Robust principal component analysis?", JACM 2011, section 1.6.
     """
     seen = np.isfinite(matrix)
     matrix = np.where(seen, matrix, 0.0)
-    weight = float(1 / np.sqrt(max(matrix.shape))) if weight is None else weight
+    weight = float(1 / np.sqrt(max(matrix.shape)))
     largest, size = float(np.linalg.norm(matrix, 2)), float(np.linalg.norm(matrix))
     if size == 0:
         return RobustPCA(matrix.copy(), np.zeros_like(matrix), Convergence(True, 0, 0.0))
@@ -64,7 +57,8 @@ def robust_pca(
     price = np.where(seen, weight, 0.0)
     penalty = 1.25 / largest
     cap = penalty * 1e7
-    shrunk = shrink_eigenvalues if _symmetric(matrix) else shrink_singular_values
+    symmetric = matrix.shape[0] == matrix.shape[1] and bool((matrix == matrix.T).all())
+    shrunk = _shrink_eigenvalues if symmetric else _shrink_singular_values
 
     def step() -> float:
         nonlocal low_rank, sparse, multiplier, penalty
@@ -85,20 +79,16 @@ def shrink(values: FloatArray, threshold: float | FloatArray) -> FloatArray:
     return np.asarray(values - np.clip(values, -threshold, threshold))
 
 
-def shrink_singular_values(matrix: FloatArray, threshold: float) -> FloatArray:
+def _shrink_singular_values(matrix: FloatArray, threshold: float) -> FloatArray:
     """Soft threshold of the singular values: the proximal map of ``threshold |.|_*``."""
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     kept = int((values > threshold).sum())
     return np.asarray((left[:, :kept] * (values[:kept] - threshold)) @ right[:kept])
 
 
-def shrink_eigenvalues(matrix: FloatArray, threshold: float) -> FloatArray:
-    """Do what `shrink_singular_values` does for a symmetric matrix: its singular values are ``|lambda|``."""
+def _shrink_eigenvalues(matrix: FloatArray, threshold: float) -> FloatArray:
+    """Do the same for a symmetric matrix: its singular values are ``|lambda|``."""
     values, vectors = np.linalg.eigh(matrix)
     kept = np.abs(values) > threshold
     vectors, values = vectors[:, kept], values[kept]
     return np.asarray((vectors * (values - np.sign(values) * threshold)) @ vectors.T)
-
-
-def _symmetric(matrix: FloatArray) -> bool:
-    return matrix.shape[0] == matrix.shape[1] and bool((matrix == matrix.T).all())

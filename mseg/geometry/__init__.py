@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mseg.geometry import fundamental, hartley, point_maps, subspaces
+from mseg.geometry import fundamental, hartley, subspaces
 from mseg.geometry.hartley import FramePair, change_frame, frame_pair
 from mseg.geometry.models import MODELS, Distance, Model
 
@@ -15,6 +15,5 @@ __all__ = [
     "frame_pair",
     "fundamental",
     "hartley",
-    "point_maps",
     "subspaces",
 ]

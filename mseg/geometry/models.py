@@ -1,20 +1,29 @@
-"""The three kinds of models as one table, so that sampling and affinities know no kind by name."""
+"""Models between two frames: affine maps x2 = A x1 + t, homographies x2 ~ H x1, fundamental matrices.
+
+`MODELS` is the table of the three kinds; residuals are squared distances (P, K) of P correspondences to K
+models. Fundamental matrices are in `mseg.geometry.fundamental`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.types import BoolArray, FloatArray
-from mseg.geometry import fundamental, point_maps
+from mseg.geometry import fundamental, hartley
 from mseg.types import ModelKind
 
 Distance: TypeAlias = Literal["sampson", "transfer"]
-_Array: TypeAlias = npt.NDArray[np.floating[Any]]
+_Array = npt.NDArray[Any]
+# Smallest area of three points, relative to their squared size, that still fixes two directions.
+_FLAT_AREA = 1e-6
+# Smallest area of three of four points (normalised coordinates) that counts as a triangle.
+_TRIANGLE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -38,16 +47,205 @@ class Model:
     residuals: Mapping[Distance, Callable[[_Array, _Array, _Array], _Array]]
 
 
+def _fit_affine(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Rows (a11 a12 t1), (a21 a22 t2), (0 0 1); not ok where points of either image are collinear."""
+    n1, t1 = hartley.normalise(x1)
+    n2, t2 = hartley.normalise(x2)
+    s11 = np.einsum("kpi,kpj->kij", n1, n1)
+    s21 = np.einsum("kpi,kpj->kij", n2, n1)
+    s22 = np.einsum("kpi,kpj->kij", n2, n2)
+    area1, area2 = _determinant(s11), _determinant(s22)
+    ok = (area1 > _FLAT_AREA) & (area2 > _FLAT_AREA)
+    models = np.zeros((len(x1), 3, 3))
+    models[:, :2, :2] = s21 @ _swapped(s11) / np.where(ok, area1, 1.0)[:, None, None]
+    models[:, 2, 2] = 1.0
+    return hartley.inverse(t2) @ models @ t1, ok
+
+
+def _affine_sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
+    """Distances e^T (I + A A^T)^-1 e with e = A x1 + t - x2, which here are exact."""
+    # Hartley and Zisserman, "Multiple View Geometry", 2004, section 4.2.6.
+    linear = models[:, :2, :2]
+    metric = linear @ linear.transpose(0, 2, 1) + np.eye(2)
+    return _quadratic(_error_forms(models), _inverse_factor(metric), x1, x2)
+
+
+def _affine_transfer(models: _Array, x1: _Array, x2: _Array) -> _Array:
+    """Errors |x2 - A x1 - t|^2 + |x1 - A^-1 (x2 - t)|^2."""
+    # Hartley and Zisserman, section 4.2.2.
+    linear = models[:, :2, :2]
+    # The backward error is A^-1 e, so both together are e^T (I + A^-T A^-1) e.
+    back = _swapped(linear) / _determinant(linear)[:, None, None]
+    factor = np.concatenate([np.broadcast_to(np.eye(2), back.shape), back], axis=1)
+    return _quadratic(_error_forms(models), factor, x1, x2)
+
+
+def _error_forms(models: _Array) -> _Array:
+    """Coefficients (K, 2, 5) of e = A x1 + t - x2 as linear forms in (x1, y1, 1, x2, y2)."""
+    forms = np.zeros((len(models), 2, 5))
+    forms[:, :, :3] = models[:, :2]
+    forms[:, 0, 3] = forms[:, 1, 4] = -1.0
+    return forms
+
+
+def _quadratic(forms: _Array, factor: _Array, x1: _Array, x2: _Array) -> _Array:
+    """Sum of squares (P, K) of the rows of factor @ forms."""
+    rows = (factor @ forms).astype(x1.dtype)
+    z = np.concatenate([x1, np.ones((len(x1), 1), x1.dtype), x2], axis=1)
+    total: _Array = np.zeros((len(x1), len(forms)), x1.dtype)
+    for k in range(rows.shape[1]):
+        value = z @ rows[:, k].T
+        value *= value
+        total += value
+    return total
+
+
+def _inverse_factor(metric: _Array) -> _Array:
+    """Lower triangular G with G^T G = metric^-1 up to a rotation, so |G e|^2 = e^T metric^-1 e."""
+    a, b, c = metric[:, 0, 0], metric[:, 0, 1], metric[:, 1, 1]
+    first = np.sqrt(a)
+    schur = np.sqrt(np.maximum(c - b * b / a, np.finfo(np.float64).tiny))
+    out = np.zeros_like(metric)
+    out[:, 0, 0] = 1.0 / first
+    out[:, 1, 0] = -b / (a * schur)
+    out[:, 1, 1] = 1.0 / schur
+    return out
+
+
+def _determinant(matrices: _Array) -> _Array:
+    out: _Array = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
+    return out
+
+
+def _swapped(matrices: _Array) -> _Array:
+    """Adjugates of 2 x 2 matrices."""
+    out = np.empty_like(matrices)
+    out[:, 0, 0], out[:, 1, 1] = matrices[:, 1, 1], matrices[:, 0, 0]
+    out[:, 0, 1], out[:, 1, 0] = -matrices[:, 0, 1], -matrices[:, 1, 0]
+    return out
+
+
+def _fit_homography(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Homographies of Frobenius norm 1; not ok where three points of either image are collinear."""
+    n1, t1 = hartley.normalise(x1)
+    n2, t2 = hartley.normalise(x2)
+    # From the first image to the canonical basis, and on to the second image.
+    basis1, ok1 = _projective_basis(n1)
+    basis2, ok2 = _projective_basis(n2)
+    models = basis2 @ _adjugate(basis1)
+    return hartley.unit_norm(hartley.inverse(t2) @ models @ t1), ok1 & ok2
+
+
+def _homography_sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
+    """First-order distances c^T (J J^T)^-1 c of (x1, y1, x2, y2) to the two algebraic equations.
+
+    c = (y2 w - v, u - x2 w) = 0 with (u, v, w) = H x1.
+    """
+    # Hartley and Zisserman, section 4.2.6; Chum, Pajdla, Sturm, "The geometric error for homographies",
+    # CVIU 2005.
+    h = models.astype(np.float64)
+    one, x, y = np.ones(len(x1)), x1[:, 0].astype(np.float64), x1[:, 1].astype(np.float64)
+    xx, yy = x2[:, 0].astype(np.float64), x2[:, 1].astype(np.float64)
+    first = np.stack([x, y, one], axis=1)
+    c1 = _products([first, -yy[:, None] * first], [-h[:, 1], -h[:, 2]], x1.dtype)
+    c2 = _products([first, -xx[:, None] * first], [h[:, 0], h[:, 2]], x1.dtype)
+    s11, s22, s12 = _gradient_products(h, first, xx, yy, x1.dtype)
+    # c^T S^-1 c for 2 x 2 matrices S, written out; arrays are overwritten to spare memory traffic.
+    numerator = c1 * c2
+    numerator *= s12
+    numerator *= -2.0
+    c1 *= c1
+    c1 *= s22
+    c2 *= c2
+    c2 *= s11
+    numerator += c1
+    numerator += c2
+    s11 *= s22
+    s12 *= s12
+    s11 -= s12
+    with np.errstate(divide="ignore", invalid="ignore"):
+        numerator /= s11
+    return numerator
+
+
+def _homography_transfer(models: _Array, x1: _Array, x2: _Array) -> _Array:
+    """Errors |x2 - H x1|^2 + |x1 - H^-1 x2|^2; infinite or NaN for points mapped to infinity."""
+    # Hartley and Zisserman, section 4.2.2.
+    back = _adjugate(models)
+    return _transfer(models, x1, x2) + _transfer(back, x2, x1)
+
+
+def _projective_basis(points: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Find the maps of e1, e2, e3, (1, 1, 1) to the four points, (K, 3, 3), and where they exist."""
+    homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
+    a, b, c = (points[:, triple] for triple in np.array(list(combinations(range(4), 3))).T)
+    area: FloatArray = np.abs((b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0])
+    columns = homogeneous[:, :3].transpose(0, 2, 1)
+    weights = _adjugate(columns) @ homogeneous[:, 3, :, None]
+    return columns * weights.transpose(0, 2, 1), np.asarray((area > _TRIANGLE).all(axis=1))
+
+
+def _adjugate(matrices: _Array) -> _Array:
+    """Transposed cofactors of 3 x 3 matrices: inverses up to scale, also where nearly singular."""
+    a, b, c = matrices[:, 0], matrices[:, 1], matrices[:, 2]
+    out: _Array = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    return out
+
+
+def _transfer(models: _Array, x1: _Array, x2: _Array) -> _Array:
+    points = np.concatenate([x1, np.ones((len(x1), 1), x1.dtype)], axis=1)
+    u, v, w = (points @ models[:, row].T.astype(x1.dtype) for row in range(3))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u /= w
+        v /= w
+    u -= x2[:, :1]
+    v -= x2[:, 1:]
+    out: _Array = u * u
+    out += v * v
+    return out
+
+
+def _gradient_products(
+    h: FloatArray, first: FloatArray, xx: FloatArray, yy: FloatArray, dtype: npt.DTypeLike
+) -> tuple[_Array, _Array, _Array]:
+    """Entries s11, s22, s12 of J J^T, each (P, K), as polynomials in the points.
+
+    J has the rows (-h2 + y2 h3, 0, w) and (h1 - x2 h3, -w, 0), h_i being the first two entries of
+    row i.
+    """
+    h1, h2, h3 = h[:, 0, :2], h[:, 1, :2], h[:, 2, :2]
+    one, x, y = first[:, 2], first[:, 0], first[:, 1]
+    g11, g22, g33 = (np.einsum("ki,ki->k", g, g) for g in (h1, h2, h3))
+    g12, g13, g23 = (np.einsum("ki,ki->k", p, q) for p, q in ((h1, h2), (h1, h3), (h2, h3)))
+    a, b, c = h[:, 2].T
+    depth = np.stack([x * x, y * y, one, x * y, x, y], axis=1)
+    depth_weights = np.stack([a * a, b * b, c * c, 2 * a * b, 2 * a * c, 2 * b * c], axis=1)
+    s11 = _products(
+        [depth, np.stack([one, yy, yy * yy], axis=1)],
+        [depth_weights, np.stack([g22, -2 * g23, g33], axis=1)],
+        dtype,
+    )
+    s22 = _products(
+        [depth, np.stack([one, xx, xx * xx], axis=1)],
+        [depth_weights, np.stack([g11, -2 * g13, g33], axis=1)],
+        dtype,
+    )
+    s12 = _products(
+        [np.stack([one, yy, xx, xx * yy], axis=1)], [np.stack([-g12, g13, g23, -g33], axis=1)], dtype
+    )
+    return s11, s22, s12
+
+
+def _products(left: list[FloatArray], right: list[FloatArray], dtype: npt.DTypeLike) -> _Array:
+    """Concatenate along the last axis and multiply, (P, m) by (K, m), to (P, K)."""
+    out: _Array = np.concatenate(left, axis=1).astype(dtype) @ np.concatenate(right, axis=1).astype(dtype).T
+    return out
+
+
 MODELS: dict[ModelKind, Model] = {
-    "affine": Model(
-        3,
-        point_maps.fit_affine,
-        {"sampson": point_maps.affine_sampson, "transfer": point_maps.affine_transfer},
-    ),
+    "affine": Model(3, _fit_affine, {"sampson": _affine_sampson, "transfer": _affine_transfer}),
     "homography": Model(
-        4,
-        point_maps.fit_homography,
-        {"sampson": point_maps.homography_sampson, "transfer": point_maps.homography_transfer},
+        4, _fit_homography, {"sampson": _homography_sampson, "transfer": _homography_transfer}
     ),
     "fundamental": Model(
         8, fundamental.eight_point, {"sampson": fundamental.sampson, "transfer": fundamental.sampson}

@@ -19,7 +19,7 @@ def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None)
        normalised its coordinates, so that ``x = inv(K) y`` is the file's own ``x``.
     2. The image size: the borders map to -1 and 1, ``x = 2 y / size - 1`` in each direction (the
        convention of most Hopkins155 sequences; anisotropic).
-    3. The range of the visible positions stands in for the image borders, in each direction.
+    3. The range of the visible positions takes the place of the image borders, in each direction.
 
     Parameters
     ----------
@@ -55,23 +55,10 @@ def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None)
     return np.array([[half[0], 0, centre[0]], [0, half[1], centre[1]], [0, 0, 1]], dtype=np.float64)
 
 
-def normalised(trajectories: Trajectories, matrix: FloatArray) -> FloatArray:
-    """Positions mapped by the inverse of `matrix`.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        N trajectories over F frames.
-    matrix : (3, 3) float64
-        Maps normalised to pixel coordinates, of `normalising_matrix`.
-
-    Returns
-    -------
-    (N, F, 2) float64
-        NaN where invisible.
-    """
+def normalised(xy: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Map positions (N, F, 2) in pixels by the inverse of a `normalising_matrix`; NaN stays NaN."""
     inverse = np.linalg.inv(matrix)
-    return np.asarray(trajectories.xy @ inverse[:2, :2].T + inverse[:2, 2], dtype=np.float64)
+    return np.asarray(xy @ inverse[:2, :2].T + inverse[:2, 2], dtype=np.float64)
 
 
 def trajectory_matrix(xy: FloatArray) -> FloatArray:
@@ -144,13 +131,13 @@ def flat_distances(points: FloatArray, samples: IntArray) -> FloatArray:
     return np.asarray(np.sqrt(squares))
 
 
-def best_flat_distances(points: FloatArray, members: IntArray, dimension: int) -> FloatArray:
-    """Distances (N,) of points (N, D) to the flat that fits the members best in the least squares sense.
+def best_flat_distances(points: FloatArray, rows: IntArray, dimension: int) -> FloatArray:
+    """Distances (N,) of points (N, D) to the flat that fits some of them best in the least squares sense.
 
-    Its dimension is `dimension`, or one less than the number of members where these are few.
+    Its dimension is `dimension`, or one less than the number of `rows` where these are few.
     """
-    mean = points[members].mean(axis=0)
-    _, _, right = np.linalg.svd(points[members] - mean, full_matrices=False)
-    basis = right[: min(dimension, len(members) - 1)]
+    mean = points[rows].mean(axis=0)
+    _, _, right = np.linalg.svd(points[rows] - mean, full_matrices=False)
+    basis = right[: min(dimension, len(rows) - 1)]
     centred = points - mean
     return np.asarray(np.linalg.norm(centred - (centred @ basis.T) @ basis, axis=1))

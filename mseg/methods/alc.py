@@ -13,6 +13,7 @@ from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.geometry.subspaces import project
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod, by_size
+from mseg.types import Grouping
 
 _LARGEST_OUTLIER_GROUP = 4
 _LN2 = float(np.log(2))
@@ -31,7 +32,7 @@ class ALC(CompleteDataMethod):
        distinct segmentations with exactly K motions. At every epsilon that did not end in one group, the
        candidate with the shortest code there gets a vote; most votes win, the first of equals.
 
-    Where no segmentation has K motions, those with the nearest number stand in, the larger of two; surplus
+    Where no segmentation has K motions, those with the nearest number are taken, the larger of two; surplus
     motions, the smallest, become outliers. This is ours (the authors' code returns about N groups then) and
     is reported as ``exact_count: False``.
 
@@ -50,9 +51,7 @@ class ALC(CompleteDataMethod):
     smallest_distortion: float = option(1e-5, "least distortion, pixels", low=1e-12)
     largest_distortion: float = option(1e3, "greatest distortion, pixels", low=1e-12)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points = project(data.pixels, self.dimension or _sparsity_preserving_dimension(len(data.pixels)))

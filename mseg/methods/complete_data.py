@@ -2,7 +2,7 @@
 
 Rules, the same for all of them:
 
-* Trajectories seen in fewer than two frames say nothing about motion. They take no part; at the end
+* Trajectories seen in fewer than two frames show no motion. They take no part; at the end
   they join the largest motion, the best guess without evidence.
 * Frames in which no other trajectory is seen are left out.
 * Gaps are filled in pixels, or refused, by the option ``completion``: from one subspace, from similar
@@ -20,17 +20,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
 from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
-from mseg.types import Segmentation, required_count
+from mseg.types import Grouping, Segmentation, required_count
 
-Completing = Literal["chen", "local", "rpca", "none"]
-COMPLETION_HELP = (
-    "how gaps are filled: 'chen' (fixed rank), 'local' (similar trajectories), 'rpca' (repairs gross errors "
-    "too), 'none' to refuse"
-)
 _FEWEST_FRAMES = 2
 
 
@@ -66,7 +61,9 @@ class CompleteData:
         return np.vstack([self.normalised, np.ones(self.n_points)])
 
 
-def complete_data(clip: Clip, completion: Completing = "chen", rank: int = 5) -> CompleteData:
+def complete_data(
+    clip: Clip, completion: Literal["chen", "local", "rpca", "none"] = "chen", rank: int = 5
+) -> CompleteData:
     """Trajectory matrices of the evaluated trajectories, without gaps.
 
     Parameters
@@ -95,24 +92,38 @@ def complete_data(clip: Clip, completion: Completing = "chen", rank: int = 5) ->
     if used.sum() < 2 or frames.sum() < _FEWEST_FRAMES:
         found = f"{int(used.sum())} seen twice or more, {int(frames.sum())} frames"
         raise TooFewPointsError(clip.name, expected="at least 2 trajectories and 2 frames", found=found)
+    gaps = int((~trajectories.visible).sum())
     if completion == "none" and not (kept.visible.all() and used.all()):
-        gaps = int((~trajectories.visible).sum())
         raise IncompleteTrajectoriesError(
             clip.name, expected="complete trajectories", found=f"{gaps} missing positions",
             fix="use completion='chen'",
         )  # fmt: skip
-    matrix = trajectory_matrix(kept.xy[:, frames])
-    filled = _filled(matrix, completion, rank)
-    _check_distinct(filled.matrix, clip.name)
-    whole = _as_trajectories(filled.matrix, trajectories)
-    normalising = normalising_matrix(trajectories, clip.camera)
-    touched = completion == "rpca" or not trajectories.visible.all()
-    return CompleteData(
-        filled.matrix,
-        trajectory_matrix(normalised(whole, normalising)),
-        used,
-        _completion_report(filled, used) if touched else {},
-    )
+    filled = _filled(trajectory_matrix(kept.xy[:, frames]), completion, rank)
+    pixels = filled.matrix
+    if np.ptp(pixels, axis=1).max() <= np.finfo(np.float64).eps * np.abs(pixels).max():
+        raise SegmentationError(clip.name, expected="trajectories that differ", found="one, repeated")
+    report = {
+        "completion_rank": filled.rank,
+        "completion_rms_pixels": filled.rms,
+        "completion_undetermined": filled.undetermined,
+        "trajectories_left_out": int((~used).sum()),
+        **filled.convergence.report("completion_"),
+    }
+    xy = normalised(pixels.T.reshape(len(kept), -1, 2), normalising_matrix(trajectories, clip.camera))
+    return CompleteData(pixels, trajectory_matrix(xy), used, report if gaps or completion == "rpca" else {})
+
+
+def _filled(matrix: FloatArray, completion: str, rank: int) -> Completion:
+    if completion != "rpca":
+        return complete_locally(matrix, rank) if completion == "local" else complete(matrix, rank)
+    seen = np.isfinite(matrix)
+    # Far from the origin the common position would be the one direction that counts.
+    centre = np.nanmean(matrix, axis=1, keepdims=True)
+    split = robust_pca(matrix - centre)
+    found = int(np.linalg.matrix_rank(split.low_rank, tol=1e-6 * float(np.linalg.norm(split.low_rank, 2))))
+    rms = float(np.sqrt((split.sparse[seen] ** 2).mean()))
+    undetermined = int((seen.sum(axis=0) < found).sum())
+    return Completion(split.low_rank + centre, found, rms, undetermined, split.convergence)
 
 
 @dataclass(frozen=True)
@@ -122,7 +133,11 @@ class CompleteDataMethod(ABC):
     finds_n_motions: ClassVar[bool] = False
     """Whether `n_motions` may be None."""
 
-    completion: Literal["chen", "local", "rpca", "none"] = option("chen", COMPLETION_HELP)
+    completion: Literal["chen", "local", "rpca", "none"] = option(
+        "chen",
+        "how gaps are filled: 'chen' (fixed rank), 'local' (similar trajectories), 'rpca' (repairs gross "
+        "errors too), 'none' to refuse",
+    )
     completion_rank: int = option(5, "rank of the completion of gaps, or of its start", low=1)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
@@ -141,47 +156,8 @@ class CompleteDataMethod(ABC):
         return Segmentation.of_part(labels, data.used, {**data.report, **report})
 
     @abstractmethod
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Return labels (n',) of the columns, 0 = outlier, and what there is to report."""
-
-
-def _check_distinct(matrix: FloatArray, name: str) -> None:
-    if np.ptp(matrix, axis=1).max() <= np.finfo(np.float64).eps * np.abs(matrix).max():
-        raise SegmentationError(name, expected="trajectories that differ", found="one, repeated")
-
-
-def _filled(matrix: FloatArray, completion: Completing, rank: int) -> Completion:
-    if completion == "rpca":
-        return _repaired(matrix)
-    return complete_locally(matrix, rank) if completion == "local" else complete(matrix, rank)
-
-
-def _repaired(matrix: FloatArray) -> Completion:
-    seen = np.isfinite(matrix)
-    # Far from the origin the common position would be the one direction that counts.
-    centre = np.nanmean(matrix, axis=1, keepdims=True)
-    split = robust_pca(matrix - centre)
-    rank = int(np.linalg.matrix_rank(split.low_rank, tol=1e-6 * float(np.linalg.norm(split.low_rank, 2))))
-    rms = float(np.sqrt((split.sparse[seen] ** 2).mean()))
-    undetermined = int((seen.sum(axis=0) < rank).sum())
-    return Completion(split.low_rank + centre, rank, rms, undetermined, split.convergence)
-
-
-def _as_trajectories(matrix: FloatArray, like: Trajectories) -> Trajectories:
-    xy = matrix.T.reshape(matrix.shape[1], -1, 2)
-    return Trajectories(xy, np.ones(xy.shape[:2], dtype=bool), image_size=like.image_size)
-
-
-def _completion_report(filled: Completion, used: BoolArray) -> dict[str, Any]:
-    return {
-        "completion_rank": filled.rank,
-        "completion_rms_pixels": filled.rms,
-        "completion_undetermined": filled.undetermined,
-        "trajectories_left_out": int((~used).sum()),
-        **filled.convergence.report("completion_"),
-    }
 
 
 def by_size(cluster: IntArray) -> IntArray:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Float32Array, FloatArray, IntArray, Trajectories
+from kt3dmoseg.types import Float32Array, FloatArray, Trajectories
 from mseg.clustering import smallest_eigenvectors, unit_rows
 from mseg.clustering.self_expression import keep_largest
 from mseg.clustering.spectral import smallest_subspace
 from mseg.iteration import Convergence, iterate
 from mseg.kernels import GUARD, covisible_frames
 from mseg.methods.paper import KINDS, ViewMethod
+from mseg.types import Grouping
 
 _GUARD = 0.2
 _NEGLIGIBLE = 1e-5
@@ -56,9 +56,7 @@ class ConsistentMoSeg(ViewMethod):
     tolerance: float = option(1e-3, "largest squared change at convergence", low=0)
     max_iterations: int = option(500, "cap on sweeps", low=1)
 
-    def group(
-        self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
         """Find the shared graph and cut it."""
         kernels = np.array([view.toarray() for view in views])
         shared, specific, convergence = self.solve(kernels, n_motions)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 
@@ -14,11 +13,12 @@ from mseg.clustering import spectral_clustering, unit_rows
 from mseg.errors import TooFewPointsError
 from mseg.geometry.subspaces import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 
 @dataclass(frozen=True)
 class GPCA(CompleteDataMethod):
-    """Fit one polynomial that vanishes on all motions; its gradients tell them apart.
+    """Fit one polynomial that vanishes on all motions; its gradients distinguish them.
 
     1. Trajectories become unit points of R^5: rows of the 5 leading right singular vectors of the
        matrix in pixels. A motion fills at most a hyperplane there.
@@ -39,9 +39,7 @@ class GPCA(CompleteDataMethod):
     dimension: int = option(5, "dimension of the projection", low=2)
     restarts: int = option(10, "restarts of k-means", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points = unit_rows(leading_row_space(data.pixels, self.dimension))

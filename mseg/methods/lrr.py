@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.types import FloatArray
 from mseg.clustering import count_by_eigengap, kmeans, spectral_embedding, unit_rows
 from mseg.clustering.self_expression import low_rank_representation
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 # Smaller singular values of Z are noise.
 _RELATIVE_RANK = 1e-4
@@ -31,7 +32,7 @@ class LRR(CompleteDataMethod):
     TPAMI 2013, equation 7, algorithms 1 and 2; lambda = 4, the row of ones and the exponent are those of the
     authors' motion script.
     Input: complete trajectories (gaps are completed). Number of motions: given, or the relative eigengap of
-    the affinity's normalised Laplacian. Outliers: whole bad trajectories are absorbed by E, but labelled.
+    the affinity's normalised Laplacian. Outliers: bad trajectories are absorbed by E, but labelled.
     Cost: some 400 iterations of O(N F^2), then O(N^3); O(N^2) memory.
     """
 
@@ -43,9 +44,7 @@ class LRR(CompleteDataMethod):
     max_iterations: int = option(1000, "cap on iterations", low=1)
     restarts: int = option(20, "restarts of k-means", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         solved = low_rank_representation(
             data.homogeneous,

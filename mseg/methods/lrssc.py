@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import IntArray
 from mseg.clustering import count_by_eigengap, spectral_clustering
 from mseg.clustering.self_expression import (
     low_rank_representation,
@@ -17,6 +16,7 @@ from mseg.clustering.self_expression import (
     sparse_representation,
 )
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,7 @@ class LRSSC(CompleteDataMethod):
     max_iterations: int = option(400, "cap on ADMM iterations", low=1)
     restarts: int = option(20, "restarts of k-means", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         report: dict[str, Any] = {}
         cap = self.max_iterations

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.types import FloatArray
 from mseg.clustering import spectral_clustering, unit_rows
 from mseg.errors import TooFewPointsError
 from mseg.geometry.subspaces import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 _LARGEST_BASIS = 4
 
@@ -38,9 +38,7 @@ class LSA(CompleteDataMethod):
     n_neighbours: int = option(6, "neighbours k that span a local subspace", low=1)
     restarts: int = option(10, "restarts of k-means", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         if data.n_points <= self.n_neighbours:

@@ -12,7 +12,7 @@ of a clip (affine maps, homographies, fundamental matrices between frames), alon
 Rules for bad input, the same for all of them:
 
 * A frame pair in which fewer points are visible than a minimal sample (3 affine, 4 homography, 8
-  fundamental) says nothing in that view and is left out of it. When no pair is left, or all samples
+  fundamental) is left out of that view. When no pair is left, or all samples
   are degenerate (collinear or coinciding points), the clip cannot be segmented: `SegmentationError`.
 * A trajectory that meets no hypothesis of any view (never visible, or never in two frames of a
   pair) takes no part; at the end it joins the largest motion, the best guess without evidence.
@@ -31,7 +31,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Clip, Float32Array, FloatArray, IntArray, Trajectories
+from kt3dmoseg.types import Clip, Float32Array, FloatArray, Trajectories
 from mseg.clustering import (
     Cut,
     Fusion,
@@ -48,7 +48,7 @@ from mseg.errors import TooFewPointsError
 from mseg.geometry import MODELS
 from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 from mseg.methods.kernel_cache import current_cache
-from mseg.types import ModelKind, Segmentation, required_count
+from mseg.types import Grouping, ModelKind, Segmentation, required_count
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")
 
@@ -137,9 +137,7 @@ class ViewMethod(ABC):
         return kernel
 
     @abstractmethod
-    def group(
-        self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
         """Return labels (m,), 1..K, of the trajectories that take part, and what there is to report.
 
         `views` are the sparsified kernels (m, m) float32 of `kinds`, `rng` is the randomness of k-means.
@@ -149,9 +147,7 @@ class ViewMethod(ABC):
         """Normalised Laplacian of a view's graph."""
         return GraphLaplacian(view, uniform=self.uniform)
 
-    def read_out(
-        self, embedding: FloatArray, n_motions: int, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def read_out(self, embedding: FloatArray, n_motions: int, rng: np.random.Generator) -> Grouping:
         """Run k-means on an embedding (m, d), its rows at unit length; see `group`."""
         found = kmeans(embedding, n_motions, rng, n_restarts=self.restarts)
         return found.labels + 1, {"inertia": found.inertia}
@@ -161,9 +157,7 @@ class ViewMethod(ABC):
 class SingleView(ViewMethod):
     """Spectral clustering of the graph of one view."""
 
-    def group(
-        self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
         """Cluster the view's smallest eigenvectors."""
         embedding = smallest_eigenvectors(self.laplacian(views[0]), n_motions)
         return self.read_out(unit_rows(embedding), n_motions, rng)
@@ -215,9 +209,7 @@ class KerAdd(ViewMethod):
 
     add: Literal["kernels", "laplacians"] = option("kernels", "what is summed over the views")
 
-    def group(
-        self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
         """Cluster the smallest eigenvectors of the sum."""
         affine, homography, fundamental = views
         if self.add == "kernels":
@@ -245,9 +237,7 @@ class FusedViews(ViewMethod):
         "fusion; least_cut = each of these four, then the partition of least normalised cuts",
     )
 
-    def group(
-        self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
         """Make the embeddings agree and read one partition out of them."""
         graphs = [self.laplacian(view) for view in views]
         fusion = self.fuse(graphs, n_motions)

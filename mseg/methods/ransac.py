@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.geometry.subspaces import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 _BATCH = 100
 _DEGENERATE = 1e-10
@@ -41,9 +41,7 @@ class Ransac(CompleteDataMethod):
     confidence: float = option(0.99, "probability of one sample without outliers", low=0, high=0.999999)
     max_trials: int = option(3000, "cap on samples per motion", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points = leading_row_space(data.pixels, self.dimension)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from mseg.geometry.subspaces import best_flat_distances
 from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 from mseg.methods.tlinkage import FLAT_DIMENSION, flat_residuals, tanimoto_distance
+from mseg.types import Grouping
 
 # Start of the other memberships: multiplicative updates cannot leave zero.
 _OTHER_CLUSTERS = 0.2
@@ -47,9 +47,7 @@ class RPA(CompleteDataMethod):
     restarts: int = option(20, "restarts of k-means", low=1)
     reject_outliers: bool = option(False, "label trajectories beyond 5 sigma of all motions as outliers")
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points, residuals = flat_residuals(data.pixels, self.dimension, self.samples, rng)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import eigh, eigvalsh
@@ -14,6 +14,7 @@ from mseg.clustering import relative_eigengaps, unit_rows
 from mseg.geometry.subspaces import leading_row_space
 from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 _NEGLIGIBLE = 1e-6
 _LARGEST_COUNT = 6
@@ -49,9 +50,7 @@ class RSIM(CompleteDataMethod):
     power: float = option(3.5, "exponent of the affinity", low=1)
     starts: int = option(10, "starts of the discretisation", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         # The row space of all homogeneous positions: a row of ones for each frame, as one.
         ones = np.full(data.n_points, np.sqrt(data.normalised.shape[0] // 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from kt3dmoseg.types import IntArray
 from mseg.clustering import count_by_eigengap, spectral_clustering
 from mseg.clustering.self_expression import Representation, sparse_affinity, sparse_representation
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 
 @dataclass(frozen=True)
@@ -44,38 +45,28 @@ class S3C(CompleteDataMethod):
     max_iterations: int = option(400, "cap on ADMM iterations of a pass", low=1)
     restarts: int = option(20, "restarts of k-means", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
-        solved = self._represent(data, None, None, 1.0)
-        affinity = sparse_affinity(solved.coefficients, self.rho)
-        count = n_motions or count_by_eigengap(affinity)
-        labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
-        passes, stable, nu = 1, False, self.growth
+        solved: Representation | None = None
+        labels: IntArray | None = None
+        count, passes, stable, nu = n_motions, 0, False, 1.0
         while passes < self.max_passes and not stable:
-            solved = self._represent(data, solved, labels, nu)
+            apart = 0.0 if labels is None else labels[:, None] != labels
+            solved = sparse_representation(
+                data.normalised,
+                alpha=self.alpha,
+                weights=1 / nu + nu * self.gamma * np.asarray(apart, dtype=np.float64),
+                start=None if solved is None else solved.coefficients,
+                tolerance=self.tolerance,
+                max_iterations=self.max_iterations,
+            )
             affinity = sparse_affinity(solved.coefficients, self.rho)
-            before = labels
-            labels = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
-            stable = bool(np.array_equal(_together(labels), _together(before)))
+            count = count or count_by_eigengap(affinity)
+            before, labels = labels, spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
+            if before is not None:
+                stable = np.array_equal(labels[:, None] == labels, before[:, None] == before)
             passes, nu = passes + 1, nu * self.growth
+        assert solved is not None
+        assert labels is not None
         report = solved.convergence.report() | {"passes": passes, "n_motions": count}
         return labels, report | {"converged": stable and solved.convergence.converged}
-
-    def _represent(
-        self, data: CompleteData, last: Representation | None, labels: IntArray | None, nu: float
-    ) -> Representation:
-        apart = 0.0 if labels is None else ~_together(labels)
-        return sparse_representation(
-            data.normalised,
-            alpha=self.alpha,
-            weights=1 / nu + nu * self.gamma * np.asarray(apart, dtype=np.float64),
-            start=None if last is None else last.coefficients,
-            tolerance=self.tolerance,
-            max_iterations=self.max_iterations,
-        )
-
-
-def _together(labels: IntArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    return np.asarray(labels[:, None] == labels)

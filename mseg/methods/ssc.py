@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import IntArray
 from mseg.clustering import count_by_eigengap, spectral_clustering
 from mseg.clustering.self_expression import sparse_affinity, sparse_representation
 from mseg.geometry.subspaces import project
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,7 @@ class SSC(CompleteDataMethod):
     max_iterations: int = option(400, "cap on ADMM iterations", low=1)
     restarts: int = option(20, "restarts of k-means", low=1)
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         x = project(data.normalised, self.dimension) if self.dimension else data.normalised
         solved = sparse_representation(

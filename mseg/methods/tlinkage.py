@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from mseg.geometry.subspaces import flat_distances, project
 from mseg.iteration import Convergence, iterate
 from mseg.kernels import draw_near_subsets
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod, by_size
+from mseg.types import Grouping
 
 FLAT_DIMENSION = 3
 _SAMPLE = FLAT_DIMENSION + 1
@@ -62,9 +63,7 @@ class TLinkage(CompleteDataMethod):
     choose_epsilon: bool = option(True, "choose epsilon by code length, where the number of motions is known")
     reject_outliers: bool = option(False, "label clusters that are small by step 6 as outliers")
 
-    def group(
-        self, data: CompleteData, n_motions: int | None, rng: np.random.Generator
-    ) -> tuple[IntArray, dict[str, Any]]:
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         points, residuals = flat_residuals(data.pixels, self.dimension, self.samples, rng)
         several = self.choose_epsilon and n_motions is not None

@@ -70,8 +70,8 @@ class TPV:
     tolerance: float = option(2e-3, "largest residual of the constraint and step at convergence", low=0)
     max_iterations: int = option(400, "cap on ADMM iterations", low=1)
     merge: bool = option(True, "cluster into more groups than motions too, and merge (step 4)")
-    noise: float = option(0.005, "least distance that tells, with points sqrt 2 from their centre", low=1e-9)
-    cut: float = option(6.0, "weight of the normalised cut beside nats per trajectory and pair", low=0)
+    noise: float = option(0.005, "least distance that counts, with points sqrt 2 from their centre", low=1e-9)
+    cut: float = option(6.0, "weight of the normalised cut against nats per trajectory and pair", low=0)
     restarts: int = option(20, "restarts of k-means", low=1)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:

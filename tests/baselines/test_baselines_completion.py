@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kt3dmoseg.errors import InvalidValueError
-from mseg.completion import complete, robust_pca, shrink, shrink_singular_values
-from mseg.completion.robust_pca import shrink_eigenvalues
+from mseg.completion import complete, robust_pca, shrink
+from mseg.completion.robust_pca import _shrink_eigenvalues, _shrink_singular_values
 from mseg.errors import TooFewPointsError
 
 
@@ -105,7 +105,7 @@ def test_symmetric_data_are_shrunk_by_eigenvalues(rng):
     half = rng.normal(size=(30, 30))
     matrix = half + half.T
     np.testing.assert_allclose(
-        shrink_eigenvalues(matrix, 3.0), shrink_singular_values(matrix, 3.0), atol=1e-10
+        _shrink_eigenvalues(matrix, 3.0), _shrink_singular_values(matrix, 3.0), atol=1e-10
     )
     low_rank = np.outer(half[0], half[0])
     result = robust_pca(low_rank + 20 * np.eye(30)[::-1])
@@ -115,5 +115,5 @@ def test_symmetric_data_are_shrunk_by_eigenvalues(rng):
 
 def test_shrinking_by_hand():
     np.testing.assert_array_equal(shrink(np.array([-3.0, -0.5, 0.0, 2.0]), 1.0), [-2, 0, 0, 1])
-    diagonal = shrink_singular_values(np.diag([5.0, 2.0, 0.5]), 1.0)
+    diagonal = _shrink_singular_values(np.diag([5.0, 2.0, 0.5]), 1.0)
     np.testing.assert_allclose(diagonal, np.diag([4.0, 1.0, 0.0]), atol=1e-12)

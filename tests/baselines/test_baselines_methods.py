@@ -164,11 +164,11 @@ def test_normalising_rules():
     seen = np.ones((2, 2), dtype=bool)
     plain, sized = Trajectories(xy, seen), Trajectories(xy, seen, image_size=(640, 480))
     by_camera = normalising_matrix(sized, Camera(K=np.diag([2.0, 4.0, 1.0])))
-    np.testing.assert_allclose(normalised(sized, by_camera)[0], [[5, 5], [15, 5]])
+    np.testing.assert_allclose(normalised(sized.xy, by_camera)[0], [[5, 5], [15, 5]])
     np.testing.assert_allclose(
-        normalised(sized, normalising_matrix(sized))[0, 0], [20 / 640 - 1, 40 / 480 - 1]
+        normalised(sized.xy, normalising_matrix(sized))[0, 0], [20 / 640 - 1, 40 / 480 - 1]
     )
-    by_range = normalised(plain, normalising_matrix(plain))
+    by_range = normalised(plain.xy, normalising_matrix(plain))
     np.testing.assert_allclose([by_range.min(), by_range.max()], [-1, 1])
     with pytest.raises(InvalidValueError, match="invertible"):
         normalising_matrix(plain, Camera(K=np.zeros((3, 3))))
