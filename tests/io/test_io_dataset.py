@@ -13,7 +13,7 @@ from io_clips import small_clip
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.io import dataset_paths, load, load_dataset, save
-from kt3dmoseg.io.fields import clip_name
+from kt3dmoseg.io.fields import check_name, clip_name
 from kt3dmoseg.io.flow_files import read_flow, write_flow
 from kt3dmoseg.io.formats import convert
 from kt3dmoseg.io.info import info
@@ -66,6 +66,13 @@ def test_names_come_from_files():
     assert clip_name("x/Seq028_clip03_Tracks.mat") == "Seq028_clip03"
     assert clip_name("oc1R2RC_g12_Tracks.mat") == "oc1R2RC_g12"
     assert clip_name("built.v2.h5") == "built.v2"
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "a\\b", "a\nb", "x" * 201])
+def test_a_name_that_could_not_be_a_file_is_refused(name):
+    check_name("Seq005_Clip01", "--name")
+    with pytest.raises(InvalidValueError, match="--name: expected a clip's name"):
+        check_name(name, "--name")
 
 
 def test_info_of_a_clip(tmp_path, capsys):

@@ -132,6 +132,11 @@ def test_wrong_content_is_named(name, value, words, file):
         ("dense", "image_size", np.array([4, 1 << 40]), "image_size: expected .width, height."),
         ("dense", "image_size", np.array([np.nan, 4]), "image_size: expected .width, height."),
         ("labels", "names", '{"van": "2"}', "names: expected numbers of motions, found 'van'"),
+        ("labels", "names", "[1]", "names: expected a JSON object, found list"),
+        ("/", "provenance", "{", "provenance: expected JSON"),
+        ("/", "name", 5, "attribute name: expected a text, found int64"),
+        ("/", "version", 1.5, "version: expected a whole number"),
+        ("/", "version", 0, "version: expected 1 or more, found 0"),
     ],
 )
 def test_wrong_attributes_are_named(group, name, value, words, file):
@@ -140,6 +145,29 @@ def test_wrong_attributes_are_named(group, name, value, words, file):
     with pytest.raises(FileFormatError, match=words) as caught:
         load(file)
     assert str(file) in str(caught.value)
+
+
+def test_a_missing_name_and_a_group_for_an_array_are_named(file):
+    with h5py.File(file, "r+") as stream:
+        del stream["evaluated"]
+        stream.create_group("evaluated")
+    with pytest.raises(FileFormatError, match="evaluated: expected a dataset, found a group"):
+        hdf5.read(file)
+    hdf5.write(small_clip(), file)
+    with h5py.File(file, "r+") as stream:
+        del stream.attrs["name"]
+    with pytest.raises(FileFormatError, match="attribute name: expected a text, found nothing"):
+        hdf5.read(file)
+
+
+def test_a_huge_attribute_is_not_read(file):
+    with h5py.File(file, "r+", libver="latest") as stream:
+        del stream.attrs["provenance"]
+        space, text = h5py.h5s.create_simple((1 << 20,)), h5py.h5t.C_S1.copy()
+        text.set_size(128)
+        h5py.h5a.create(stream.id, b"provenance", text, space)
+    with pytest.raises(FileFormatError, match="provenance: expected at most 67108864 bytes"):
+        hdf5.read(file)
 
 
 def test_a_missing_array_is_named(file):

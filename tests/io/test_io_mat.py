@@ -224,6 +224,35 @@ def test_hostile_sizes_cost_nothing(name, tmp_path):
         tracemalloc.stop()
 
 
+BODY = _matrix((1, 1), struct.pack("<IId", 9, 8, 1.5))
+DAMAGED = {
+    "empty file": (b"", "an empty file"),
+    "less than a header": (b"MATLAB 5.0 MAT-file", "less than a header; the file is truncated"),
+    "version 4": (struct.pack("<5i", 0, 2, 3, 0, 2) + bytes(200), "a file that starts with"),
+    "text": (b"% MATLAB script" * 20, "a file that starts with b'% MATLAB"),
+    "tag cut short": (_header(b"\x0e\0\0\0"), "an 8-byte tag, found 4 bytes; the file is truncated"),
+    "matrix cut short": (_header(BODY[:-4]), "the file is truncated or damaged"),
+    "long small element": (_header(struct.pack("<HHI", 1, 5, 0)), "at most 4 bytes in a small element"),
+    "no matrix": (_header(struct.pack("<IId", 9, 8, 1.5)), "a matrix element, found an element of type 9"),
+    "no data": (_header(_matrix((1, 1), b"")), "numbers, found an element of type 0"),
+    "text as numbers": (
+        _header(_matrix((1, 1), struct.pack("<IId", 16, 8, 1.5))),
+        "numbers, found an element",
+    ),
+    "no flags": (_header(struct.pack("<IIII", 14, 8, 9, 0)), "array flags, found an element of type 9"),
+    "bad zlib": (_header(struct.pack("<II", 15, 9) + b"123456789"), "zlib data"),
+    "cut zlib": (_header(struct.pack("<II", 15, 4) + zlib.compress(BODY)[:4]), "too few bytes"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damage_is_named(name, tmp_path):
+    content, words = DAMAGED[name]
+    (tmp_path / "clip.mat").write_bytes(content)
+    with pytest.raises(FileFormatError, match=words):
+        read_mat(tmp_path / "clip.mat")
+
+
 def test_structs_inside_structs_end_somewhere(tmp_path):
     value: object = np.eye(2)
     for _ in range(50):

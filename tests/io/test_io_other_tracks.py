@@ -109,7 +109,13 @@ def test_bad_arrays(arrays, words, tmp_path):
     ("changes", "words"),
     [
         ({"label_names": np.array('{"van": "2"}')}, "label_names: expected numbers of motions, found 'van'"),
+        ({"label_names": np.array(3)}, "label_names: expected a text, found int64 of shape"),
+        ({"provenance": np.array("[]")}, "provenance: expected a JSON object, found list"),
         ({"image_size": np.array([-1, 4])}, "image_size"),
+        ({"image_size": np.array([1, 2, 3])}, "image_size: expected 2, found 3"),
+        ({"background": np.array([1])}, "background: expected one value, found 1"),
+        ({"xy": np.zeros((6, 5))}, "xy: expected any x any x any, found 6 x 5|xy: expected shape"),
+        ({"label": np.array([1.5])}, "label: expected whole numbers any, found float64 of shape"),
         ({"background": np.array(1 << 63, dtype=np.uint64)}, "at most 9223372036854775807"),
     ],
 )
