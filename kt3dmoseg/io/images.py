@@ -165,8 +165,8 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
     FileFormatError when it is no picture, huge, cut short, or damaged as far as its format shows that.
     """
     with _opened(content, where) as (image, stored):
-        if image.mode[0] != "I" and _DEEP.search(stored):  # of 16-bit colours, Pillow keeps 8 bits
-            image.load()
+        if not image.mode.startswith("I;16") and _DEEP.search(stored):
+            image.load()  # of 16-bit colours, Pillow keeps 8 bits
             with quiet_opencv():
                 picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
             if picture is None:
@@ -175,7 +175,9 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
         if image.mode not in _PLAIN_MODES:
             image = image.convert(_CONVERSIONS.get(image.mode, "RGB"))
         pixels = np.asarray(image)
-    return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
+    if pixels.ndim == 2:
+        return pixels
+    return cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR)
 
 
 def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:

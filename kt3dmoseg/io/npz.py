@@ -23,23 +23,22 @@ from kt3dmoseg.files import SafeZip, ZipLimits, read_bytes, write_bytes
 from kt3dmoseg.io.fields import Fields, clip_from, clip_of_tracks, clip_values
 from kt3dmoseg.types import BoolArray, Clip, Trajectories
 
-# Kind and shape of the arrays of a clip, and its texts.
-_NEEDED: dict[str, tuple[str, tuple[int | None, ...]]] = {
+# Kind and shape of the arrays of a clip, those that it may lack, and its texts.
+_ARRAYS: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "xy": ("f", (None, None, None)),
     "visible": ("b", (None, None)),
     "track_id": ("iu", (None,)),
     "evaluated": ("iu", (None,)),
     "label": ("iu", (None,)),
     "frame_numbers": ("iu", (None,)),
-}
-_OPTIONAL: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "image_size": ("iu", (2,)),
     "background": ("iu", ()),
     "timestamps": ("f", (None,)),
     "K": ("f", (3, 3)),
 }
+_OPTIONAL = {"image_size", "background", "timestamps", "K"}
 _TEXTS = ("label_names", "camera_name", "provenance")
-KEYS = {"name", *_NEEDED}
+KEYS = {"name", *_ARRAYS} - _OPTIONAL
 COTRACKER_KEYS = {"pred_tracks", "pred_visibility"}
 TAPVID_KEYS = {"points", "occluded", "video"}
 _FREE = 1 << 24
@@ -155,8 +154,11 @@ def read(path: str | os.PathLike[str]) -> Clip:
 def _clip(path: str | os.PathLike[str]) -> Clip:
     prefix = f"{os.fspath(path)}: "
     fields = Fields(prefix, read_npz(path))
-    optional = {name: kind for name, kind in _OPTIONAL.items() if name in fields}
-    arrays = {name: fields.array(name, shape, kinds) for name, (kinds, shape) in (_NEEDED | optional).items()}
+    arrays = {
+        name: fields.array(name, shape, kinds)
+        for name, (kinds, shape) in _ARRAYS.items()
+        if name not in _OPTIONAL or name in fields
+    }
     texts = {name: fields.text(name) for name in ("name", *(name for name in _TEXTS if name in fields))}
     return clip_from(arrays | texts, prefix)
 

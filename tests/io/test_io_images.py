@@ -274,11 +274,12 @@ def test_every_kind_of_8_bit_gray_is_read(mode, tmp_path):
     np.testing.assert_allclose(read_frame(path), np.asarray(image.convert("RGB"))[..., 0], atol=2)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tif", ".ppm"])
-def test_16_bit_colours_keep_their_depth(suffix, rng):
-    stored = rng.integers(0, 1 << 16, (4, 6, 3)).astype(np.uint16)
-    content = bytes(cv2.imencode(suffix, stored)[1])
-    np.testing.assert_array_equal(decode(content, "a"), stored)
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".ppm", ".pgm"])
+def test_16_bits_keep_their_depth(suffix, rng):
+    stored = rng.integers(0, 1 << 16, (4, 6) if suffix == ".pgm" else (4, 6, 3)).astype(np.uint16)
+    read = decode(bytes(cv2.imencode(suffix, stored)[1]), "a")
+    np.testing.assert_array_equal(read, stored)
+    assert read.dtype == np.uint16
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4, 8])
