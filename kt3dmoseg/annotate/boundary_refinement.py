@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from kt3dmoseg.annotate.geometry import bounds, signed_distance
+from kt3dmoseg.annotate.geometry import signed_distance
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Motion
 from kt3dmoseg.annotate.propagation import Region, fit_similarities
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
@@ -67,14 +67,8 @@ def region_depths(trajectories: Trajectories, regions: Sequence[Region], reach: 
     """Signed distance (N, F) to the outline, positive inside; -inf beyond `reach`, NaN where unseen."""
     depth = np.where(trajectories.visible, -np.inf, np.nan)
     for frame, region in enumerate(regions):
-        if region.polygons:
-            left, top, right, bottom = bounds(region.polygons)
-            xy = trajectories.xy[:, frame]
-            with np.errstate(invalid="ignore"):
-                near = (xy >= (left - reach, top - reach)) & (xy <= (right + reach, bottom + reach))
-            rows = np.flatnonzero(near.all(axis=1))
-            distance = signed_distance(xy[rows], region.polygons)
-            depth[rows, frame] = np.where(distance >= -reach, distance, -np.inf)
+        rows = np.flatnonzero(trajectories.visible[:, frame])
+        depth[rows, frame] = signed_distance(trajectories.xy[rows, frame], region.polygons, reach)
     return depth
 
 

@@ -26,20 +26,24 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
     return np.asarray((crosses & (x < at)).sum(axis=1) % 2 == 1)
 
 
-def signed_distance(points: FloatArray, polygons: Sequence[FloatArray]) -> FloatArray:
+def signed_distance(points: FloatArray, polygons: Sequence[FloatArray], reach: float = np.inf) -> FloatArray:
     """Distance (N,) of points (N, 2) to the boundary of a union of polygons, positive inside, in pixels.
 
     Where polygons overlap, the deepest counts; this underestimates the true depth in the union,
-    which only matters closer to the boundary than the overlap is wide. No polygon: infinitely far outside.
+    which only matters closer to the boundary than the overlap is wide. Beyond `reach`, -inf.
     """
     best = np.full(len(points), -np.inf)
     for polygon in polygons:
+        left, top, right, bottom = bounds([polygon])
+        low, high = (left - reach, top - reach), (right + reach, bottom + reach)
+        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         step = max(1, _BLOCK // len(polygon))
-        for start in range(0, len(points), step):
-            block = points[start : start + step]
-            distance = _boundary_distance(block, polygon)
-            signed = np.where(inside(block, polygon), distance, -distance)
-            best[start : start + step] = np.maximum(best[start : start + step], signed)
+        for start in range(0, len(near), step):
+            rows = near[start : start + step]
+            distance = _boundary_distance(points[rows], polygon)
+            signed = np.where(inside(points[rows], polygon), distance, -distance)
+            best[rows] = np.maximum(best[rows], signed)
+    best[best < -reach] = -np.inf
     return best
 
 

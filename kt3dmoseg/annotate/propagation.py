@@ -109,10 +109,7 @@ class TrackMotion:
     def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
         """Trajectories inside the region in frame `i` that are visible in `j`; see `ImageMotion`."""
         _, x1, x2 = self.trajectories.pair(i, j)
-        left, top, right, bottom = bounds(region)
-        near = ((x1 >= (left, top)) & (x1 <= (right, bottom))).all(axis=1)
-        x1, x2 = x1[near], x2[near]
-        kept = signed_distance(x1, region) >= 0
+        kept = signed_distance(x1, region, reach=0.0) >= 0
         return x1[kept], x2[kept]
 
 
