@@ -125,7 +125,7 @@ def test_every_error_is_one_line_and_crosses_processes(kind):
 
 
 def test_a_built_in_name_asks_no_package(monkeypatch):
-    monkeypatch.setattr("kt3dmoseg.registry.entry_points", lambda **_: 1 / 0)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: 1 / 0)
     registry = Registry("codec", {"json": "json:dumps"}, group="none.such")
     assert registry.load("json")([1]) == "[1]"
     with pytest.raises(ZeroDivisionError):
