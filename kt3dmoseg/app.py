@@ -34,6 +34,13 @@ _USAGE = 2
 _RARE = " (rarely changed)"
 _LABELS = 26  # width of the column of names in help
 _FORMER = {"--set": "--parameter"}  # older names of flags, taken and not listed
+_EXTRAS = {
+    "starlette": "label",
+    "uvicorn": "label",
+    "pycocotools": "label",
+    "requests": "pull",
+    "pooch": "pull",
+}
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 
@@ -203,6 +210,13 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        if package not in _EXTRAS:
+            raise
+        fix = f"pip install 'kt3dmoseg[{_EXTRAS[package]}]'"
+        print(f"{program}: {package} is not installed; {fix}", file=sys.stderr)
+        return _USAGE
     except OSError as error:  # what the system refuses (full disk, no permission) is no bug
         print(f"{program}: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
         return _USAGE

@@ -174,8 +174,10 @@ def compare(
 
     Parameters
     ----------
-    first, others : path
-        Submissions or score files, then the data.
+    first : path
+        Submission or score file.
+    others : path
+        More of them, then the data.
     data : path
         Folder of clips with labels; by default the last argument.
     metric : str

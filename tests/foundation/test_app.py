@@ -19,7 +19,12 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import Preset, from_mapping, option
 from mseg.cli import COMMANDS as MSEG_COMMANDS
 
-EVERY_COMMAND = [("kt3dmoseg", c) for c in DATASET_COMMANDS] + [("mseg", c) for c in MSEG_COMMANDS]
+EVERY_COMMAND = [
+    *(("kt3dmoseg", command) for command in DATASET_COMMANDS),
+    *(("kt3dmoseg", f"catalog {command}") for command in ("list", "check", "add")),
+    *(("mseg", command) for command in MSEG_COMMANDS),
+    *(("mseg", f"leaderboard {command}") for command in ("add", "list", "rank", "export")),
+]
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,10 @@ def hello(name: str, /, *, seeds: app.Positive = 1, count: app.Whole = 0, **opti
         raise KeyboardInterrupt
     if name == "full":
         raise OSError(28, "No space left on device", "/full/disk")
+    if name == "missing":
+        raise ModuleNotFoundError("No module named 'starlette'", name="starlette.routing")
+    if name == "bug":
+        raise ModuleNotFoundError("No module named 'mistake'", name="mistake")
     if name == "gone":
         raise BrokenPipeError
     seen.append(from_mapping(Example, options))
@@ -100,6 +109,10 @@ def test_exit_codes_and_single_lines(call):
     assert call("hello", "nobody") == (2, "", "prog: name: found nobody\n")
     assert call("hello", "ctrl-c") == (130, "", "prog: interrupted; what was finished is kept\n")
     assert call("hello", "full") == (2, "", "prog: /full/disk: No space left on device\n")
+    missing = "prog: starlette is not installed; pip install 'kt3dmoseg[label]'\n"
+    assert call("hello", "missing") == (2, "", missing)
+    with pytest.raises(ModuleNotFoundError):
+        call("hello", "bug")
     code, _, err = call("helo")
     assert (code, err) == (2, "prog: unknown command 'helo'; did you mean 'hello'?\n")
 
@@ -238,9 +251,12 @@ def test_a_file_that_is_not_there_is_one_line(call):
 
 @pytest.mark.parametrize(("package", "command"), EVERY_COMMAND)
 def test_every_listed_command_has_help(package, command, capsys):
-    assert import_module(f"{package}.cli").main([command, "--help"]) == 0
+    assert import_module(f"{package}.cli").main([*command.split(), "--help"]) == 0
     out = capsys.readouterr().out
     assert f"Usage: {package} {command}" in out
+    rows = re.findall(r"^  \S.*(?:\n {26}.*)*", out, flags=re.MULTILINE)
+    assert rows
+    assert all(re.search(r"  +\S", row.strip()) for row in rows), "an option without a text"
     assert "STR" not in out.partition("\n")[2]
     assert "Parameters\n" not in out
 
