@@ -134,6 +134,21 @@ def test_properties_are_edited_in_the_panel(page, shared):
     assert (item.name, item.kind, item.note, item.motion) == ("white van", "van", "turns left", 7)
 
 
+def test_a_typed_name_belongs_to_its_object_when_the_timeline_selects_another(page):
+    page.draw()
+    page.draw([(200, 20), (260, 20), (260, 50)])
+    page.press("[")
+    page.until("document.querySelector('#inspector input')?.value === 'object 1'")
+    name = page.tab.get_by_label("name", exact=True)
+    name.focus()
+    name.press("Control+a")
+    name.type("white van")
+    page.tab.locator("#timeline").click(position={"x": 20, "y": 26 + 26 + 13})
+    page.until("labeller.state.selected === 2")
+    page.until("labeller.state.doc.objects[0].name === 'white van'")
+    assert [item["name"] for item in page.objects()] == ["white van", "object 2"]
+
+
 def test_export_and_import_in_the_page(page, tmp_path):
     page.draw()
     page.press("6", "Control+e")

@@ -28,8 +28,8 @@ const withKey = (doc, frame, ...region) => annotation.setKey(doc, state.selected
 /** Make the selected object's region here a key frame. */
 export const draw = (polygons, visibility) => edit(withKey(state.doc, state.frame, polygons, visibility));
 
-/** Change the selected object's properties. */
-export const update = (fields) => edit(annotation.update(state.doc, state.selected, fields));
+/** Change an object's properties. */
+export const update = (item, fields) => edit(annotation.update(state.doc, item.id, fields));
 
 // Drawing
 
@@ -120,7 +120,7 @@ export function setMotion(motion) {
     return;
   }
   const item = chosen();
-  if (item && item.motion !== motion) update({ motion });
+  if (item && item.motion !== motion) update(item, { motion });
 }
 
 export function removeMarksHere() {
@@ -192,7 +192,7 @@ export function forgetKey() {
   const item = chosen();
   if (!item || !annotation.keyAt(item, state.frame)) return;
   if (item.key_frames.length === 1) return say("This is its only key frame; Shift+Delete deletes the object");
-  update({ key_frames: item.key_frames.filter((key) => key.frame !== state.frame) });
+  update(item, { key_frames: item.key_frames.filter((key) => key.frame !== state.frame) });
 }
 
 // Points

@@ -77,8 +77,6 @@ function meter({ decided, total }) {
 let timer = 0;
 
 async function refresh() {
-  // The clip at hand comes first: the others are counted when its labels are there.
-  if (!state.labels || state.saving.kind !== "saved") return;
   clearTimeout(timer);
   try {
     set({ summaries: await api.listClips() });
@@ -148,6 +146,7 @@ function progressCells(summary) {
   return [meter(share), untouched ? "to do" : `${percent(share)}, ${share.left} open`];
 }
 
-on(["saving", "labels", "clip"], refresh);
+// The clip at hand comes first: the others are counted when its labels are there.
+on(["saving", "labels", "clip"], () => state.labels && state.saving.kind === "saved" && refresh());
 on(["labels", "summaries", "clip"], () => state.clip && drawProgress());
 on(["summaries"], drawClips);

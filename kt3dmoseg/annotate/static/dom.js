@@ -70,12 +70,10 @@ export function begin(canvas) {
   return context;
 }
 
-/** A strip over the frame that asks for one of its buttons, or nothing. */
+/** A strip over the frame with buttons, or none. */
 export function strip(id, text, ...buttons) {
-  const root = byId(id);
-  root.hidden = !text;
-  fill(root, element("span", {}, text), ...buttons);
-  if (text) buttons[0].focus();
+  byId(id).hidden = !text;
+  fill(byId(id), element("span", {}, text), ...buttons);
 }
 
 const dialog = byId("dialog");

@@ -94,9 +94,10 @@ function drawReview() {
     const on = button(left ? `Go on (${left} left)` : "Done", () => review(index), "primary");
     strip("review", `${name} is an object now: put it right, then`, on);
   } else {
-    strip("review", `${item.name}: ${index + 1} of ${left} proposed`,
-      button("Accept", () => (accept(), review(index)), "primary"), button("Correct", correct),
+    const first = button("Accept", () => (accept(), review(index)), "primary");
+    strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Correct", correct),
       button("Reject", () => (settle(), review(index))), button("Skip", () => review(index + 1)), button("Done", end));
+    first.focus();
   }
 }
 
@@ -197,9 +198,11 @@ function drawDifference() {
   const { at, differences } = state.compared ?? {};
   const here = differences?.[at];
   if (!here) return strip("differences", "");
-  return strip("differences", `${at + 1} of ${differences.length}: here ${here.mine}, other ${here.theirs}`,
-    button("Next", () => visit(at + 1), "primary"), button("Previous", () => visit(at - 1)), button("List", list),
-    button("Compare again", compare), button("Done", leave));
+  const next = button("Next", () => visit(at + 1), "primary");
+  strip("differences", `${at + 1} of ${differences.length}: here ${here.mine}, other ${here.theirs}`, next,
+    button("Previous", () => visit(at - 1)), button("List", list), button("Compare again", compare),
+    button("Done", leave));
+  return next.focus();
 }
 
 on(["review", "proposals"], drawReview);

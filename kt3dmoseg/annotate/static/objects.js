@@ -143,7 +143,7 @@ const choice = (text, title, run, more = {}) =>
 function input(item, name, placeholder = "") {
   const commit = (event) => {
     const value = event.target.value.trim();
-    if (value !== (item[name] ?? "") && (value || name !== "name")) update({ [name]: value });
+    if (value !== (item[name] ?? "") && (value || name !== "name")) update(item, { [name]: value });
   };
   return element("input", {
     value: item[name] ?? "", maxLength: 200, "aria-label": name, "data-focus": name, placeholder, onchange: commit,
@@ -154,7 +154,7 @@ function input(item, name, placeholder = "") {
 
 function kinds(item) {
   const choose = (event) => {
-    update({ kind: event.target.value });
+    update(item, { kind: event.target.value });
     event.target.blur();
   };
   return element("select", { "aria-label": "Kind", "data-focus": "kind", onchange: choose },
