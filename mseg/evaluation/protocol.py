@@ -15,15 +15,29 @@ from kt3dmoseg.registry import unknown_name
 
 @dataclass(frozen=True)
 class Group:
-    """A part of a benchmark over which scores are averaged."""
+    """A part of a benchmark over which scores are averaged.
+
+    Parameters
+    ----------
+    name, title : str
+        Key and heading.
+    n_clips : int
+        Number of clips in the full benchmark, however many are present.
+    clips, pattern : tuple of str, str
+        Names of the clips where the benchmark lists them, else a regular expression for the full name.
+    n_motions : int or None
+        Number of motions that a clip must have, where that is the rule.
+    unknown : bool
+        The benchmark does not say which clips belong here: nothing can be scored.
+    """
 
     name: str
     title: str
-    n_clips: int  # in the full benchmark, whatever is present
-    clips: tuple[str, ...] = ()  # their names, where the benchmark lists them
-    pattern: str = ".+"  # regular expression that a whole name must match, where it does not
-    n_motions: int | None = None  # that a clip must have, where that is the rule
-    unknown: bool = False  # the benchmark does not say which clips belong here: nothing can be scored
+    n_clips: int
+    clips: tuple[str, ...] = ()
+    pattern: str = ".+"
+    n_motions: int | None = None
+    unknown: bool = False
 
     def holds(self, clip: str, n_motions: int | None = None) -> bool:
         """Whether a clip, with that number of motions, belongs to the group."""
@@ -38,23 +52,46 @@ class Protocol:
 
     In every protocol only the evaluated trajectories of a clip are scored, those with true label
     0 are left out, and the mean over clips weighs each clip the same.
+
+    Parameters
+    ----------
+    name, title, source : str
+        Key, heading and reference.
+    n_clips : int
+        Size of the full benchmark.
+    groups : tuple of Group
+        Its parts; the one named ``"all"`` comes last.
+    exclude : tuple of str
+        Clips that exist in the data but never count.
+    notes : tuple of str
+        What is unclear or must be known to read the figures.
+    published : mapping
+        Method -> group name -> {"mean": per cent, "median": per cent}, Table 1 of Xu et al. 2018.
+    published_dataset_version : str
+        The version of the data that the published results were made on; empty = the only one.
+    prevalence : mapping of str to float
+        Error in per cent of the one-motion baseline on clips, where known.
+    versions : mapping of str to mapping of str to str
+        Dataset version -> clip -> `mseg.evaluation.clip_checksum`, where known.
+    names : str
+        Regular expression by which clips of a benchmark that lists none are recognised.
+    data : str
+        Conventional name of the folder that holds the clips.
     """
 
     name: str
     title: str
-    n_clips: int  # of the full benchmark
-    groups: tuple[Group, ...]  # its parts; the one named "all" comes last
-    source: str = ""  # reference
-    exclude: tuple[str, ...] = ()  # clips that exist in the data but never count
-    notes: tuple[str, ...] = ()  # what is unclear or must be known to read the figures
-    # Method -> group name -> {"mean": per cent, "median": per cent}, Table 1 of Xu et al. 2018, and the
-    # version of the data that they were made on; empty = the only one.
+    n_clips: int
+    groups: tuple[Group, ...]
+    source: str = ""
+    exclude: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     published: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     published_dataset_version: str = ""
-    prevalence: Mapping[str, float] = field(default_factory=dict)  # error of one motion, %, where known
-    versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # clip_checksum of each clip
-    names: str = ""  # regular expression that recognises clips of a benchmark that lists none
-    data: str = ""  # conventional name of the folder that holds the clips
+    prevalence: Mapping[str, float] = field(default_factory=dict)
+    versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    names: str = ""
+    data: str = ""
 
     def holds(self, clip: str) -> bool:
         """Whether a clip of that name counts in this benchmark."""

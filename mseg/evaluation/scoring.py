@@ -16,14 +16,7 @@ import numpy.typing as npt
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.predictions import (
-    MAX_FILE_BYTES,
-    SUFFIXES,
-    Problem,
-    join_labels,
-    numbered,
-    parse_prediction,
-)
+from kt3dmoseg.io.predictions import SUFFIXES, Problem, numbered, read_prediction
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels
 from mseg.errors import RejectedSubmissionError
@@ -58,17 +51,35 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class ClipScore:
-    """Scores of one clip and one seed."""
+    """Scores of one clip and one seed.
+
+    Parameters
+    ----------
+    clip, seed : str, int
+        Which.
+    n_motions, n : int
+        True motions and scored trajectories.
+    values : mapping of str to float
+        Every metric by name.
+    n_found : int
+        Predicted groups among the scored trajectories.
+    prevalence : float
+        Classification error of putting every trajectory into the largest motion.
+    reason : str
+        Why there are no labels; empty when there are.
+    table : Contingency or None
+        The counts behind the values, where they are at hand.
+    """
 
     clip: str
     seed: int
-    n_motions: int  # true ones
-    n: int  # scored trajectories
-    values: Mapping[str, float]  # every metric by name
-    n_found: int = 0  # predicted groups among the scored trajectories
-    prevalence: float = 1.0  # error of putting every trajectory into the largest motion
-    reason: str = ""  # why there are no labels
-    table: Contingency | None = None  # the counts behind the values, where they are at hand
+    n_motions: int
+    n: int
+    values: Mapping[str, float]
+    n_found: int = 0
+    prevalence: float = 1.0
+    reason: str = ""
+    table: Contingency | None = None
 
 
 _BARE, _UNKNOWN = SubmissionMeta("labels"), Provenance("", "", "", "")
@@ -344,11 +355,10 @@ def _labels_of(file: Path, clip: Any) -> IntArray:  # noqa: ANN401  # checked
         from mseg.evaluation.label_import import fit_to_clip, read_label_text
 
         return fit_to_clip(read_label_text(file), clip, f"{file}")
-    found = parse_prediction(read_bytes(file, MAX_FILE_BYTES), file.name.lower(), clip.name)
-    labels, problems = join_labels(found, clip, file.name)
-    if labels is None:
-        raise RejectedSubmissionError(f"{file}: {numbered(problems)}")
-    return labels
+    try:
+        return read_prediction(file, clip)
+    except FileFormatError as error:
+        raise RejectedSubmissionError(str(error)) from None
 
 
 # --- scores as JSON, so that they can be kept, compared and ranked without the data ---------------
