@@ -1,4 +1,4 @@
-"""Time every step of the paper's method on Seq005_Clip01, beside what the authors' code needs.
+"""Time every step of the paper's method on Seq005_Clip01, and what the authors' code needs.
 
 python tools/compare_peer.py [CLIP]    CPU seconds of one core; the best of five for each step.
 

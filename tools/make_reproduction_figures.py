@@ -2,7 +2,7 @@
 
 python tools/make_reproduction_figures.py --results kt3dmoseg.json --sweeps sweep-*.json -o docs/figures
 
-docs/reproduction.md says which runs these are. The virtual planar slices need none: they are made of a
+docs/reproduction.md lists these runs. The virtual planar slices need none: they are made of a
 synthetic scene.
 """
 
@@ -64,22 +64,22 @@ def errors_of(results: dict[str, Any], method: str) -> np.ndarray:
 
 
 def seeds_figure(results: dict[str, Any]) -> Figure:
-    """Mean error of every seed, beside the printed value."""
+    """Mean error of every seed, with the printed value."""
     figure, axes = plt.subplots(figsize=(7.5, 3))
     published = load_protocol("kt3dmoseg").published
-    for place, method in enumerate(ORDER):
+    for column, method in enumerate(ORDER):
         means = np.sort(errors_of(results, method).mean(axis=0))
         offsets = np.linspace(-0.22, 0.22, len(means))
-        axes.plot(place + offsets, means, "o", color=COLOURS[method], markersize=4)
-        axes.hlines(means.mean(), place - 0.3, place + 0.3, color=COLOURS[method], linewidth=1.5)
+        axes.plot(column + offsets, means, "o", color=COLOURS[method], markersize=4)
+        axes.hlines(means.mean(), column - 0.3, column + 0.3, color=COLOURS[method], linewidth=1.5)
         printed = published[PUBLISHED.get(method, method)]["all"]["mean"]
         axes.plot(
-            place,
+            column,
             printed,
             "x",
             color="black",
             markersize=7,
-            label="printed, all 22 clips" if not place else None,
+            label="printed, all 22 clips" if not column else None,
         )
     axes.set_xticks(range(len(ORDER)), ORDER)
     axes.set_ylabel("mean error, %")
@@ -95,19 +95,19 @@ def per_clip_figure(results: dict[str, Any]) -> Figure:
     prevalence = load_protocol("kt3dmoseg").prevalence
     figure, axes = plt.subplots(figsize=(9, 3.2))
     width = 0.2
-    for place, method in enumerate(("fundamental", "keradd", "coreg", "subset")):
+    for column, method in enumerate(("fundamental", "keradd", "coreg", "subset")):
         errors = errors_of(results, method)
-        x = np.arange(len(clips)) + (place - 1.5) * width
+        x = np.arange(len(clips)) + (column - 1.5) * width
         axes.bar(x, errors.mean(axis=1), width, color=COLOURS[method], label=method)
         axes.vlines(x, errors.min(axis=1), errors.max(axis=1), color="black", linewidth=0.6)
-    for place, clip in enumerate(clips):
+    for column, clip in enumerate(clips):
         if clip in prevalence:
             axes.hlines(
                 prevalence[clip],
-                place - 0.45,
-                place + 0.45,
+                column - 0.45,
+                column + 0.45,
                 color="crimson",
-                label=None if place else "one motion for all",
+                label=None if column else "one motion for all",
             )
     axes.set_xticks(
         range(len(clips)), [c.replace("Seq", "").replace("_Clip", " ").replace("_clip", " ") for c in clips]

@@ -1,8 +1,8 @@
-"""Reproduce Table 1 of Xu, Cheong and Li (CVPR 2018): every method on every benchmark, beside print.
+"""Reproduce Table 1 of Xu, Cheong and Li (CVPR 2018): all methods and benchmarks, with the printed figures.
 
 Runs all methods x benchmarks x seeds that are not in the cache yet, so it can be stopped and started
 again, and writes one Markdown page: error (mean over clips and seeds, and the standard deviation of the
-mean over seeds), the published figure, and seconds per sequence. What is missing of a benchmark is said.
+mean over seeds), the published figure, and seconds per sequence. What is missing of a benchmark is listed.
 
     python tools/reproduce_table1.py --seeds 3 --workers 2 --write docs/baselines-results.md
 
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def comparison(result: BenchmarkResult) -> ResultsTable:
-    """Lay out our figures beside the published ones, one row per configuration."""
+    """Lay out our figures with the published ones, one row per configuration."""
     protocol = result.protocol
     groups = [(g, result.protocol.clips_of(g, result.motions)) for g in protocol.groups]
     present = [(g, [result.clips.index(name) for name in names]) for g, names in groups if names]
@@ -102,7 +102,7 @@ def _configuration(text: str) -> Configuration:
 def _heading(arguments: argparse.Namespace) -> str:
     chosen = f" --methods {' '.join(arguments.methods)}" if arguments.methods else ""
     return (
-        "# Table 1 beside print\n\n"
+        "# Table 1 next to the printed one\n\n"
         f"Made by `{_COMMAND} --seeds {arguments.seeds}{chosen} --write ...`. Ours: mean over clips and "
         "seeds ± standard deviation over seeds of the mean over clips; CPU seconds of one core. The "
         "published figures are for the complete benchmarks. A clip on which a method fails counts as fully "

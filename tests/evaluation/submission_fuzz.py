@@ -206,17 +206,17 @@ def _hand_in(seed: int, folder: Path) -> str:
     for _ in range(int(rng.integers(0, 4))):
         mutate_files(files, rng)
     if rng.random() < 0.7:
-        place = folder / "submission.zip"
-        place.write_bytes(pack(files, rng))
+        target = folder / "submission.zip"
+        target.write_bytes(pack(files, rng))
     else:
-        place = folder / "submission"
-        _unpack(files, place)
+        target = folder / "submission"
+        _unpack(files, target)
     before = {p: p.lstat().st_mtime_ns for p in folder.parent.rglob("*")}
     try:
-        checked = validate_submission(place, CLIPS)
+        checked = validate_submission(target, CLIPS)
         str(checked), checked.as_dict()
         if checked.ok:
-            score_submission(place, CLIPS)
+            score_submission(target, CLIPS)
         elif rng.random() < 0.3:
             score_validated(checked, force=True)
         outcome = "valid" if checked.ok else "invalid"
@@ -228,11 +228,11 @@ def _hand_in(seed: int, folder: Path) -> str:
     return outcome
 
 
-def _unpack(files: dict[str, bytes], place: Path) -> None:
-    place.mkdir()
+def _unpack(files: dict[str, bytes], target: Path) -> None:
+    target.mkdir()
     for name, content in files.items():
-        target = place / name
-        if "\0" in name or len(name) > 200 or not target.resolve().is_relative_to(place.resolve()):
+        target = target / name
+        if "\0" in name or len(name) > 200 or not target.resolve().is_relative_to(target.resolve()):
             continue
         try:
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -34,8 +34,8 @@ def app(tool, tmp_path):
     assert tool.main([str(tmp_path / "data"), "-o", str(tmp_path / "bundle.zip")]) == 0
     app = tmp_path / "app"
     with zipfile.ZipFile(tmp_path / "bundle.zip") as bundle:
-        for inner, place in (("scoring_program.zip", "program"), ("reference_data.zip", "input/ref")):
-            zipfile.ZipFile(io.BytesIO(bundle.read(inner))).extractall(app / place)
+        for inner, folder in (("scoring_program.zip", "program"), ("reference_data.zip", "input/ref")):
+            zipfile.ZipFile(io.BytesIO(bundle.read(inner))).extractall(app / folder)
     perfect(app / "input" / "res")
     (app / "output").mkdir()
     return app

@@ -55,7 +55,7 @@ def test_a_difference_inside_the_seed_noise(tmp_path):
     assert "is not larger than the seed noise" in pair.sentence
 
 
-def test_one_seed_cannot_tell(tmp_path):
+def test_one_seed_is_not_enough(tmp_path):
     one, two = scores_of(tmp_path, "one", [[0] * 12]), scores_of(tmp_path, "two", [[1] * 12])
     assert "seed noise is unknown" in compare([one, two]).pairs[0].sentence
     same = compare([one, one])

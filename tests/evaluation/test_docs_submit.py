@@ -31,7 +31,7 @@ def test_the_page_runs(tmp_path):
 
 
 def test_commands_outside_the_blocks_exist():
-    """Commands named in the text have the options that it says they have."""
+    """Commands named in the text have the options that it gives them."""
     text = re.sub(r"```.*?```", "", PAGE.read_text(), flags=re.DOTALL)
     for command in ("score", "report", "example-submission"):
         done = subprocess.run(

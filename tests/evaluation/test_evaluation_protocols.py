@@ -36,8 +36,8 @@ def test_misspelt_benchmark():
 def test_hopkins155_counts_two_and_three_motions_and_never_dancing():
     protocol = load_protocol("hopkins155")
     motions = {"cars1": 2, "1R2RC": 3, "1R2RC_g12": 2, "dancing": 5}
-    members = {g.name: protocol.clips_of(g, motions) for g in protocol.groups}
-    assert members == {
+    found = {g.name: protocol.clips_of(g, motions) for g in protocol.groups}
+    assert found == {
         "two": ["cars1", "1R2RC_g12"],
         "three": ["1R2RC"],
         "all": ["cars1", "1R2RC", "1R2RC_g12"],
@@ -48,14 +48,14 @@ def test_hopkins155_counts_two_and_three_motions_and_never_dancing():
 def test_mtpv62_parts():
     protocol = load_protocol("mtpv62")
     motions = {"MTPV_data_Boat": 2, "Hopkins50_cars1": 2, "1R2RC": 3, "1R2RC_g12": 2, "dancing": 5}
-    members = {g.name: protocol.clips_of(g, motions) for g in protocol.groups}
-    assert members["missing"] == ["MTPV_data_Boat"]
-    assert members["hopkins"] == ["Hopkins50_cars1", "1R2RC"]
-    assert members["perspective"] == []
-    assert members["all"] == ["MTPV_data_Boat", "Hopkins50_cars1", "1R2RC"]
+    found = {g.name: protocol.clips_of(g, motions) for g in protocol.groups}
+    assert found["missing"] == ["MTPV_data_Boat"]
+    assert found["hopkins"] == ["Hopkins50_cars1", "1R2RC"]
+    assert found["perspective"] == []
+    assert found["all"] == ["MTPV_data_Boat", "Hopkins50_cars1", "1R2RC"]
 
 
-def test_whole_benchmark_is_said_to_be_whole():
+def test_a_complete_benchmark_is_called_complete():
     protocol = load_protocol("hopkins12")
     assert protocol.coverage(protocol.clips) == "all 12 clips"
     assert protocol.coverage(protocol.clips[:8]) == "8 of 12 clips"

@@ -43,7 +43,7 @@ def test_cells_of_the_authors_scripts(tmp_path):
     same(read_label_files(tmp_path / "Error.mat", CLIPS))
 
 
-def test_cells_of_a_whole_benchmark_by_its_list_of_names(tmp_path):
+def test_cells_of_all_clips_of_a_benchmark_by_its_list_of_names(tmp_path):
     names = ["other", *NAMES]
     vectors = [np.ones((3, 1)), *(truth()[name].astype(float)[None] for name in NAMES)]
     savemat(tmp_path / "r.mat", {"ClusterIdx": cells(*vectors)})

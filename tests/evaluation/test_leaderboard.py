@@ -53,7 +53,7 @@ def test_the_same_submission_is_kept_once(board, tmp_path):
     assert len(board.entries()) == 1
 
 
-def test_partial_or_failed_never_stands_above_complete(board, tmp_path):
+def test_partial_or_failed_never_ranks_above_complete(board, tmp_path):
     folder = perfect(tmp_path / "partial", meta=SubmissionMeta("partial"))
     (folder / "example_two.csv").unlink()
     partial = score_submission(folder, CLIPS)

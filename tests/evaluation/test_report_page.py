@@ -65,7 +65,7 @@ def payloads(content: str) -> list[dict]:
     return [json.loads(t) for t in re.findall(r"<script type='application/json'>(.*?)</script>", content)]
 
 
-def test_page_is_whole_and_needs_nothing_else(submission, tmp_path):
+def test_page_is_complete_and_needs_nothing_else(submission, tmp_path):
     (path,) = write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "f"))
     content = path.read_text()
     page = Page(content)
@@ -99,7 +99,7 @@ def test_frames_are_inside(submission, tmp_path):
         assert all(f.startswith("data:image/jpeg;base64,") for f in payload["frames"])
     clips = {
         name: replace(clip, dense=replace(clip.dense, image_size=None)) for name, clip in CLIPS.items()
-    }  # as in the release of 2018: then the pictures tell the size
+    }  # as in the release of 2018: then the size is that of the pictures
     (path,) = write_report(submission, clips, tmp_path / "r.html", frames=tmp_path / "f")
     assert [(p["width"], p["height"]) for p in payloads(path.read_text())] == [(320, 240)] * 2
     with pytest.raises(InputFileError, match="a folder of pictures per clip"):
@@ -140,7 +140,7 @@ def test_failed_clip_is_shown(tmp_path):
     write_report(folder, CLIPS, tmp_path / "r.html", force=True)
 
 
-def test_published_results_and_prevalence_stand_beside_and_a_part_is_no_whole(tmp_path):
+def test_published_results_and_prevalence_are_shown_and_a_part_is_called_a_part(tmp_path):
     clip = CLIPS["example_two"]
     clips = {"Seq005_Clip01": Clip("Seq005_Clip01", clip.dense, clip.evaluated, clip.labels)}
     folder = write_submission(tmp_path / "s", clips.values(), {"Seq005_Clip01": clip.labels.label}, META)
@@ -155,7 +155,7 @@ def test_published_results_and_prevalence_stand_beside_and_a_part_is_no_whole(tm
     assert "50.00" in text  # prevalence of this clip
 
 
-def test_tables_beside_the_page(submission, tmp_path):
+def test_tables_next_to_the_page(submission, tmp_path):
     wrote = write_report(
         submission, CLIPS, tmp_path / "out" / "r.html", extras=["latex", "markdown", "csv", "json"]
     )

@@ -86,7 +86,7 @@ def test_mean_over_clips_is_not_pooled(tmp_path):
     assert summary.interval.high == pytest.approx(1 / 40)
 
 
-def test_seeds_are_averaged_and_their_spread_told(tmp_path):
+def test_seeds_are_averaged_and_their_spread_given(tmp_path):
     worse = truth()
     worse["example_two"] = np.where(np.arange(40) < 4, 3 - worse["example_two"], worse["example_two"])
     folder = write_submission(tmp_path / "s", CLIPS.values(), {0: truth(), 5: worse}, META)
@@ -166,7 +166,7 @@ def test_provenance_names_data_and_submission(tmp_path):
 
 
 @pytest.mark.data
-def test_prevalence_baseline_is_what_the_data_say(data_root, tmp_path):
+def test_prevalence_baseline_is_that_of_the_data(data_root, tmp_path):
     """1 - share of the largest motion; over all 22 clips that is 27.96 %, here are 14 of them."""
     clips = kt3dmoseg.load_dataset(data_root / "kt3dmoseg" / "release")
     ones = {name: np.ones(len(clip.evaluated), dtype=int) for name, clip in clips.items()}

@@ -6,7 +6,7 @@ from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.types import Clip, Trajectories
 from mseg.evaluation import (
     SubmissionMeta,
-    fingerprint,
+    clip_checksum,
     read_submission,
     validate_submission,
     write_failure,
@@ -81,7 +81,7 @@ def test_order_of_rows_is_free(tmp_path):
     np.testing.assert_array_equal(checked.labels[0, NAMES[0]], truth()[NAMES[0]])
 
 
-def test_failed_clip_is_valid_and_told(tmp_path):
+def test_failed_clip_is_valid_and_noted(tmp_path):
     folder = perfect(tmp_path / "s")
     write_failure(folder, CLIPS[NAMES[0]], "no\n  memory")
     (folder / f"{NAMES[0]}.csv").unlink()
@@ -112,22 +112,22 @@ def test_a_clip_name_may_be_in_any_language(tmp_path):
     clip = CLIPS["example_two"]
     named = Clip("Straße 2", clip.dense, clip.evaluated, clip.labels)
     folder = write_submission(tmp_path / "s", [named], {"Straße 2": clip.labels.label}, META)
-    for place in (folder, zip_folder(folder, tmp_path / "s.zip")):
-        checked = validate_submission(place, {"Straße 2": named})
+    for path in (folder, zip_folder(folder, tmp_path / "s.zip")):
+        checked = validate_submission(path, {"Straße 2": named})
         assert checked.ok, str(checked)
 
 
-def test_fingerprint_tells_data_apart_but_not_precision_or_order():
+def test_checksum_distinguishes_data_but_not_precision_or_order():
     clip = CLIPS["example_two"]
     tracks = clip.dense
     float32 = Trajectories(tracks.xy.astype(np.float32), tracks.visible, tracks.track_id)
-    assert fingerprint(Clip("x", float32, clip.evaluated, clip.labels)) == fingerprint(clip)
+    assert clip_checksum(Clip("x", float32, clip.evaluated, clip.labels)) == clip_checksum(clip)
     order = np.arange(len(clip.evaluated))[::-1]
-    assert fingerprint(Clip("x", tracks, clip.evaluated[order], clip.labels)) == fingerprint(clip)
+    assert clip_checksum(Clip("x", tracks, clip.evaluated[order], clip.labels)) == clip_checksum(clip)
     moved = Trajectories(tracks.xy + 0.01, tracks.visible, tracks.track_id)
-    assert fingerprint(Clip("x", moved, clip.evaluated, clip.labels)) != fingerprint(clip)
+    assert clip_checksum(Clip("x", moved, clip.evaluated, clip.labels)) != clip_checksum(clip)
     other_ids = Trajectories(tracks.xy, tracks.visible, tracks.track_id + 1)
-    assert fingerprint(Clip("x", other_ids, clip.evaluated, clip.labels)) != fingerprint(clip)
+    assert clip_checksum(Clip("x", other_ids, clip.evaluated, clip.labels)) != clip_checksum(clip)
 
 
 def test_nothing_there(tmp_path):

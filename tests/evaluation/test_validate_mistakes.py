@@ -175,14 +175,14 @@ def test_mistake(folder, code, spoil, advice):
     spoil(folder)
     checked = validate_submission(folder, CLIPS)
     assert not checked.ok
-    told = [p for p in checked.problems if p.code == code]
-    assert told, str(checked)
-    assert advice in str(told[0])
-    assert told[0].found
-    assert told[0].expected
+    found = [p for p in checked.problems if p.code == code]
+    assert found, str(checked)
+    assert advice in str(found[0])
+    assert found[0].found
+    assert found[0].expected
 
 
-def test_several_problems_are_told_at_once_and_numbered(folder):
+def test_several_problems_are_listed_at_once_and_numbered(folder):
     floats(folder)
     (folder / "example_three.csv").unlink()
     extra_clip(folder)
@@ -223,7 +223,7 @@ def test_declared_version_that_the_data_are_not(tmp_path):
     folder = write_submission(tmp_path / "s", [clip], {clip.name: LABEL}, meta)
     (problem,) = validate_submission(folder, [clip]).problems
     assert (problem.code, problem.file) == ("dataset-version", "meta.toml")
-    other = Clip("Seq005_Clip02", CLIP.dense, CLIP.evaluated, CLIP.labels)  # not listed: cannot be told
+    other = Clip("Seq005_Clip02", CLIP.dense, CLIP.evaluated, CLIP.labels)  # not listed: is unknown
     assert validate_submission(
         write_submission(tmp_path / "t", [other], {other.name: LABEL}, meta), [other]
     ).ok
@@ -248,7 +248,7 @@ def test_zip_of_the_content(folder, tmp_path):
     assert validate_submission(zip_folder(folder, tmp_path / "s.zip"), CLIPS).ok
 
 
-def test_zip_of_the_folder_is_told_and_still_checked(folder, tmp_path):
+def test_zip_of_the_folder_is_noted_and_still_checked(folder, tmp_path):
     floats(folder)
     packed = zip_folder(folder, tmp_path / "s.zip", prefix="submission/")
     checked = validate_submission(packed, CLIPS)

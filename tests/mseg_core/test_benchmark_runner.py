@@ -111,7 +111,7 @@ def test_tasks_whose_workers_died_count_as_failed(data, monkeypatch, tmp_path):
     result = run("kt3dmoseg", ["affine"], data=[data], cache=tmp_path / "cache")
     assert result.mean("affine") == 1
     assert all("died 3 times" in reason for *_, reason in result.failures)
-    assert not (tmp_path / "cache").exists()  # it says nothing of the method
+    assert not (tmp_path / "cache").exists()  # it is no result of the method
 
 
 def test_cached_outcomes_are_not_run_again(serial, data, tmp_path, monkeypatch):
@@ -148,7 +148,7 @@ def test_methods_that_draw_nothing(make_clip, name):
     create(name).segment(make_clip(), n_motions=2, rng=Undrawn())
 
 
-def test_keys_tell_everything_apart(make_clip):
+def test_keys_distinguish_everything(make_clip):
     clip, other = make_clip(), make_clip(seed=1)
     keys = [
         outcome_key(Configuration("affine"), clip, 2, 0),
@@ -259,10 +259,10 @@ def test_unlabelled_clips_need_a_number(make_clip, tmp_path):
     clip = make_clip(points=14)
     bare = Clip("bare", clip.dense, clip.evaluated, Labels(np.zeros(len(clip.evaluated), int)))
     save(bare, tmp_path / "bare.h5")
-    predict(tmp_path / "bare.h5", tmp_path / "told", "affine", n_motions=2)
-    assert (tmp_path / "told" / "bare.csv").is_file()
-    predict(tmp_path / "bare.h5", tmp_path / "untold", "affine")
-    assert "cannot find it" in (tmp_path / "untold" / "bare.failed").read_text()
+    predict(tmp_path / "bare.h5", tmp_path / "given", "affine", n_motions=2)
+    assert (tmp_path / "given" / "bare.csv").is_file()
+    predict(tmp_path / "bare.h5", tmp_path / "unknown", "affine")
+    assert "cannot find it" in (tmp_path / "unknown" / "bare.failed").read_text()
 
 
 def test_command_line(data, tmp_path, capsys):
