@@ -225,9 +225,8 @@ def _differences(old: object, new: object, where: str) -> Iterator[str]:
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in sorted({*old, *new}):
             yield from _differences(old.get(key), new.get(key), f"{where} {key}".strip())
-    elif old is None or new is None:
-        if old is not new:
-            yield f"{where} {'added' if old is None else 'removed'}"
+    elif old != new and (old is None or new is None):
+        yield f"{where} {'added' if old is None else 'removed'}"
     elif old != new:
         checksum = where.startswith("labels") or where.endswith("sha256")
         yield f"{where} changed" if checksum else f"{where} was {old!r}, now {new!r}"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
 
 
@@ -84,6 +84,14 @@ def test_an_error_of_a_task_is_raised_here(workers):
     with pytest.raises(ZeroDivisionError) as caught:
         run(fail, [0, 0], workers)
     assert workers == 1 or "in fail" in caught.value.__notes__[0]
+
+
+def test_dask_is_asked_for_by_name(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(
+        MissingDependencyError, match=r"--dask needs distributed; pip install 'kt3dmoseg\[dask\]'"
+    ):
+        run(square, [1], dask="tcp://127.0.0.1:1")
 
 
 _SCRIPT = """

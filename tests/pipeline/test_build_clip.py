@@ -112,6 +112,15 @@ def test_bad_options(options, error, words, folder):
         build_clip(folder, **options)
 
 
+def test_one_clip_is_built_at_a_time(tmp_path):
+    for name in "ab":
+        write_clip(tmp_path / name)
+    with pytest.raises(InvalidValueError, match="expected one clip, found 2; build_dataset builds many"):
+        build_clip(tmp_path)
+    with pytest.raises(InputFileError, match="nowhere: expected frames, a video or a KITTI raw root"):
+        build_clip(tmp_path / "nowhere")
+
+
 def _video(path, pictures):
     code = int.from_bytes(b"MJPG", "little")
     writer = cv2.VideoWriter(str(path), code, 10, (WIDTH, HEIGHT))
@@ -204,9 +213,18 @@ def test_a_kitti_root_is_found_by_itself(tmp_path):
             kitti_sources(root, **wrong)
     with pytest.raises(InvalidValueError, match="FIRST-LAST"):
         kitti_sources(root, frames="42")
+    with pytest.raises(InvalidValueError, match=r"drive_0005: range: expected at least two frames.*41-41"):
+        build_clip(kitti_sources(root, frames=(41, 41))[0])
     missing = kitti_sources(root, frames="40-49")[0]
     with pytest.raises(InputFileError, match=r"40-45.*found 46"):
         build_clip(missing)
+
+
+def test_a_range_belongs_to_one_drive(tmp_path):
+    root = _drive(tmp_path, range(40, 46))
+    (root / "2011_09_26/2011_09_26_drive_0006_sync").mkdir()
+    with pytest.raises(InvalidValueError, match="range and name: expected one drive, found 2; give --date"):
+        kitti_sources(root, frames="40-45")
 
 
 def test_the_located_clips_of_a_kitti_root_are_built_by_name(tmp_path):

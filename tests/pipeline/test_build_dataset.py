@@ -23,6 +23,7 @@ from kt3dmoseg import flow, pipeline, tracking
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import hdf5, load
+from kt3dmoseg.io.flow_files import write_flow
 from kt3dmoseg.pipeline import FrameFolder, build_dataset, dataset
 from kt3dmoseg.tracking import RELIABLE
 
@@ -102,6 +103,18 @@ def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
     monkeypatch.setattr(flow, "ALGORITHM_VERSION", 0)
     (reason,) = {o.reason for o in build(frames, out, spacing=6)}
     assert reason.startswith("flow algorithm was '1/")
+
+
+def test_fields_from_files_are_read_every_time(frames, tmp_path):
+    for folder in ("forward", "backward"):
+        for number in range(FRAMES - 1):
+            write_flow(tmp_path / folder / f"{number}.flo", np.zeros((HEIGHT, WIDTH, 2), np.float32))
+    where = {name: str(tmp_path / name) for name in ("forward", "backward")} | {"frames": str(frames / "a")}
+    for reason in ("new", "the fields of this flow backend may depend on more than its parameters"):
+        (outcome,) = build_dataset(
+            frames / "a", tmp_path / "out", flow="files", flow_parameters=where, workers=1
+        )
+        assert (outcome.status, outcome.reason) == ("built", reason)
 
 
 def test_a_changed_comment_rebuilds_nothing(frames, tmp_path):
