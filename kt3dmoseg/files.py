@@ -7,6 +7,7 @@ import hashlib
 import io
 import os
 import stat
+import struct
 import tempfile
 import zipfile
 import zlib
@@ -32,9 +33,13 @@ _REMEDIES = {
     errno.EEXIST: "a file is where a folder should be; remove it, or write somewhere else",
     errno.ENOTDIR: "a file is where a folder should be; remove it, or write somewhere else",
 }
-# What zipfile raises on damaged or hostile bytes.
-_ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError)
+# What zipfile raises on damaged content.
+_ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError, OSError)
 _ENCRYPTED = 0x1
+_BOUNDED_METHODS = (
+    zipfile.ZIP_STORED,
+    zipfile.ZIP_DEFLATED,
+)  # of the others, zipfile unpacks without a limit
 
 
 @contextmanager
@@ -54,7 +59,9 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
         os.close(handle)
-        os.chmod(name, 0o666 & ~_umask())
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(name, 0o666 & ~mask)  # as any other program would make it
     except OSError as error:
         raise _unwritable(target, error) from error
     temporary = Path(name)
@@ -98,7 +105,12 @@ def hold_folder(path: str | os.PathLike[str], busy: Callable[[], object] | None 
         raise _unwritable(folder, error) from error
     try:
         if handle is not None:
-            _lock(handle, busy or (lambda: None))
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if busy is not None:
+                    busy()
+                fcntl.flock(handle, fcntl.LOCK_EX)
         yield folder
     finally:
         if handle is not None:
@@ -161,7 +173,7 @@ class ZipLimits:
 class ZipFault(NamedTuple):
     """Why a zip archive (`file` is empty), or one file in it, is not read.
 
-    `code` is one of not-a-zip, too-large, unsafe-path, symlink, duplicate-name, encrypted.
+    `code` is one of not-a-zip, too-large, unsafe-path, symlink, duplicate-name, encrypted, unreadable.
     """
 
     code: str
@@ -252,7 +264,7 @@ class SafeZip:
                 infos = self._archive.infolist()
         except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
             raise InputFileError(f"{self.where}: {error.strerror}") from None
-        except _ZIP_DAMAGE as error:
+        except Exception as error:  # zipfile raises anything on damaged or hostile bytes
             found = f"a file that is none, or damaged ({str(error) or type(error).__name__})"
             return self._refuse("not-a-zip", "", "a zip archive", found)
         chosen = [info for info in infos if not info.filename.endswith("/") and wanted(info.filename)]
@@ -281,6 +293,12 @@ class SafeZip:
             self._refuse("too-large", name, expected, f"{info.file_size} bytes unpacked")
         elif info.flag_bits & _ENCRYPTED:
             self._refuse("encrypted", name, "no password", "an encrypted file", "zip it without")
+        elif info.compress_type not in (
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+        ):  # the others are not bounded
+            found = f"compression method {info.compress_type}"
+            self._refuse("unreadable", name, "a stored or deflated file", found, "zip it without options")
         else:
             self._files[name] = info
 
@@ -301,14 +319,11 @@ def _stays_inside(name: str, depth: int) -> bool:
 
 def sha256_file(path: str | os.PathLike[str]) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
-    digest = hashlib.sha256()
     try:
         with open(path, "rb") as stream:
-            while block := stream.read(_BLOCK):
-                digest.update(block)
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputFileError(f"{os.fspath(path)}: {error.strerror or error}") from error
-    return digest.hexdigest()
 
 
 def sha256_files(paths: Iterable[str | os.PathLike[str]]) -> str:
@@ -326,26 +341,12 @@ def sha256_arrays(*arrays: npt.NDArray[Any]) -> str:
     return digest.hexdigest()
 
 
-def _lock(handle: int, busy: Callable[[], object]) -> None:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        busy()
-        fcntl.flock(handle, fcntl.LOCK_EX)
-
-
 def _sync(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current
 
 
 def _unwritable(path: Path, error: OSError) -> InputFileError:

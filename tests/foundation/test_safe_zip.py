@@ -58,10 +58,14 @@ def test_a_path_that_leads_out_is_refused(name):
         SafeZip(content, LIMITS, "x.zip")
 
 
-def test_links_duplicates_and_encrypted_files_are_refused():
+def test_links_duplicates_encrypted_files_and_other_methods_are_refused():
     link = entry(GOOD, "link", (stat.S_IFLNK | 0o777) << 16)
     assert codes(link) == ([("symlink", "link")], ["a/a.txt", "b.txt"])
     assert codes(entry(GOOD, "./b.txt"))[0] == [("duplicate-name", "b.txt")]
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("packed", bytes(100))
+    assert codes(buffer.getvalue()) == ([("unreadable", "packed")], [])
     locked = bytearray(GOOD)
     locked[locked.find(b"PK\x01\x02") + 8] |= 1
     assert codes(bytes(locked)) == ([("encrypted", "b.txt")], ["a/a.txt"])
