@@ -217,20 +217,18 @@ class Annotation:
     revision: Annotated[int, Field(strict=True, ge=0, le=2**53)] = 0
 
     def __post_init__(self) -> None:
-        seen: set[int] = set()
+        first: dict[int, int] = {}
+        frames = [(f"marks[{i}].frame", mark.frame) for i, mark in enumerate(self.marks)]
         for i, item in enumerate(self.objects):
-            if item.id in seen:
+            if first.setdefault(item.id, i) != i:
                 raise InvalidValueError(f"objects[{i}].id", expected="unique ids", found=f"{item.id} twice")
-            seen.add(item.id)
-            for k, key in enumerate(item.key_frames):
-                self._check_frame(key.frame, f"objects[{i}].key_frames[{k}].frame")
-        for i, mark in enumerate(self.marks):
-            self._check_frame(mark.frame, f"marks[{i}].frame")
-
-    def _check_frame(self, frame: int, where: str) -> None:
-        if frame >= self.n_frames:
-            expected = f"a whole number in 0..{self.n_frames - 1}"
-            raise InvalidValueError(where, expected=expected, found=str(frame))
+            # They are in order.
+            last = len(item.key_frames) - 1
+            frames.append((f"objects[{i}].key_frames[{last}].frame", item.key_frames[last].frame))
+        for where, frame in frames:
+            if frame >= self.n_frames:
+                expected = f"a whole number in 0..{self.n_frames - 1}"
+                raise InvalidValueError(where, expected=expected, found=str(frame))
 
     @property
     def motions(self) -> list[int]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import floor
 
 import cv2
 import numpy as np
 
 from kt3dmoseg.annotate.geometry import bounds
-from kt3dmoseg.annotate.model import AnnotatedObject, Motion
+from kt3dmoseg.annotate.model import AnnotatedObject
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.draw.palette import Colour, motion_colour
 from kt3dmoseg.types import ByteArray, FloatArray
@@ -42,12 +43,6 @@ class View:
         return np.asarray((points - self.box[:2] + 0.5) * self.scale - 0.5)
 
 
-def colour_of(motion: Motion) -> Colour:
-    """Colour of a motion, BGR for OpenCV."""
-    red, green, blue = motion_colour(motion)
-    return blue, green, red
-
-
 def draw_view(
     frame: ByteArray, view: View, shown: Iterable[tuple[AnnotatedObject, Region]] = (), *, title: str = ""
 ) -> ByteArray:
@@ -69,8 +64,7 @@ def draw_view(
 def view_around(region: Region, *, padding: float, scale: float) -> View:
     """Give a view around a region with some surroundings, in pixels."""
     left, top, right, bottom = bounds(region.polygons)
-    box = (np.floor(left - padding), np.floor(top - padding), right + padding, bottom + padding)
-    return View((float(box[0]), float(box[1]), float(box[2]), float(box[3])), scale)
+    return View((floor(left - padding), floor(top - padding), right + padding, bottom + padding), scale)
 
 
 def contact_sheets(tiles: Sequence[ByteArray], width: int = 1600, height: int = 1500) -> list[ByteArray]:
@@ -98,20 +92,18 @@ def _enlarged(frame: ByteArray, view: View) -> ByteArray:
     y0, y1 = max(0, top), min(frame.shape[0], bottom + 1)
     x0, x1 = max(0, left), min(frame.shape[1], right + 1)
     if y1 > y0 and x1 > x0:
-        part[y0 - top : y1 - top, x0 - left : x1 - left] = _stretched(frame[y0:y1, x0:x1])
+        # The full range of gray: street scenes have dark corners where objects hide.
+        seen = frame[y0:y1, x0:x1]
+        low, high = np.percentile(seen, (0.5, 99.5))
+        stretched = np.clip((seen - low) * (255.0 / max(high - low, 1.0)), 0, 255)
+        part[y0 - top : y1 - top, x0 - left : x1 - left] = stretched.astype(np.uint8)
     large = cv2.resize(part, size, interpolation=cv2.INTER_CUBIC if view.scale > 1 else cv2.INTER_AREA)
     return np.asarray(cv2.cvtColor(large, cv2.COLOR_GRAY2BGR))
 
 
-def _stretched(part: ByteArray) -> ByteArray:
-    """Use the full range of gray: street scenes have dark corners where objects hide."""
-    low, high = np.percentile(part, (0.5, 99.5))
-    scaled = (part - low) * (255.0 / max(high - low, 1.0))
-    return np.asarray(np.clip(scaled, 0, 255).astype(np.uint8))
-
-
 def _outline(canvas: ByteArray, view: View, item: AnnotatedObject, region: Region) -> None:
-    colour = colour_of(item.motion)
+    red, green, blue = motion_colour(item.motion)
+    colour = blue, green, red
     for polygon in region.polygons:
         screen = view.to_screen(polygon)
         fixed = np.rint(screen * 2**_SUBPIXEL).astype(np.int32)[:, None]

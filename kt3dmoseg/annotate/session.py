@@ -35,20 +35,9 @@ Drawn = Sequence[Sequence[Sequence[float]]]
 
 
 class StaleRevisionError(KT3DMoSegError):
-    """The file was saved by somebody else since it was read."""
+    """The file was saved by somebody else since it was read; `current` is what they saved."""
 
-    def __init__(self, path: Path, current: Annotation, mine: int) -> None:
-        super().__init__(
-            f"{path}",
-            expected=f"revision {mine}",
-            found=f"revision {current.revision}",
-            fix="read it again and merge the edits",
-        )
-        self.current = current
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Cross process boundaries intact."""
-        return StaleRevisionError, (Path(self.where), self.current, int(self.expected.split()[-1]))
+    current: Annotation
 
 
 def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annotation:
@@ -67,7 +56,11 @@ def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annot
     with hold_folder(target.parent):
         current = load_annotation(target) if target.exists() else None
         if current is not None and current.revision != annotation.revision:
-            raise StaleRevisionError(target, current, annotation.revision)
+            mine, theirs = f"revision {annotation.revision}", f"revision {current.revision}"
+            fix = "read it again and merge the edits"
+            stale = StaleRevisionError(f"{target}", expected=mine, found=theirs, fix=fix)
+            stale.current = current
+            raise stale
         saved = replace(annotation, revision=annotation.revision + 1)
         save_annotation(target, saved)
     return saved
