@@ -20,7 +20,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 
 try:
     import fcntl
@@ -188,8 +188,8 @@ class SafeZip:
 
     Parameters
     ----------
-    source : path or bytes
-        The archive, or its content.
+    source : path, bytes or binary file
+        The archive, its content, or something that can be read and searched like a file.
     limits : ZipLimits
         What is accepted.
     where : str
@@ -207,7 +207,7 @@ class SafeZip:
 
     def __init__(
         self,
-        source: str | os.PathLike[str] | bytes,
+        source: str | os.PathLike[str] | bytes | io.RawIOBase,
         limits: ZipLimits,
         where: str,
         wanted: Callable[[str], bool] = lambda name: True,
@@ -216,7 +216,7 @@ class SafeZip:
         self.where, self._limits, self._faults = where, limits, faults
         self._files: dict[str, zipfile.ZipInfo] = {}
         self._archive: zipfile.ZipFile | None = None
-        self._list(source, wanted)
+        self._list(io.BytesIO(source) if isinstance(source, bytes) else source, wanted)
 
     def __enter__(self) -> SafeZip:
         """Return the archive itself."""
@@ -232,6 +232,16 @@ class SafeZip:
         """Name and size, as claimed and within the limits, of every file that may be read; sorted by name."""
         return {name: info.file_size for name, info in sorted(self._files.items())}
 
+    @property
+    def infos(self) -> dict[str, zipfile.ZipInfo]:
+        """What the directory states about every file that may be read, by name."""
+        return self._files
+
+    @property
+    def directory_start(self) -> int:
+        """Where the directory begins, after all files."""
+        return self._archive.start_dir if self._archive else 0
+
     @contextmanager
     def open(self, name: str) -> Iterator[IO[bytes]]:
         """Open one file to read a part of it; damage that shows in the block becomes a FileFormatError."""
@@ -239,7 +249,7 @@ class SafeZip:
         try:
             with self._archive.open(info) as stream:  # type: ignore[union-attr]  # it has files
                 yield stream
-        except FileFormatError:
+        except KT3DMoSegError:  # of the source, or of the block
             raise
         except _ZIP_DAMAGE as error:
             where = f"{self.where}: {name}"
@@ -255,13 +265,15 @@ class SafeZip:
             raise FileFormatError(where, expected=f"{size} bytes as declared", found=f"{len(content)}")
         return content
 
-    def _list(self, source: str | os.PathLike[str] | bytes, wanted: Callable[[str], bool]) -> None:
+    def _list(self, source: str | os.PathLike[str] | io.IOBase, wanted: Callable[[str], bool]) -> None:
         limits, infos = self._limits, []
         try:
-            packed = len(source) if isinstance(source, bytes) else Path(source).stat().st_size
+            packed = source.seek(0, 2) if isinstance(source, io.IOBase) else Path(source).stat().st_size
             if packed <= limits.total_bytes:
-                self._archive = zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source)
+                self._archive = zipfile.ZipFile(source)
                 infos = self._archive.infolist()
+        except KT3DMoSegError:
+            raise
         except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
             raise InputFileError(f"{self.where}: {error.strerror}") from None
         except Exception as error:  # zipfile raises anything on damaged or hostile bytes

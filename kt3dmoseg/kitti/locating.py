@@ -200,14 +200,11 @@ def _locate_in(
 
 def _by_checksum(clip: Entry, files: FileSet, camera: int) -> Verdict:
     frames = drive_frames(files, clip.drive, camera)
-    equal = [
-        [
-            n
-            for n, name in frames.items()
-            if files.sizes[name] == mark.bytes and files.crc32(name) == mark.crc32
-        ]
-        for mark in clip.frames
-    ]
+
+    def equals(name: str, mark: Fingerprint) -> bool:
+        return files.sizes[name] == mark.bytes and files.crc32(name) == mark.crc32
+
+    equal = [[n for n, name in frames.items() if equals(name, mark)] for mark in clip.frames]
     given = clip.numbers or ()
     if given and all(n in found for n, found in zip(given, equal, strict=True)):
         return Verdict(given)

@@ -1,16 +1,13 @@
 """Zip archives read through ranges: the directory first, then only the wanted files.
 
-`zipfile` parses and unpacks; the bytes come from a `_RangeFile`. What a directory states is a claim: an
-archive is refused for names that leave it, symbolic links, duplicates and files that overlap; a file is
-refused when it is too large or its bytes do not bear out size and CRC32.
+`SafeZip` parses, checks and unpacks; the bytes come from a `_RangeFile`. What a directory states is a claim:
+an archive is refused for unsafe names, symbolic links, duplicates, encrypted files and files that overlap; a
+file is refused when it is too large or its bytes do not bear out size and CRC32.
 """
 
 from __future__ import annotations
 
 import io
-import re
-import stat
-import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
-from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.files import SafeZip, ZipLimits
 
 LARGEST_FILE = 64 << 20
 Chunks: TypeAlias = Callable[[int, int], Iterator[bytes]]
@@ -27,12 +25,13 @@ _LARGEST_DIRECTORY = 8 << 20
 _HEADER = 30
 _TAIL = (1 << 16) + 22 + 20 + 56  # the end record with its longest comment, and zip64's locator and record
 _LONGEST_REST = (1 << 16) + 24  # extra fields in front of a file's data, and its descriptor behind them
-_DEFLATE_LIMIT = 1100  # deflate cannot reach more than 1032 : 1
+# KITTI's zips hold 4 GB; one file is limited when it is read. Deflate cannot reach more than 1032 : 1.
+_LIMITS = ZipLimits(
+    files=1 << 20, file_bytes=1 << 40, total_bytes=1 << 50, ratio=1100, free_bytes=1024, depth=32
+)
 _LONGEST_GAP = 4096  # a smaller hole between two files is read over rather than asked around
 _LONGEST_RUN = 2 << 20  # what is under way is lost when a pull is killed
 _ATTEMPTS = 3
-_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError)
-_BROKEN = (*_ZIP_ERRORS, OSError, ArithmeticError, RuntimeError, ValueError)
 
 
 class DamagedError(FileFormatError):
@@ -145,7 +144,11 @@ class Archive:
         """
         wanted = list(names)
         for name in wanted:
-            self._refuse(name, _unreadable(self._infos[name]))
+            info = self._infos[name]
+            if info.file_size > LARGEST_FILE:
+                self._refuse(name, f"unpacks to {info.file_size} bytes, more than {LARGEST_FILE}")
+            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                self._refuse(name, f"is packed by method {info.compress_type}")
         for attempt in range(1, _ATTEMPTS + 1):
             damaged = []
             for name, content in self._read_once(wanted):
@@ -158,26 +161,18 @@ class Archive:
             wanted = damaged
 
     def _open(self) -> None:
-        try:
-            self._zip = zipfile.ZipFile(self._file)
-        except KT3DMoSegError:
-            raise
-        except _BROKEN as error:
-            found = str(error) or type(error).__name__
-            raise FileFormatError(self.name, expected="a complete zip archive", found=found) from None
-        self._infos: dict[str, zipfile.ZipInfo] = {}
-        self._ends: dict[str, int] = {}
-        infos = sorted(self._zip.infolist(), key=lambda info: info.header_offset)
-        following = [info.header_offset for info in infos[1:]] + [self._zip.start_dir]
-        for info, end in zip(infos, following, strict=True):
-            name = info.orig_filename
-            self._refuse(name, _fault(info, end) or ("is there twice" if name in self._infos else ""))
-            longest = _HEADER + 4 * len(name) + info.compress_size + _LONGEST_REST
-            self._infos[name], self._ends[name] = info, min(end, info.header_offset + longest)
+        self._zip = SafeZip(self._file, _LIMITS, self.name)
+        self._infos, self._ends = self._zip.infos, dict[str, int]()
+        infos = sorted(self._infos.items(), key=lambda item: item[1].header_offset)
+        following = [info.header_offset for _, info in infos[1:]] + [self._zip.directory_start]
+        for (name, info), end in zip(infos, following, strict=True):
+            least = info.header_offset + _HEADER + len(info.orig_filename) + info.compress_size
+            if info.header_offset < 0 or least > end:
+                self._refuse(name, "overlaps its neighbour")
+            self._ends[name] = min(end, least + 3 * len(name) + _LONGEST_REST)
 
     def _refuse(self, name: str, fault: str) -> None:
-        if fault:
-            raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
+        raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
 
     def _runs(self, names: Iterable[str]) -> Iterator[tuple[int, int, list[str]]]:
         """Group files that are neighbours, to be asked for in one request of at most 2 MiB."""
@@ -205,15 +200,12 @@ class Archive:
         """Unpack a file, never to more than its claimed size."""
         info = self._infos[name]
         try:
-            with self._zip.open(info) as stream:
-                content = stream.read(info.file_size)
-            if len(content) == info.file_size and zlib.crc32(content) == info.CRC:
-                return content
-            found = f"{len(content)} with {zlib.crc32(content):08x}"
-        except KT3DMoSegError:
-            raise
-        except _BROKEN as error:
-            found = str(error) or type(error).__name__
+            content = self._zip.read(name)
+            found = f"CRC {zlib.crc32(content):08x}"
+        except FileFormatError as error:
+            content, found = b"", error.found
+        if (len(content), zlib.crc32(content)) == (info.file_size, info.CRC):
+            return content
         expected = f"{info.file_size} bytes with CRC {info.CRC:08x}"
         return DamagedError(f"{self.name}: {name}", expected=expected, found=found)
 
@@ -226,30 +218,3 @@ def _read_file(path: Path, start: int, length: int) -> Iterator[bytes]:
             yield block
     if length:
         raise DamagedError(str(path), expected=f"{length} bytes more", found="its end")
-
-
-def _fault(info: zipfile.ZipInfo, end: int) -> str:
-    """Reason to refuse an archive with this file in it, which ends before `end`; empty when there is none."""
-    name = info.orig_filename
-    parts = name.split("/")
-    if not name or name.startswith("/") or re.search(r"[\\:\0]", name):
-        return "has an absolute name"
-    if ".." in parts or "." in parts:
-        return "leaves the archive's folder"
-    if info.external_attr and stat.S_ISLNK(info.external_attr >> 16):
-        return "is a symbolic link"
-    if info.file_size > info.compress_size * _DEFLATE_LIMIT + 1024:
-        return f"claims to unpack {info.compress_size} bytes to {info.file_size}"
-    if info.header_offset < 0 or info.header_offset + _HEADER + len(name) + info.compress_size > end:
-        return "overlaps its neighbour"
-    return ""
-
-
-def _unreadable(info: zipfile.ZipInfo) -> str:
-    if info.file_size > LARGEST_FILE:
-        return f"unpacks to {info.file_size} bytes, more than {LARGEST_FILE}"
-    if info.flag_bits & 0x1:
-        return "is encrypted"
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        return f"is packed by method {info.compress_type}"
-    return ""

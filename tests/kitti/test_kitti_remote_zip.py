@@ -90,21 +90,21 @@ def _overlap() -> bytes:
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
-        (lambda: _entry("/etc/passwd"), "absolute"),
-        (lambda: _renamed(b"c_windows.txt", b"C:windows.txt"), "absolute"),
-        (lambda: _renamed(b"x_up_name.txt", b"..\\..\\ame.txt"), "absolute"),
-        (lambda: _entry("../outside.txt"), "leaves"),
-        (lambda: _entry("a/../../outside.txt"), "leaves"),
+        (lambda: _entry("/etc/passwd"), "absolute path"),
+        (lambda: _renamed(b"c_windows.txt", b"C:windows.txt"), "absolute path"),
+        (lambda: _renamed(b"x_up_name.txt", b"..\\..\\ame.txt"), "absolute path"),
+        (lambda: _entry("../outside.txt"), "path inside the archive"),
+        (lambda: _entry("a/../../outside.txt"), "path inside the archive"),
         (lambda: _entry("link", stat.S_IFLNK | 0o777), "symbolic link"),
         (_duplicate, "twice"),
         (_overlap, "overlaps|twice"),
-        (lambda: _edited(24, "<L", 0x7FFFFFFF), "claims to unpack"),
+        (lambda: _edited(24, "<L", 0x7FFFFFFF), "packed at most 1100 to 1, found 2147483647 bytes"),
         (lambda: _edited(20, "<L", 0x00FFFFFF), "overlaps"),
-        (lambda: pack(CONTENT)[:-40], "complete zip"),
-        (lambda: pack(CONTENT)[:100], "complete zip"),
-        (lambda: b"", "complete zip"),
-        (lambda: b"no zip at all" * 100, "complete zip"),
-        (lambda: _edited(12, "<L", 0x7FFFFFFF, b"PK\x05\x06"), "complete zip|directory"),
+        (lambda: pack(CONTENT)[:-40], "expected a zip archive"),
+        (lambda: pack(CONTENT)[:100], "expected a zip archive"),
+        (lambda: b"", "expected a zip archive"),
+        (lambda: b"no zip at all" * 100, "expected a zip archive"),
+        (lambda: _edited(12, "<L", 0x7FFFFFFF, b"PK\x05\x06"), "expected a zip archive|directory"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -172,7 +172,7 @@ def test_any_damage_gives_right_content_or_one_error(tmp_path: Path, data: st.Da
 
 def test_hostile_zip_on_a_server_writes_nothing(world: World) -> None:
     world.serve(world.members | {"../../outside.txt": b"x"})
-    with pytest.raises(FileFormatError, match=r"refused: file '\.\./\.\./outside\.txt' leaves"):
+    with pytest.raises(FileFormatError, match=r"\.\./\.\./outside\.txt: expected a path inside the archive"):
         world.pull()
     assert not list(world.root.rglob("*.png"))
     assert not list(world.folder.parent.rglob("outside.txt"))
