@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.files import write_text
 from kt3dmoseg.types import ByteArray, Clip, IntArray
@@ -115,6 +116,7 @@ def report_html(
         "report.html",
         scores=scores,
         benchmark=scores.benchmark,
+        palette=css_palette(),
         coverage=scores.benchmark.coverage(scores.names),
         origin={name: facts.pop(name) for name in _ORIGIN if name in facts},
         facts=facts,
@@ -209,6 +211,7 @@ def _section(
     first = next((run for run in runs if run.table is not None), None)
     drawn = {run.seed: labels for run in runs if (labels := _drawn(checked, clip, run))}
     width, height = _size(clip, pictures)
+    motions, background = clip.labels.motions.tolist(), clip.labels.background
     scale = min(10.0, 32000 / max(width, height))
     section = {
         "name": name,
@@ -223,6 +226,7 @@ def _section(
             "width": width,
             "height": height,
             "n_frames": clip.n_frames,
+            "background": motions.index(background) + 1 if background in motions else 0,
             "scale": scale,
             "numbers": clip.frame_numbers.tolist(),
             "xy": _packed_positions(clip, scale),

@@ -1,8 +1,10 @@
 "use strict";
 // Draws the trajectories of a clip, true and predicted, on its frames. Data sit in the page.
-// After Okabe and Ito, as `kt3dmoseg show` draws them, lighter where frames are dark, without the red of errors.
-const COLOURS = ["#9aa0a6", "#56b4e9", "#e69f00", "#2ecc8f", "#f0e442", "#e377b8", "#a58bff", "#c2b280", "#7fe3e3"];
-const colourOf = (i) => COLOURS[i === 0 ? 0 : 1 + ((i - 1) % (COLOURS.length - 1))];
+// Colours come from the one palette, kt3dmoseg/draw/palette.py; motions are numbered from 1.
+const colourOf = (i, background) => {
+  if (i === 0) return PALETTE.unlabelled;
+  return i === background ? PALETTE.background : PALETTE.labels[(i - 1) % PALETTE.labels.length];
+};
 const MISSING = -32768;
 const TRAIL = 6; // frames
 const stillPlease = matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -115,10 +117,11 @@ class Viewer {
       const wrong = run && run.wrong[n];
       if (this.onlyErrors.checked && !wrong) continue;
       const x = onCanvas(this.xy[at]), y = onCanvas(this.xy[at + 1]);
-      this.trail(pen, n, frame, onCanvas, radius, colourOf(shown[n]));
+      const colour = colourOf(shown[n], this.data.background);
+      this.trail(pen, n, frame, onCanvas, radius, colour);
       pen.beginPath();
       pen.arc(x, y, radius, 0, 7);
-      pen.fillStyle = colourOf(shown[n]);
+      pen.fillStyle = colour;
       pen.fill();
       pen.lineWidth = 0.7;
       pen.strokeStyle = "rgba(0,0,0,.65)";
@@ -155,5 +158,5 @@ addEventListener("beforeprint", () => {
   waiting.forEach(make);
 });
 document.querySelectorAll("[data-colour]").forEach((dot) => {
-  dot.style.background = colourOf(Number(dot.dataset.colour));
+  dot.style.background = colourOf(Number(dot.dataset.colour), Number(dot.closest("section").dataset.background));
 });
