@@ -76,7 +76,7 @@ def sample_hypotheses(
         todo = np.flatnonzero(~ok)
         if not len(todo):
             break
-        sample = draw_subsets(size[of[todo]], model.minimal, rng) + start[of[todo], None]
+        sample = _draw_subsets(size[of[todo]], model.minimal, rng) + start[of[todo], None]
         models[todo], ok[todo] = model.fit(x1[sample], x2[sample])
     kept = of[ok]
     t1, t2 = np.stack([pair.t1 for pair in pairs])[kept], np.stack([pair.t2 for pair in pairs])[kept]
@@ -84,27 +84,9 @@ def sample_hypotheses(
     return Hypotheses(pixels, np.array(usable, dtype=np.int64)[kept], kind)
 
 
-def draw_subsets(sizes: IntArray, count: int, rng: np.random.Generator) -> IntArray:
-    """Draw one uniform subset of 0..size-1 per given size, without replacement.
-
-    Parameters
-    ----------
-    sizes : (K,) int64
-        Sizes of the K populations, each at least `count`.
-    count : int
-        Size p of the subsets.
-    rng : numpy.random.Generator
-        Randomness; K * p numbers are drawn, whatever happens.
-
-    Returns
-    -------
-    (K, p) int64
-        Distinct numbers in each row.
-
-    References
-    ----------
-    Floyd's algorithm, in Bentley and Floyd, "A sample of brilliance", CACM 1987.
-    """
+def _draw_subsets(sizes: IntArray, count: int, rng: np.random.Generator) -> IntArray:
+    """One uniform subset (K, count) of 0..size-1 for each of K sizes >= count, without replacement."""
+    # Floyd's algorithm, in Bentley and Floyd, "A sample of brilliance", CACM 1987.
     draws = rng.random((len(sizes), count))
     chosen = np.empty((len(sizes), count), dtype=np.int64)
     for k in range(count):
@@ -210,7 +192,7 @@ def view_kernel(
         points = pair.x1.astype(np.float32), pair.x2.astype(np.float32)
         residuals = MODELS[hypotheses.kind].residuals[distance](models[start:stop], *points)
         count = _top_count(stop - start, fraction)
-        marks = preferences(residuals, count).astype(np.float32)
+        marks = _preferences(residuals, count).astype(np.float32)
         # Upper triangle of marks marks^T: counts, exact in single precision. A pair that has fewer
         # hypotheses than usual weighs as much as the others.
         _add_upper(total, pair.rows, ssyrk(usual / count, marks.T, trans=1, lower=1).T)
@@ -231,21 +213,8 @@ def _top_count(n_hypotheses: int, fraction: float) -> int:
     return min(n_hypotheses, max(1, int(np.floor(fraction * n_hypotheses + 0.5))))
 
 
-def preferences(residuals: _Array, count: int) -> BoolArray:
-    """Mark the hypotheses of least residual of every point.
-
-    Parameters
-    ----------
-    residuals : (P, K) float
-        Residuals of P points to K hypotheses. NaN counts as the worst.
-    count : int
-        How many to mark in each row, 1..K. Of equal residuals the earlier hypotheses win.
-
-    Returns
-    -------
-    (P, K) bool
-        Exactly `count` True in each row.
-    """
+def _preferences(residuals: _Array, count: int) -> BoolArray:
+    """Mark in each row (P, K) the `count` least residuals, of equal ones the earlier; NaN counts as worst."""
     limit = np.partition(residuals, count - 1, axis=1)[:, count - 1 : count]
     chosen: BoolArray = residuals <= limit
     if np.count_nonzero(chosen) == count * len(chosen) and not np.isnan(limit).any():
@@ -259,12 +228,12 @@ def preferences(residuals: _Array, count: int) -> BoolArray:
     return chosen
 
 
-def neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:
-    """Choose the neighbours that every point keeps.
+def sparsify(kernel: _Array, alpha: float) -> _Array:
+    """Keep the neighbours of an entropy-based neighbourhood of every point.
 
     With B = K^alpha, the distances s_ij = max_j B_ij - B_ij of row i are read as a distribution
     P_ij = s_ij / sum_j s_ij, and those neighbours stay whose log P_ij lies below its mean under P,
-    the negative entropy of the row.
+    the negative entropy of the row. A constant row distinguishes no neighbours and keeps none.
 
     Parameters
     ----------
@@ -276,14 +245,20 @@ def neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:
     Returns
     -------
     (N, N) float of the kernel's dtype
-        1 where both points keep each other, 0.5 where one of them does, else 0. A constant row
-        distinguishes no neighbours and keeps none.
+        The kernel where both points keep each other, half of it where one of them does, else 0.
 
     References
     ----------
     Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR 2018,
     section 4 (the neighbourhood of the authors' released code).
     """
+    out: _Array = _neighbourhood_mask(kernel, alpha)
+    out *= kernel
+    return out
+
+
+def _neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:
+    """1 where both points keep each other, 0.5 where one of them does, else 0; see `sparsify`."""
     keep = np.empty(kernel.shape, dtype=np.bool_)
     rows = max(1, _BLOCK_ENTRIES // max(1, len(kernel)))
     for start in range(0, len(kernel), rows):
@@ -293,13 +268,6 @@ def neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:
     mask += keep.T
     mask *= kernel.dtype.type(0.5)
     return mask
-
-
-def sparsify(kernel: _Array, alpha: float) -> _Array:
-    """Return the affinity times its `neighbourhood_mask`: symmetric, mostly zero."""
-    out: _Array = neighbourhood_mask(kernel, alpha)
-    out *= kernel
-    return out
 
 
 def _add_upper(total: Float32Array, rows: IntArray, shared: Float32Array) -> None:

@@ -136,8 +136,6 @@ def constrain_subsets(
     """
 
     def nesting(embeddings: list[FloatArray], view: int) -> Symmetric:
-        if len(embeddings) == 1:
-            return _LowRank(np.zeros((len(embeddings[0]), 1)))
         smaller = embeddings[view - 1] if view > 0 else None
         larger = embeddings[view + 1] if view + 1 < len(embeddings) else None
         return _Nesting(smaller, larger, len(embeddings[view]))

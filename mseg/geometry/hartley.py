@@ -59,7 +59,7 @@ def inverse(transform: FloatArray) -> FloatArray:
     return out
 
 
-def before(models: FloatArray, transform: FloatArray) -> FloatArray:
+def _before(models: FloatArray, transform: FloatArray) -> FloatArray:
     """Multiply models by similarities [s 0 a; 0 s b; 0 0 1] from the right, both (..., 3, 3).
 
     Written out, because products of many small matrices spend their time on calls.
@@ -69,8 +69,8 @@ def before(models: FloatArray, transform: FloatArray) -> FloatArray:
     return np.stack([first * scale, second * scale, first * a + second * b + third], axis=-1)
 
 
-def after(transform: FloatArray, models: FloatArray) -> FloatArray:
-    """Multiply models by similarities from the left; see `before`."""
+def _after(transform: FloatArray, models: FloatArray) -> FloatArray:
+    """Multiply models by similarities from the left; see `_before`."""
     scale, a, b = (transform[..., i, j, None] for i, j in ((0, 0), (0, 2), (1, 2)))
     first, second, third = models[..., 0, :], models[..., 1, :], models[..., 2, :]
     return np.stack([first * scale + third * a, second * scale + third * b, third], axis=-2)
@@ -81,10 +81,10 @@ def change_frame(kind: ModelKind, models: FloatArray, t1: FloatArray, t2: FloatA
 
     Homographies and fundamental matrices come out with Frobenius norm 1, affine maps with (0 0 1).
     """
-    moved = before(models, inverse(t1))
+    moved = _before(models, inverse(t1))
     if kind == "fundamental":  # maps points to lines: x2^T F x1 = 0
-        return unit_norm(np.swapaxes(before(np.swapaxes(moved, -1, -2), inverse(t2)), -1, -2))
-    moved = after(t2, moved)
+        return unit_norm(np.swapaxes(_before(np.swapaxes(moved, -1, -2), inverse(t2)), -1, -2))
+    moved = _after(t2, moved)
     return moved if kind == "affine" else unit_norm(moved)
 
 

@@ -21,7 +21,7 @@ def tool():
     return module
 
 
-def test_our_figures_stand_beside_the_published_ones(tool):
+def test_our_figures_are_next_to_the_published_ones(tool):
     configurations = (Configuration("lsa"), Configuration("ssc", {"alpha": "20"}), Configuration("lrssc"))
     errors = np.array([[[0.1, 0.3], [0.0, 0.0]], [[0.0, 0.0], [0.5, 0.5]], [[1.0, 1.0], [0.0, 0.0]]])
     result = BenchmarkResult(

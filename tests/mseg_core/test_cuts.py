@@ -70,7 +70,7 @@ def test_mislabelled_vertices_move_home():
 
 
 def test_all_graphs_count():
-    """Two halves of a cluster that one graph tells apart and another does not are no two clusters."""
+    """Two halves of a cluster that one graph separates and another does not are no two clusters."""
     rng = np.random.default_rng(0)
     truth, slices = np.repeat([0, 1], [30, 10]), np.repeat([0, 1, 0], [15, 15, 10])
     views = [GraphLaplacian(blocks(labels, rng)) for labels in (truth, slices + 2 * truth)]

@@ -172,9 +172,9 @@ def test_a_change_of_frame_can_be_undone(kind):
 def test_similarities_written_out_are_products():
     rng = np.random.default_rng(0)
     models, (_, transform) = rng.normal(size=(5, 3, 3)), hartley.normalise(rng.normal(size=(5, 4, 2)))
-    assert_allclose(hartley.before(models, transform), models @ transform)
-    assert_allclose(hartley.after(transform, models), transform @ models)
-    assert_allclose(hartley.after(transform[0], models), transform[0] @ models)
+    assert_allclose(hartley._before(models, transform), models @ transform)
+    assert_allclose(hartley._after(transform, models), transform @ models)
+    assert_allclose(hartley._after(transform[0], models), transform[0] @ models)
 
 
 def test_many_null_vectors_are_null_and_unit():

@@ -12,10 +12,10 @@ from kt3dmoseg.types import Trajectories
 from mseg.geometry import MODELS, change_frame, hartley
 from mseg.kernels import (
     GUARD,
+    _draw_subsets,
+    _neighbourhood_mask,
+    _preferences,
     covisible_frames,
-    draw_subsets,
-    neighbourhood_mask,
-    preferences,
     sample_hypotheses,
     sparsify,
     view_kernel,
@@ -24,9 +24,9 @@ from mseg.types import Hypotheses
 
 
 @given(size=st.integers(1, 12), count=st.integers(1, 12))
-def test_subsets_are_distinct_members(size, count):
+def test_subsets_are_distinct_numbers(size, count):
     count = min(size, count)
-    drawn = draw_subsets(np.full(50, size), count, np.random.default_rng(size))
+    drawn = _draw_subsets(np.full(50, size), count, np.random.default_rng(size))
     assert drawn.min() >= 0
     assert drawn.max() < size
     assert all(len(set(row)) == count for row in drawn.tolist())
@@ -34,7 +34,7 @@ def test_subsets_are_distinct_members(size, count):
 
 def test_subsets_are_uniform():
     """Each of the 10 subsets of 2 of 5 about 2000 times in 20000: sd 42."""
-    drawn = np.sort(draw_subsets(np.full(20000, 5), 2, np.random.default_rng(0)), axis=1)
+    drawn = np.sort(_draw_subsets(np.full(20000, 5), 2, np.random.default_rng(0)), axis=1)
     _, counts = np.unique(drawn, axis=0, return_counts=True)
     assert len(counts) == 10
     assert np.abs(counts - 2000).max() < 250
@@ -43,7 +43,7 @@ def test_subsets_are_uniform():
 def test_exactly_the_best_are_preferred():
     values = np.array([[3.0, 1.0, 2.0, 0.5], [1.0, 1.0, 1.0, 1.0], [np.nan, 2.0, np.nan, np.inf]])
     expected = [[0, 1, 0, 1], [1, 1, 0, 0], [0, 1, 0, 1]]
-    assert_array_equal(preferences(values, 2), np.array(expected, bool))
+    assert_array_equal(_preferences(values, 2), np.array(expected, bool))
 
 
 @given(st.integers(0, 1000))
@@ -54,11 +54,11 @@ def test_preferences_are_those_of_a_stable_sort(seed):
     count = int(rng.integers(1, 20))
     expected = np.zeros(values.shape, bool)
     np.put_along_axis(expected, np.argsort(values, axis=1, kind="stable")[:, :count], True, axis=1)
-    assert_array_equal(preferences(values, count), expected)
+    assert_array_equal(_preferences(values, count), expected)
 
 
 def ordered_residual_kernel(values, count):
-    marks = preferences(values, count).astype(float)
+    marks = _preferences(values, count).astype(float)
     return marks @ marks.T / count
 
 
@@ -103,7 +103,7 @@ def test_view_kernel_is_the_sum_of_the_pairs_kernels(kind, make_clip):
     assert_allclose(view_kernel(trajectories, hypotheses), expected, atol=1e-6)
 
 
-def test_kernel_tells_motions_apart(make_clip):
+def test_kernel_separates_motions(make_clip):
     clip = make_clip()
     trajectories, same = clip.evaluated_trajectories, clip.labels.label[:, None] == clip.labels.label
     for kind in ("affine", "homography", "fundamental"):
@@ -148,7 +148,7 @@ FIVE = np.array(
 
 @pytest.mark.parametrize("alpha", [1, 5])
 def test_neighbourhoods_of_two_blocks(alpha):
-    assert_array_equal(neighbourhood_mask(BLOCKS, alpha), np.kron(np.eye(2), np.ones((2, 2))))
+    assert_array_equal(_neighbourhood_mask(BLOCKS, alpha), np.kron(np.eye(2), np.ones((2, 2))))
 
 
 def test_neighbourhoods_of_five_points():
@@ -159,19 +159,19 @@ def test_neighbourhoods_of_five_points():
         [0.5, 0.5, 1, 1, 1],
         [0, 0, 0.5, 1, 1],
     ]
-    assert_array_equal(neighbourhood_mask(FIVE, 2), expected)
+    assert_array_equal(_neighbourhood_mask(FIVE, 2), expected)
     assert_allclose(sparsify(FIVE, 2), FIVE * expected)
 
 
 def test_sparsification_in_single_precision_is_that_in_double(make_clip):
     trajectories = make_clip(points=60).evaluated_trajectories
     kernel = view_kernel(trajectories, sample_hypotheses(trajectories, "affine", np.random.default_rng(0)))
-    assert_array_equal(neighbourhood_mask(kernel, 10), neighbourhood_mask(kernel.astype(np.float64), 10))
+    assert_array_equal(_neighbourhood_mask(kernel, 10), _neighbourhood_mask(kernel.astype(np.float64), 10))
 
 
 def test_constant_rows_keep_nothing():
-    assert not neighbourhood_mask(np.zeros((3, 3)), 2).any()
-    assert not neighbourhood_mask(np.ones((3, 3)), 2).any()
+    assert not _neighbourhood_mask(np.zeros((3, 3)), 2).any()
+    assert not _neighbourhood_mask(np.ones((3, 3)), 2).any()
 
 
 @pytest.mark.parametrize("alpha", [0.5, 1.0, 2.0, 3.0, 7.0, 8.0, 10.0, 2.5])
@@ -182,4 +182,4 @@ def test_neighbours_are_those_of_the_power_as_it_is_defined(alpha, rng):
     share = distance / distance.sum(axis=1, keepdims=True)
     logarithm = np.log(share + np.finfo(np.float64).eps)
     keep = logarithm < (share * logarithm).sum(axis=1, keepdims=True)
-    assert_array_equal(neighbourhood_mask(kernel, alpha), (keep.astype(float) + keep.T) / 2)
+    assert_array_equal(_neighbourhood_mask(kernel, alpha), (keep.astype(float) + keep.T) / 2)
