@@ -15,6 +15,7 @@ pixels, or one side has too few clear trajectories, the outline decides.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,6 +25,9 @@ from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Motion
 from kt3dmoseg.annotate.propagation import Region, fit_similarities
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
 
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate.labelling import LabelRule
+
 _NEIGHBOURS = 16
 _MIN_STEPS = 3
 
@@ -32,32 +36,28 @@ def decide_by_motion(
     trajectories: Trajectories,
     objects: Sequence[AnnotatedObject],
     depths: Mapping[int, FloatArray],
-    *,
-    halo: float,
-    margin: float,
-    ratio: float,
-    least_gap: float,
+    rule: LabelRule,
 ) -> dict[int, Motion]:
     """Return row to motion (0 = background) of the trajectories that the rule decides.
 
-    `depths` are those of `region_depths`, per object, with a reach of at least `halo`; lengths in pixels.
+    `depths` are those of `region_depths`, per object, with a reach of at least `halo`.
     """
     behind = trajectories.visible.copy()
     with np.errstate(invalid="ignore"):
         for depth in depths.values():
-            behind &= depth < -halo
+            behind &= depth < -rule.halo
     decided: dict[int, Motion] = {}
     for item in objects:
         if item.motion in (BACKGROUND, REJECT):
             continue
-        depth = np.where(depths[item.id] < -halo, -np.inf, depths[item.id])
-        clear = np.nan_to_num(depth, nan=-np.inf) > margin
-        rows = _along(depth, halo, margin)
+        depth = np.where(depths[item.id] < -rule.halo, -np.inf, depths[item.id])
+        clear = np.nan_to_num(depth, nan=-np.inf) > rule.margin
+        rows = _along(depth, rule.halo, rule.margin)
         errors = np.array(
             [_errors(trajectories, rows, clear, behind, f) for f in range(trajectories.n_frames - 1)]
         ).reshape(trajectories.n_frames - 1, len(rows), 3)
         for k, row in enumerate(rows.tolist()):
-            with_object = _winner(errors[~np.isnan(errors[:, k, 0]), k], ratio, least_gap)
+            with_object = _winner(errors[~np.isnan(errors[:, k, 0]), k], rule.ratio, rule.least_gap)
             if with_object is not None:
                 decided[row] = item.motion if with_object else BACKGROUND
     return decided

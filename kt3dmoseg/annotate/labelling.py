@@ -145,16 +145,7 @@ def label_tracks_detailed(
         votes[rows] += weight
         contested[rows] |= torn
     choice, reason = _decide(votes, contested, trajectories.lengths > 0, rule)
-    decided = decide_by_motion(
-        trajectories,
-        annotation.objects,
-        depths,
-        halo=rule.halo,
-        margin=rule.margin,
-        ratio=rule.ratio,
-        least_gap=rule.least_gap,
-    )
-    for row, winner in decided.items():
+    for row, winner in decide_by_motion(trajectories, annotation.objects, depths, rule).items():
         choice[row], reason[row] = candidates.index(winner), _LABELLED
     for mark in annotation.marks:
         rows = np.flatnonzero(trajectories.visible[:, mark.frame])

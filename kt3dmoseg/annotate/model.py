@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -359,13 +360,8 @@ _EXPECTED = {
     "missing": "a value",
     "dataclass_type": "a JSON object",
     "tuple_type": "a list",
-    "too_short": "at least {min_length}",
-    "too_long": "at most {max_length}",
-    "string_type": "a text",
-    "string_unicode": "whole characters",
-    "string_too_short": "a text of at least {min_length} character",
-    "string_too_long": "a text of at most {max_length} characters",
     "string_pattern_mismatch": "a text that is not blank",
+    "string_unicode": "whole characters",
 }
 
 
@@ -392,7 +388,8 @@ def _refusal(detail: ErrorDetails, where: str) -> InvalidValueError:
         model = next((_MODELS[p] for p in reversed(detail["loc"][:-1]) if p in _MODELS), Annotation)
         known = [field.name for field in fields(model)] + ["format", "version"] * (model is Annotation)
         return InvalidValueError(str(unknown_name("field", detail["loc"][-1], known, where=where)))
-    expected = _EXPECTED.get(detail["type"], detail["msg"].removeprefix("Input should be ")).format(**context)
+    message = re.sub(r"^.* should (be |have )?| after validation.*", "", detail["msg"])
+    expected = _EXPECTED.get(detail["type"], message)
     found = str(context.get("actual_length") or repr(detail["input"])[:80])
     meant = nearest(str(detail["input"]), get_args(Kind)) if detail["type"] == "literal_error" else ""
     found = "nothing" if detail["type"] == "missing" else found
