@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from mseg.evaluation.protocol import Protocol as Protocol
     from mseg.evaluation.protocol import list_protocols as list_protocols
     from mseg.evaluation.protocol import load_protocol as load_protocol
+    from mseg.evaluation.reading import Submission as Submission
+    from mseg.evaluation.reading import read_submission as read_submission
     from mseg.evaluation.report import write_report as write_report
     from mseg.evaluation.scoring import ClipScore as ClipScore
     from mseg.evaluation.scoring import ScoreTable as ScoreTable
     from mseg.evaluation.scoring import score as score
     from mseg.evaluation.scoring import score_submission as score_submission
-    from mseg.evaluation.submission import Submission as Submission
     from mseg.evaluation.submission import SubmissionMeta as SubmissionMeta
     from mseg.evaluation.submission import clip_checksum as clip_checksum
     from mseg.evaluation.submission import fingerprint as fingerprint
-    from mseg.evaluation.submission import read_submission as read_submission
     from mseg.evaluation.submission import write_failure as write_failure
     from mseg.evaluation.submission import write_meta as write_meta
     from mseg.evaluation.submission import write_prediction as write_prediction
@@ -53,11 +53,11 @@ _PUBLIC = {
     "ScoreTable": "scoring",
     "score": "scoring",
     "score_submission": "scoring",
-    "Submission": "submission",
+    "Submission": "reading",
     "SubmissionMeta": "submission",
     "clip_checksum": "submission",
     "fingerprint": "submission",
-    "read_submission": "submission",
+    "read_submission": "reading",
     "write_failure": "submission",
     "write_meta": "submission",
     "write_prediction": "submission",

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import shutil
 import stat
 import struct
@@ -98,6 +99,26 @@ def two_formats(folder):
     np.savez(folder / f"{ONE}.npz", track=IDS, label=LABEL)
 
 
+def pipe(folder):
+    os.mkfifo(folder / "pipe.csv")
+
+
+def large_file(folder):
+    with (folder / "large.csv").open("wb") as stream:
+        stream.truncate(40 << 20)
+
+
+def damaged_npz(folder):
+    two_formats(folder)
+    (folder / f"{ONE}.csv").unlink()
+    path = folder / f"{ONE}.npz"
+    path.write_bytes(path.read_bytes()[:-30])
+
+
+def failed_twice(folder):
+    (folder / f"{ONE}.failed").write_text("")
+
+
 def meta(**changes):
     return lambda f: write_meta(f, SubmissionMeta(**{**vars(META), **changes}))
 
@@ -131,6 +152,14 @@ MISTAKES = [
     ("missing-array", lambda f: npz(f, labels=LABEL), "np.savez(file, track=ids, label=labels)"),
     ("float", lambda f: npz(f, track=IDS, label=LABEL / 1.0), "write integers"),
     ("ragged", lambda f: npz(f, track=IDS, label=LABEL[1:]), "as many labels"),
+    ("not-a-number", lambda f: npz(f, track=IDS, label=LABEL.astype(str)), "write integers"),
+    ("unreadable", damaged_npz, "np.savez(file, track=ids, label=labels)"),
+    ("swapped-columns", lambda f: rewrite(f, LABEL, IDS), "track first, then label"),
+    ("special-file", pipe, "remove it"),
+    ("too-large", large_file, "one label per evaluated trajectory"),
+    ("duplicate-clip", failed_twice, "keep one of them"),
+    ("meta-field", meta_text(GOOD.replace('["a"]', "[]")), "docs/submit.md"),
+    ("meta-field", meta_text(GOOD.replace('dataset_version = "1"', "")), "docs/submit.md"),
     (
         "no-header",
         lambda f: text(f, "".join(f"{t},{v}\n" for t, v in zip(IDS, LABEL, strict=False))),
