@@ -20,6 +20,7 @@ _MAX_FILE = 1 << 30
 # A track of 5 points in a thousand frames fills 60 cells per token.
 _MAX_CELLS, _CELLS_PER_TOKEN, _CELLS_FREE = 1 << 28, 500, 1 << 20
 _LAYOUT = "nFrames, nTracks, then per track 'label length' and length times 'x y frame'"
+_END = "the end of the file"
 
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -66,13 +67,11 @@ def _parse(path: str | os.PathLike[str]) -> tuple[FloatArray, int, IntArray]:
     frames, count = (_whole(numbers[i], where, what) for i, what in enumerate(("nFrames", "nTracks")))
     most = (len(numbers) - 2) // 2
     if count > most:
-        raise FileFormatError(f"{where}: nTracks", expected=f"at most {most} in this file", found=str(count))
+        raise FileFormatError(f"{where}: nTracks", expected=f"at most {most} in this file", found=f"{count}")
     limit = min(_MAX_CELLS, max(_CELLS_FREE, _CELLS_PER_TOKEN * len(numbers)))
     if frames * max(count, 1) > limit:
-        found = f"{frames} frames x {count} tracks"
-        raise FileFormatError(
-            f"{where}: nFrames", expected=f"at most {limit} positions in this file", found=found
-        )
+        expected, found = f"at most {limit} positions in this file", f"{frames} frames x {count} tracks"
+        raise FileFormatError(f"{where}: nFrames", expected=expected, found=found)
     return numbers, frames, _tracks(numbers, count, where)
 
 
@@ -80,17 +79,13 @@ def _tracks(numbers: FloatArray, count: int, where: str) -> IntArray:
     tracks, at = np.zeros((count, 3), dtype=np.int64), 2
     for row in range(count):
         if at + 2 > len(numbers):
-            raise FileFormatError(
-                f"{where}: track {row}", expected="label and length", found="the end of the file"
-            )
+            raise FileFormatError(f"{where}: track {row}", expected="label and length", found=_END)
         label = _whole(numbers[at], where, f"label of track {row}", low=-1)
         length = _whole(numbers[at + 1], where, f"length of track {row}")
         tracks[row] = label, at + 2, length
         at += 2 + 3 * length
         if at > len(numbers):
-            raise FileFormatError(
-                f"{where}: track {row}", expected=f"{length} points", found="the end of the file"
-            )
+            raise FileFormatError(f"{where}: track {row}", expected=f"{length} points", found=_END)
     if at != len(numbers):
         found = f"{len(numbers) - at} more numbers"
         raise FileFormatError(where, expected=f"the end after {count} tracks", found=found)
@@ -103,10 +98,8 @@ def _fill(numbers: FloatArray, tracks: IntArray, frames: int, where: str) -> tup
     row, frame = np.repeat(np.arange(len(tracks)), lengths), points[:, 2]
     bad = (frame < 0) | (frame >= frames) | (frame != np.floor(frame))
     if bad.any():
-        found = f"{frame[bad][0]:g}"
-        raise FileFormatError(
-            f"{where}: track {row[bad][0]}", expected=f"frames 0..{frames - 1}", found=found
-        )
+        first, found = f"{where}: track {row[bad][0]}", f"{frame[bad][0]:g}"
+        raise FileFormatError(first, expected=f"frames 0..{frames - 1}", found=found)
     index = frame.astype(np.int64)
     xy = np.full((len(tracks), frames, 2), np.nan)
     visible = np.zeros((len(tracks), frames), dtype=np.bool_)
@@ -118,10 +111,6 @@ def _fill(numbers: FloatArray, tracks: IntArray, frames: int, where: str) -> tup
 
 def _whole(value: float, where: str, what: str, low: int = 0) -> int:
     if value != np.floor(value) or not low <= value < 1 << 40:
-        raise FileFormatError(
-            f"{where}: {what}",
-            expected=f"a whole number >= {low}",
-            found=f"{value:g}",
-            fix=f"the layout is {_LAYOUT}",
-        )
+        expected, fix = f"a whole number >= {low}", f"the layout is {_LAYOUT}"
+        raise FileFormatError(f"{where}: {what}", expected=expected, found=f"{value:g}", fix=fix)
     return int(value)

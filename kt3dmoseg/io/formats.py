@@ -34,15 +34,6 @@ class Format:
     recognise: Callable[[bytes], bool]
     module: str
 
-    def read(self, path: str | os.PathLike[str]) -> Clip:
-        """Read a clip."""
-        clip: Clip = import_module(self.module).read(path)
-        return clip
-
-    def write(self, clip: Clip, path: str | os.PathLike[str]) -> None:
-        """Write a clip."""
-        import_module(self.module).write(clip, path)
-
 
 def _is_text_of_numbers(head: bytes) -> bool:
     return bool(head.strip()) and set(head) <= set(b"0123456789+-.eE \t\r\n")
@@ -91,15 +82,16 @@ def load(path: str | os.PathLike[str]) -> Clip:
         When it is of no known format, damaged, of a newer version, or contradicts itself.
     """
     file = _single_file(Path(path))
-    format = recognise(file)
+    module = import_module(recognise(file).module)
     try:
-        return format.read(file)
+        clip: Clip = module.read(file)
     except InvalidValueError as error:
         raise FileFormatError(f"{file}: {error}") from None
     except KT3DMoSegError:
         raise
     except OSError as error:
         raise InputFileError(f"{file}: {error.strerror or error}") from None
+    return clip
 
 
 def save(clip: Clip, path: str | os.PathLike[str]) -> None:
@@ -119,7 +111,7 @@ def save(clip: Clip, path: str | os.PathLike[str]) -> None:
     InputFileError
         When the file cannot be written.
     """
-    written_as(path).write(clip, path)
+    import_module(written_as(path).module).write(clip, path)
 
 
 def written_as(path: str | os.PathLike[str]) -> Format:

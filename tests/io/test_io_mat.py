@@ -153,6 +153,15 @@ def test_files_of_other_writers_are_read(compressed, tmp_path):
         ({"SparseIndex": np.array([[1.0], [4.0]])}, r"Data\.SparseIndex"),
         ({"SparseIndex": np.array([[1.0], [2.0]])}, r"Data\.ySparse: expected the rows SparseIndex"),
         ({"nFrames": 7.0}, r"Data\.nFrames: expected 2"),
+        ({"visibleSparse": np.full((2, 2), 2.0)}, r"Data\.visibleSparse: expected 0 or 1"),
+        (
+            {
+                "SparseIndex": np.array([[1.0], [1.0]]),
+                "ySparse": _release()["yAll"][:, [0, 0]],
+                "visibleSparse": np.ones((2, 2)),
+            },
+            r"Data\.SparseIndex: expected rows each given once",
+        ),
         ({"visibleAll": np.ones((3, 2), dtype=bool)}, r"Data\.yAll: expected finite"),
         ({"yAll": np.zeros((2, 3, 2))}, r"Data\.yAll: expected 3 x any x 2, found 2 x 3 x 2"),
         ({"ySparse": "text"}, r"Data\.ySparse: expected numbers"),
