@@ -52,6 +52,11 @@ def test_seed_is_not_taken_for_seeds(data, tmp_path, capsys):
     assert "did you mean '--seeds'?" in printed
 
 
+def test_scores_have_one_form(data, tmp_path, capsys):
+    printed = usage_error(capsys, "score", str(perfect(tmp_path / "s")), data, "--json", "--csv")
+    assert "Mutually exclusive arguments: {--json, --csv}" in printed
+
+
 def test_data_come_last(data, tmp_path, capsys):
     submission, scores = str(perfect(tmp_path / "s")), str(tmp_path / "s.json")
     assert mseg.cli.main(["score", submission, data, "--json", "-o", scores]) == 0

@@ -60,6 +60,8 @@ def test_a_misspelt_key_names_the_nearest():
         ({"kind": "c"}, "kind: expected one of a, b"),
         ({"fast": "maybe"}, "fast: expected true or false"),
         ({"limit": "many"}, "limit: expected a whole number"),
+        ({"scales": 3}, "scales: expected several values, found 3"),
+        ({"scales": "1,x"}, "scales: expected a number, found 'x'"),
     ],
 )
 def test_bad_values_are_one_clear_line(values, message):
