@@ -44,16 +44,22 @@ _EXTRAS = {
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 
+def _whole(_: type, tokens: Sequence[cyclopts.Token]) -> int:
+    if not tokens[0].value.removeprefix("-").isdecimal():  # cyclopts would round 1.5
+        raise ValueError(f"expected a whole number, found {tokens[0].value!r}")
+    return int(tokens[0].value)
+
+
 def _positive(_: type, tokens: Sequence[cyclopts.Token]) -> int:
-    text = tokens[0].value
-    if not text.isdecimal() or int(text) < 1:
-        raise ValueError(f"expected a whole number >= 1, found {text!r}")
-    return int(text)
+    if not tokens[0].value.isdecimal() or int(tokens[0].value) < 1:
+        raise ValueError(f"expected a whole number >= 1, found {tokens[0].value!r}")
+    return int(tokens[0].value)
 
 
+# Types of arguments, with the names of their values in help.
 Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 Positive = Annotated[int, Parameter(converter=_positive, metavar="N")]
-Whole = Annotated[int, Parameter(metavar="N")]
+Whole = Annotated[int, Parameter(converter=_whole, metavar="N")]
 Name = Annotated[str, Parameter(metavar="NAME")]
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
 File = Annotated[Path, Parameter(metavar="FILE")]
@@ -77,7 +83,7 @@ def application(name: str, purpose: str, commands: Mapping[str, str]) -> cyclopt
     """
     app = group(name, purpose)
     app.version = f"{name} {__version__}"
-    app.default_parameter = Parameter(negative_iterable=(), allow_repeating=True)
+    app.default_parameter = Parameter(negative_iterable=(), allow_repeating=True, json_list=False)
     app.help_format, app.help_formatter = "plaintext", _HELP
     app.suppress_keyboard_interrupt = False
     for number, (command, target) in enumerate(commands.items()):
@@ -161,7 +167,7 @@ def _row(entry: Any) -> str:  # noqa: ANN401
     if entry.choices:
         labels += " {" + ",".join(entry.choices) + "}"
     elif entry.metavar and not entry.positional_label:
-        labels += " " + entry.metavar.replace("STR", names[-1].strip("-").upper())
+        labels += " " + {"STR": names[-1].strip("-").upper(), "FLOAT": "X"}.get(entry.metavar, entry.metavar)
     text = entry.description.primary_renderable.plain.rstrip(".")
     text = text[:1].upper() + text[1:]
     if entry.default not in (None, '""', "None", "()"):
@@ -298,7 +304,7 @@ def _mistake(error: cyclopts.CycloptsError) -> str:
         source, flag = error.token.source, error.token.keyword
         where = f"argument {flag}" if source == "cli" else f"{source}: {flag}"
         choices = ", ".join(map(str, typing.get_args(error.target_type)))
-        noun = {int: "a whole number", float: "a number"}.get(error.target_type, f"one of {choices}")  # type: ignore[arg-type]
+        noun = f"one of {choices}" if choices else "a number"
         return f"{where}: " + str(error.msg or f"expected {noun}, found {error.token.value!r}")
     return " ".join(str(error).split())
 

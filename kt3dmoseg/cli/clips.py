@@ -199,21 +199,18 @@ def track(
     colour : {"refuse", "luma"}
         Colour frames: refuse them, or take their luma.
     """
-    from dataclasses import asdict
-
     from kt3dmoseg.files import check_writable
     from kt3dmoseg.flow import create
     from kt3dmoseg.io import save
     from kt3dmoseg.io.formats import written_as
-    from kt3dmoseg.options import from_mapping, parse_assignments
+    from kt3dmoseg.options import parse_assignments
     from kt3dmoseg.tracking import track_clip
 
-    chosen = asdict(from_mapping(TrackOptions, options))
     backend = create(flow, **parse_assignments(parameter))
     written_as(output)
     check_writable(output.parent)
     with progress_bar("frame") as progress:
-        clip = track_clip(frames, backend, colour=colour, cache=cache, progress=progress, **chosen)
+        clip = track_clip(frames, backend, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)
     print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
 
@@ -324,7 +321,7 @@ def show(
     output: Annotated[Either | None, Parameter(alias="-o")] = None,
     by: Literal["label", "length", "prediction"] | None = None,
     pred: File | None = None,
-    at: Annotated[int | None, Parameter(metavar="I")] = None,
+    at: Annotated[Whole | None, Parameter(metavar="I")] = None,
     rate: float = 5.0,
     **options: Any,  # noqa: ANN401
 ) -> None:

@@ -50,7 +50,9 @@ seen: list[Any] = []
 
 
 @app.flags(Example)
-def hello(name: str, /, *, seeds: app.Positive = 1, count: app.Whole = 0, **options: Any) -> None:
+def hello(
+    name: str, /, *, seeds: app.Positive = 1, count: app.Whole = 0, share: float = 0.5, **options: Any
+) -> None:
     """Say hello.
 
     Parameters
@@ -59,6 +61,8 @@ def hello(name: str, /, *, seeds: app.Positive = 1, count: app.Whole = 0, **opti
         Whom to greet.
     count : int
         How often.
+    share : float
+        How much of it.
     """
     if name == "nobody":
         raise InvalidValueError("name", found="nobody")
@@ -166,6 +170,8 @@ def test_a_preset_is_its_values_and_single_options_win(flags, alpha, rounds, cal
         (["hello", "x", "--seeds", "two"], "argument --seeds: expected a whole number >= 1, found 'two'"),
         (["hello", "x", "--seeds=0"], "argument --seeds: expected a whole number >= 1, found '0'"),
         (["hello", "x", "--count", "two"], "argument --count: expected a whole number, found 'two'"),
+        (["hello", "x", "--count", "1.5"], "argument --count: expected a whole number, found '1.5'"),
+        (["hello", "x", "--share", "half"], "argument --share: expected a number, found 'half'"),
         (["hello", "x", "--count"], "argument --count: expected a value"),
         (["hello", "x", "--kind", "c"], "argument --kind: expected one of a, b, found 'c'"),
         (["hello", "x", "more"], "unexpected argument 'more'"),
