@@ -33,7 +33,7 @@ def data_root() -> Path:
     pytest.skip("real data not here; set KT3DMOSEG_DATA to run this test")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # playwright runs an event loop, which other modules must not meet
 def browser():
     """A headless Chromium or Chrome; its tests are skipped where there is none, but never in CI."""
     from browser import find
