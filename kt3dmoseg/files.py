@@ -36,10 +36,7 @@ _REMEDIES = {
 # What zipfile raises on damaged content.
 _ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError, OSError)
 _ENCRYPTED = 0x1
-_BOUNDED_METHODS = (
-    zipfile.ZIP_STORED,
-    zipfile.ZIP_DEFLATED,
-)  # of the others, zipfile unpacks without a limit
+_BOUNDED_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpack without a limit
 
 
 @contextmanager
@@ -305,10 +302,7 @@ class SafeZip:
             self._refuse("too-large", name, expected, f"{info.file_size} bytes unpacked")
         elif info.flag_bits & _ENCRYPTED:
             self._refuse("encrypted", name, "no password", "an encrypted file", "zip it without")
-        elif info.compress_type not in (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        ):  # the others are not bounded
+        elif info.compress_type not in _BOUNDED_METHODS:
             found = f"compression method {info.compress_type}"
             self._refuse("unreadable", name, "a stored or deflated file", found, "zip it without options")
         else:

@@ -68,14 +68,8 @@ class Traffic:
 class Client:
     """A session with one or more servers; it knows the sizes of files, and notices when one changes.
 
-    Raises
-    ------
-    MissingDependencyError
-        When `requests` is not installed (the extra ``pull``).
-    AbsentError, RangesIgnoredError, ChangedError
-        From each method, when there is no such file, the server ignores ranges, the file has another size.
-    InputFileError
-        From each method, when the server cannot be reached or refuses.
+    Its methods raise AbsentError, RangesIgnoredError and ChangedError, or InputFileError when the server
+    cannot be reached or refuses.
     """
 
     def __init__(self, options: Origin | None = None, traffic: Traffic | None = None) -> None:
@@ -190,9 +184,8 @@ class Client:
 
         self._traffic.requests += 1
         try:
-            response = self._session.get(
-                url, headers={"Range": range_}, stream=True, timeout=self._options.timeout
-            )
+            headers, timeout = {"Range": range_}, self._options.timeout
+            response = self._session.get(url, headers=headers, stream=True, timeout=timeout)
         except exceptions.TooManyRedirects:
             raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
         except (exceptions.InvalidURL, exceptions.InvalidSchema) as error:

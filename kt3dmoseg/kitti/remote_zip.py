@@ -8,7 +8,6 @@ file is refused when it is too large or its bytes do not bear out size and CRC32
 from __future__ import annotations
 
 import io
-import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -58,9 +57,8 @@ class _RangeFile(io.RawIOBase):
 
     def ask(self, start: int, length: int) -> Iterator[bytes]:
         """Ask for a range, from which `read` takes as it arrives; return what is left of it then."""
-        arriving = (
-            iter([self.tail[start - self.held :]]) if start >= self.held else self._chunks(start, length)
-        )
+        kept = self.tail[start - self.held :] if start >= self.held else b""
+        arriving = iter([kept]) if kept else self._chunks(start, length)
         self._range = start, bytearray(), arriving
         return arriving
 
@@ -116,8 +114,7 @@ class Archive:
             except FileFormatError:
                 if attempt == _ATTEMPTS:
                     raise
-        self.directory = size, self._file.tail
-        self.sizes = {name: info.file_size for name, info in self._infos.items()}
+        self.directory, self.sizes = (size, self._file.tail), self._zip.sizes
 
     @classmethod
     def on_disk(cls, path: Path) -> Archive:
@@ -140,15 +137,12 @@ class Archive:
 
         Neighbours come in one request, each is yielded as soon as its bytes are here. A damaged file is
         asked for again, up to three times in all, before DamagedError is raised. FileFormatError is raised
-        for a file that is encrypted, packed by an unusual method or larger than 64 MiB.
+        for a file larger than 64 MiB.
         """
         wanted = list(names)
         for name in wanted:
-            info = self._infos[name]
-            if info.file_size > LARGEST_FILE:
-                self._refuse(name, f"unpacks to {info.file_size} bytes, more than {LARGEST_FILE}")
-            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                self._refuse(name, f"is packed by method {info.compress_type}")
+            if self.sizes[name] > LARGEST_FILE:
+                self._refuse(name, f"unpacks to {self.sizes[name]} bytes, more than {LARGEST_FILE}")
         for attempt in range(1, _ATTEMPTS + 1):
             damaged = []
             for name, content in self._read_once(wanted):
