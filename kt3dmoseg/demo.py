@@ -80,12 +80,9 @@ def run_demo(
         methods.create(name)
     demo = _Demo(Path(output), chosen, tell)
     demo.claim_folder()
-    scenes = demo.render()
-    demo.annotate(scenes)
-    demo.build(scenes)
+    demo.build(demo.film())
     submissions = demo.segment()
-    demo.validate(submissions)
-    demo.score(submissions)
+    demo.evaluate(submissions)
     reports = demo.report(submissions)
     tell(f"\nDone in {time.perf_counter() - started:.0f} s. Open a report in a browser, for instance:")
     tell(f"  {reports[chosen.methods[-1]].resolve()}")
@@ -121,15 +118,18 @@ class _Demo:
             found = "other files" if occupied else "a file"
             raise InputFileError(f"{self.folder}", expected=expected, found=found, fix="choose another")
         write_text(marker, "kt3dmoseg demo replaces what is in this folder\n")
+        for name in ("kitti", "submissions", "frames"):
+            shutil.rmtree(self.folder / name, ignore_errors=True)
 
-    def render(self) -> dict[str, Scene]:
+    def film(self) -> dict[str, Scene]:
+        from kt3dmoseg.annotate import save_annotation
         from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
 
         self.step(
             f"Render {_DRIVES} synthetic drives in the layout of KITTI raw",
             "kt3dmoseg pull --accept-license          (real frames, from KITTI)",
         )
-        root, scenes, chosen = _emptied(self.kitti), {}, self.options
+        root, scenes, chosen = self.kitti, {}, self.options
         size = {"width": chosen.width, "height": chosen.height, "frames": chosen.frames}
         for number in range(_DRIVES):
             seed = chosen.seed * _DRIVES + number
@@ -138,11 +138,6 @@ class _Demo:
             vehicles = ", ".join(v.name for v in scene.vehicles)
             self.result(f"{folder.relative_to(self.folder)}: {scene.n_frames} frames; moving: {vehicles}")
             scenes[folder.name.removesuffix("_sync")] = scene
-        return scenes
-
-    def annotate(self, scenes: dict[str, Scene]) -> None:
-        from kt3dmoseg.annotate import save_annotation
-
         self.step(
             "Outline the moving vehicles on every third frame (here from the scene's own knowledge)",
             "kt3dmoseg label FRAMES                   (a page in the browser)",
@@ -151,6 +146,7 @@ class _Demo:
             path = self.annotations / f"{name}.json"
             save_annotation(path, annotation_of(scene, name))
             self.result(f"{path.relative_to(self.folder)}: {len(scene.vehicles)} objects")
+        return scenes
 
     def build(self, scenes: dict[str, Scene]) -> None:
         from kt3dmoseg.io import load
@@ -182,21 +178,17 @@ class _Demo:
         seeds = range(self.options.seed, self.options.seed + runs)
         for method in self.options.methods:
             begin = time.perf_counter()
-            written[method] = predict(self.dataset, _emptied(submissions / method), method, seeds=seeds)
+            written[method] = predict(self.dataset, submissions / method, method, seeds=seeds)
             self.result(f"{method}: {runs} runs in {time.perf_counter() - begin:.1f} s")
         return written
 
-    def validate(self, submissions: dict[str, Path]) -> None:
-        from mseg.evaluation import validate_submission
+    def evaluate(self, submissions: dict[str, Path]) -> None:
+        from mseg.evaluation import score_submission, validate_submission
+        from mseg.evaluation.comparison import compare, comparison_table
 
         self.step("Check the submissions", f"mseg validate SUBMISSION {self.dataset}")
         for method, folder in submissions.items():
             self.result(f"{method}: {str(validate_submission(folder, self.dataset)).splitlines()[0]}")
-
-    def score(self, submissions: dict[str, Path]) -> None:
-        from mseg.evaluation import score_submission
-        from mseg.evaluation.comparison import compare, comparison_table
-
         self.step(
             "Score and compare them",
             f"mseg score SUBMISSION {self.dataset}; mseg compare SUBMISSION SUBMISSION {self.dataset}",
@@ -212,7 +204,7 @@ class _Demo:
     def report(self, submissions: dict[str, Path]) -> dict[str, Path]:
         from mseg.evaluation.report import write_report
 
-        frames = _emptied(self.folder / "frames")
+        frames = self.folder / "frames"
         self.step(
             "Write a report per method: tables, bars, trajectories on the frames",
             f"mseg report SUBMISSION {self.dataset} --frames {frames} -o report.html",
@@ -225,13 +217,6 @@ class _Demo:
             write_report(folder, self.dataset, reports[method], frames=frames)
             self.result(str(reports[method]))
         return reports
-
-
-def _emptied(folder: Path) -> Path:
-    if folder.exists():
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    return folder
 
 
 def _against_truth(clip: Clip, scene: Scene) -> list[str]:

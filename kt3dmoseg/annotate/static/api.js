@@ -28,13 +28,10 @@ const send = (body, { headers = {}, ...extra } = {}) => ({
 export const listClips = () => json("/api/clips").then((answer) => answer.clips);
 export const getClip = (name) => json(clip(name));
 export const frameAddress = (name, frame) => `${clip(name)}/frames/${frame}`;
-export const regions = (name, doc, signal) => json(`${clip(name)}/regions`, send(doc, { signal }));
-export const labels = (name, doc, signal) => json(`${clip(name)}/labels`, send(doc, { signal }));
-export const propose = (name, proposer, doc) => json(`${clip(name)}/proposals/${proposer}`, send(doc));
-export const compare = (name, doc) => json(`${clip(name)}/compare`, send(doc));
+/** Post an annotation, or a file, to what the server makes of it: regions, labels, proposals/P, compare, import/F. */
+export const ask = (name, what, body, signal) => json(`${clip(name)}/${what}`, send(body, { signal }));
 export const exportAs = (name, format, doc) =>
   request(`${clip(name)}/export/${format}`, send(doc)).then((response) => response.blob());
-export const importFrom = (name, format, file) => json(`${clip(name)}/import/${format}`, send(file));
 export const putAnnotation = (name, doc, revision) =>
   json(`${clip(name)}/annotation`, send(doc, { method: "PUT", headers: { "if-match": `"${revision}"` } }));
 
