@@ -89,9 +89,8 @@ class Trajectories(_Value):
         ids = np.arange(len(xy)) if self.track_id is None else self.track_id
         track_id = frozen(ids, np.int64)
         if track_id.shape != (len(xy),) or len(np.unique(track_id)) != len(xy):
-            raise InvalidValueError(
-                "track_id", expected=f"{len(xy)} unique ids", found=f"shape {track_id.shape}"
-            )
+            found = f"shape {track_id.shape}"
+            raise InvalidValueError("track_id", expected=f"{len(xy)} unique ids", found=found)
         _check_presence(xy, visible)
         size = None if self.image_size is None else _image_size(self.image_size)
         self._set(xy=xy, visible=visible, track_id=track_id, image_size=size)
@@ -115,20 +114,7 @@ class Trajectories(_Value):
         return np.asarray(self.visible.sum(axis=1), dtype=np.int64)
 
     def pair(self, i: int, j: int) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Correspondences between two frames.
-
-        Parameters
-        ----------
-        i, j : int
-            Frame indices.
-
-        Returns
-        -------
-        rows : (P,) int64
-            Rows of the trajectories visible in both frames, ascending.
-        x1, x2 : (P, 2) float64
-            Their positions in frame `i` and in frame `j`.
-        """
+        """Return rows (P,) of the trajectories visible in two frames, and their positions in each, (P, 2)."""
         rows = np.flatnonzero(self.visible[:, i] & self.visible[:, j])
         return rows, self.xy[rows, i], self.xy[rows, j]
 
@@ -261,9 +247,8 @@ class Clip(_Value):
         if len(np.unique(rows)) != len(rows):
             raise InvalidValueError("evaluated", expected="unique rows", found="a row given twice")
         if len(self.labels) != len(rows):
-            raise InvalidValueError(
-                "labels", expected=f"{len(rows)} (one per evaluated row)", found=f"{len(self.labels)}"
-            )
+            expected = f"{len(rows)} (one per evaluated row)"
+            raise InvalidValueError("labels", expected=expected, found=f"{len(self.labels)}")
         numbers = np.arange(frames) if self.frame_numbers is None else self.frame_numbers
         values = {"frame_numbers": frozen(numbers, np.int64)}
         if self.timestamps is not None:
@@ -323,11 +308,9 @@ def _check_presence(xy: npt.NDArray[np.float64], visible: npt.NDArray[np.bool_])
         wrong = np.where(seen, ~np.isfinite(part).all(axis=2), ~np.isnan(part).all(axis=2))
         if wrong.any():
             row, frame = np.argwhere(wrong)[0]
-            raise InvalidValueError(
-                f"xy of trajectory {first + row} in frame {frame}",
-                expected="finite" if seen[row, frame] else "NaN (not visible)",
-                found=str(part[row, frame].tolist()),
-            )
+            where, found = f"xy of trajectory {first + row} in frame {frame}", str(part[row, frame].tolist())
+            expected = "finite" if seen[row, frame] else "NaN (not visible)"
+            raise InvalidValueError(where, expected=expected, found=found)
 
 
 def _brief(array: npt.NDArray[Any]) -> str:

@@ -64,11 +64,8 @@ def read_flow(path: str | os.PathLike[str]) -> Float32Array:
         if "flow" not in arrays and len(arrays) != 1:
             raise FileFormatError(where, expected="an array 'flow'", found=", ".join(sorted(arrays)))
         return _from_array(arrays.get("flow", next(iter(arrays.values()))), where)
-    raise FileFormatError(
-        where,
-        expected="a flow field (.flo, KITTI .png, .npy, .npz)",
-        found=f"a file that starts with {content[:8]!r}",
-    )
+    found = f"a file that starts with {content[:8]!r}"
+    raise FileFormatError(where, expected="a flow field (.flo, KITTI .png, .npy, .npz)", found=found)
 
 
 def write_flow(path: str | os.PathLike[str], flow: npt.ArrayLike) -> None:
@@ -135,12 +132,9 @@ def _to_kitti(field: Float32Array) -> bytes:
     valid = _known(field)
     steps = np.rint(np.where(valid[..., None], field, 0).astype(np.float64) * _KITTI_SCALE) + _KITTI_ZERO
     if ((steps < 0) | (steps >= 1 << 16)).any():
-        raise InvalidValueError(
-            "flow",
-            expected="displacements within -512..511.98 px, all that a KITTI PNG holds",
-            found=f"{np.abs(field[valid]).max():g}",
-            fix="write .flo or .npy",
-        )
+        expected = "displacements within -512..511.98 px, all that a KITTI PNG holds"
+        found = f"{np.abs(field[valid]).max():g}"
+        raise InvalidValueError("flow", expected=expected, found=found, fix="write .flo or .npy")
     picture = np.dstack([valid, steps[..., 1], steps[..., 0]]).astype(np.uint16)
     return bytes(cv2.imencode(".png", picture)[1])
 

@@ -159,11 +159,9 @@ def _single_file(path: Path) -> Path:
         return path
     files = clip_files(path)
     if len(files) != 1:
+        fix = f"give one, e.g. {files[0]}; load_dataset reads them all" if files else ""
         raise InputFileError(
-            f"{path}",
-            expected="one clip",
-            found=f"a folder with {len(files)} of them",
-            fix=f"give one, e.g. {files[0]}; load_dataset reads them all" if files else "",
+            f"{path}", expected="one clip", found=f"a folder with {len(files)} of them", fix=fix
         )
     return files[0]
 
@@ -213,12 +211,11 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
     for file in files:
         name = clip_name(file)
         if name in out:
-            raise FileFormatError(
+            where, found = (
                 f"{root}: clip {name}",
-                expected="one file",
-                found=f"{out[name].relative_to(root)} and {file.relative_to(root)}",
-                fix="keep one of them",
+                f"{out[name].relative_to(root)} and {file.relative_to(root)}",
             )
+            raise FileFormatError(where, expected="one file", found=found, fix="keep one of them")
         out[name] = file
     return dict(sorted(out.items()))
 

@@ -172,12 +172,8 @@ def _check_version(file: h5py.File, where: str) -> None:
     if version is None or version < 1:
         raise FileFormatError(f"{where}: version", expected="1 or more", found=str(version))
     if version > VERSION:
-        raise FileFormatError(
-            f"{where}: version",
-            expected=f"at most {VERSION}",
-            found=str(version),
-            fix="the file was written by a newer kt3dmoseg; upgrade this one",
-        )
+        fix = "the file was written by a newer kt3dmoseg; upgrade this one"
+        raise FileFormatError(f"{where}: version", expected=f"at most {VERSION}", found=str(version), fix=fix)
 
 
 def _attribute(file: h5py.File, name: str, where: str) -> Any:  # noqa: ANN401  # as h5py gives it

@@ -25,7 +25,6 @@ Colour: TypeAlias = Literal["refuse", "luma"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 _NUMBER = re.compile(r"(\d{1,18})\D*$")
 _MAX_FILE = 1 << 28
-_MIN_FRAMES = 2
 MAX_PIXELS = 1 << 26
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")  # none that runs another program
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
@@ -35,8 +34,6 @@ _DEEP = re.compile(r";16|^\('RGB', \d+\)$")  # the latter is PPM with a largest 
 _BITS = re.compile(r";(\d+)")
 # A marker before a segment, or the end; not the stuffed zeros and restarts within pixel data.
 _MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
-_END_OF_IMAGE = 0xD9
-_SILENT = 0  # OpenCV's LOG_LEVEL_SILENT
 
 
 def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
@@ -60,21 +57,19 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
         found = "a file" if root.exists() else "no such folder"
         raise InputFileError(f"{root}", expected="a folder of frames", found=found)
     pictures = numbered_pictures(root)
-    if len(pictures) < _MIN_FRAMES:
-        raise InputFileError(
-            f"{root}",
-            expected="at least two numbered frames (000001.png, 000002.png, ...)",
-            found=f"only {next(iter(pictures.values())).name}" if pictures else "no pictures",
-            fix="give the folder that holds the frames of one clip",
-        )
+    if len(pictures) < 2:
+        expected = "at least two numbered frames (000001.png, 000002.png, ...)"
+        found = f"only {next(iter(pictures.values())).name}" if pictures else "no pictures"
+        fix = "give the folder that holds the frames of one clip"
+        raise InputFileError(f"{root}", expected=expected, found=found, fix=fix)
     for before, after in pairwise(pictures):
         if after != before + 1:
-            raise FileFormatError(
-                f"{root}: frame {before + 1}",
-                expected=f"frames numbered {min(pictures)} to {max(pictures)} without a gap",
-                found=f"{before} followed by {after}",
-                fix="add the missing frames, or split the folder at the gap",
+            expected = f"frames numbered {min(pictures)} to {max(pictures)} without a gap"
+            found, fix = (
+                f"{before} followed by {after}",
+                "add the missing frames, or split the folder at the gap",
             )
+            raise FileFormatError(f"{root}: frame {before + 1}", expected=expected, found=found, fix=fix)
     return list(pictures.values())
 
 
@@ -91,12 +86,8 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
             continue
         number = frame_number(file)
         if number in out:
-            raise FileFormatError(
-                f"{folder}: frame {number}",
-                expected="one file",
-                found=f"{out[number].name} and {file.name}",
-                fix="keep one of them",
-            )
+            where, found = f"{folder}: frame {number}", f"{out[number].name} and {file.name}"
+            raise FileFormatError(where, expected="one file", found=found, fix="keep one of them")
         out[number] = file
     return dict(sorted(out.items()))
 
@@ -105,12 +96,8 @@ def frame_number(path: str | os.PathLike[str]) -> int:
     """Return the last number in a frame's file name."""
     found = _NUMBER.search(Path(path).stem)
     if not found:
-        raise FileFormatError(
-            os.fspath(path),
-            expected="a name that ends in the frame's number, as 000001.png",
-            found=Path(path).name,
-            fix="rename or remove the file",
-        )
+        expected, fix = "a name that ends in the frame's number, as 000001.png", "rename or remove the file"
+        raise FileFormatError(os.fspath(path), expected=expected, found=Path(path).name, fix=fix)
     return int(found.group(1))
 
 
@@ -150,12 +137,8 @@ def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refus
         frame = read_frame(path, colour)
         name, shape = first = first or (Path(path).name, frame.shape)
         if frame.shape != shape:
-            raise FileFormatError(
-                os.fspath(path),
-                expected=f"{shape[1]}x{shape[0]} px, as {name}",
-                found=f"{frame.shape[1]}x{frame.shape[0]}",
-                fix="give frames of one size",
-            )
+            expected, found = f"{shape[1]}x{shape[0]} px, as {name}", f"{frame.shape[1]}x{frame.shape[0]}"
+            raise FileFormatError(f"{path}", expected=expected, found=found, fix="give frames of one size")
         yield frame
 
 
@@ -195,14 +178,10 @@ def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
     with _opened(content, where) as (image, stored):
         channels = len(image.getbands())
         if channels != 1:
-            raise FileFormatError(
-                where,
-                expected="one channel of numbers",
-                found=f"{channels} channels",
-                fix="write it as indexed PNG, not as colours",
-            )
-        found = _BITS.search(stored)
-        bits = int(found[1]) if found else 1 if image.mode == "1" else 8
+            found, fix = f"{channels} channels", "write it as indexed PNG, not as colours"
+            raise FileFormatError(where, expected="one channel of numbers", found=found, fix=fix)
+        depth = _BITS.search(stored)
+        bits = int(depth[1]) if depth else 1 if image.mode == "1" else 8
         # Pillow stretches gray of 2 and 4 bits to 0..255.
         stretch = 255 // ((1 << bits) - 1) if image.mode == "L" else 1
         return np.asarray(image).astype(np.int64) // stretch, bits
@@ -251,7 +230,7 @@ def _has_end(content: bytes) -> bool:
     """
     at = len(_JPEG)
     while found := _MARKER.search(content, at):
-        if content[found.start() + 1] == _END_OF_IMAGE:
+        if content[found.start() + 1] == 0xD9:  # end of image
             return True
         at = found.end() + int.from_bytes(content[found.end() : found.end() + 2], "big")
     return False
@@ -261,7 +240,7 @@ def _has_end(content: bytes) -> bool:
 def quiet_opencv() -> Iterator[None]:
     """Keep OpenCV from writing to standard error: a damaged file is reported in one line of ours."""
     logging = getattr(cv2.utils, "logging", cv2)  # where it lies depends on OpenCV's release
-    level = logging.setLogLevel(_SILENT)
+    level = logging.setLogLevel(0)  # silent
     try:
         yield
     finally:
@@ -271,22 +250,15 @@ def quiet_opencv() -> Iterator[None]:
 def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> ByteArray:
     """Return (H, W) uint8 from a decoded picture; see `read_frame`."""
     if picture.dtype != np.uint8:
-        raise FileFormatError(
-            where,
-            expected="an 8-bit picture",
-            found=f"{8 * picture.dtype.itemsize} bits per channel",
-            fix="convert it to 8-bit gray first, with one scale for the whole clip",
-        )
+        found = f"{8 * picture.dtype.itemsize} bits per channel"
+        fix = "convert it to 8-bit gray first, with one scale for the whole clip"
+        raise FileFormatError(where, expected="an 8-bit picture", found=found, fix=fix)
     if picture.ndim == 2:
         return picture
     channels = picture[..., :3] if picture.shape[2] >= 3 else picture[..., :1]
     if (channels == channels[..., :1]).all():
         return np.ascontiguousarray(channels[..., 0])
     if colour == "refuse":
-        raise FileFormatError(
-            where,
-            expected="a gray picture",
-            found="colour",
-            fix="convert it to gray, or ask for its luma with --colour luma (colour='luma')",
-        )
+        fix = "convert it to gray, or ask for its luma with --colour luma (colour='luma')"
+        raise FileFormatError(where, expected="a gray picture", found="colour", fix=fix)
     return np.asarray(cv2.cvtColor(channels, cv2.COLOR_BGR2GRAY))
