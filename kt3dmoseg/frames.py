@@ -244,7 +244,7 @@ def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
         When the file is no catalog, or a clip in it skips frames.
     """
     from kt3dmoseg import catalog
-    from kt3dmoseg.catalog.models import format_numbers
+    from kt3dmoseg.catalog import format_numbers
     from kt3dmoseg.kitti import RawDrive
     from kt3dmoseg.kitti.raw import LOCATED
 

@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.models import Drive, Entry
+from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.kitti.locating import fingerprint_folder
 
 # The day of each drive that KT3DMoSeg uses; drive numbers are in the clips' names.

@@ -89,8 +89,7 @@ catalog = group("catalog", "List the clips, check catalogs, add clips of your ow
 @catalog.command(name="list")
 def list_clips(*, catalogs: Catalogs = ()) -> None:
     """Print the clips."""
-    from kt3dmoseg.catalog import load
-    from kt3dmoseg.catalog.models import format_numbers
+    from kt3dmoseg.catalog import format_numbers, load
 
     clips = load(*catalogs)
     width = max(map(len, clips), default=4)
@@ -162,8 +161,7 @@ def add(
     numbers : str
         Frame numbers, 40-59 or 40-59,80.
     """
-    from kt3dmoseg.catalog import add
-    from kt3dmoseg.catalog.models import Drive, Entry, Fingerprint, check_camera, parse_numbers
+    from kt3dmoseg.catalog import Drive, Entry, Fingerprint, add, check_camera, parse_numbers
     from kt3dmoseg.errors import InvalidValueError
 
     marks: tuple[Fingerprint, ...] = ()

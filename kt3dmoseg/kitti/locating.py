@@ -18,8 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog import Drive, Entry, Fingerprint
-from kt3dmoseg.catalog.models import CAMERAS, fingerprint, format_numbers
+from kt3dmoseg.catalog import CAMERAS, Drive, Entry, Fingerprint, fingerprint, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes, sha256_arrays
 from kt3dmoseg.kitti.drive_archives import FileSet, LocalFolder, Server, TargetFolder, frames_of, open_origin

@@ -12,8 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog import Drive, Entry
-from kt3dmoseg.catalog.models import format_numbers
+from kt3dmoseg.catalog import Drive, Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes, write_text
 from kt3dmoseg.kitti.drive_archives import (
@@ -169,12 +168,12 @@ class _Part:
         frames: list[str] = []
         for clip in self.clips:
             try:
-                located = _with_numbers(clip, files, known.get(clip.name))
-                frames += _frames_of(located, files)
+                located, mine = _locate(clip, files, known.get(clip.name))
             except (NotLocatedError, FileFormatError) as error:
                 self.failures.append(error)
                 continue
             self.located.append(located)
+            frames += mine
             camera, packets = clip.drive.camera_folder(located.camera), f"{clip.drive.folder}/oxts"
             names += [f"{camera}/timestamps.txt", f"{packets}/timestamps.txt"]
             names += [f"{packets}/data/{n:010d}.txt" for n in located.numbers or ()]
@@ -292,18 +291,13 @@ class _Pull:
             self._check_space(part.bytes(part.missing))
         if part.files is None:
             return
-        self._remove_partial_files(part)
+        for folder in {(self.target.root / name).parent for name in part.sums}:
+            for left in folder.glob(".*.part"):  # by a killed pull: the lock proves that none is alive
+                left.unlink(missing_ok=True)
         for name, content in part.files.read(part.missing):
             write_bytes(self.target.root / name, content)
             bar.update(len(content))
             self.report.fetched += 1
-
-    def _remove_partial_files(self, part: _Part) -> None:
-        """Remove temporary files that a killed pull left; the lock proves that none is alive."""
-        for folder in {Path(name).parent for name in part.sums}:
-            for path in (self.target.root / folder).glob(".*.part"):
-                if (folder / path.name[1:].rsplit(".", 2)[0]).as_posix() in part.sums:
-                    path.unlink(missing_ok=True)
 
     def _check_space(self, needed: int) -> None:
         root = self.target.root
@@ -325,15 +319,13 @@ def _show_licence(target: TargetFolder, options: PullOptions, say: Callable[[str
         write_text(path, LICENCE)
 
 
-def _with_numbers(clip: Entry, files: FileSet, known: Entry | None) -> Entry:
-    """Locate by checksum, which costs nothing; believe what `locate` proved by pictures."""
+def _locate(clip: Entry, files: FileSet, known: Entry | None) -> tuple[Entry, list[str]]:
+    """Locate by checksum, which costs nothing; believe what `locate` proved by pictures. Name the frames."""
     by_pictures = known is not None and known.proof in (PIXELS, CORRELATION)
     if known and by_pictures and (known.drive, known.frames) == (clip.drive, clip.frames):
-        return known
-    return locate_clip(clip, files, LocateOptions(pixels=files.local))
-
-
-def _frames_of(clip: Entry, files: FileSet) -> list[str]:
+        clip = known
+    else:
+        clip = locate_clip(clip, files, LocateOptions(pixels=files.local))
     frames = drive_frames(files, clip.drive, clip.camera)
     absent = [n for n in clip.numbers or () if n not in frames]
     if absent:
@@ -342,7 +334,7 @@ def _frames_of(clip: Entry, files: FileSet) -> list[str]:
             expected=f"frames {format_numbers(absent)} of camera {clip.camera}",
             found=f"frames {format_numbers(frames) or 'none'}",
         )
-    return [frames[n] for n in clip.numbers or ()]
+    return clip, [frames[n] for n in clip.numbers or ()]
 
 
 def _verify(target: TargetFolder, clips: list[Entry], say: Callable[[str], object]) -> PullReport:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.catalog.models import Drive, check_camera, format_numbers
+from kt3dmoseg.catalog import Drive, check_camera, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets

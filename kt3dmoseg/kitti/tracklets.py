@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, ParseError
 import numpy as np
 from defusedxml import ElementTree
 
-from kt3dmoseg.catalog.models import format_numbers
+from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.types import FloatArray, IntArray

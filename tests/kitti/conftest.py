@@ -11,7 +11,7 @@ from kitti_server import FaultyServer, serving
 from kitti_world import CALIB, FRAMES, HIDDEN, TRACKLETS, World
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.models import Drive, Entry, fingerprint
+from kt3dmoseg.catalog import Drive, Entry, fingerprint
 
 
 @pytest.fixture

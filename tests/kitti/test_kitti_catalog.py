@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kt3dmoseg import catalog, cli
-from kt3dmoseg.catalog.models import Drive, Entry, Fingerprint, fingerprint, format_numbers, parse_numbers
+from kt3dmoseg.catalog import Drive, Entry, Fingerprint, fingerprint, format_numbers, parse_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
 
 MARK = Fingerprint(0x89ABCDEF, 1234, "0" * 64)

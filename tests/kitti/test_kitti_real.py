@@ -15,7 +15,7 @@ from kitti_server import FaultyServer
 from kitti_world import CALIB, QUICK, SYNC, TRACKLETS, faults
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog.models import fingerprint
+from kt3dmoseg.catalog import fingerprint
 from kt3dmoseg.kitti import RawDrive, locate, pull
 from kt3dmoseg.kitti.http import Traffic
 from kt3dmoseg.kitti.raw import decode_frame

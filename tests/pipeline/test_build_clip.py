@@ -13,7 +13,7 @@ from build_scenes import FRAMES, HEIGHT, WIDTH, on_patch, scene, write_clip, wri
 
 from kt3dmoseg import catalog
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, save_annotation
-from kt3dmoseg.catalog.models import Drive, Entry
+from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
 from kt3dmoseg.frames import FrameInfo, find_clips, frame_folder, frames_of
