@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
@@ -105,7 +106,8 @@ def predict(
             write_failure(folder, task.clip, outcome.reason, seed=layout[task.seed])
         else:
             write_prediction(folder, task.clip, outcome.labels, seed=layout[task.seed])
-        record["done"][outcome.key] = outcome.seconds
+        if not math.isnan(outcome.seconds):  # else its workers died: the next run tries again
+            record["done"][outcome.key] = outcome.seconds
         write_text(folder / _RECORD, json.dumps(record, indent=1))
         if progress:
             progress(done, len(tasks), task.name)

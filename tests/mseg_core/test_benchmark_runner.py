@@ -28,7 +28,7 @@ from mseg.benchmark.tasks import (
     run_task,
 )
 from mseg.cli import main
-from mseg.evaluation import load_protocol
+from mseg.evaluation import load_protocol, validate_submission
 from mseg.methods import METHODS, create
 
 CLIPS = ("Seq005_Clip01", "Seq009_Clip02", "Seq011_Clip01")
@@ -103,10 +103,21 @@ def test_no_scheduler_there(data, monkeypatch):
         run("kt3dmoseg", ["one_motion"], data=[data], dask="tcp://127.0.0.1:9")
 
 
-def test_tasks_whose_workers_died_count_as_failed(data, monkeypatch, tmp_path):
-    def dying(work, tasks, *, lost, **_):
-        return ((task, lost(task, "its worker processes died 3 times")) for task in tasks)
+def dying(work, tasks, *, lost, **_):
+    return ((task, lost(task, "its worker processes died 3 times")) for task in tasks)
 
+
+def test_predictions_whose_workers_died_are_made_by_the_next_run(data, monkeypatch, tmp_path):
+    with monkeypatch.context() as broken:
+        broken.setattr("mseg.benchmark.predictions.run_tasks", dying)
+        predict(data, tmp_path / "p", "affine")
+    assert validate_submission(tmp_path / "p", data).ok
+    assert len(list((tmp_path / "p").glob("*.failed"))) == 3
+    predict(data, tmp_path / "p", "affine")
+    assert not list((tmp_path / "p").glob("*.failed"))
+
+
+def test_tasks_whose_workers_died_count_as_failed(data, monkeypatch, tmp_path):
     monkeypatch.setattr(runner_module, "run_tasks", dying)
     result = run("kt3dmoseg", ["affine"], data=[data], cache=tmp_path / "cache")
     assert result.mean("affine") == 1
