@@ -166,7 +166,7 @@ def find_clips(
 def configure(
     methods: Iterable[str | Configuration], parameters: Mapping[str, Any]
 ) -> tuple[Configuration, ...]:
-    """Make configurations; a parameter goes to the methods that have it, and one of them must.
+    """Make configurations, each once; a parameter goes to the methods that have it, and one of them must.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def configure(
     for name, value in parameters.items():
         if name not in used:
             create(first or "subset", **{name: value})
-    return tuple(made)
+    return tuple({configuration.title: configuration for configuration in made}.values())
 
 
 def _default_folders(protocol: Protocol) -> list[Path]:

@@ -238,6 +238,12 @@ def test_default_folder(data, monkeypatch, tmp_path):
         find_clips(load_protocol("kt3dmoseg"))
 
 
+def test_a_method_named_twice_is_run_once(data):
+    result = run("kt3dmoseg", ["affine", "affine", "one_motion"], data=[data])
+    assert [c.title for c in result.configurations] == ["affine", "one_motion"]
+    assert [row[0] for row in result.summary().rows[:2]] == ["affine", "one_motion"]
+
+
 def test_parameters_go_to_the_methods_that_have_them(data):
     result = run("kt3dmoseg", ["one_motion", "coreg"], data=[data], parameters={"lam": "0.1"})
     assert [c.title for c in result.configurations] == ["one_motion", "coreg lam=0.1"]
