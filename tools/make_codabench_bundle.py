@@ -28,7 +28,7 @@ from mseg.evaluation.validation import choose_protocol
 
 # What the scoring program imports; the other sub-packages (methods, trackers, servers) stay out.
 _PARTS = {
-    kt3dmoseg: ("*.py", "io/**/*"),
+    kt3dmoseg: ("*.py", "io/**/*", "draw/__init__.py", "draw/palette.py"),
     mseg: ("*.py", "evaluation/**/*", "protocols/*.toml"),
 }
 _PACKAGES = {
