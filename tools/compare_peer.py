@@ -82,12 +82,9 @@ def times(clip: Clip) -> dict[str, float]:
         )
         kernels.append(kernel)
 
-    def fusion() -> None:
-        graphs = [method.laplacian(csr_array(kernel)) for kernel in kernels]
-        fused = method.fuse(graphs, clip.n_motions)
-        method.cuts(fused, graphs, clip.n_motions, np.random.default_rng(0))
-
-    _, seconds["subset fusion, k-means"] = best(fusion)
+    _, seconds["subset fusion, k-means"] = best(
+        lambda: method.group(list(map(csr_array, kernels)), clip.n_motions, np.random.default_rng(0))
+    )
     return dict(sorted(seconds.items(), key=lambda item: list(PEERS).index(item[0])))
 
 

@@ -120,14 +120,10 @@ def low_rank_representation(
 
     Parameters
     ----------
-    data : (D, N) float64
-        Points X as columns.
+    data, tolerance, max_iterations
+        As in `sparse_representation`.
     weight : float
         Weight lambda of the columns' errors.
-    tolerance : float
-        Stop when no entry of the two constraints' residuals exceeds it.
-    max_iterations : int
-        Cap.
 
     Raises
     ------
@@ -183,21 +179,12 @@ def low_rank_sparse_representation(
 
     Parameters
     ----------
-    data : (D, N) float64
-        Points X as columns.
+    data, tolerance, max_iterations
+        As in `sparse_representation`, which raises the same errors.
     sparsity : float
         Weight lambda of the l1 norm.
     alpha : float
         ``mu = alpha / min_j max_{i != j} |x_i . x_j|``.
-    tolerance : float
-        Stop when no entry of the two splittings' residuals exceeds it.
-    max_iterations : int
-        Cap.
-
-    Raises
-    ------
-    SegmentationError
-        When some point is orthogonal to all others.
 
     References
     ----------

@@ -40,13 +40,8 @@ class KernelCache:
     def get(self, depends_on: Mapping[str, object], make: Callable[[], Float32Array]) -> Float32Array:
         """Return a kernel, made when it is not there.
 
-        Parameters
-        ----------
-        depends_on : mapping
-            Everything the kernel depends on (see `kt3dmoseg.parallel.cache_key`), but for the versions of the
-            package and of the algorithm, which are added here.
-        make : callable
-            Makes the kernel.
+        `depends_on` is everything it depends on (see `kt3dmoseg.parallel.cache_key`), but for the versions of
+        the package and of the algorithm, which are added here.
         """
         key = cache_key({"versions": [__version__, kernels.ALGORITHM_VERSION], **depends_on})
         entry = self._memory.pop(key, None) or self._disk.get(key)

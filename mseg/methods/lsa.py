@@ -46,12 +46,12 @@ class LSA(CompleteDataMethod):
                 "LSA", expected=f"more than {self.n_neighbours} trajectories", found=str(data.n_points)
             )
         points = unit_rows(leading_row_space(data.pixels, self.dimension or 4 * n_motions))
-        affinity = local_subspace_affinity(points, self.n_neighbours)
+        affinity = _local_subspace_affinity(points, self.n_neighbours)
         labels = spectral_clustering(affinity, n_motions, rng, n_restarts=self.restarts)
         return labels, {"dimension": points.shape[1]}
 
 
-def local_subspace_affinity(points: FloatArray, n_neighbours: int) -> FloatArray:
+def _local_subspace_affinity(points: FloatArray, n_neighbours: int) -> FloatArray:
     """Affinity (N, N) of unit points (N, r) by the principal angles of their local subspaces."""
     n, r = points.shape
     basis_size = max(1, min(_LARGEST_BASIS, r - 1))

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kt3dmoseg.errors import InvalidValueError
 from mseg.clustering import count_by_eigengap
 from mseg.clustering.self_expression import (
     _ShiftedInverse,
@@ -67,9 +68,17 @@ def test_a_start_at_the_solution_needs_fewer_iterations(rng):
     assert warm.convergence.iterations <= again.convergence.iterations
 
 
-def test_points_orthogonal_to_all_others_are_an_error():
+def test_points_that_cannot_be_expressed_are_an_error():
     with pytest.raises(SegmentationError, match="orthogonal"):
         sparse_representation(np.eye(3))
+    with pytest.raises(SegmentationError, match="at least 2"):
+        sparse_representation(np.ones((3, 1)))
+    with pytest.raises(InvalidValueError, match="only zeros"):
+        low_rank_representation(np.zeros((3, 4)))
+
+
+def test_a_single_point_is_one_cluster():
+    assert count_by_eigengap(np.ones((1, 1))) == 1
 
 
 def test_low_rank_coefficients_of_clean_data_are_the_shape_interaction_matrix(rng):

@@ -114,6 +114,11 @@ def test_kmeans_with_fewer_distinct_points_than_clusters(rng):
     assert len(set(kmeans(np.repeat(np.eye(2), 3, axis=0), 3, rng).labels.tolist())) == 2
 
 
+def test_points_that_are_not_numbers_are_refused(rng):
+    with pytest.raises(InvalidValueError, match="finite matrix"):
+        kmeans(np.array([[0.0, np.nan]]), 1, rng)
+
+
 def test_too_many_clusters(rng):
     for call in (
         lambda: kmeans(np.ones((2, 2)), 3, rng),
@@ -184,6 +189,16 @@ def test_fusion_of_large_views_is_that_of_small_ones(fuse, rng):
             embeddings[v] = eigh(dense[v] - 0.01 * reward, subset_by_index=(0, 2))[1]
     for found, expected in zip(fusion.embeddings, embeddings, strict=True):
         assert_allclose(found @ found.T, expected @ expected.T, atol=1e-5)
+
+
+def test_nestings_too_large_to_keep_are_computed_again(monkeypatch, rng):
+    graphs = [GraphLaplacian(gaussian(blobs(90, rng) / 3)) for _ in range(3)]
+    kept = constrain_subsets(graphs, 3)
+    monkeypatch.setattr("mseg.clustering.fusion._KEPT_ENTRIES", 0)
+    again = constrain_subsets(graphs, 3)
+    assert_allclose(again.objectives, kept.objectives, rtol=1e-9)
+    for first, second in zip(kept.embeddings, again.embeddings, strict=True):
+        assert_allclose(first @ first.T, second @ second.T, atol=1e-6)
 
 
 def test_joint_embedding_has_unit_rows():
