@@ -21,7 +21,6 @@ _BASELINE = 0.54  # metres from camera 0 to camera 1
 _EARTH_RADIUS = 6378137.0
 _ORIGIN = 49.0, 8.4, 115.0  # latitude, longitude (degrees), altitude (metres) of the world's origin
 _SCALE = np.cos(np.radians(_ORIGIN[0]))
-_TRACKLET_TYPES = {"car": "Car", "van": "Van", "truck": "Truck"}
 
 
 def _rigid(*rows: tuple[float, ...]) -> FloatArray:
@@ -197,7 +196,7 @@ def _tracklet_xml(scene: Scene) -> str:
         boxes = "".join(_pose_xml(np.linalg.inv(T_CAM_VELO) @ pose @ _BODY_BOX) for pose in poses[:, k])
         items.append(
             '<item class_id="1" tracking_level="0" version="1">\n'
-            f"<objectType>{_TRACKLET_TYPES[vehicle.kind]}</objectType>\n"
+            f"<objectType>{vehicle.kind.capitalize()}</objectType>\n"
             f"<h>{height}</h><w>{width}</w><l>{length}</l>\n<first_frame>0</first_frame>\n"
             '<poses class_id="2" tracking_level="0" version="0">\n'
             f"<count>{len(poses)}</count>\n<item_version>2</item_version>\n{boxes}</poses>\n"
