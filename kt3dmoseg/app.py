@@ -203,12 +203,7 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
     program = app.name[0]
     try:
         return _run(app, list(sys.argv[1:] if argv is None else argv))
-    except KT3DMoSegError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return error.exit_code
-    except cyclopts.CycloptsError as error:
-        command = " ".join([program, *(error.command_chain or ())])
-        print(f"{command}: {_mistake(error)} (see '{command} --help')", file=sys.stderr)
+    except SystemExit:  # of --install-completion, which has printed why
         return _USAGE
     except KeyboardInterrupt:
         print(f"{program}: interrupted; what was finished is kept", file=sys.stderr)
@@ -216,16 +211,24 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except ModuleNotFoundError as error:
+    except (KT3DMoSegError, cyclopts.CycloptsError, ModuleNotFoundError, OSError) as error:
+        print(_failure(program, error), file=sys.stderr)
+        return getattr(error, "exit_code", _USAGE)
+
+
+def _failure(program: str, error: Exception) -> str:
+    """One line on what is wrong; a bug is raised again."""
+    if isinstance(error, cyclopts.CycloptsError):
+        command = " ".join([program, *(error.command_chain or ())])
+        return f"{command}: {_mistake(error)} (see '{command} --help')"
+    if isinstance(error, ModuleNotFoundError):
         package = str(error.name).partition(".")[0]
         if package not in _EXTRAS:
-            raise
-        fix = f"pip install 'kt3dmoseg[{_EXTRAS[package]}]'"
-        print(f"{program}: {package} is not installed; {fix}", file=sys.stderr)
-        return _USAGE
-    except OSError as error:  # what the system refuses (full disk, no permission) is no bug
-        print(f"{program}: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
-        return _USAGE
+            raise error
+        return f"{program}: {package} is not installed; pip install 'kt3dmoseg[{_EXTRAS[package]}]'"
+    if isinstance(error, OSError) and not isinstance(error, KT3DMoSegError):  # a full disk, no permission
+        return f"{program}: {error.filename or 'system'}: {error.strerror or error}"
+    return f"{program}: {error}"
 
 
 def _run(app: cyclopts.App, words: list[str]) -> int:

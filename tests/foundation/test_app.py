@@ -303,6 +303,18 @@ def test_completion_is_installed_for_a_shell(package, shell, tmp_path, monkeypat
     assert all(word in text for word in ("leaderboard", "rank", "--seeds") if package == "mseg")
 
 
+def test_an_unknown_shell_is_one_line(call, monkeypatch):
+    from cyclopts.completion import detect
+
+    def unknown():
+        raise detect.ShellDetectionError
+
+    monkeypatch.setattr(detect, "detect_shell", unknown)
+    code, out, err = call("--install-completion")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "--shell" in err
+
+
 def test_both_packages_list_and_resolve_their_public_names():
     import kt3dmoseg
     import mseg
