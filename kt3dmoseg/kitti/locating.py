@@ -120,7 +120,7 @@ def locate_clip(clip: Entry, files: FileSet, options: LocateOptions | None = Non
     verdict, tried = verdicts[clip.camera], "CRC32 and size"
     fix = "kt3dmoseg locate compares pixels"
     if options is not None and options.pixels and not verdict.ambiguous:
-        proof, verdict = _by_pictures(clip, files, _own_frames(clip, options.frames))
+        proof, verdict = _by_pictures(clip, files, options.frames)
         if verdict.numbers:
             return replace(clip, numbers=verdict.numbers, proof=proof, source=files.name)
         tried += ", pixels" + (" and correlation" if options.frames else "")
@@ -210,8 +210,13 @@ def _by_checksum(clip: Entry, files: FileSet, camera: int) -> Verdict:
     return match_exact(equal)
 
 
-def _by_pictures(clip: Entry, files: FileSet, own: Float32Array | None) -> tuple[str, Verdict]:
+def _by_pictures(clip: Entry, files: FileSet, folder: str | None) -> tuple[str, Verdict]:
     """Read all frames of the camera once, and compare their pixels, or correlate them with the clip's own."""
+    below = Path(folder or "") / clip.name
+    own_frames = _read_folder(below if below.is_dir() else Path(folder)) if folder else ()
+    own = np.array([descriptor(image) for _, image in own_frames])  # (F, n)
+    if folder and len(own) != clip.length:
+        raise FileFormatError(folder, expected=f"{clip.length} frames of {clip.name}", found=f"{len(own)}")
     frames = drive_frames(files, clip.drive, clip.camera)
     number_of = {name: number for number, name in frames.items()}
     checksums: dict[int, str] = {}
@@ -223,25 +228,14 @@ def _by_pictures(clip: Entry, files: FileSet, own: Float32Array | None) -> tuple
         except FileFormatError:
             continue  # not a picture: cannot be one of the clip's frames
         checksums[number_of[name]] = sha256_arrays(image)
-        if own is not None and (described := descriptor(image)).shape == own.shape[1:]:
+        if folder and (described := descriptor(image)).shape == own.shape[1:]:
             columns[number_of[name]] = own @ described
     exact = match_exact([[n for n in frames if checksums.get(n) == mark.pixels] for mark in clip.frames])
-    if exact.numbers or exact.ambiguous or own is None:
+    if exact.numbers or exact.ambiguous or not folder:
         return PIXELS, exact
     numbers = sorted(columns)
     similarity = np.array([columns[n] for n in numbers]).reshape(len(numbers), len(own)).T
     return CORRELATION, match_graded(similarity, numbers)
-
-
-def _own_frames(clip: Entry, folder: str | None) -> Float32Array | None:
-    """Descriptors of the clip's own frames, (F, n)."""
-    if folder is None:
-        return None
-    path = Path(folder) / clip.name
-    own = [descriptor(image) for _, image in _read_folder(path if path.is_dir() else Path(folder))]
-    if len(own) != clip.length:
-        raise FileFormatError(folder, expected=f"{clip.length} frames of {clip.name}", found=f"{len(own)}")
-    return np.array(own)
 
 
 @dataclass(frozen=True)
