@@ -38,9 +38,7 @@ class Fields:
     ) -> npt.NDArray[Any]:
         """Return an array of numbers; in `shape` None is any size, without it any shape will do."""
         value = self.values.get(name)
-        wanted = (
-            "one value" if shape == () else " x ".join("any" if n is None else str(n) for n in shape or ())
-        )
+        wanted = " x ".join("any" if n is None else str(n) for n in shape or ())
         if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
             found = f"only {', '.join(sorted(self.values))}" if value is None else _describe(value)
             raise self.error(name, f"{_WORDS[kinds]} {wanted}".strip(), found)
@@ -50,7 +48,7 @@ class Fields:
         full = value[..., None] if len(shape) == 3 and value.ndim == 2 else value
         fits = full.ndim == len(shape) and all(w in (None, n) for w, n in zip(shape, full.shape, strict=True))
         if not fits:
-            raise self.error(name, wanted, " x ".join(map(str, value.shape)) or "one value")
+            raise self.error(name, wanted or "one value", " x ".join(map(str, value.shape)) or "one value")
         return full
 
     def whole(self, name: str, shape: tuple[int | None, ...] | None, low: int, high: int) -> IntArray:
@@ -62,13 +60,13 @@ class Fields:
             raise self.error(name, f"whole numbers {low}..{high}", repr(float(values[~good][0])))
         return values.astype(np.int64)
 
-    def text(self, name: str, default: str | None = None) -> str:
-        """Return a text; without a `default` it must be there."""
-        value = self.values.get(name, default)
+    def text(self, name: str) -> str:
+        """Return a text."""
+        value = self.values[name]
         if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.shape == ():
             return str(value)
         if not isinstance(value, str):
-            raise self.error(name, "a text", "nothing" if value is None else _describe(value))
+            raise self.error(name, "a text", _describe(value))
         return value
 
     def error(self, name: str, expected: str, found: str) -> FileFormatError:
@@ -95,17 +93,10 @@ def clip_name(path: str | os.PathLike[str]) -> str:
 
 
 def check_name(name: str, where: str) -> None:
-    """Refuse the name of a clip that could not be a file's, before anything is written under it.
-
-    Raises
-    ------
-    InvalidValueError
-        When the name is empty, too long, or leads elsewhere.
-    """
+    """Raise InvalidValueError when a clip's name is empty, too long, or leads elsewhere as a file's name."""
     if not name.isprintable() or name in ("", ".", "..") or len(name) > _LONGEST or set(name) & set("/\\"):
-        raise InvalidValueError(
-            where, expected=f"a clip's name, at most {_LONGEST} characters without a slash", found=f"{name!r}"
-        )
+        expected = f"a clip's name, at most {_LONGEST} characters without a slash"
+        raise InvalidValueError(where, expected=expected, found=f"{name!r}")
 
 
 def origin(path: str | os.PathLike[str], format: str) -> dict[str, Any]:

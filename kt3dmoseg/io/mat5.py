@@ -11,7 +11,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import Any, NamedTuple, NoReturn, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -51,47 +51,44 @@ def read_mat(path: str | os.PathLike[str]) -> dict[str, Value]:
     """
     where = os.fspath(path)
     content = read_bytes(path, MAX_BYTES)
-    reader = _Reader(f"{where}: MAT-file", _byte_order(content, where))
-    named = (reader.variable(*part) for part in reader.parts(memoryview(content)[_HEADER:]))
+    _check_version(content, where)
+    reader = _Reader("<" if content[126:128] == b"IM" else ">")
+    try:
+        with np.errstate(invalid="ignore"):  # an odd file may store NaN of a class of whole numbers
+            named = [reader.variable(*part) for part in reader.parts(memoryview(content)[_HEADER:])]
+    except (ValueError, struct.error, zlib.error, StopIteration) as error:
+        reason = f"{str(error) or 'an element is missing'}; the file is damaged or truncated"
+        raise FileFormatError(f"{where}: MAT-file", expected="intact elements", found=reason) from None
     return {name: value for name, value in named if name}
 
 
-def _byte_order(content: bytes, where: str) -> str:
-    version5 = "a MATLAB version 5 to 7 MAT-file"
+def _check_version(content: bytes, where: str) -> None:
+    found, fix = f"a file that starts with {content[:8]!r}", ""
     if content[:19] == b"MATLAB 7.3 MAT-file" or content[:8] == b"\x89HDF\r\n\x1a\n":
-        fix = "save it again in MATLAB with the option '-v7'"
-        raise FileFormatError(where, expected=version5, found="version 7.3 (HDF5)", fix=fix)
-    if not content:
-        raise FileFormatError(where, expected=version5, found="an empty file")
-    if len(content) < _HEADER:
+        found, fix = "version 7.3 (HDF5)", "save it again in MATLAB with the option '-v7'"
+    elif len(content) < _HEADER:
         found = f"{len(content)} bytes, less than a header; the file is truncated"
-        raise FileFormatError(where, expected=version5, found=found)
-    if content[:6] != b"MATLAB" or content[126:128] not in (b"IM", b"MI"):
-        raise FileFormatError(where, expected=version5, found=f"a file that starts with {content[:8]!r}")
-    return "<" if content[126:128] == b"IM" else ">"
+    elif content[:6] == b"MATLAB" and content[126:128] in (b"IM", b"MI"):
+        return
+    raise FileFormatError(where, expected="a MATLAB version 5 to 7 MAT-file", found=found, fix=fix)
 
 
 class _Reader:
-    """Decodes elements; every one must lie within the one that holds it."""
+    """Decodes elements, each within the one that holds it; damage raises ValueError and the like."""
 
-    def __init__(self, where: str, order: str) -> None:
-        self.where, self.order = where, order
+    def __init__(self, order: str) -> None:
+        self.order = order
 
     def parts(self, data: memoryview) -> _Parts:
         """Give type and bytes of each element, after checking that they are there."""
         at = 0
         while at < len(data):
-            if len(data) - at < 8:
-                self._fail("an 8-byte tag", f"{len(data) - at} bytes; the file is truncated")
             kind, size = struct.unpack_from(self.order + "II", data, at)
             start, step = at + 8, 8 + size + (0 if kind == _COMPRESSED else -size % 8)
             if kind >> 16:  # up to 4 bytes lie in the tag itself
-                kind, size, start, step = kind & 0xFFFF, kind >> 16, at + 4, 8
-                if size > 4:
-                    self._fail("at most 4 bytes in a small element", f"{size}")
+                kind, size, start, step = kind & 0xFFFF, min(kind >> 16, 4), at + 4, 8
             if start + size > len(data):
-                found = f"{len(data) - start}; the file is truncated or damaged"
-                self._fail(f"{size} bytes of an element", found)
+                raise ValueError(f"an element of {size} bytes where {len(data) - start} are left")
             yield kind, data[start : start + size]
             at += step
 
@@ -99,85 +96,69 @@ class _Reader:
         if kind == _COMPRESSED:
             kind, payload = next(self.parts(self._inflate(payload)))
         if kind != _MATRIX:
-            self._fail("a matrix element", f"an element of type {kind}")
+            raise ValueError(f"an element of type {kind} for a variable")
         return self._matrix(payload, 1)
+
+    def _inflate(self, packed: memoryview) -> memoryview:
+        """Unpack one element: first its tag, then no more than the tag says."""
+        unpack = zlib.decompressobj()
+        tag = unpack.decompress(packed, 8)
+        (size,) = struct.unpack(self.order + "4xI", tag)
+        limit = min(MAX_BYTES, max(_FREE, _MAX_RATIO * len(packed)))
+        if size > limit:
+            raise ValueError(f"{size} bytes in a packed element, more than {limit}")
+        return memoryview(tag + unpack.decompress(unpack.unconsumed_tail, size + 8))
 
     def _matrix(self, data: memoryview, depth: int) -> tuple[str, Value]:
         if depth > _MAX_DEPTH:
-            self._fail(f"at most {_MAX_DEPTH} structs inside each other", "more")
+            raise ValueError(f"more than {_MAX_DEPTH} structs inside each other")
         if not data:
             return "", np.zeros((0, 0))
         parts = self.parts(data)
-        flags = self._integers(parts, _UINT32, 2, "array flags")[0]
-        shape = self._integers(parts, _INT32, _MAX_DIMS, "dimensions")
-        if len(shape) < 2 or min(shape) < 0:
-            self._fail("two or more dimensions >= 0", str(shape))
-        if 0 in shape and math.prod(n or 1 for n in shape) > _FREE:
-            self._fail(f"at most {_FREE} elements in an empty array", str(shape))
-        name = bytes(self._next(parts, (_INT8,), "a name")).decode("latin-1")
-        klass = flags & 0xFF
+        flags = self._integers(parts, _UINT32, 2)[0]
+        shape = self._integers(parts, _INT32, _MAX_DIMS)
+        if len(shape) < 2 or min(shape) < 0 or (0 in shape and math.prod(n or 1 for n in shape) > _FREE):
+            raise ValueError(f"dimensions {shape}")
+        name, klass = bytes(self._next(parts, (_INT8,))).decode("latin-1"), flags & 0xFF
         if klass == _STRUCT and shape == (1, 1):
             return name, self._struct(parts, depth)
         if klass == _CHAR and shape[0] <= 1 and len(shape) == 2:
             return name, self._text(parts, math.prod(shape))
         if klass in _NUMERIC and not flags >> 8 & _IS_COMPLEX:
-            return name, self._array(parts, shape, "?" if flags >> 8 & _IS_LOGICAL else _NUMERIC[klass])
+            kind, payload = next(parts)
+            if kind not in _STORAGE:
+                raise ValueError(f"an element of type {kind} for numbers")
+            values = np.frombuffer(payload, self.order + _STORAGE[kind])
+            dtype = np.dtype(bool if flags >> 8 & _IS_LOGICAL else _NUMERIC[klass])
+            return name, values.astype(dtype).reshape(shape, order="F")
         return name, Undecoded("complex" if klass in _NUMERIC else _OTHER.get(klass, f"class {klass}"), shape)
-
-    def _array(self, parts: _Parts, shape: tuple[int, ...], dtype: str) -> npt.NDArray[Any]:
-        kind, payload = next(parts, (0, memoryview(b"")))
-        if kind not in _STORAGE:
-            self._fail("numbers", f"an element of type {kind}")
-        stored = np.dtype(self.order + _STORAGE[kind])
-        if (needed := math.prod(shape) * stored.itemsize) != len(payload):
-            self._fail(f"{needed} bytes for an array {shape}", f"{len(payload)}")
-        with np.errstate(invalid="ignore"):  # an odd file may store NaN of a class of whole numbers
-            return np.frombuffer(payload, stored).astype(dtype).reshape(shape, order="F")
 
     def _text(self, parts: _Parts, length: int) -> str:
         if not length:
             return ""
-        payload = bytes(self._next(parts, _TEXT, "text"))
+        payload = bytes(self._next(parts, _TEXT))
         two_bytes = "utf-16-le" if self.order == "<" else "utf-16-be"
         return payload.decode(two_bytes if len(payload) // length == 2 else "utf-8", errors="replace")
 
     def _struct(self, parts: _Parts, depth: int) -> dict[str, Value]:
-        width = self._integers(parts, _INT32, 1, "field name length")[0]
-        names = bytes(self._next(parts, (_INT8,), "field names"))
+        width = self._integers(parts, _INT32, 1)[0]
+        names = bytes(self._next(parts, (_INT8,)))
         if width < 1 or len(names) % width or len(names) // width > _MAX_FIELDS:
-            self._fail("field names of one length", f"{len(names)} bytes in pieces of {width}")
+            raise ValueError(f"{len(names)} bytes of field names in pieces of {width}")
         out: dict[str, Value] = {}
         for start in range(0, len(names), width):
             name = names[start : start + width].split(b"\0")[0].decode("latin-1")
-            out[name] = self._matrix(self._next(parts, (_MATRIX,), f"field {name!r}"), depth + 1)[1]
+            out[name] = self._matrix(self._next(parts, (_MATRIX,)), depth + 1)[1]
         return out
 
-    def _integers(self, parts: _Parts, kind: int, most: int, what: str) -> tuple[int, ...]:
-        payload = self._next(parts, (kind,), what)
-        if not 4 <= len(payload) <= 4 * most or len(payload) % 4:
-            self._fail(f"{what} of 4 to {4 * most} bytes", f"{len(payload)}")
+    def _integers(self, parts: _Parts, kind: int, most: int) -> tuple[int, ...]:
+        payload = self._next(parts, (kind,))
+        if not 4 <= len(payload) <= 4 * most:
+            raise ValueError(f"{len(payload)} bytes for up to {most} whole numbers")
         return struct.unpack(f"{self.order}{len(payload) // 4}i", payload)
 
-    def _next(self, parts: _Parts, kinds: tuple[int, ...], what: str) -> memoryview:
-        kind, payload = next(parts, (0, memoryview(b"")))
+    def _next(self, parts: _Parts, kinds: tuple[int, ...]) -> memoryview:
+        kind, payload = next(parts)
         if kind not in kinds:
-            self._fail(what, f"an element of type {kind}" if kind else "no more elements")
+            raise ValueError(f"an element of type {kind} for one of {kinds}")
         return payload
-
-    def _inflate(self, packed: memoryview) -> memoryview:
-        """Unpack one element: first its tag, then no more than the tag says."""
-        unpack = zlib.decompressobj()
-        try:
-            tag = unpack.decompress(packed, 8)
-            if len(tag) < 8:
-                self._fail("a packed element", "too few bytes; the file is truncated")
-            size = struct.unpack(self.order + "I", tag[4:])[0]
-            limit = min(MAX_BYTES, max(_FREE, _MAX_RATIO * len(packed)))
-            if size > limit:
-                self._fail(f"at most {limit} bytes in a packed element", f"{size}")
-            return memoryview(tag + unpack.decompress(unpack.unconsumed_tail, size + 8))
-        except zlib.error as error:
-            self._fail("zlib data", f"{error}; the file is truncated or damaged")
-
-    def _fail(self, expected: str, found: str) -> NoReturn:
-        raise FileFormatError(self.where, expected=expected, found=found)

@@ -235,22 +235,22 @@ def test_hostile_sizes_cost_nothing(name, tmp_path):
 
 BODY = _matrix((1, 1), struct.pack("<IId", 9, 8, 1.5))
 DAMAGED = {
-    "empty file": (b"", "an empty file"),
+    "empty file": (b"", "0 bytes, less than a header"),
     "less than a header": (b"MATLAB 5.0 MAT-file", "less than a header; the file is truncated"),
     "version 4": (struct.pack("<5i", 0, 2, 3, 0, 2) + bytes(200), "a file that starts with"),
     "text": (b"% MATLAB script" * 20, "a file that starts with b'% MATLAB"),
-    "tag cut short": (_header(b"\x0e\0\0\0"), "an 8-byte tag, found 4 bytes; the file is truncated"),
-    "matrix cut short": (_header(BODY[:-4]), "the file is truncated or damaged"),
-    "long small element": (_header(struct.pack("<HHI", 1, 5, 0)), "at most 4 bytes in a small element"),
-    "no matrix": (_header(struct.pack("<IId", 9, 8, 1.5)), "a matrix element, found an element of type 9"),
-    "no data": (_header(_matrix((1, 1), b"")), "numbers, found an element of type 0"),
-    "text as numbers": (
-        _header(_matrix((1, 1), struct.pack("<IId", 16, 8, 1.5))),
-        "numbers, found an element",
+    "tag cut short": (_header(b"\x0e\0\0\0"), "the file is damaged or truncated"),
+    "matrix cut short": (_header(BODY[:-4]), "an element of 56 bytes where 52 are left"),
+    "no matrix": (_header(struct.pack("<IId", 9, 8, 1.5)), "an element of type 9 for a variable"),
+    "no data": (_header(_matrix((1, 1), b"")), "an element is missing"),
+    "text as numbers": (_header(_matrix((1, 1), struct.pack("<IId", 16, 8, 1.5))), "type 16 for numbers"),
+    "other size": (_header(_matrix((1, 3), struct.pack("<IId", 9, 8, 1.5))), "cannot reshape"),
+    "no flags": (_header(struct.pack("<IIII", 14, 8, 9, 0)), "an element of type 9 for one of"),
+    "bad zlib": (_header(struct.pack("<II", 15, 9) + b"123456789"), "Error -3"),
+    "cut zlib": (
+        _header(struct.pack("<II", 15, 4) + zlib.compress(BODY)[:4]),
+        "damaged or truncated",
     ),
-    "no flags": (_header(struct.pack("<IIII", 14, 8, 9, 0)), "array flags, found an element of type 9"),
-    "bad zlib": (_header(struct.pack("<II", 15, 9) + b"123456789"), "zlib data"),
-    "cut zlib": (_header(struct.pack("<II", 15, 4) + zlib.compress(BODY)[:4]), "too few bytes"),
 }
 
 
