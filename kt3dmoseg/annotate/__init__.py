@@ -15,14 +15,13 @@ from kt3dmoseg.annotate.model import (
     Mark,
     load_annotation,
     save_annotation,
+    save_revision,
 )
 from kt3dmoseg.annotate.propagation import FlowMotion, ImageMotion, Region, TrackMotion, propagate
-from kt3dmoseg.annotate.session import AnnotationSession
 
 __all__ = [
     "AnnotatedObject",
     "Annotation",
-    "AnnotationSession",
     "FlowMotion",
     "ImageMotion",
     "KeyFrame",
@@ -36,4 +35,5 @@ __all__ = [
     "load_annotation",
     "propagate",
     "save_annotation",
+    "save_revision",
 ]

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import wraps
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, dataclass_transform, get_args
 
 from pydantic import (
@@ -31,8 +32,8 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 from pydantic_core import ErrorDetails
 
-from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import read_bytes, write_text
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import hold_folder, read_bytes, write_text
 from kt3dmoseg.registry import nearest, unknown_name
 
 T = TypeVar("T")
@@ -279,6 +280,38 @@ def load_annotation(path: str | os.PathLike[str]) -> Annotation:
 def save_annotation(path: str | os.PathLike[str], annotation: Annotation) -> None:
     """Write an annotation atomically; raises InputFileError when the file cannot be written."""
     write_text(path, dumps(annotation))
+
+
+class StaleRevisionError(KT3DMoSegError):
+    """The file was saved by somebody else since it was read; `current` is what they saved."""
+
+    current: Annotation
+
+
+def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annotation:
+    """Write `annotation` as the next revision of a file, and return what was written.
+
+    A file that does not exist, or no longer, is written whatever the revision.
+
+    Raises
+    ------
+    StaleRevisionError
+        When the file holds another revision than that which `annotation` was made from.
+    InputFileError, FileFormatError
+        When the file cannot be written, or what is there is no annotation.
+    """
+    target = Path(path)
+    with hold_folder(target.parent):
+        current = load_annotation(target) if target.exists() else None
+        if current is not None and current.revision != annotation.revision:
+            mine, theirs = f"revision {annotation.revision}", f"revision {current.revision}"
+            fix = "read it again and merge the edits"
+            stale = StaleRevisionError(f"{target}", expected=mine, found=theirs, fix=fix)
+            stale.current = current
+            raise stale
+        saved = replace(annotation, revision=annotation.revision + 1)
+        save_annotation(target, saved)
+    return saved
 
 
 def dumps(annotation: Annotation) -> str:

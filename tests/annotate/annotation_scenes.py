@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, Mark, formats
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, Mark, formats, save_revision
 from kt3dmoseg.annotate.formats.masks import label_images
 from kt3dmoseg.annotate.model import KINDS, REJECT
 from kt3dmoseg.types import Clip, Labels, Trajectories
@@ -113,6 +113,13 @@ def motions(annotation):
     values = {o.id: 99 if o.motion == REJECT else int(o.motion) for o in annotation.objects}
     regions = formats.regions(annotation)
     return [image.tolist() for image in label_images(annotation, regions, values)]
+
+
+def drawn_by_hand(path, name, corners, motion=1, clip="one", frames=6, annotator=""):
+    """Save an annotation of one object with one key frame, as somebody would draw it."""
+    key = KeyFrame(0, polygons=(tuple(corners),))
+    item = AnnotatedObject(1, name, "car", motion, (key,))
+    return save_revision(path, Annotation(clip, (320, 200), frames, (item,), annotator=annotator))
 
 
 def zipped(**files):

@@ -8,9 +8,8 @@ import signal
 import cv2
 import numpy as np
 import pytest
+from annotation_scenes import drawn_by_hand
 from labeller_page import CORNERS, Page, Server
-
-from kt3dmoseg.annotate import AnnotationSession
 
 pytestmark = pytest.mark.browser
 
@@ -33,9 +32,7 @@ DIFFERENT_PICTURES = """() => new Promise((done) => {
 
 
 def draw_by_hand(path, clip, n_frames, corners, motion=1):
-    session = AnnotationSession.new(clip, image_size=(320, 200), n_frames=n_frames, annotator="B")
-    session.add_object("box", 0, [corners], motion=motion)
-    session.save(path / f"{clip}.json")
+    drawn_by_hand(path / f"{clip}.json", "box", corners, motion, clip, n_frames, "B")
 
 
 @pytest.fixture(scope="module")

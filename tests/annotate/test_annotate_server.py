@@ -9,10 +9,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from annotation_scenes import write_clip
+from annotation_scenes import drawn_by_hand, write_clip
 from asgi_client import Client
 
-from kt3dmoseg.annotate import AnnotatedObject, AnnotationSession, KeyFrame, label_tracks, load_annotation
+from kt3dmoseg.annotate import AnnotatedObject, KeyFrame, label_tracks, load_annotation
 from kt3dmoseg.annotate.model import from_json, to_json
 from kt3dmoseg.annotate.server import app
 from kt3dmoseg.annotate.server.app import create_app, is_loopback
@@ -358,9 +358,8 @@ def test_compare(clips, tmp_path):
     page = client(routes(clips, tmp_path, other=tmp_path / "other"))
     doc = drawn(page)
     assert "one.json" in page.post("/api/clips/one/compare", json=doc).json()["error"]
-    session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
-    session.add_object("half", 0, [[(60, 70), (100, 70), (100, 130), (60, 130)]], motion=4)
-    session.save(tmp_path / "other" / "one.json")
+    half = [(60, 70), (100, 70), (100, 130), (60, 130)]
+    drawn_by_hand(tmp_path / "other" / "one.json", "half", half, motion=4)
     reply = page.post("/api/clips/one/compare", json=doc).json()
     assert 0 < reply["different"] < 100
     assert 0.5 < reply["kappa"] < 1

@@ -14,13 +14,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from annotation_scenes import write_clip
+from annotation_scenes import drawn_by_hand, write_clip
 from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import cohen_kappa_score
 
 from kt3dmoseg import cli, io
-from kt3dmoseg.annotate import AnnotationSession, load_annotation
+from kt3dmoseg.annotate import load_annotation, save_revision
 from kt3dmoseg.annotate.agreement import agree
 from kt3dmoseg.annotate.overlay import View, draw_view
 from kt3dmoseg.draw.palette import motion_colour
@@ -76,9 +76,7 @@ def clip(tmp_path):
     there = io.load(tmp_path / "tracks" / "one.npz")
     (tmp_path / "release").mkdir()
     io.save(there.with_labels(Labels(np.where(on, 1, 2))), tmp_path / "release" / "one.mat")
-    session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
-    session.add_object("drifting box", 0, [BOX], motion=1)
-    session.save(tmp_path / "annotations" / "one.json")
+    drawn_by_hand(tmp_path / "annotations" / "one.json", "drifting box", BOX)
     return tmp_path
 
 
@@ -95,9 +93,8 @@ def test_agreement_tool(clip, capsys):
 
 
 def test_agreement_tool_lists_where_the_two_differ(clip, capsys):
-    session = AnnotationSession(load_annotation(clip / "annotations" / "one.json"))
-    session.set_key_frame(1, 0, [[(60, 70), (100, 70), (100, 130), (60, 130)]])
-    session.save(clip / "other" / "one.json")
+    half = [(60, 70), (100, 70), (100, 130), (60, 130)]
+    drawn_by_hand(clip / "other" / "one.json", "drifting box", half)
     arguments = ["--annotations", str(clip / "annotations"), "--release", str(clip / "release")]
     assert tool("annotation_agreement").main([*arguments, "--other", str(clip / "other"), "--halo", "0"]) == 0
     text = capsys.readouterr().out
@@ -152,12 +149,14 @@ def test_command_says_what_is_wrong(tmp_path, capsys):
 
 SAVER = """
 import sys
-from kt3dmoseg.annotate import AnnotationSession
-session = AnnotationSession.new("one", image_size=(320, 200), n_frames=6)
-session.add_object("thing", 0, [[(k, k * k % 97) for k in range(2000)]], motion=1)
+from dataclasses import replace
+from kt3dmoseg.annotate import Annotation, Mark, save_revision
+lasso = Mark(0, 1, tuple((k, k * k % 97) for k in range(2000)))
+annotation = Annotation("one", (320, 200), 6, marks=(lasso,))
 while True:
-    print(session.save(sys.argv[1]), flush=True)
-    session.add_mark(0, [(0, 0), (9, 0), (9, 9)], motion=1)
+    annotation = save_revision(sys.argv[1], annotation)
+    print(annotation.revision, flush=True)
+    annotation = replace(annotation, marks=(*annotation.marks, Mark(0, 1, ((0, 0), (9, 0), (9, 9)))))
 """
 
 
@@ -174,5 +173,4 @@ def test_kill_9_never_breaks_the_file(tmp_path, moment):
     last = max(int(line) for line in printed if line.strip())
     found = load_annotation(path)
     assert found.revision in (last, last + 1)
-    session = AnnotationSession(found)
-    assert session.save(path) == found.revision + 1
+    assert save_revision(path, found).revision == found.revision + 1

@@ -27,9 +27,8 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from kt3dmoseg.annotate.model import to_json
+from kt3dmoseg.annotate.model import StaleRevisionError, to_json
 from kt3dmoseg.annotate.server.routes import Routes
-from kt3dmoseg.annotate.session import StaleRevisionError
 from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 

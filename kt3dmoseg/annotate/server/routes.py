@@ -34,10 +34,17 @@ from starlette.routing import Route
 from kt3dmoseg.annotate import formats, proposals
 from kt3dmoseg.annotate.agreement import agree
 from kt3dmoseg.annotate.labelling import LabelledTracks
-from kt3dmoseg.annotate.model import KINDS, AnnotatedObject, Annotation, from_json, load_annotation, to_json
+from kt3dmoseg.annotate.model import (
+    KINDS,
+    AnnotatedObject,
+    Annotation,
+    from_json,
+    load_annotation,
+    save_revision,
+    to_json,
+)
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_session import ClipSession, Progress, Summaries
-from kt3dmoseg.annotate.session import save_revision
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
