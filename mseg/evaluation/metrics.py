@@ -204,7 +204,7 @@ def per_motion(table: Contingency) -> dict[str, FloatArray]:
 
 
 def moving_error(table: Contingency) -> float:
-    """Fraction of trajectories wrong when only background and moving are told apart.
+    """Fraction of trajectories wrong when only background and moving are distinguished.
 
     The group assigned to the background is "background", every other group and label 0 is
     "moving". Without a known background, the largest motion takes its place.
