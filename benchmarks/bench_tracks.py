@@ -1,4 +1,4 @@
-"""Time of everything the tracker does besides the flow: structure, seeding, linking, tests, layout.
+"""Time of everything the tracker does apart from the flow: structure, seeding, linking, tests, layout.
 
 Run: pytest benchmarks/bench_tracks.py --benchmark-timer=time.process_time --benchmark-columns=min,median
 `test_ten_pairs` is ten pairs of frames with all their live tracks, `test_flow_pair` the two fields that one

@@ -2,7 +2,7 @@
 
 This one clusters positions and velocities. It does badly, and shows why the task is hard: seen from a moving
 car, velocity follows depth rather than motion. To make it a name that
-`mseg run --method velocity` knows, your package announces it in its pyproject.toml:
+`mseg run --method velocity` finds, your package announces it in its pyproject.toml:
 
     [project.entry-points."mseg.methods"]
     velocity = "your_package:Velocity"

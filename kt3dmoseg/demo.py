@@ -46,7 +46,7 @@ def run_demo(
     output: str | os.PathLike[str] = "demo-out",
     options: DemoOptions | None = None,
     *,
-    tell: Callable[[str], None] = print,
+    report: Callable[[str], None] = print,
 ) -> dict[str, Path]:
     """Run the complete workflow, from frames to a report.
 
@@ -56,7 +56,7 @@ def run_demo(
         Folder for everything: absent, empty, or that of a former demo, which is replaced.
     options : DemoOptions, optional
         Seed, size, methods.
-    tell : callable
+    report : callable
         Called with every line of progress.
 
     Returns
@@ -78,34 +78,34 @@ def run_demo(
         raise InvalidValueError("methods", expected="at least one name", found="none")
     for name in chosen.methods:
         methods.create(name)
-    demo = _Demo(Path(output), chosen, tell)
+    demo = _Demo(Path(output), chosen, report)
     demo.claim_folder()
     demo.build(demo.film())
     submissions = demo.segment()
     demo.evaluate(submissions)
     reports = demo.report(submissions)
-    tell(f"\nDone in {time.perf_counter() - started:.0f} s. Open a report in a browser, for instance:")
-    tell(f"  {reports[chosen.methods[-1]].resolve()}")
-    tell(f"What is in a clip:  kt3dmoseg info {demo.dataset}")
+    report(f"\nDone in {time.perf_counter() - started:.0f} s. Open a report in a browser, for instance:")
+    report(f"  {reports[chosen.methods[-1]].resolve()}")
+    report(f"What is in a clip:  kt3dmoseg info {demo.dataset}")
     return reports
 
 
 class _Demo:
     """The steps, and the folders that they share."""
 
-    def __init__(self, folder: Path, options: DemoOptions, tell: Callable[[str], None]) -> None:
-        self.folder, self.options, self.tell, self.steps = folder, options, tell, 0
+    def __init__(self, folder: Path, options: DemoOptions, report: Callable[[str], None]) -> None:
+        self.folder, self.options, self.print_line, self.steps = folder, options, report, 0
         self.kitti, self.annotations = folder / "kitti", folder / "annotations"
         self.dataset = folder / "dataset"
 
     def step(self, title: str, command: str) -> None:
         """Announce a step: what it does, and the command that does it on real data."""
         self.steps += 1
-        self.tell(f"\n[{self.steps}/7] {title}")
-        self.tell(f"      $ {command}")
+        self.print_line(f"\n[{self.steps}/7] {title}")
+        self.print_line(f"      $ {command}")
 
     def result(self, line: str) -> None:
-        self.tell(f"      {line}")
+        self.print_line(f"      {line}")
 
     def claim_folder(self) -> None:
         """Make sure that nothing but a former demo is replaced."""
@@ -139,7 +139,7 @@ class _Demo:
             self.result(f"{folder.relative_to(self.folder)}: {scene.n_frames} frames; moving: {vehicles}")
             scenes[folder.name.removesuffix("_sync")] = scene
         self.step(
-            "Outline the moving vehicles on every third frame (here from the scene's own knowledge)",
+            "Outline the moving vehicles on every third frame (here: the scene's exact outlines)",
             "kt3dmoseg label FRAMES                   (a page in the browser)",
         )
         for name, scene in scenes.items():
@@ -220,7 +220,7 @@ class _Demo:
 
 
 def _against_truth(clip: Clip, scene: Scene) -> list[str]:
-    """Compare tracks and labels with what only a synthetic scene knows."""
+    """Compare tracks and labels with the exact truth of the synthetic scene."""
     import numpy as np
 
     from kt3dmoseg.synthetic import track_errors

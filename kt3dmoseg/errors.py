@@ -1,6 +1,6 @@
 """The one family of errors that a user of kt3dmoseg or mseg can meet.
 
-Every message is one line that says where, what was expected, what was found and what to do.
+Every message is one line: where, what was expected, what was found and what to do.
 """
 
 from __future__ import annotations

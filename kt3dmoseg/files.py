@@ -274,7 +274,7 @@ class SafeZip:
         except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
             raise InputFileError(f"{self.where}: {error.strerror}") from None
         except Exception as error:  # zipfile raises anything on damaged or hostile bytes
-            found = f"a file that is none, or damaged ({str(error) or type(error).__name__})"
+            found = f"another kind of file, or a damaged zip ({str(error) or type(error).__name__})"
             return self._refuse("not-a-zip", "", "a zip archive", found)
         chosen = [info for info in infos if not info.filename.endswith("/") and wanted(info.filename)]
         size = sum(info.file_size for info in chosen) if infos else packed

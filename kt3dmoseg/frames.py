@@ -44,7 +44,7 @@ _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})")
 class FrameInfo:
     """What is known of a clip before its frames are decoded.
 
-    `numbers` of the frames are None when only decoding shows how many there are. The `description` says
+    `numbers` of the frames are None when only decoding shows how many there are. The `description` states
     where they come from, with the sha256 of everything they are decoded from, and no path of this machine.
     `timestamps` (F,) are in seconds.
     """
@@ -392,7 +392,7 @@ def _paths_of(clip: Clip, folder: Path) -> list[Path]:
 
 
 def _kitti_source(clip: Clip) -> Mapping[str, Any]:
-    """Return the KITTI drive that a built clip comes from, as its file says; empty for other clips."""
+    """Return the KITTI drive that a built clip comes from, as recorded in its file; empty for other clips."""
     inputs = clip.provenance.get("inputs", clip.provenance.get("fingerprint"))  # its name in 0.1.0
     source = inputs.get("source") if isinstance(inputs, Mapping) else None
     return source if isinstance(source, Mapping) and source.get("kind") == "kitti" else {}
@@ -486,5 +486,5 @@ def _frames_of_file(name: str, file: Path, given: Path, frames: Path | None) -> 
         f"frames of {name}",
         expected=f"a folder of pictures {' or '.join(str(root / name) for root in roots)}",
         found="none",
-        fix="say where they are with --frames",
+        fix="give their folder with --frames",
     )

@@ -326,7 +326,7 @@ def cache_key(description: Mapping[str, object]) -> str:
     Parameters
     ----------
     description : mapping
-        JSON values, arrays (by dtype, shape and content), and anything else whose ``repr`` says all.
+        JSON values, arrays (by dtype, shape and content), and anything else with a complete ``repr``.
     """
     return hashlib.sha256(json.dumps(description, sort_keys=True, default=_described).encode()).hexdigest()
 

@@ -41,7 +41,7 @@ class Registry:
         return list(self.targets())
 
     def load(self, name: str) -> Any:  # noqa: ANN401  # the object behind the name, of the table's kind
-        """Import and return what `name` stands for.
+        """Import and return the object named `name`.
 
         Raises
         ------
@@ -95,7 +95,7 @@ def lazy(
         Public name of a module of the package -> the module.
     """
 
-    def getattr_(name: str) -> Any:  # noqa: ANN401  # whatever the name stands for
+    def getattr_(name: str) -> Any:  # noqa: ANN401  # the object may be anything
         if name in modules:
             return import_module(f"{package}.{modules[name]}")
         if name not in names:

@@ -96,7 +96,7 @@ class Trajectories(_Value):
         self._set(xy=xy, visible=visible, track_id=track_id, image_size=size)
 
     def __repr__(self) -> str:
-        """Say how many there are; the arrays would fill the screen."""
+        """Show the counts only; the arrays would fill the screen."""
         return f"Trajectories({len(self)} over {self.n_frames} frames)"
 
     def __len__(self) -> int:
@@ -162,7 +162,7 @@ class Labels(_Value):
         self._set(label=frozen(raw, np.int64), names=names, background=background)
 
     def __repr__(self) -> str:
-        """Say how many there are; the array would fill the screen."""
+        """Show the counts only; the array would fill the screen."""
         return f"Labels({len(self)} of {self.n_motions} motions)"
 
     def __len__(self) -> int:
@@ -259,7 +259,7 @@ class Clip(_Value):
         self._set(evaluated=rows, provenance=MappingProxyType(dict(self.provenance)), **values)
 
     def __repr__(self) -> str:
-        """Say in one line what the clip holds."""
+        """Summarise the clip in one line."""
         return (
             f"Clip({self.name!r}: {self.n_frames} frames, {len(self.dense)} trajectories, "
             f"{len(self.evaluated)} evaluated, {self.n_motions} motions)"

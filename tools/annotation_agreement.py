@@ -126,7 +126,7 @@ def _row(c: Comparison) -> str:
 
 
 def _section(c: Comparison, examples: int) -> list[str]:
-    """Tell, for one clip, how each motion fares and where the two sides differ."""
+    """Print, for one clip, the agreement on each motion and where the two sides differ."""
     back = {theirs: mine for mine, theirs in c.result.matching.items()}
     lines = [f"## {c.clip.name}", "", "| theirs | ours | trajectories | we agree |", "|---|---|--:|--:|"]
     for label, name in c.theirs.items():

@@ -24,7 +24,7 @@ LICENCE = "https://creativecommons.org/licenses/by-nc-sa/3.0/"
 ABOUT = (
     "Dense point trajectories and motion labels of 22 clips of 10 to 20 frames from KITTI raw, filmed "
     "from a moving car: strong perspective, forward translation, 1 to 6 moving objects. Version 2: "
-    "trajectories and labels rebuilt from the frames with open tools; the data card says how it differs "
+    "trajectories and labels rebuilt from the frames with open tools; the data card states how it differs "
     "from the 2018 release."
 )
 CITATION = (

@@ -6,7 +6,7 @@ Usage: python tools/tracker_fidelity.py [--flow dis] [--clips CLIP ...] [--scene
 Prints Markdown tables. The first compares the default tracks with the released ones: every one of them is
 started at its first point and followed without stops, and compared after 1, 5 and 10
 frames; then the clip is tracked as usual and start cells, number and mean length are compared. The
-next two compare the default and the reliable tracks of synthetic drives with the exact ones. The last says
+next two compare the default and the reliable tracks of synthetic drives with the exact ones. The last lists
 which of the aims set for the tracker are reached, and by which tracks. docs/tracking.md explains the columns.
 """
 

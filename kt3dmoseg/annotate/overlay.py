@@ -134,7 +134,7 @@ def _rulers(framed: ByteArray, view: View) -> None:
 
 
 def _write(picture: ByteArray, text: str, corner: tuple[int, int], colour: Colour, size: float) -> None:
-    # OpenCV's fonts know ASCII only.
+    # OpenCV's fonts have ASCII only.
     plain = text.encode("ascii", "replace").decode()
     cv2.putText(picture, plain, corner, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 3, cv2.LINE_AA)
     cv2.putText(picture, plain, corner, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)

@@ -56,7 +56,7 @@ def demo(
 
     if methods is not None:  # words, with or without commas
         options["methods"] = " ".join(methods).replace(",", " ").split()
-    run_demo(output, from_mapping(DemoOptions, options), tell=lambda line: print(line, flush=True))
+    run_demo(output, from_mapping(DemoOptions, options), report=lambda line: print(line, flush=True))
 
 
 @flags(BuildOptions, TrackOptions)

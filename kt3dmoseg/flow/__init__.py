@@ -176,7 +176,7 @@ def backend_identity(flow: Flow) -> dict[str, Any] | None:
     """Everything but the frames that a field depends on: class, parameters and versions, as JSON values.
 
     None for a backend that is no dataclass or states no version (`kt3dmoseg.parallel.algorithm_version`), and
-    for one whose class says ``uncached = True``, since it depends on more than its parameters (files). A
+    for one whose class has ``uncached = True``, since it depends on more than its parameters (files). A
     parameter that is listed in the class's ``files`` counts by the content of the file it names; ``packages``
     lists what it computes with beyond numpy and OpenCV.
     """

@@ -30,7 +30,7 @@ class VariationalPyramid:
     `VariationalRefinement`, which divides each constancy term by the squared gradient plus
     0.1^2 (Zimmer, Bruhn, Weickert, IJCV 2011, section 3.1). `contrast` moves that 0.1: at the
     default, edges steeper than 0.1 / 0.02 = 5 gray values per pixel count alike and fainter ones
-    less, so that noise in flat places has little say. As soon as the flow has full size, motion that has
+    less, so that noise in flat regions has little weight. As soon as the flow has full size, motion that has
     spread over outlines is taken back (`sharpen`). The linear equations are relaxed far
     beyond OpenCV's 1.6: near 2, successive overrelaxation converges fastest on a grid this large (Young,
     "Iterative Solution of Large Linear Systems", 1971, chapter 6). Measured in docs/tracking.md.

@@ -111,7 +111,7 @@ def clip_of_tracks(
     label: IntArray | None = None,
     camera: Camera | None = None,
 ) -> Clip:
-    """Return a clip from a format that knows only tracks: named by its file, all of them evaluated."""
+    """Return a clip from a format that holds only tracks: named by its file, all of them evaluated."""
     label = np.zeros(len(dense), dtype=np.int64) if label is None else label
     rows = np.arange(len(dense))
     return Clip(clip_name(path), dense, rows, Labels(label), camera=camera, provenance=origin(path, format))

@@ -24,7 +24,7 @@ _PICKLE_FIX = "pickles run code when read; save the arrays with numpy.savez"
 
 @dataclass(frozen=True)
 class Format:
-    """One clip format; `recognise` says whether a file with these first 128 bytes may be of it.
+    """One clip format; `recognise` decides from the first 128 bytes whether a file may be of it.
 
     Its `module`, imported when it is used, has ``read(path) -> Clip`` and ``write(clip, path)``.
     """

@@ -198,7 +198,7 @@ def encode_indices(indices: ByteArray, palette: ByteArray) -> bytes:
 
 @contextmanager
 def _opened(content: bytes, where: str) -> Iterator[tuple[Image.Image, str]]:
-    """Give a checked picture and how it is stored, as Pillow says; what Pillow raises becomes one line."""
+    """Give a checked picture and how Pillow describes its storage; what Pillow raises becomes one line."""
     fix = "the file is damaged; fetch it again"
     if content.startswith(_JPEG) and not _has_end(content):
         found = f"a file cut short at {len(content)} bytes"
@@ -226,7 +226,7 @@ def _opened(content: bytes, where: str) -> Iterator[tuple[Image.Image, str]]:
 def _has_end(content: bytes) -> bool:
     """Whether a JPEG's picture ends (ITU-T T.81, B.1); previews within segments are skipped.
 
-    Of the zeros of an unfinished download, libjpeg makes gray and says nothing.
+    libjpeg decodes the zeros of an unfinished download to gray, without a warning.
     """
     at = len(_JPEG)
     while found := _MARKER.search(content, at):

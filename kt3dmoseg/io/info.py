@@ -63,7 +63,7 @@ def info(path: str | os.PathLike[str]) -> str:
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return what `info` says as values of JSON; `kind` is clip, clips, frames, video, picture or flow."""
+    """Return what `info` reports as JSON values; `kind` is clip, clips, frames, video, picture or flow."""
     target = Path(path)
     if not target.exists():
         raise InputFileError(f"{target}", expected="a file or folder", found="nothing")

@@ -100,7 +100,7 @@ class _Reader:
         return self._matrix(payload, 1)
 
     def _inflate(self, packed: memoryview) -> memoryview:
-        """Unpack one element: first its tag, then no more than the tag says."""
+        """Unpack one element: first its tag, then no more than the tag declares."""
         unpack = zlib.decompressobj()
         tag = unpack.decompress(packed, 8)
         (size,) = struct.unpack(self.order + "4xI", tag)

@@ -1,7 +1,7 @@
 """Clips in MAT-files: the 2018 KT3DMoSeg release, Hopkins12 and MTPV62, and Hopkins155.
 
 The release, Hopkins12 and MTPV62 share a struct `Data`: `yAll` (3, N, F) and `ySparse` (3, n, F) are
-homogeneous pixels, (0, 0, 0) where invisible; `visibleAll` (N, F) and `visibleSparse` (n, F) say where they
+homogeneous pixels, (0, 0, 0) where invisible; `visibleAll` (N, F) and `visibleSparse` (n, F) show where they
 are; `SparseIndex` (n, 1) counts the evaluated rows of `yAll` from 1; `GtLabel` (n, 1) holds the motions, 0 an
 outlier.
 
@@ -31,7 +31,7 @@ from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, Labels, Traject
 
 # Instead of the platform and the date that scipy writes, so that equal content gives equal bytes.
 _TEXT = b"MATLAB 5.0 MAT-file, written by kt3dmoseg".ljust(116)
-# In the release the static scene is motion 1 in every clip; the other collections do not say.
+# In the release the static scene is motion 1 in every clip; the other collections do not define it.
 _BACKGROUND = 1
 _DENSE = ("nAllPoints", "yAll", "visibleAll")
 _ALL_FIELDS = (*_DENSE, "nFrames", "nSparsePoints", "ySparse", "visibleSparse", "SparseIndex", "GtLabel")

@@ -27,7 +27,7 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 @contextmanager
 def open_video(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
-    """Open a video for reading; its ``isOpened`` says whether that worked."""
+    """Open a video for reading; its ``isOpened`` reports whether that worked."""
     with quiet_opencv():
         # OpenCV's other readers write to standard error what they do not understand.
         video = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG)
@@ -86,7 +86,7 @@ def _write_video(
         named = temporary.with_name(temporary.name + suffix)  # OpenCV goes by the name
         try:
             count = _encode(named, pictures, rate, os.fspath(path))
-            with open_video(named) as video:  # read back: OpenCV does not say when the disk is full
+            with open_video(named) as video:  # read back: OpenCV does not report a full disk
                 found = sum(1 for _ in iter(video.grab, False))
             if found < count:
                 found_text = f"{found} of {count} pictures"

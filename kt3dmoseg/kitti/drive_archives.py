@@ -90,7 +90,7 @@ class TargetFolder:
             write_bytes(self.path_for(url, "directory"), head + b"\n" + tail)
 
     def files(self) -> dict[str, tuple[int, int]]:
-        """Files that were brought, relative to the root, with size and CRC32."""
+        """Files that were fetched, relative to the root, with size and CRC32."""
         path = self.state / "files.json"
         if not path.is_file():
             return {}
@@ -103,11 +103,11 @@ class TargetFolder:
                 str(path), expected="a list of files", found="other data", fix=fix
             ) from None
 
-    def keep_files(self, brought: Mapping[str, tuple[int, int]]) -> None:
-        """Keep size and CRC32 of files that were brought."""
+    def keep_files(self, fetched: Mapping[str, tuple[int, int]]) -> None:
+        """Keep size and CRC32 of files that were fetched."""
         present = self.files()
-        if brought.items() - present.items():
-            merged = sorted((present | dict(brought)).items())
+        if fetched.items() - present.items():
+            merged = sorted((present | dict(fetched)).items())
             text = json.dumps({name: [size, f"{crc:08x}"] for name, (size, crc) in merged}, indent=0)
             write_text(self.state / "files.json", f"{text}\n")
 
@@ -175,7 +175,7 @@ class Server:
             known = None if again else self._target.directory(url)
             size, tail = known or (self._client.size(url), b"")
             if not size:
-                raise AbsentError(f"{url}: the server had none before")
+                raise AbsentError(f"{url}: the server had no such file before")
             self._client.sizes[url] = size
             archive = Archive(url, size, partial(self._client.chunks, url), tail)
         except RangesIgnoredError:

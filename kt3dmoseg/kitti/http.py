@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import requests
 
 _BLOCK = 1 << 16
-_PROGRESS = 1 << 14  # an attempt that brings this much is not counted against the server
+_PROGRESS = 1 << 14  # an attempt that receives this much is not counted against the server
 _LONGEST_WAIT = 30.0
 _REDIRECTS = 5
 _ABSENT = (403, 404, 410)  # S3 answers 403 for an object that is absent from a bucket it may not list
@@ -66,7 +66,7 @@ class Traffic:
 
 
 class Client:
-    """A session with one or more servers; it knows the sizes of files, and notices when one changes.
+    """A session with one or more servers; it keeps the sizes of files, and notices when one changes.
 
     Its methods raise AbsentError, RangesIgnoredError and ChangedError, or InputFileError when the server
     cannot be reached or refuses.

@@ -48,7 +48,7 @@ def locate(
     *,
     catalogs: Iterable[str | os.PathLike[str]] = (),
     traffic: Traffic | None = None,
-    say: Callable[[str], object] = print,
+    report: Callable[[str], object] = print,
     **options: Any,  # noqa: ANN401  # fields of LocateOptions
 ) -> dict[str, Entry]:
     """Find the frame numbers of clips in their drives and write them to ``ROOT/located.toml``.
@@ -60,10 +60,10 @@ def locate(
     clips : iterable of str
         Names of clips; all of the catalog by default.
     catalogs : iterable of path
-        Users' catalogs besides the built-in one.
+        Users' catalogs in addition to the built-in one.
     traffic : Traffic, optional
         Counts requests and bytes.
-    say : callable
+    report : callable
         Takes one line per clip.
     **options
         Fields of `LocateOptions`.
@@ -87,14 +87,14 @@ def locate(
     with target.lock(), open_origin(chosen, target, traffic) as origin:
         for clip in wanted:
             try:
-                located = found[clip.name] = _locate_in(clip, origin, chosen, say)
+                located = found[clip.name] = _locate_in(clip, origin, chosen, report)
                 target.keep_located([located])
                 numbers, proof = format_numbers(located.numbers or ()), located.proof or "given"
-                say(f"{clip.name}: {clip.drive.name} camera {located.camera} frames {numbers} ({proof})")
+                report(f"{clip.name}: {clip.drive.name} camera {located.camera} frames {numbers} ({proof})")
             except (NotLocatedError, AbsentError) as error:
                 failures[clip.name] = error
                 if len(wanted) > 1:
-                    say(str(error))
+                    report(str(error))
     if failures and len(wanted) == 1:
         raise failures[wanted[0].name]
     if failures:
@@ -179,7 +179,7 @@ def _read_folder(folder: Path) -> Iterator[tuple[bytes, ByteArray]]:
 
 
 def _locate_in(
-    clip: Entry, origin: Server | LocalFolder, options: LocateOptions, say: Callable[[str], object]
+    clip: Entry, origin: Server | LocalFolder, options: LocateOptions, report: Callable[[str], object]
 ) -> Entry:
     packed = frames_of(clip.drive)
     try:
@@ -192,7 +192,7 @@ def _locate_in(
             # A directory holds no checksum of itself: read it once more before pictures are compared.
             files = origin.open(packed, again=True)
     except RangesIgnoredError as error:
-        say(f"{error}; fetching all of the file, which pull will use")
+        report(f"{error}; fetching all of the file, which pull will use")
         files = origin.download(error.url)
     return locate_clip(clip, files, options)
 

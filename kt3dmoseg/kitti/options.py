@@ -13,7 +13,7 @@ KITTI_RAW = "https://s3.eu-central-1.amazonaws.com/avg-kitti/raw_data/"
 class Origin:
     """Where the data come from, and how patient to be with the network."""
 
-    retries: int = option(8, "how often a request that brings nothing is repeated", low=0, high=100)
+    retries: int = option(8, "retries of a request that makes no progress", low=0, high=100)
     timeout: float = option(30.0, "seconds of silence after which a connection is given up", low=0.05)
     wait: float = option(0.5, "seconds before the first repeat; doubles each time, up to 30 s", low=0.0)
     slowest: float = option(
@@ -31,13 +31,13 @@ class Origin:
 
 @dataclass(frozen=True)
 class PullOptions(Origin):
-    """What to bring, and how."""
+    """What to fetch, and how."""
 
     accept_license: bool = option(False, "acknowledge the licence that is shown; stored in the target folder")
     dry_run: bool = option(False, "print the plan and stop")
     verify: bool = option(False, "re-check all bytes on disk; nothing is fetched")
-    calibration: bool = option(True, "bring the calibration of the day")
-    tracklets: bool = option(True, "bring the tracklets of drives that have them")
+    calibration: bool = option(True, "fetch the calibration of the day")
+    tracklets: bool = option(True, "fetch the tracklets of drives that have them")
 
 
 @dataclass(frozen=True)

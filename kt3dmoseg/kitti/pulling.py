@@ -1,4 +1,4 @@
-"""Bringing the clips' frames onto disk: plan, fetch, verify."""
+"""Pull the clips' frames: plan, fetch, verify."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class PullReport:
     files, bytes : int
         All wanted files, which are now on disk and verified.
     fetched : int
-        How many of them this pull brought.
+        How many of them this pull fetched.
     requests, transferred : int
         Requests made and bytes of answers received.
     lacking : list of str
@@ -81,10 +81,10 @@ def pull(
     *,
     catalogs: Iterable[str | os.PathLike[str]] = (),
     traffic: Traffic | None = None,
-    say: Callable[[str], object] = print,
+    report: Callable[[str], object] = print,
     **options: Any,  # noqa: ANN401  # fields of PullOptions
 ) -> PullReport:
-    """Bring frames, timestamps, GPS/IMU packets, calibration and tracklets of clips, in KITTI's layout.
+    """Fetch frames, timestamps, GPS/IMU packets, calibration and tracklets of clips, in KITTI's layout.
 
     Every file is verified by its CRC32 before it takes its name; files that are there and right are not
     fetched again. Interrupted at any moment, it continues when called again. Two calls on one folder take
@@ -97,10 +97,10 @@ def pull(
     clips : iterable of str
         Names of clips; all of the catalog by default.
     catalogs : iterable of path
-        Users' catalogs besides the built-in one.
+        Users' catalogs in addition to the built-in one.
     traffic : Traffic, optional
         Counts requests and bytes.
-    say : callable
+    report : callable
         Takes the lines of the plan and of the report.
     **options
         Fields of `PullOptions`.
@@ -113,36 +113,36 @@ def pull(
     Raises
     ------
     KT3DMoSegError
-        When something wanted could not be brought; what was brought is kept.
+        When something wanted could not be fetched; what was fetched is kept.
     """
     chosen = from_mapping(PullOptions, options)
     names = list(clips)
     wanted = catalog.select(catalog.load(*catalogs), names)
     target = TargetFolder(Path(root), frozen=chosen.dry_run)
     if chosen.verify:
-        return _verify(target, wanted if names else [], say)
-    _show_licence(target, chosen, say)
+        return _verify(target, wanted if names else [], report)
+    _show_licence(target, chosen, report)
     traffic = traffic or Traffic()
     with target.lock(), open_origin(chosen, target, traffic) as origin:
         run = _Pull(target, origin, wanted, chosen)
         for line in run.plan():
-            say(line)
+            report(line)
         if not chosen.dry_run:
-            run.bring_all()
+            run.fetch_all()
     failures = [failure for part in run.parts for failure in part.failures]
     if len(failures) == 1:
         raise failures[0]
     if failures:
-        raise InputFileError(f"{len(failures)} parts could not be brought; the first: {failures[0]}")
+        raise InputFileError(f"{len(failures)} parts could not be fetched; the first: {failures[0]}")
     run.report.requests, run.report.transferred = traffic.requests, traffic.bytes
     if not chosen.dry_run:
-        say(str(run.report))
+        report(str(run.report))
     return run.report
 
 
 @dataclass
 class _Part:
-    """Files to bring from one archive: a drive's frames, a day's calibration, a drive's tracklets.
+    """Files to fetch from one archive: a drive's frames, a day's calibration, a drive's tracklets.
 
     `files` is None when the origin has none, or sends whole zips only: then the zip is at `url` with `size`
     bytes, and what is wanted of it is chosen once it is here.
@@ -199,7 +199,7 @@ class _Part:
 
 
 class _Pull:
-    """One pull under way; opening the parts decides what to bring before anything is fetched."""
+    """A pull: opening the parts decides what is missing, before anything is fetched."""
 
     def __init__(
         self, target: TargetFolder, origin: Server | LocalFolder, clips: list[Entry], options: PullOptions
@@ -234,8 +234,8 @@ class _Pull:
         cost = sum(part.files.cost(part.missing) if part.files else part.size or 0 for part in self.parts)
         yield f"plan: {files} files{more} to {self.target.root}, {_megabytes(cost)} to transfer"
 
-    def bring_all(self) -> None:
-        """Bring what is missing, and keep a list of it."""
+    def fetch_all(self) -> None:
+        """Fetch what is missing, and keep a list of it."""
         total = sum(part.bytes(part.missing) for part in self.parts)
         self._check_space(total)
         with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
@@ -274,7 +274,7 @@ class _Pull:
             part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
 
     def _bring(self, part: _Part, bar: tqdm[Any]) -> None:
-        """Bring a part; once more, with a new directory, when it is damaged or its server ignores ranges."""
+        """Fetch a part; once more, with a new directory, when it is damaged or its server ignores ranges."""
         try:
             self._fetch(part, bar)
         except (DamagedError, ChangedError, RangesIgnoredError):
@@ -308,11 +308,11 @@ class _Pull:
             raise InputFileError(f"{root}: disk", expected=expected, found=_megabytes(free))
 
 
-def _show_licence(target: TargetFolder, options: PullOptions, say: Callable[[str], object]) -> None:
+def _show_licence(target: TargetFolder, options: PullOptions, report: Callable[[str], object]) -> None:
     path = target.state / "licence.txt"
     if path.is_file():
         return
-    say(LICENCE)
+    report(LICENCE)
     if not (options.accept_license or options.dry_run):
         raise InvalidValueError("licence", expected="your acknowledgement", fix="add --accept-license")
     if not options.dry_run:
@@ -337,7 +337,7 @@ def _locate(clip: Entry, files: FileSet, known: Entry | None) -> tuple[Entry, li
     return clip, [frames[n] for n in clip.numbers or ()]
 
 
-def _verify(target: TargetFolder, clips: list[Entry], say: Callable[[str], object]) -> PullReport:
+def _verify(target: TargetFolder, clips: list[Entry], report: Callable[[str], object]) -> PullReport:
     """Re-check files on disk: those of the drives of these clips, or all."""
     root, located = target.root, target.located()
     parts = tuple(f"{clip.drive.folder}/" for clip in clips)
@@ -346,16 +346,18 @@ def _verify(target: TargetFolder, clips: list[Entry], say: Callable[[str], objec
     wanted = {name: sums for name, sums in target.files().items() if not clips or name.startswith(parts)}
     if never or not wanted:
         what = ", ".join(never) or "nothing"
-        raise InputFileError(f"{root}: {what} was never pulled there", fix="kt3dmoseg pull brings it")
+        raise InputFileError(
+            f"{root}: {what} was not pulled to this folder", fix="fetch it with kt3dmoseg pull"
+        )
     bad = [name for name, sums in wanted.items() if not _holds(root / name, sums)]
     for name in bad:
-        say(f"{root / name}: {'damaged' if (root / name).exists() else 'missing'}")
+        report(f"{root / name}: {'damaged' if (root / name).exists() else 'missing'}")
     if bad:
         what = f"{len(bad)} of {len(wanted)} files are damaged or missing"
         raise InputFileError(f"{root}: {what}", fix="pull again")
-    report = PullReport(len(wanted), sum(size for size, _ in wanted.values()))
-    say(f"verified {report.files} files, {_megabytes(report.bytes)}")
-    return report
+    verified = PullReport(len(wanted), sum(size for size, _ in wanted.values()))
+    report(f"verified {verified.files} files, {_megabytes(verified.bytes)}")
+    return verified
 
 
 def _holds(path: Path, sums: tuple[int, int]) -> bool:

@@ -61,7 +61,7 @@ def fetch_release(
     *,
     mirror: str | None = None,
     retries: int = 2,
-    say: Callable[[str], object] = print,
+    report: Callable[[str], object] = print,
 ) -> dict[str, list[Path]]:
     """Fetch published benchmarks into ``ROOT``, in the layout that the readers know.
 
@@ -78,7 +78,7 @@ def fetch_release(
         Address of a folder that has the same files, one sub-folder per release.
     retries : int
         How often a failed download is repeated.
-    say : callable
+    report : callable
         Takes the lines of the report.
 
     Returns
@@ -100,14 +100,16 @@ def fetch_release(
             raise unknown_name("release", name, table)
         release = table[name]
         folder = Path(root) / release.folder
-        say(f"{release.title}\n  home: {release.home}\n  licence: {release.licence}\n  cite: {release.cite}")
-        say(f"  if the page is gone: {release.by_hand} ({folder})")
-        fetched[name] = _fetch(release, folder, mirror, retries, say)
+        report(
+            f"{release.title}\n  home: {release.home}\n  licence: {release.licence}\n  cite: {release.cite}"
+        )
+        report(f"  if the page is gone: {release.by_hand} ({folder})")
+        fetched[name] = _fetch(release, folder, mirror, retries, report)
     return fetched
 
 
 def _fetch(
-    release: Release, folder: Path, mirror: str | None, retries: int, say: Callable[[str], object]
+    release: Release, folder: Path, mirror: str | None, retries: int, report: Callable[[str], object]
 ) -> list[Path]:
     expected = _read_sums(folder) | release.checksums
     addresses = release.downloads()
@@ -117,10 +119,10 @@ def _fetch(
     for name in addresses:
         if name not in expected:
             expected[name] = sha256_file(folder / name)
-            say(f"  {name}: no published hash; trusted now, SHA-256 {expected[name]} from now on")
+            report(f"  {name}: no published hash; trusted now, SHA-256 {expected[name]} from now on")
         if release.wanted:
             _unpack(release, folder / name, folder, expected)
-    return _check(release, folder, expected, say)
+    return _check(release, folder, expected, report)
 
 
 def _download(
@@ -161,7 +163,7 @@ def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, s
 
 
 def _check(
-    release: Release, folder: Path, expected: Mapping[str, str], say: Callable[[str], object]
+    release: Release, folder: Path, expected: Mapping[str, str], report: Callable[[str], object]
 ) -> list[Path]:
     """Compare every file with the SHA-256 that is expected of it, and keep the new ones."""
     found = {path.relative_to(folder).as_posix(): sha256_file(path) for path in sorted(folder.rglob("*.mat"))}
@@ -180,7 +182,7 @@ def _check(
     if _read_sums(folder) != here:
         write_text(folder / _SUMS, "".join(f"{checksum}  {name}\n" for name, checksum in here.items()))
     proved = sum(name in release.checksums for name in found)
-    say(f"  {len(found)} files in {folder}; {proved} of them proved by a SHA-256 that this project knows")
+    report(f"  {len(found)} files in {folder}; {proved} of them verified by a recorded SHA-256")
     return [folder / name for name in found]
 
 

@@ -129,7 +129,7 @@ class Archive:
         return self._infos[name].CRC
 
     def cost(self, names: Iterable[str]) -> int:
-        """Bytes that `read` asks for."""
+        """Bytes that `read` requests."""
         return sum(stop - start for start, stop, _ in self._runs(names) if start < self._file.held)
 
     def read(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:

@@ -163,7 +163,7 @@ class Job:
         frames, options = self.source.frames(self.settings.build.colour), asdict(self.settings.tracks)
         try:
             dense = track(frames, self.settings.flow, cache=cache, progress=report, **options)
-        except InvalidValueError as error:  # of the frames' arrays: say whose they are
+        except InvalidValueError as error:  # of the frames' arrays: name their source
             raise InvalidValueError(f"{self.source.where}: {error}") from None
         numbers = np.arange(dense.n_frames) if info.numbers is None else np.array(info.numbers)
         evaluated, labels = self._evaluated(self._label(dense, numbers), len(dense))

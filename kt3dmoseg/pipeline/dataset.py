@@ -167,7 +167,10 @@ def _sole_writer(output: Path) -> Iterator[Path]:
 
     def refuse() -> None:
         raise InputFileError(
-            f"{output}", expected="no other build", found="one at work in this folder", fix="wait for it"
+            f"{output}",
+            expected="no other build",
+            found="another build running in this folder",
+            fix="wait for it",
         )
 
     with hold_folder(output, busy=refuse) as folder:

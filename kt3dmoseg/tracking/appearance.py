@@ -93,7 +93,7 @@ def _look(image: Float32Array, pose: FloatArray, spread: Float32Array) -> Float3
     for first in range(0, len(rows), _ROWS):
         part = slice(first, first + _ROWS)
         at = (rows[part] @ spread).reshape(-1, count, 2)
-        out[part] = cv2.remap(  # type: ignore[call-overload]  # the stubs do not know that one map may do
+        out[part] = cv2.remap(  # type: ignore[call-overload]  # the stubs lack the form with one map
             image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
     return out

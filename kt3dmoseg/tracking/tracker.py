@@ -372,7 +372,7 @@ def subsample_background(
     Raises
     ------
     InvalidValueError
-        When the fraction is not in [0, 1], or labels are given without saying which is the background.
+        When the fraction is not in [0, 1], or labels are given without the background label.
     """
     if not 0 <= fraction <= 1:
         raise InvalidValueError("fraction", expected="a number from 0 to 1", found=str(fraction))

@@ -18,7 +18,7 @@ CLIPS = ["2011_09_26_drive_0001", "2011_09_26_drive_0002"]
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder, lines = tmp_path_factory.mktemp("demo") / "out", []
-    reports = run_demo(folder, SMALL, tell=lines.append)
+    reports = run_demo(folder, SMALL, report=lines.append)
     return folder, lines, reports
 
 
@@ -150,4 +150,4 @@ def test_track_errors_are_zero_for_the_truth_and_grow_with_a_slip():
     assert np.allclose(track_errors(scene, slipped, 3), 0.5, atol=1e-6)
     assert np.isnan(track_errors(scene, complete, 6)).all()
     with pytest.raises(InputFileError):
-        run_demo("/proc/demo-out", SMALL, tell=lambda _: None)
+        run_demo("/proc/demo-out", SMALL, report=lambda _: None)

@@ -51,7 +51,7 @@ class World:
             clips or ("Hidden",),
             catalogs=[self.catalog],
             traffic=self.traffic,
-            say=self.lines.append,
+            report=self.lines.append,
             **{"mirror": self.server.url} | QUICK | options,
         )
 

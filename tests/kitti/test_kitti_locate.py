@@ -96,7 +96,7 @@ def _locate(world: World, *clips: str, **options: object) -> dict[str, catalog.E
         clips or ("Hidden",),
         catalogs=[world.catalog],
         traffic=world.traffic,
-        say=world.lines.append,
+        report=world.lines.append,
         mirror=world.server.url,
         **{k: v for k, v in QUICK.items() if k != "accept_license"} | options,
     )

@@ -17,7 +17,7 @@ from kt3dmoseg.kitti import RawDrive
 FOLDER = f"{drives.DATE}/{drives.NAME}_sync"
 
 
-def test_brings_the_clip_in_kittis_layout_and_nothing_else(world: World) -> None:
+def test_pulls_the_clip_in_kittis_layout_and_nothing_else(world: World) -> None:
     report = world.pull()
     world.check()
     drive = RawDrive(world.root, drives.DATE, 5)
@@ -85,7 +85,7 @@ def test_damaged_and_lost_files_are_replaced_and_only_those(world: World) -> Non
 
 
 def test_verify_reports_a_clip_that_was_never_pulled(world: World) -> None:
-    with pytest.raises(InputFileError, match="Hidden was never pulled"):
+    with pytest.raises(InputFileError, match="Hidden was not pulled"):
         world.pull(verify=True)
 
 

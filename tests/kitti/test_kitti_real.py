@@ -52,7 +52,7 @@ def _serve(server: FaultyServer, folder: Path, members: dict[str, bytes]) -> Non
 
 def _pull(server: FaultyServer, root: Path, **options: Any) -> Traffic:
     traffic = Traffic()
-    pull(root, [CLIP], traffic=traffic, say=len, mirror=server.url, **(QUICK | options))
+    pull(root, [CLIP], traffic=traffic, report=len, mirror=server.url, **(QUICK | options))
     return traffic
 
 
@@ -61,7 +61,7 @@ def test_clip_of_the_built_in_catalog_is_located_and_pulled_within_the_targets(
 ) -> None:
     _serve(server, tmp_path, drive)
     root = tmp_path / "root"
-    found = locate(root, [CLIP], mirror=server.url, say=len, wait=0.0)[CLIP]
+    found = locate(root, [CLIP], mirror=server.url, report=len, wait=0.0)[CLIP]
     assert found.numbers == tuple(range(FIRST, FIRST + LENGTH))
     assert server.sent <= 400_000
     traffic = _pull(server, root)
@@ -94,7 +94,7 @@ def test_three_requests_in_ten_failing_cost_less_than_1_6_times_the_bytes(
         sizes = sum(path.stat().st_size for path in root.rglob("*.png"))
         assert len(list(root.rglob("*.png"))) == LENGTH
         assert server.sent <= 1.6 * (sizes + 400_000)
-        pull(root, [CLIP], verify=True, say=len)
+        pull(root, [CLIP], verify=True, report=len)
 
 
 @pytest.mark.parametrize("kind", ["pixels", "correlation"])
@@ -114,7 +114,7 @@ def test_recoded_frames_are_still_located(
         recoded[name] = drives.encode(image, level=1)
     _serve(server, tmp_path, recoded)
     frames = str(data_root / "kt3dmoseg/frames") if kind == "correlation" else None
-    found = locate(tmp_path / "root", [CLIP], mirror=server.url, say=len, wait=0.0, frames=frames)[CLIP]
+    found = locate(tmp_path / "root", [CLIP], mirror=server.url, report=len, wait=0.0, frames=frames)[CLIP]
     assert (found.proof, found.numbers) == (kind, tuple(range(FIRST, FIRST + LENGTH)))
 
 

@@ -33,11 +33,11 @@ def small(server: FaultyServer, monkeypatch: pytest.MonkeyPatch) -> FaultyServer
 
 def test_fetches_once_and_records_the_hashes_it_had_to_trust(small: FaultyServer, tmp_path: Path) -> None:
     lines: list[str] = []
-    (paths,) = fetch_release(tmp_path, mirror=small.url, say=lines.append).values()
+    (paths,) = fetch_release(tmp_path, mirror=small.url, report=lines.append).values()
     assert {path.name: path.read_bytes() for path in paths} == FILES
     text = "\n".join(lines)
     assert text.count("trusted now") == 2
-    assert "1 of them proved" in text
+    assert "1 of them verified" in text
     for word in (
         "home: https://github.com/alex-xun-xu/MultiViewMoSeg",
         "CC BY-NC-SA 3.0",
@@ -46,7 +46,7 @@ def test_fetches_once_and_records_the_hashes_it_had_to_trust(small: FaultyServer
         assert word in text
     small.reset()
     lines.clear()
-    fetch_release(tmp_path, mirror=small.url, say=lines.append)
+    fetch_release(tmp_path, mirror=small.url, report=lines.append)
     assert small.requests == []
     assert "trusted now" not in "\n".join(lines)
 
@@ -54,21 +54,21 @@ def test_fetches_once_and_records_the_hashes_it_had_to_trust(small: FaultyServer
 def test_damaged_file_is_fetched_again_and_must_match_its_first_hash(
     small: FaultyServer, tmp_path: Path
 ) -> None:
-    fetch_release(tmp_path, mirror=small.url, say=len)
+    fetch_release(tmp_path, mirror=small.url, report=len)
     path = tmp_path / "kt3dmoseg/release/S1_Tracks.mat"
     path.write_bytes(b"damaged")
-    fetch_release(tmp_path, mirror=small.url, say=len)
+    fetch_release(tmp_path, mirror=small.url, report=len)
     assert path.read_bytes() == FILES["S1_Tracks.mat"]
     path.write_bytes(b"damaged")
     small.files["kt3dmoseg/S1_Tracks.mat"] = b"something else now"
     with pytest.raises(FileFormatError, match=r"S1_Tracks\.mat: expected SHA-256"):
-        fetch_release(tmp_path, mirror=small.url, retries=0, say=len)
+        fetch_release(tmp_path, mirror=small.url, retries=0, report=len)
 
 
 def test_wrong_content_of_a_known_file_is_refused(small: FaultyServer, tmp_path: Path) -> None:
     small.files["kt3dmoseg/S0_Tracks.mat"] = b"forged"
     with pytest.raises(FileFormatError, match=r"S0_Tracks\.mat: expected SHA-256"):
-        fetch_release(tmp_path, mirror=small.url, retries=0, say=len)
+        fetch_release(tmp_path, mirror=small.url, retries=0, report=len)
     assert not list(tmp_path.rglob("*.mat"))
 
 
@@ -77,7 +77,7 @@ def test_page_that_is_gone_gives_what_to_do_by_hand(
 ) -> None:
     small.files.clear()
     with pytest.raises(InputFileError, match="status 404; by hand: git clone"):
-        fetch_release(tmp_path, mirror=small.url, retries=0, say=len)
+        fetch_release(tmp_path, mirror=small.url, retries=0, report=len)
     assert cli.main(["fetch-release", "-o", str(tmp_path), "mtpv62"]) == 2
     captured = capsys.readouterr()
     assert "no address is known" in captured.err
@@ -88,10 +88,10 @@ def test_files_put_there_by_hand_are_checked(small: FaultyServer, tmp_path: Path
     folder = tmp_path / "mtpv62"
     folder.mkdir()
     (folder / "MTPV_data_Boat_Tracks.mat").write_bytes(b"x")
-    fetch_release(tmp_path, ["mtpv62"], say=len)
+    fetch_release(tmp_path, ["mtpv62"], report=len)
     (folder / "MTPV_data_Boat_Tracks.mat").write_bytes(b"y")
     with pytest.raises(FileFormatError, match="Boat"):
-        fetch_release(tmp_path, ["mtpv62"], say=len)
+        fetch_release(tmp_path, ["mtpv62"], report=len)
 
 
 def test_zip_is_unpacked_to_the_layout_of_the_readers(small: FaultyServer, tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_zip_is_unpacked_to_the_layout_of_the_readers(small: FaultyServer, tmp_p
     members |= {"Hopkins155/cars2/cars2_truth.mat": b"2", "Hopkins155/cars2/other_truth.mat": b"no"}
     path = drives.write_zip(tmp_path / "h.zip", members)
     small.files["hopkins155/Hopkins155.zip"] = path.read_bytes()
-    fetch_release(tmp_path, ["hopkins155"], mirror=small.url, say=len)
+    fetch_release(tmp_path, ["hopkins155"], mirror=small.url, report=len)
     found = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.mat")}
     assert found == {"hopkins155/cars1/cars1_truth.mat", "hopkins155/cars2/cars2_truth.mat"}
 

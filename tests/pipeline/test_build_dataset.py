@@ -332,7 +332,7 @@ def test_a_full_disk(frames, tmp_path):
 
 
 def test_two_builds_do_not_share_a_folder(frames, tmp_path):
-    with dataset._sole_writer(tmp_path / "out"), pytest.raises(InputFileError, match="one at work"):
+    with dataset._sole_writer(tmp_path / "out"), pytest.raises(InputFileError, match="another build running"):
         build(frames, tmp_path / "out")
 
 

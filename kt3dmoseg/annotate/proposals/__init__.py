@@ -50,7 +50,7 @@ class Request:
     clip : str
         Name of the clip.
     annotation : Annotation
-        The annotation so far; it also knows frames and image size.
+        The annotation so far; with its frames and image size.
     trajectories : Trajectories
         Of the whole clip.
     frames : tuple of Path

@@ -2,7 +2,7 @@
 
 A page of another site can make the user's browser send requests to 127.0.0.1, directly (Origin shows it)
 or through a name that it lets point there (DNS rebinding; Host shows it). Both are refused. Bound to
-another address than loopback, the server also wants a token.
+another address than loopback, the server also requires a token.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Guard:
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
         if self._matches(bearer) or self._matches(request.cookies.get(cookie, "")):
             return None
-        return _refuse(401, "this server wants the token that it printed when it started")
+        return _refuse(401, "expected the token that the server printed when it started")
 
     def _matches(self, given: str) -> bool:
         return bool(given) and hmac.compare_digest(given.encode(), self.token.encode())

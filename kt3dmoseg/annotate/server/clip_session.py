@@ -1,4 +1,4 @@
-"""What the server knows of each clip: frames, trajectories once they are there, labelling, progress."""
+"""The state of each clip on the server: frames, trajectories once they are there, labelling, progress."""
 
 from __future__ import annotations
 

@@ -2,11 +2,11 @@
 
 import * as annotation from "./annotation.js";
 import { clamp, distance, inside, rounded, simplify } from "./geometry.js";
-import { chosen, edit, cancel, say, select, selectedObject, set, state } from "./state.js";
+import { chosen, edit, cancel, notify, select, selectedObject, set, state } from "./state.js";
 import { rowsWhere } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
-// Blended outlines have more points than a person wants to drag.
+// Blended outlines have more points than anyone should drag.
 const TOLERANCE = 0.4;
 
 /** The region of an object in a frame, as it is drawn. */
@@ -43,7 +43,7 @@ export const redraw = (mode) => chosen() && setTool("draw", mode);
 /** End the outline being drawn: a new object, the region of one, or a lasso. */
 export function finish() {
   const { pending, tool, frame } = state;
-  if (!pending || pending.points.length < 3) return say("An outline needs at least three points");
+  if (!pending || pending.points.length < 3) return notify("An outline needs at least three points");
   const tolerance = pending.freehand ? 0.8 / Math.sqrt(state.view.scale) : 0;
   const polygon = rounded(tolerance ? simplify(pending.points, tolerance) : pending.points);
   if (tool === "lasso") return catchTracks(polygon);
@@ -54,7 +54,7 @@ export function finish() {
   } else draw(pending.mode === "part" ? [...regionHere().polygons, polygon] : [polygon]);
   setTool("select");
   set({ selected });
-  if (pending.mode === "object") say("Press 1 to 9 for its motion, x to reject; name it on the right");
+  if (pending.mode === "object") notify("Press 1 to 9 for its motion, x to reject; name it on the right");
 }
 
 function catchTracks(polygon) {
@@ -62,7 +62,7 @@ function catchTracks(polygon) {
   const rows = rowsWhere(frame, (point) => inside(point, polygon));
   setTool("select");
   set({ lassoed: { frame, polygon, rows } });
-  say(`${rows.length} trajectories: press 1 to 9, 0 for background, x to reject, Esc to let go`);
+  notify(`${rows.length} trajectories: press 1 to 9, 0 for background, x to reject, Esc to let go`);
 }
 
 export function addPoint(point) {
@@ -97,7 +97,7 @@ export function escape() {
 
 export function cycleObject(by) {
   const ids = state.doc.objects.map((item) => item.id);
-  if (!ids.length) return say("No objects yet: press N and click around one");
+  if (!ids.length) return notify("No objects yet: press N and click around one");
   const at = ids.indexOf(state.selected);
   select(ids[(at + by + ids.length + (at < 0 && by < 0 ? 1 : 0)) % ids.length]);
 }
@@ -116,7 +116,7 @@ export function setMotion(motion) {
     const mark = { frame: lassoed.frame, motion, polygon: lassoed.polygon };
     edit({ ...state.doc, marks: [...(state.doc.marks ?? []), mark] });
     set({ lassoed: null });
-    say(`${lassoed.rows.length} trajectories marked`);
+    notify(`${lassoed.rows.length} trajectories marked`);
     return;
   }
   const item = chosen();
@@ -133,9 +133,9 @@ export function copyToNext() {
   const item = chosen();
   const next = state.frame + 1;
   if (!item || next >= state.clip.n_frames) return;
-  if (!state.regions) say("No trajectories yet: copied without motion");
+  if (!state.regions) notify("No trajectories yet: copied without motion");
   const region = editableRegion(item, next);
-  if (region.visibility !== "visible" || !region.polygons.length) return say("It is not visible there");
+  if (region.visibility !== "visible" || !region.polygons.length) return notify("It is not visible there");
   if (!region.key) edit(withKey(state.doc, next, region.polygons));
   goTo(next);
 }
@@ -145,7 +145,7 @@ export function setVisibility(visibility) {
   if (!item) return;
   let { polygons } = regionHere();
   if (!polygons.length) polygons = nearestPolygons(item);
-  if (visibility === "visible" && !polygons.length) return say("Draw it here first: press R");
+  if (visibility === "visible" && !polygons.length) return notify("Draw it here first: press R");
   draw(visibility === "outside" ? [] : polygons, visibility);
 }
 
@@ -164,7 +164,7 @@ export function enterHere() {
   if (!chosen()) return;
   const { doc, frame } = state;
   const { polygons, visibility } = regionHere();
-  if (visibility !== "visible") return say("It is not visible here");
+  if (visibility !== "visible") return notify("It is not visible here");
   const drawn = withKey(doc, frame, polygons);
   edit(frame ? withKey(drawn, frame - 1, [], "outside") : drawn);
 }
@@ -177,7 +177,7 @@ export function deleteHere() {
   const after = frame + 1 < clip.n_frames ? regionOf(item, frame + 1) : { visibility: "outside" };
   const back = after.visibility !== "outside" && !after.key;
   edit(withKey(back ? withKey(doc, frame + 1, after.polygons, after.visibility) : doc, frame, [], "outside"));
-  say(`${item.name} is not in this frame; Shift+Delete removes it from the whole clip`);
+  notify(`${item.name} is not in this frame; Shift+Delete removes it from the whole clip`);
 }
 
 export function deleteObject() {
@@ -185,13 +185,13 @@ export function deleteObject() {
   if (!item) return;
   edit({ ...state.doc, objects: state.doc.objects.filter((other) => other !== item) });
   set({ selected: null, vertex: null });
-  say(`${item.name} deleted from the whole clip; Ctrl+Z brings it back`);
+  notify(`${item.name} deleted from the whole clip; Ctrl+Z restores it`);
 }
 
 export function forgetKey() {
   const item = chosen();
   if (!item || !annotation.keyAt(item, state.frame)) return;
-  if (item.key_frames.length === 1) return say("This is its only key frame; Shift+Delete deletes the object");
+  if (item.key_frames.length === 1) return notify("This is its only key frame; Shift+Delete deletes the object");
   update(item, { key_frames: item.key_frames.filter((key) => key.frame !== state.frame) });
 }
 
@@ -221,7 +221,7 @@ export function nudge(dx, dy) {
 
 export function insertVertex() {
   const { vertex } = state;
-  if (!chosen() || !vertex) return say("Choose a point first: press V");
+  if (!chosen() || !vertex) return notify("Choose a point first: press V");
   const { part, index } = vertex;
   const { polygons } = regionHere();
   const [a, b] = [polygons[part][index], polygons[part][(index + 1) % polygons[part].length]];
@@ -231,9 +231,9 @@ export function insertVertex() {
 }
 
 export function deleteVertex(which = state.vertex) {
-  if (!chosen() || !which) return say("Choose a point first: press V");
+  if (!chosen() || !which) return notify("Choose a point first: press V");
   const changed = annotation.removePoint(regionHere().polygons, which.part, which.index);
-  if (!changed.length) return say("An outline needs three points; Delete takes the object out of this frame");
+  if (!changed.length) return notify("An outline needs three points; Delete takes the object out of this frame");
   draw(changed);
   set({ vertex: null });
 }

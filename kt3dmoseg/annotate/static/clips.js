@@ -3,14 +3,14 @@
 import * as api from "./api.js";
 import { button, byId, close, element, faint, fill, open, row, table } from "./dom.js";
 import { flush, saver, startFrom } from "./saving.js";
-import { begin, on, say, set, state } from "./state.js";
+import { begin, on, notify, set, state } from "./state.js";
 import { loadTracks } from "./tracks.js";
 import { fit, stop } from "./view.js";
 
 const POLL = 500;
 const HEADS = ["clip", "frames", "objects", "motions", "labelled", "", "saved", "by"];
 
-/** Open a clip, or say why not. */
+/** Open a clip, or report why it cannot be opened. */
 export async function openClip(name, remember = true) {
   try {
     await show(name, remember);
@@ -37,7 +37,7 @@ export async function openNext(by) {
   const names = (await api.listClips()).map((clip) => clip.name);
   const next = names[names.indexOf(state.clip.name) + by];
   if (next) await openClip(next);
-  else say(by > 0 ? "This is the last clip" : "This is the first clip");
+  else notify(by > 0 ? "This is the last clip" : "This is the first clip");
 }
 
 // Progress
@@ -82,7 +82,7 @@ async function refresh() {
     set({ summaries: await api.listClips() });
     if (state.summaries.some((summary) => summary.counting)) timer = setTimeout(refresh, POLL);
   } catch {
-    // The server is away: the next save asks again.
+    // The server is away: the next save retries.
   }
 }
 

@@ -3,7 +3,7 @@
 import * as api from "./api.js";
 import { merge } from "./annotation.js";
 import { ask, button, byId, close, element, faint, line, row } from "./dom.js";
-import { edit, now, on, say, set, state } from "./state.js";
+import { edit, now, on, notify, set, state } from "./state.js";
 
 const SOON = 350;
 const RETRY = [1000, 2000, 4000, 8000];
@@ -30,14 +30,14 @@ let timer = 0;
 let sending = null;
 let failures = 0;
 
-/** Start from what the server has, and bring back edits that did not reach it before the page was closed. */
+/** Start from what the server has, and restore edits that did not reach it before the page was closed. */
 export async function startFrom(clip, doc) {
   clearTimeout(timer);
   Object.assign(saver, { clip, base: doc, revision: doc.revision });
   show("saved");
   for (const draft of await recover(clip)) {
     edit(draft.base.revision === doc.revision ? draft.doc : merge(draft.base, draft.doc, state.doc));
-    say("Edits from before, which had not reached the server, are back");
+    notify("Edits that had not reached the server are restored");
   }
 }
 
@@ -119,7 +119,7 @@ function settleConflict() {
     element("table", {},
       line([first, "objects changed on one side come from there; changed on both, you get both"]),
       line([button("Keep mine", () => settle({ ...mine })), "what you see now replaces the other revision"]),
-      line([button("Take theirs", () => settle(theirs)), "the other revision; Ctrl+Z brings yours back"])),
+      line([button("Take theirs", () => settle(theirs)), "the other revision; Ctrl+Z restores yours"])),
     row(faint("Each is one edit: Ctrl+Z undoes it.")));
   first.focus();
 }

@@ -87,25 +87,25 @@ function travel(source, target, nothing) {
   if (source.length && !state.dragging) {
     target.push(state.doc);
     set({ doc: source.pop() });
-  } else say(nothing);
+  } else notify(nothing);
   set({ vertex: null });
   if (!selectedObject()) set({ selected: null });
 }
 
 let hintTimer = 0;
 
-export function say(hint) {
+export function notify(hint) {
   set({ hint });
   clearTimeout(hintTimer);
   hintTimer = setTimeout(() => set({ hint: "" }), 4000);
 }
 
-/** Run an action; one that fails, for instance because the server is away, says so. */
+/** Run an action; a failure, for instance because the server is away, becomes a hint. */
 export async function attempt(action) {
   try {
     await action();
   } catch (error) {
-    say(error.message);
+    notify(error.message);
   }
 }
 
@@ -114,7 +114,7 @@ export const selectedObject = () => state.doc && objectOf(state.doc, state.selec
 /** The selected object, or a hint that there is none. */
 export function chosen() {
   const item = selectedObject();
-  if (!item) say("Select an object first: click it, or press ]");
+  if (!item) notify("Select an object first: click it, or press ]");
   return item;
 }
 

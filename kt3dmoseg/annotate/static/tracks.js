@@ -4,7 +4,7 @@
 import * as api from "./api.js";
 import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
 import { clamp } from "./geometry.js";
-import { now, on, say, set, state } from "./state.js";
+import { now, on, notify, set, state } from "./state.js";
 import { goTo, showPoint, toScreen } from "./view.js";
 
 const SOON = 40;
@@ -86,13 +86,13 @@ let problem = -1;
 export function nextProblem() {
   const { labels } = state;
   const rows = labels ? [...labels.reason.keys()].filter((row) => [2, 3].includes(labels.reason[row])) : [];
-  if (!rows.length) return say("No trajectory is unlabelled or in conflict");
+  if (!rows.length) return notify("No trajectory is unlabelled or in conflict");
   problem = (problem + 1) % rows.length;
   const row = rows[problem];
   const frames = framesOf(row);
   showTrack(row, frames[Math.floor(frames.length / 2)]);
   const reason = labels.reason[row] === 3 ? "in conflict" : "too short to label";
-  say(`trajectory ${row} is ${reason} (${problem + 1} of ${rows.length}); lasso it with Q`);
+  notify(`trajectory ${row} is ${reason} (${problem + 1} of ${rows.length}); lasso it with Q`);
 }
 
 const canvas = byId("tracks");

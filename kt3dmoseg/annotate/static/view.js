@@ -5,7 +5,7 @@ import { regionIn } from "./annotation.js";
 import { frameAddress } from "./api.js";
 import { begin, byId } from "./dom.js";
 import { boundsOf, clamp } from "./geometry.js";
-import { chosen, on, say, set, state } from "./state.js";
+import { chosen, on, notify, set, state } from "./state.js";
 
 // Frames after the shown one that are fetched ahead.
 const AHEAD = 40;
@@ -98,7 +98,7 @@ export function fitObject() {
   if (!item) return;
   const box = boundsOf(regionIn(item, state.frame, state.regions).polygons);
   if (box) showBox(box);
-  else say(`${item.name} is not in this frame`);
+  else notify(`${item.name} is not in this frame`);
 }
 
 /** Zoom by a factor; what is under the screen point stays there. */
@@ -129,7 +129,7 @@ export function cycleColouring() {
   const order = ["label", "length", "none"];
   const colouring = order[(order.indexOf(state.colouring) + 1) % order.length];
   set({ colouring });
-  say({ label: "Trajectories by label", length: "Trajectories by length", none: "No trajectories" }[colouring]);
+  notify({ label: "Trajectories by label", length: "Trajectories by length", none: "No trajectories" }[colouring]);
 }
 
 // The picture: frames are loaded once, the shown one first, then its neighbours
