@@ -90,15 +90,20 @@ catalog = group("catalog", "List the clips, check catalogs, add clips of your ow
 def list_clips(*, catalogs: Catalogs = ()) -> None:
     """Print the clips."""
     from kt3dmoseg.catalog import format_numbers, load
+    from kt3dmoseg.tables import text_table
 
-    clips = load(*catalogs)
-    width = max(map(len, clips), default=4)
-    print(f"{'clip':<{width}}  {'drive':<21}  camera  frames  size       numbers")
-    for clip in clips.values():
-        size = "x".join(map(str, clip.size)) if clip.size else "unknown"
-        numbers = format_numbers(clip.numbers) if clip.numbers else "to be located"
-        columns = f"{clip.name:<{width}}  {clip.drive.name:<21}  {clip.camera:>6}  {clip.length:>6}"
-        print(f"{columns}  {size:<9}  {numbers}")
+    rows = [
+        [
+            clip.name,
+            clip.drive.name,
+            f"{clip.camera}",
+            f"{clip.length}",
+            "x".join(map(str, clip.size)) if clip.size else "unknown",
+            format_numbers(clip.numbers) if clip.numbers else "to be located",
+        ]
+        for clip in load(*catalogs).values()
+    ]
+    print(text_table(rows, ["clip", "drive", "camera", "frames", "size", "numbers"]))
 
 
 @catalog.command

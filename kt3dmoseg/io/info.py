@@ -17,6 +17,7 @@ from kt3dmoseg.io.formats import check_regular, clip_files, dataset_paths, load,
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures
 from kt3dmoseg.io.npz import npz_shapes
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
+from kt3dmoseg.tables import text_table
 from kt3dmoseg.types import Trajectories
 
 _PICTURE_LIMIT = 1 << 28
@@ -52,7 +53,7 @@ def info(path: str | os.PathLike[str]) -> str:
             return _clips_text(facts["clips"])
         case "frames":
             header = ["frames of", "frames", "numbers", "size", "first picture", ""]
-            return table([_frames_row(row) for row in facts["folders"]], header)
+            return text_table([_frames_row(row) for row in facts["folders"]], header)
         case "video":
             return f"{name}: a video of {facts['frames']} frames, {_size(facts['image_size'])}"
         case "picture":
@@ -79,20 +80,6 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         facts = _picture(target)
         return _flow(target) if facts["pixels"] == "16-bit 3 channels" else facts
     return _video(target) if target.suffix.lower() in VIDEO_SUFFIXES else _clip(target)
-
-
-def table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
-    """Lay out cells in columns: the first to the left, numbers to the right.
-
-    >>> print(table([["a", "1"], ["bc", "10"]], ["clip", "n"]))
-    clip   n
-    a      1
-    bc    10
-    """
-    cells = [header, *rows]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
-    lines = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in cells)
-    return "\n".join("  ".join(line).rstrip() for line in lines)
 
 
 def _clip(path: Path) -> dict[str, Any]:
@@ -210,7 +197,7 @@ def _clip_text(facts: Mapping[str, Any]) -> str:
     for key, value in facts["provenance"].items():
         inner = value if isinstance(value, Mapping) and value else {"": value}
         origin |= {f"provenance {key} {name}".rstrip(): _value_text(part) for name, part in inner.items()}
-    motions = table(shares, ["motion", "trajectories", "share"]) if facts["n_motions"] else ""
+    motions = text_table(shares, ["motion", "trajectories", "share"]) if facts["n_motions"] else ""
     return "\n\n".join(part for part in (_wrapped(rows), motions, _wrapped(origin)) if part)
 
 
@@ -224,7 +211,7 @@ def _clips_text(clips: Sequence[Mapping[str, Any]]) -> str:
         rows.append([clip["clip"], *map(str, counts), str(clip["n_motions"]), motions, missing, size])
     rows.append([f"{len(clips)} clips", *map(str, totals), "", "", "", ""])
     header = ["clip", "frames", "dense", "evaluated", "motions", "per motion", "missing", "image size"]
-    return table(rows, header)
+    return text_table(rows, header)
 
 
 def _frames_row(row: Mapping[str, Any]) -> list[str]:

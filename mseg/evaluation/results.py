@@ -1,4 +1,4 @@
-"""The one results table: scores, comparisons, benchmark runs and leaderboards, laid out on pandas.
+"""The one results table: scores, comparisons, benchmark runs and leaderboards, as text or data.
 
 Cells are texts, rounded as they are printed; figures to compute with are in `ScoreTable`.
 """
@@ -7,15 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
+from kt3dmoseg.tables import text_table
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import Group, Protocol, share
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import standard_deviation
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAIN_METRICS = ("error", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f")
 ABSENT = "-"
@@ -33,20 +37,13 @@ class ResultsTable:
     @property
     def frame(self) -> pd.DataFrame:
         """The cells as a data frame of texts."""
+        import pandas as pd
+
         return pd.DataFrame(list(self.rows), columns=list(self.columns), dtype=object)
 
     def text(self) -> str:
         """Lay out for a terminal."""
-        lines = ["  ".join(self.columns)]
-        if self.rows:
-            # As the index, named by the columns, the first column is set left; two blanks part columns.
-            frame = self.frame.iloc[:, 1:]
-            frame.index = pd.Index([row[0] for row in self.rows])
-            frame.columns.name = self.columns[0]
-            widths = [max(map(len, cells)) for cells in zip(self.columns, *self.rows, strict=True)]
-            text = frame.to_string(col_space=[1 + width for width in widths[1:]])
-            lines = [line.rstrip() for line in text.splitlines()]
-        return "\n".join([self.title, "", *lines, *self.notes])
+        return "\n".join([self.title, "", text_table(self.rows, self.columns), *self.notes])
 
     def markdown(self) -> str:
         """Lay out as a Markdown table."""
@@ -203,6 +200,8 @@ def all_means(scores: ScoreTable) -> ResultsTable:
 
 def davis_files(scores: ScoreTable) -> dict[str, str]:
     """Name and content of the two files that DAVIS scripts look for: fractions, one row per clip."""
+    import pandas as pd
+
     frame = pd.DataFrame({f"{m}-Mean": scores.per_clip(m) for m in scores.metrics}, index=scores.names)
     means = pd.DataFrame({f"{m}-Mean": [scores[m]] for m in scores.metrics})
     form = "%.6f"
