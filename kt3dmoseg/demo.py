@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -107,6 +108,18 @@ class _Demo:
     def result(self, line: str) -> None:
         self.print_line(f"      {line}")
 
+    @contextmanager
+    def progress(self, unit: str) -> Iterator[Callable[..., None]]:
+        """Give a function to be called after each unit of work; on a terminal it moves a bar."""
+        from tqdm import tqdm
+
+        with tqdm(unit=unit, leave=False, disable=None) as bar:
+
+            def done(*_: object) -> None:
+                bar.update()
+
+            yield done
+
     def claim_folder(self) -> None:
         """Make sure that nothing but a former demo is replaced."""
         from kt3dmoseg.files import write_text
@@ -134,7 +147,8 @@ class _Demo:
         for number in range(_DRIVES):
             seed = chosen.seed * _DRIVES + number
             scene = make_scene(SceneOptions(**size, objects=2 + number % 2, seed=seed))
-            folder = write_drive(scene, root, drive=number + 1)
+            with self.progress("frame") as done:
+                folder = write_drive(scene, root, drive=number + 1, progress=done)
             vehicles = ", ".join(v.name for v in scene.vehicles)
             self.result(f"{folder.relative_to(self.folder)}: {scene.n_frames} frames; moving: {vehicles}")
             scenes[folder.name.removesuffix("_sync")] = scene
@@ -156,8 +170,15 @@ class _Demo:
             "Track points through the frames, label the trajectories, write the dataset",
             f"kt3dmoseg build --frames {self.kitti} --annotations {self.annotations} -o {self.dataset}",
         )
-        sources = find_sources(self.kitti)
-        for outcome in build_dataset(sources, self.dataset, annotations=self.annotations, workers=1):
+        with self.progress("frame") as done:
+            outcomes = build_dataset(
+                find_sources(self.kitti),
+                self.dataset,
+                annotations=self.annotations,
+                workers=1,
+                progress=done,
+            )
+        for outcome in outcomes:
             if outcome.status == "failed":
                 raise InputFileError(f"{outcome.path}: {outcome.reason}")
             counts = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
@@ -178,7 +199,9 @@ class _Demo:
         seeds = range(self.options.seed, self.options.seed + runs)
         for method in self.options.methods:
             begin = time.perf_counter()
-            written[method] = predict(self.dataset, submissions / method, method, seeds=seeds)
+            folder = submissions / method
+            with self.progress("run") as done:
+                written[method] = predict(self.dataset, folder, method, seeds=seeds, progress=done)
             self.result(f"{method}: {runs} runs in {time.perf_counter() - begin:.1f} s")
         return written
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -43,6 +44,7 @@ def write_drive(
     date: str = "2011_09_26",
     drive: int = 1,
     replace: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render a scene into a drive of KITTI raw: camera 0, timestamps, poses, calibration and tracklets.
 
@@ -61,6 +63,8 @@ def write_drive(
         0 to 9999.
     replace : bool
         Whether a drive of that name may be replaced.
+    progress : callable, optional
+        Called after each frame with frames written and frames in all.
 
     Returns
     -------
@@ -90,7 +94,7 @@ def write_drive(
         fix = "choose a folder you may write"
         raise InputFileError(f"{target}: {error.strerror or error}", fix=fix) from error
     try:
-        _write_files(scene, work / "new", start)
+        _write_files(scene, work / "new", start, progress)
         _write_calibration(scene, target.parent, start)
         if target.exists():
             os.replace(target, work / "old")
@@ -100,11 +104,15 @@ def write_drive(
     return target
 
 
-def _write_files(scene: Scene, folder: Path, start: datetime) -> None:
+def _write_files(
+    scene: Scene, folder: Path, start: datetime, progress: Callable[[int, int], None] | None
+) -> None:
     for frame in range(scene.n_frames):
         png = bytes(cv2.imencode(".png", scene.frame(frame))[1])
         write_bytes(folder / "image_00" / "data" / f"{frame:010d}.png", png)
         write_text(folder / "oxts" / "data" / f"{frame:010d}.txt", _oxts_line(scene, frame))
+        if progress:
+            progress(frame + 1, scene.n_frames)
     times = [start + timedelta(seconds=frame / FRAMES_PER_SECOND) for frame in range(scene.n_frames)]
     for sensor in ("image_00", "oxts"):
         lines = [f"{time:%Y-%m-%d %H:%M:%S.%f}000\n" for time in times]
