@@ -44,7 +44,7 @@ _EXTRAS = {
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 
-def _whole(_: type, tokens: Sequence[cyclopts.Token]) -> int:
+def _parse_integer(_: type, tokens: Sequence[cyclopts.Token]) -> int:
     if not tokens[0].value.removeprefix("-").isdecimal():  # cyclopts would round 1.5
         raise ValueError(f"expected a whole number, found {tokens[0].value!r}")
     return int(tokens[0].value)
@@ -59,7 +59,7 @@ def _positive(_: type, tokens: Sequence[cyclopts.Token]) -> int:
 # Types of arguments, with the names of their values in help.
 Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 Positive = Annotated[int, Parameter(converter=_positive, metavar="N")]
-Whole = Annotated[int, Parameter(converter=_whole, metavar="N")]
+Whole = Annotated[int, Parameter(converter=_parse_integer, metavar="N")]
 Name = Annotated[str, Parameter(metavar="NAME")]
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
 File = Annotated[Path, Parameter(metavar="FILE")]

@@ -263,7 +263,7 @@ def _against_truth(clip: Clip, scene: Scene) -> list[str]:
 
 
 def annotation_of(scene: Scene, clip: str) -> Annotation:
-    """Annotate a scene from its own knowledge of the vehicles' outlines, on every third frame."""
+    """Annotate a scene with the exact outlines of its vehicles, on every third frame."""
     from kt3dmoseg.annotate import AnnotatedObject, Annotation
 
     keys = sorted({*range(0, scene.n_frames, _KEY_EVERY), scene.n_frames - 1})

@@ -52,7 +52,7 @@ def option(
 class Preset:
     """Values of several options under one name.
 
-    A dataclass offers presets in a class attribute `presets`, by name. Where one is asked for, its values
+    A dataclass offers presets in a class attribute `presets`, by name. Where one is chosen, its values
     replace the defaults; an option that is given by itself wins. Only the values are stored, not the preset.
 
     Parameters

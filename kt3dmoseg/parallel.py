@@ -227,7 +227,7 @@ def _inherited() -> Iterator[None]:
 
 
 def _ignore(*_: object) -> None:
-    """Take progress that nobody asked for."""
+    """Ignore progress: the default without a callback."""
 
 
 def _on_cluster(

@@ -20,9 +20,9 @@ settings.load_profile("kt3dmoseg")
 
 @pytest.fixture(scope="session")
 def data_root() -> Path:
-    """The real data: KT3DMOSEG_DATA, or ../shared/data beside the checkout.
+    """The real data: KT3DMOSEG_DATA, or ../shared/data next to the checkout.
 
-    A test that needs it is skipped only where there is none and nobody said that there is one.
+    A test that needs it is skipped only where there is none and the environment names none.
     """
     named = os.environ.get("KT3DMOSEG_DATA")
     root = Path(named) if named else _HERE.parent.parent / "shared" / "data"

@@ -1,4 +1,4 @@
-"""RAFT from torchvision: an adapter, imported only when it is asked for."""
+"""RAFT from torchvision: an adapter, imported on demand."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def _parse(path: str | os.PathLike[str]) -> tuple[FloatArray, int, IntArray]:
         raise FileFormatError(where, expected="finite numbers of at most 32 digits", found="another token")
     if len(numbers) < 2:
         raise FileFormatError(where, expected=_LAYOUT, found=f"{len(numbers)} numbers; the file is truncated")
-    frames, count = (_whole(numbers[i], where, what) for i, what in enumerate(("nFrames", "nTracks")))
+    frames, count = (_integer(numbers[i], where, what) for i, what in enumerate(("nFrames", "nTracks")))
     most = (len(numbers) - 2) // 2
     if count > most:
         raise FileFormatError(f"{where}: nTracks", expected=f"at most {most} in this file", found=f"{count}")
@@ -80,8 +80,8 @@ def _tracks(numbers: FloatArray, count: int, where: str) -> IntArray:
     for row in range(count):
         if at + 2 > len(numbers):
             raise FileFormatError(f"{where}: track {row}", expected="label and length", found=_END)
-        label = _whole(numbers[at], where, f"label of track {row}", low=-1)
-        length = _whole(numbers[at + 1], where, f"length of track {row}")
+        label = _integer(numbers[at], where, f"label of track {row}", low=-1)
+        length = _integer(numbers[at + 1], where, f"length of track {row}")
         tracks[row] = label, at + 2, length
         at += 2 + 3 * length
         if at > len(numbers):
@@ -109,7 +109,7 @@ def _fill(numbers: FloatArray, tracks: IntArray, frames: int, where: str) -> tup
     return xy, visible
 
 
-def _whole(value: float, where: str, what: str, low: int = 0) -> int:
+def _integer(value: float, where: str, what: str, low: int = 0) -> int:
     if value != np.floor(value) or not low <= value < 1 << 40:
         expected, fix = f"a whole number >= {low}", f"the layout is {_LAYOUT}"
         raise FileFormatError(f"{where}: {what}", expected=expected, found=f"{value:g}", fix=fix)

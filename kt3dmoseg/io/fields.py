@@ -51,7 +51,7 @@ class Fields:
             raise self.error(name, wanted or "one value", " x ".join(map(str, value.shape)) or "one value")
         return full
 
-    def whole(self, name: str, shape: tuple[int | None, ...] | None, low: int, high: int) -> IntArray:
+    def integers(self, name: str, shape: tuple[int | None, ...] | None, low: int, high: int) -> IntArray:
         """Return whole numbers within bounds, as a vector."""
         values = self.array(name, shape).astype(np.float64).ravel()
         good = np.isfinite(values) & (values >= low) & (values <= high)

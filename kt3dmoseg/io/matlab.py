@@ -77,19 +77,19 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
 def _release(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
     fields = Fields(f"{os.fspath(path)}: Data.", data)
     n, frames = fields.array("ySparse", (3, None, None)).shape[1:]
-    label = fields.whole("GtLabel", (n, 1), 0, 1 << 31)
+    label = fields.integers("GtLabel", (n, 1), 0, 1 << 31)
     sparse, sparse_visible = _points(fields, "ySparse", "visibleSparse")
     dense, visible, rows = sparse, sparse_visible, np.arange(n)
     if released := "yAll" in fields:
         count = fields.array("yAll", (3, None, frames)).shape[1]
         dense, visible = _points(fields, "yAll", "visibleAll")
-        rows = fields.whole("SparseIndex", (n, 1), 1, count) - 1
+        rows = fields.integers("SparseIndex", (n, 1), 1, count) - 1
         if not np.array_equal(dense[rows], sparse, equal_nan=True):
             raise fields.error("ySparse", "the rows SparseIndex of yAll", "other coordinates")
         if len(np.unique(rows)) != n:
             raise fields.error("SparseIndex", "rows each given once", "a row given twice")
     for name, actual in (("nFrames", frames), ("nSparsePoints", n), ("nAllPoints", len(dense))):
-        if name in fields and (stated := fields.whole(name, (1, 1), 0, 1 << 31)[0]) != actual:
+        if name in fields and (stated := fields.integers(name, (1, 1), 0, 1 << 31)[0]) != actual:
             raise fields.error(name, f"{actual}, as the arrays hold", str(stated))
     provenance = origin(path, "mat-2018") | {"fields": list(data)}
     if isinstance(data.get("Name"), str):
@@ -114,7 +114,7 @@ def _hopkins(path: str | os.PathLike[str], variables: Mapping[str, Any]) -> Clip
     image_size = (fields.array("width").item(), fields.array("height").item())
     dense = Trajectories(xy, visible, image_size=image_size)
     camera = Camera(K=fields.array("K").reshape(3, 3))
-    return clip_of_tracks(path, "hopkins155", dense, fields.whole("s", None, 0, 999), camera)
+    return clip_of_tracks(path, "hopkins155", dense, fields.integers("s", None, 0, 999), camera)
 
 
 def _points(fields: Fields, name: str, mask: str) -> tuple[FloatArray, BoolArray]:

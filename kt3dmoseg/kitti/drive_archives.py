@@ -33,7 +33,7 @@ class Packed(NamedTuple):
     """What KITTI packs into one zip: its address below raw_data, and where the files are when extracted.
 
     `probe` is a file that is there when it was extracted. Only frames, without one, are large: of the others
-    a server without ranges may send all without asking. Tracklets are missing for many drives.
+    a server without ranges may send all. Tracklets are missing for many drives.
     """
 
     zip: str
@@ -51,8 +51,8 @@ def frames_of(drive: Drive) -> Packed:
 class TargetFolder:
     """The folder that `pull` fills, and what it keeps: licence, directories of zips, checksums of files.
 
-    All of it is in ``.kt3dmoseg/`` inside the folder, but for ``located.toml``, which people read. Nothing is
-    written when it is `frozen`, for a dry run.
+    All of it is in ``.kt3dmoseg/`` inside the folder, but for ``located.toml``, which is meant for people.
+    Nothing is written when it is `frozen`, for a dry run.
     """
 
     root: Path
@@ -134,7 +134,7 @@ class TargetFolder:
 
 
 class Extracted:
-    """Extracted files of a drive or a day; they answer as an `Archive` does."""
+    """Extracted files of a drive or a day; the interface is that of `Archive`."""
 
     local = True
     fresh = False

@@ -1,9 +1,9 @@
-"""Bytes over a bad network: ranged requests that resume, repeat with patience, and are bounded.
+"""Bytes over a bad network: ranged requests that resume, retry, and are bounded.
 
-What a server can do to us is met here and nowhere else: dropped connections, 5xx, stalled and slow
+All faults of a server are handled here: dropped connections, 5xx, stalled and slow
 bodies, wrong lengths, wrong ranges, ignored ranges, redirects. What arrives in the wrong *content* is
-found by the readers above, which hold checksums. Most faults show in the body, which `urllib3.Retry` never
-sees; one loop of ours counts them all.
+found by the readers above, which hold checksums. Most faults show in the body, which `urllib3.Retry` does not
+read; one loop of ours counts them all.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Client:
         self._session.close()
 
     def size(self, url: str) -> int:
-        """Ask for the size of a file, with a request for its first byte."""
+        """Request the size of a file, with its first byte."""
         self.sizes.pop(url, None)
         for _ in self.chunks(url, 0, 1):
             pass
@@ -103,7 +103,7 @@ class Client:
     def download(self, url: str, path: Path, progress: Callable[[int], object] = lambda count: None) -> None:
         """Append to `path` what it lacks of a file, from a server that may ignore ranges.
 
-        A part that is there already, from an interrupted download, is kept: the rest is asked for, and
+        A part that is there already, from an interrupted download, is kept: the rest is requested, and
         where the server sends everything again, the beginning is passed over.
         """
         try:
@@ -149,7 +149,7 @@ class Client:
                 yield block[max(0, start - at) : None if end is None else max(0, end - at)]
                 at += len(block)
                 if length is not None and at >= start + length:
-                    return  # what the server sends more than it was asked for is not read
+                    return  # what the server sends beyond the request is not read
         if end is not None and at < end:
             raise _TransientError(f"the connection ended {end - at} bytes early")
 

@@ -11,7 +11,7 @@ KITTI_RAW = "https://s3.eu-central-1.amazonaws.com/avg-kitti/raw_data/"
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the data come from, and how patient to be with the network."""
+    """Where the data come from, and the limits of retries."""
 
     retries: int = option(8, "retries of a request that makes no progress", low=0, high=100)
     timeout: float = option(30.0, "seconds of silence after which a connection is given up", low=0.05)

@@ -241,7 +241,7 @@ class _Pull:
         with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
             for part in self.parts:
                 try:
-                    self._bring(part, bar)
+                    self._fetch_part(part, bar)
                 finally:
                     there = {n: s for n, s in part.sums.items() if (self.target.root / n).exists()}
                     self.target.keep_files(there)
@@ -273,7 +273,7 @@ class _Pull:
         except AbsentError as error:
             part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
 
-    def _bring(self, part: _Part, bar: tqdm[Any]) -> None:
+    def _fetch_part(self, part: _Part, bar: tqdm[Any]) -> None:
         """Fetch a part; once more, with a new directory, when it is damaged or its server ignores ranges."""
         try:
             self._fetch(part, bar)

@@ -48,7 +48,7 @@ def decode_frame(content: bytes, where: str) -> ByteArray:
 
 
 class Calibration:
-    """Calibration of one camera of one day; each file is read when something of it is asked for.
+    """Calibration of one camera of one day; each file is read on first use.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class Calibration:
 
 
 class RawDrive(Calibration):
-    """One camera of a synchronised, rectified KITTI raw drive; nothing is read before it is asked for.
+    """One camera of a synchronised, rectified KITTI raw drive; everything is read on first use.
 
     It has the properties of its `Calibration`, as ``K``, ``T_cam_velo``, ``T_cam_imu`` and ``image_size``.
 

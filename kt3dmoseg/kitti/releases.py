@@ -63,7 +63,7 @@ def fetch_release(
     retries: int = 2,
     report: Callable[[str], object] = print,
 ) -> dict[str, list[Path]]:
-    """Fetch published benchmarks into ``ROOT``, in the layout that the readers know.
+    """Fetch published benchmarks into ``ROOT``, in the layout that the readers expect.
 
     Files that are there and match are not fetched again. A file whose SHA-256 is not known is trusted on
     first download; it is kept in ``SHA256SUMS`` next to the file and demanded from then on.

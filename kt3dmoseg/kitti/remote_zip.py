@@ -28,7 +28,7 @@ _LONGEST_REST = (1 << 16) + 24  # extra fields in front of a file's data, and it
 _LIMITS = ZipLimits(
     files=1 << 20, file_bytes=1 << 40, total_bytes=1 << 50, ratio=1100, free_bytes=1024, depth=32
 )
-_LONGEST_GAP = 4096  # a smaller hole between two files is read over rather than asked around
+_LONGEST_GAP = 4096  # a smaller gap between two files is read too, which saves a request
 _LONGEST_RUN = 2 << 20  # what is under way is lost when a pull is killed
 _ATTEMPTS = 3
 
@@ -38,9 +38,9 @@ class DamagedError(FileFormatError):
 
 
 class _RangeFile(io.RawIOBase):
-    """A file that is elsewhere, for `zipfile`: it keeps the end, and takes the rest from the range asked for.
+    """A remote file, for `zipfile`: it keeps the end, and takes the rest from the requested range.
 
-    The end, where the directory is, grows backwards as far as it is read, until a range is asked for.
+    The end, where the directory is, grows backwards as far as it is read, until a range is requested.
     """
 
     def __init__(self, name: str, size: int, chunks: Chunks, tail: bytes) -> None:
@@ -55,8 +55,8 @@ class _RangeFile(io.RawIOBase):
     def held(self) -> int:
         return self.size - len(self.tail)
 
-    def ask(self, start: int, length: int) -> Iterator[bytes]:
-        """Ask for a range, from which `read` takes as it arrives; return what is left of it then."""
+    def request(self, start: int, length: int) -> Iterator[bytes]:
+        """Request a range, from which `read` takes as it arrives; return what is left of it then."""
         kept = self.tail[start - self.held :] if start >= self.held else b""
         arriving = iter([kept]) if kept else self._chunks(start, length)
         self._range = start, bytearray(), arriving
@@ -136,7 +136,7 @@ class Archive:
         """Yield the wanted files' names and contents, verified by size and CRC32.
 
         Neighbours come in one request, each is yielded as soon as its bytes are here. A damaged file is
-        asked for again, up to three times in all, before DamagedError is raised. FileFormatError is raised
+        requested again, up to three times in all, before DamagedError is raised. FileFormatError is raised
         for a file larger than 64 MiB.
         """
         wanted = list(names)
@@ -169,7 +169,7 @@ class Archive:
         raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
 
     def _runs(self, names: Iterable[str]) -> Iterator[tuple[int, int, list[str]]]:
-        """Group files that are neighbours, to be asked for in one request of at most 2 MiB."""
+        """Group files that are neighbours, to be fetched in one request of at most 2 MiB."""
         run: list[str] = []
         start = stop = 0
         for name in sorted(names, key=lambda name: self._infos[name].header_offset):
@@ -184,7 +184,7 @@ class Archive:
 
     def _read_once(self, names: Iterable[str]) -> Iterator[tuple[str, bytes | DamagedError]]:
         for start, stop, run in self._runs(names):
-            rest = self._file.ask(start, stop - start)
+            rest = self._file.request(start, stop - start)
             for name in run:
                 yield name, self._unpack(name)
             for _ in rest:  # sees its end, so that the connection can serve the next run

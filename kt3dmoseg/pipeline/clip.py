@@ -189,8 +189,8 @@ class Job:
         return rows, Labels(labels.label[rows], labels.background, labels.names)
 
 
-def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -> str:
-    """Explain why a clip's file must be written, or why anyway by `force`; empty when it is up to date.
+def reason_to_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -> str:
+    """Explain why a clip's file must be written (with `force`, always); empty when it is up to date.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -
     found = provenance.get("inputs", provenance.get("fingerprint"))  # its name in 0.1.0
     if not isinstance(found, dict):
         if force:
-            return "asked for"
+            return "forced"
         raise InputFileError(
             f"{target}",
             expected="no file, or a clip that was built from frames",
@@ -217,7 +217,7 @@ def why_build(target: Path, wanted: Mapping[str, Any], *, force: bool = False) -
         return "the fields of this flow backend may depend on more than its parameters"
     changes = list(_differences(found, wanted, ""))
     if force and not changes:
-        return "asked for"
+        return "forced"
     return "; ".join(changes[:3]) + (f"; {len(changes) - 3} more changes" if len(changes) > 3 else "")
 
 

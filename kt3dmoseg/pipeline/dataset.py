@@ -17,7 +17,7 @@ from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.parallel import Progress, run_tasks
-from kt3dmoseg.pipeline.clip import Job, Settings, check_label_paths, label_files, why_build
+from kt3dmoseg.pipeline.clip import Job, Settings, check_label_paths, label_files, reason_to_build
 from kt3dmoseg.pipeline.masks import has_masks
 
 FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
@@ -140,7 +140,7 @@ class _Build:
         name, target = source.name, self.output / f"{source.name}.h5"
         try:
             job = Job(source, label_files(name, self.annotations, self.masks), self.settings)
-            reason = why_build(target, job.inputs, force=self.force)
+            reason = reason_to_build(target, job.inputs, force=self.force)
             if not reason:
                 return Outcome(name, "up to date", "", target, {})
             clip = job.build(self.cache, lambda done, total: progress(name, done, total))

@@ -1,4 +1,4 @@
-"""Synthetic drives: rigid street scenes with moving vehicles, rendered, with everything about them known.
+"""Synthetic drives: rigid street scenes with moving vehicles, rendered, with exact ground truth.
 
 A pinhole camera on a car drives along a street of textured boxes. Frames are ray-cast in numpy; optical flow,
 visibility, depth, trajectories and labels come from the same geometry and are exact.

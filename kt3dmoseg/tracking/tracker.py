@@ -54,7 +54,7 @@ def track(
     """Dense point trajectories of a clip (Sundaram, Brox, Keutzer, ECCV 2010).
 
     Points start on a grid where the frame has structure, follow the flow, and stop at the frame's
-    border, where forward and backward flow disagree, at motion boundaries and, if asked for, where they
+    border, where forward and backward flow disagree, at motion boundaries and, as an option, where they
     no longer look like their start. With `anchor`, what the start looked like corrects every step. New
     trajectories start in the uncovered cells of every frame; those shorter than `min_length` are dropped.
 
@@ -250,7 +250,7 @@ def _reject(seeds: FloatArray, bad: BoolArray, expected: str) -> None:
 class RunTrajectories(Trajectories):
     """Trajectories that are visible in one run of frames each, kept as these runs.
 
-    `xy` and `visible` are laid out when they are first asked for: over a long clip nearly all of (N, F, 2)
+    `xy` and `visible` are laid out on first use: over a long clip nearly all of (N, F, 2)
     is NaN.
 
     Parameters

@@ -130,7 +130,7 @@ def test_run_lengths_that_do_not_fill_the_mask(runs):
         decode_rle(runs, 4, 4)
 
 
-def test_without_pycocotools_the_message_says_how_to_get_it(monkeypatch):
+def test_without_pycocotools_the_message_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pycocotools", None)
     with pytest.raises(MissingDependencyError, match=r"kt3dmoseg\[label\]"):
         encode_rle(np.ones((2, 2), bool))

@@ -89,7 +89,7 @@ BAD = [
     (("marks", 0, "polygon"), "x", r"marks\[0\].polygon"),
 ]
 
-# What a JSON schema cannot say.
+# What a JSON schema cannot express.
 BEYOND_SCHEMA = [
     (("objects", 1, "id"), 1, r"objects\[1\].id"),
     (("objects", 1, "key_frames", 0, "frame"), 99, r"objects\[1\].key_frames\[.\].frame"),

@@ -96,7 +96,7 @@ def test_ctrl_c_ends_the_server_quietly(clips, tmp_path):
     assert server.process.returncode in (0, 130)
 
 
-def test_another_address_wants_the_token(clips, tmp_path, context):
+def test_another_address_requires_the_token(clips, tmp_path, context):
     server = Server(clips, tmp_path / "notes", 0, "--host", "0.0.0.0")
     try:
         address = server.address.replace("0.0.0.0", "127.0.0.1")

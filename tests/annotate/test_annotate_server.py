@@ -313,7 +313,7 @@ def test_labels_and_regions(page, clips):
 
 
 def test_labels_are_those_of_label_tracks(page, clips):
-    """What the server remembers of former edits changes no answer."""
+    """What the server caches of former edits changes no answer."""
     wait(page)
     doc = drawn(page)
     for shift in (0.0, 30.0, 0.0):

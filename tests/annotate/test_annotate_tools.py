@@ -139,7 +139,7 @@ def test_views_may_reach_beyond_the_frame():
     assert picture.shape == (2 * 41 + 26, 2 * 51 + 36, 3)
 
 
-def test_command_says_what_is_wrong(tmp_path, capsys):
+def test_command_reports_what_is_wrong(tmp_path, capsys):
     assert cli.main(["label", str(tmp_path)]) == 2
     assert "a folder of frames" in capsys.readouterr().err
     write_clip(tmp_path, "one")

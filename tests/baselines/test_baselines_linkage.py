@@ -113,7 +113,7 @@ def test_compression_finds_planes(rng):
     assert agree(_compress(points, 0.1), np.repeat([1, 2], 20))
 
 
-def test_election_without_a_candidate_says_so(rng):
+def test_election_without_a_candidate_is_reported(rng):
     points = rng.normal(size=(2, 12))
     found = [np.repeat([1, 2], 6), np.ones(12, dtype=int)]
     labels, report = _elect(points, np.array([0.1, 1.0]), found, 3)
@@ -225,7 +225,7 @@ def test_the_plain_variant_separates_easy_motions(make_scene, method, options):
     assert agree(result.labels, clip.labels.label)
 
 
-def test_tpv_wants_trajectories_in_pairs_of_frames():
+def test_tpv_needs_trajectories_in_pairs_of_frames():
     xy = np.full((6, 4, 2), np.nan)
     xy[np.arange(6), np.arange(6) % 4] = 1.0
     clip = Clip("rare", Trajectories(xy, np.isfinite(xy).all(axis=2)), np.arange(6), Labels(np.ones(6, int)))

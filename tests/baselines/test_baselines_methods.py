@@ -119,7 +119,7 @@ WITHOUT_CAP |= {"lsa", "gpca", "alc"}
 
 
 @pytest.mark.parametrize("name", methods.list())
-def test_every_iteration_with_a_cap_says_how_it_ended(make_scene, name):
+def test_every_iteration_with_a_cap_reports_how_it_ended(make_scene, name):
     clip = make_scene(np.random.default_rng(12), (18, 18), noise=0.05)
     report = methods.segment(clip, name, n_motions=2, **QUICK.get(name, {})).report
     ends = {key: value for key, value in report.items() if key.endswith("converged")}
@@ -136,7 +136,7 @@ def test_ssc_options(make_scene):
     assert cascade.report["low_rank_converged"]
 
 
-def test_gpca_asks_for_enough_trajectories(make_scene):
+def test_gpca_needs_enough_trajectories(make_scene):
     clip = make_scene(np.random.default_rng(12), (8, 8, 8))
     with pytest.raises(TooFewPointsError, match="at least 35"):
         methods.segment(clip, "gpca", n_motions=3)

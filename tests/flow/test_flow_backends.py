@@ -88,7 +88,7 @@ def test_frames_stay_untouched_and_result_is_repeatable(backend):
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "says"),
+    ("a", "b", "message"),
     [
         (np.zeros((8, 64), np.uint8), np.zeros((8, 64), np.uint8), "at least 32"),
         (np.zeros((64, 31), np.uint8), np.zeros((64, 31), np.uint8), "found 31x64"),
@@ -97,8 +97,8 @@ def test_frames_stay_untouched_and_result_is_repeatable(backend):
         (np.zeros((64, 64), np.float32), np.zeros((64, 64), np.float32), "gray frame"),
     ],
 )
-def test_bad_frames_are_refused(backend, a, b, says):
-    with pytest.raises(InvalidValueError, match=says):
+def test_bad_frames_are_refused(backend, a, b, message):
+    with pytest.raises(InvalidValueError, match=message):
         backend(a, b)
 
 
@@ -113,7 +113,7 @@ def test_names():
 
 
 @pytest.mark.skipif(bool(find_spec("torch")), reason="torch is here")
-def test_raft_says_what_is_missing():
+def test_raft_reports_what_is_missing():
     with pytest.raises(MissingDependencyError, match=r"expected torch and torchvision.*kt3dmoseg\[gpu\]"):
         flow.create("raft")(texture(), texture())
 

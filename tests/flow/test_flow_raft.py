@@ -1,4 +1,4 @@
-"""The RAFT adapter around a stand-in for torch: errors when something is missing, and what it passes on."""
+"""The RAFT adapter around a fake torch: errors when something is missing, and what it passes on."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_a_device_that_is_not_there_is_named(torch, frames):
         flow.create("raft", weights="my.pth", device="cuda")(*frames)
 
 
-def test_the_cache_knows_weights_by_content(tmp_path):
+def test_the_cache_identifies_weights_by_content(tmp_path):
     one, other = tmp_path / "one.pth", tmp_path / "other.pth"
     one.write_bytes(b"1")
     other.write_bytes(b"1")

@@ -226,7 +226,7 @@ def test_a_file_gives_options_and_the_command_line_wins(call, config):
     assert parsed(call, "--config", file) == Example(alpha=2.0, fast=True, scales=(1.0, 2.0))
     assert parsed(call, f"--config={file}", "--alpha", "3") == Example(3.0, fast=True, scales=(1.0, 2.0))
     assert call("things", "add", "a", "--config", file)[1] == "kept a mine\n"
-    assert parsed(call) == Example()  # the next call does not remember the file
+    assert parsed(call) == Example()  # the next call does not keep the file
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ def test_every_error_is_one_line_and_crosses_processes(kind):
     assert str(copy) == str(error)
 
 
-def test_a_built_in_name_asks_no_package(monkeypatch):
+def test_a_built_in_name_imports_no_package(monkeypatch):
     monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: 1 / 0)
     registry = Registry("codec", {"json": "json:dumps"}, group="none.such")
     assert registry.load("json")([1]) == "[1]"

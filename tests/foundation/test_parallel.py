@@ -54,7 +54,7 @@ def test_workers_compute_with_one_thread_and_the_caller_keeps_its_environment(mo
 
 
 def die(task, _progress):
-    """Do a task, or die in it as often as its file says."""
+    """Do a task, or die in it as often as its file demands."""
     name, path = task
     if name == "mortal":
         left = int(Path(path).read_text())

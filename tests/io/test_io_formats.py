@@ -1,4 +1,4 @@
-"""Contract of every clip format, and what `load` and `save` say about files they cannot use."""
+"""Contract of every clip format, and what `load` and `save` report about files they cannot use."""
 
 from __future__ import annotations
 

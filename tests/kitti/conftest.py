@@ -25,11 +25,11 @@ def world(server: FaultyServer, tmp_path: Path) -> World:
     size = (320, 96)
     pictures = {k: drives.picture(k, size=size) for k in range(FRAMES)}
     frames = {k: drives.encode(picture) for k, picture in pictures.items()}
-    members = drives.drive_files(frames, FRAMES)
+    files = drives.drive_files(frames, FRAMES)
     folder = f"{drives.DATE}/{drives.NAME}_sync"
     # What a pull must not fetch: the laser scans, between the wanted files.
-    members |= {f"{folder}/velodyne_points/data/{k:010d}.bin": frames[k][::-1] for k in range(FRAMES)}
-    made = World(server, tmp_path, members)
+    files |= {f"{folder}/velodyne_points/data/{k:010d}.bin": frames[k][::-1] for k in range(FRAMES)}
+    made = World(server, tmp_path, files)
     made.serve()
     text = drives.tracklets(10, [(20.0, 0.0, 0.0)] * 4).encode()
     tracklets = drives.write_zip(tmp_path / "tracklets.zip", {f"{folder}/tracklet_labels.xml": text})

@@ -67,7 +67,7 @@ def tracklets(first: int, positions: list[tuple[float, float, float]]) -> str:
 def drive_files(
     frames: dict[int, bytes], n: int, camera: int = 0, drive: int = DRIVE, date: str = DATE
 ) -> dict[str, bytes]:
-    """Return the members of a `_sync.zip`: the frames of one camera, timestamps and oxts of `n` frames."""
+    """Return the files of a `_sync.zip`: the frames of one camera, timestamps and oxts of `n` frames."""
     folder = f"{date}/{date}_drive_{drive:04d}_sync"
     files = {f"{folder}/image_0{camera}/timestamps.txt": timestamps(n).encode()}
     for number, content in sorted(frames.items()):

@@ -28,7 +28,7 @@ class World:
 
     server: FaultyServer
     folder: Path
-    members: dict[str, bytes]
+    files: dict[str, bytes]
     lines: list[str] = field(default_factory=list)
 
     @property
@@ -39,9 +39,9 @@ class World:
     def catalog(self) -> Path:
         return self.folder / "mine.toml"
 
-    def serve(self, members: dict[str, bytes] | None = None) -> None:
-        self.members = members or self.members
-        path = drives.write_zip(self.folder / "sync.zip", self.members)
+    def serve(self, files: dict[str, bytes] | None = None) -> None:
+        self.files = files or self.files
+        path = drives.write_zip(self.folder / "sync.zip", self.files)
         self.server.files[SYNC] = path.read_bytes()
 
     def pull(self, *clips: str, **options: Any) -> PullReport:
@@ -63,7 +63,7 @@ class World:
         """Every frame of the clip is on disk with the bytes that the drive has."""
         for number in HIDDEN:
             name = f"{drives.DATE}/{drives.NAME}_sync/image_00/data/{number:010d}.png"
-            assert (self.root / name).read_bytes() == self.members[name]
+            assert (self.root / name).read_bytes() == self.files[name]
         assert not list(self.root.rglob("*.part"))
 
     def frame(self, number: int) -> Path:

@@ -83,7 +83,7 @@ def test_file_that_stays_damaged_never_takes_its_name(world: World) -> None:
     with pytest.raises(KT3DMoSegError, match=r"\.png|_sync\.zip"):
         world.pull()
     for path in world.root.rglob("*.png"):
-        assert path.read_bytes() == world.members[path.relative_to(world.root).as_posix()]
+        assert path.read_bytes() == world.files[path.relative_to(world.root).as_posix()]
     world.server.fault = lambda count, path: ""
     world.pull()
     world.check()
@@ -169,7 +169,7 @@ def test_truncated_zip_is_one_line(world: World, keep: float) -> None:
 def test_zip_that_changed_since_the_last_pull_is_read_again(world: World) -> None:
     world.pull()
     world.frame(13).unlink()
-    world.serve({"readme.txt": b"moved everything" * 100} | world.members)
+    world.serve({"readme.txt": b"moved everything" * 100} | world.files)
     assert world.pull().fetched == 1
     world.check()
 
@@ -212,7 +212,7 @@ def test_interrupted_pull_keeps_what_it_has_and_continues(world: World, number: 
         assert errors.strip().splitlines()[-1] == "kt3dmoseg: interrupted; what was finished is kept"
     kept = {path: path.stat().st_mtime_ns for path in _brought(world)}
     for path in world.root.rglob("*.png"):
-        assert path.read_bytes() == world.members[path.relative_to(world.root).as_posix()]
+        assert path.read_bytes() == world.files[path.relative_to(world.root).as_posix()]
     world.server.fault = lambda count, path: ""
     (world.frame(11).parent / ".0000000012.png.abcd.part").write_bytes(b"left over by a kill")
     world.server.reset()
@@ -241,7 +241,7 @@ def test_two_pulls_at_once_fetch_nothing_twice(world: World) -> None:
 
 def test_memory_stays_small(world: World) -> None:
     big = {f"{drives.DATE}/{drives.NAME}_sync/x/{k}.bin": os.urandom(1 << 20) for k in range(40)}
-    world.serve(big | world.members)
+    world.serve(big | world.files)
     code = "import atexit; atexit.register(lambda: print(open('/proc/self/status').read()));"
     run = subprocess.run(command(world, before=code), capture_output=True, text=True, check=True)
     peak = re.search(r"VmHWM:\s+(\d+) kB", run.stdout)

@@ -120,7 +120,7 @@ def test_pull_after_locate_reads_no_directory_again(world: World) -> None:
 
 
 def test_clip_of_the_other_camera_is_found_there(world: World) -> None:
-    world.serve({name.replace("image_00", "image_01"): c for name, c in world.members.items()})
+    world.serve({name.replace("image_00", "image_01"): c for name, c in world.files.items()})
     assert _locate(world)["Hidden"].camera == 1
     world.pull()
     assert (world.root / FOLDER.replace("image_00", "image_01") / "0000000011.png").exists()
@@ -131,7 +131,7 @@ def _recode(world: World, change) -> None:
         f"{FOLDER}/{k:010d}.png": drives.encode(change(drives.picture(k, size=SIZE)), level=0)
         for k in range(FRAMES)
     }
-    world.serve(world.members | frames)
+    world.serve(world.files | frames)
 
 
 def test_other_compression_is_found_by_pixels_and_pull_believes_it(world: World) -> None:
@@ -145,7 +145,7 @@ def test_other_compression_is_found_by_pixels_and_pull_believes_it(world: World)
 
 def test_local_copies_are_compared_by_pixels_without_asking(world: World, tmp_path: Path) -> None:
     _recode(world, lambda image: image)
-    drives.write_files(tmp_path / "here", world.members | drives.calibration_files())
+    drives.write_files(tmp_path / "here", world.files | drives.calibration_files())
     world.pull(local=str(tmp_path / "here"))
     world.check()
 
@@ -178,8 +178,8 @@ def test_clip_of_another_drive_is_not_found_and_candidates_are_named(world: Worl
 
 
 def test_clip_that_is_there_twice_is_ambiguous(world: World) -> None:
-    copies = {f"{FOLDER}/{k + 100:010d}.png": world.members[f"{FOLDER}/{k:010d}.png"] for k in range(FRAMES)}
-    world.serve(world.members | copies)
+    copies = {f"{FOLDER}/{k + 100:010d}.png": world.files[f"{FOLDER}/{k:010d}.png"] for k in range(FRAMES)}
+    world.serve(world.files | copies)
     with pytest.raises(
         NotLocatedError, match=r"several matches .* 11-16 .* 111-116 .* numbers into a catalog"
     ):
@@ -188,8 +188,8 @@ def test_clip_that_is_there_twice_is_ambiguous(world: World) -> None:
 
 
 def test_given_numbers_decide_between_equal_matches(world: World) -> None:
-    copies = {f"{FOLDER}/{k + 100:010d}.png": world.members[f"{FOLDER}/{k:010d}.png"] for k in range(FRAMES)}
-    world.serve(world.members | copies)
+    copies = {f"{FOLDER}/{k + 100:010d}.png": world.files[f"{FOLDER}/{k:010d}.png"] for k in range(FRAMES)}
+    world.serve(world.files | copies)
     text = world.catalog.read_text()
     world.catalog.write_text(text.replace("length = 6", 'length = 6\nnumbers = "111-116"'))
     assert _locate(world)["Hidden"].numbers == tuple(range(111, 117))

@@ -34,8 +34,8 @@ def test_pulls_the_clip_in_kittis_layout_and_nothing_else(world: World) -> None:
 
 def test_traffic_stays_within_its_targets(world: World) -> None:
     world.pull()
-    members = len(HIDDEN) * 2 + 2
-    assert len(world.server.requests_for(SYNC)) <= 2 * members
+    files = len(HIDDEN) * 2 + 2
+    assert len(world.server.requests_for(SYNC)) <= 2 * files
     frames = sum(world.frame(n).stat().st_size for n in HIDDEN)
     directory = 400_000
     assert world.server.sent <= 1.10 * frames + directory
@@ -136,8 +136,8 @@ def test_absent_drive_is_one_line(world: World) -> None:
         world.pull()
 
 
-def test_drive_without_packets_is_brought_and_the_lack_is_reported(world: World) -> None:
-    world.serve({name: c for name, c in world.members.items() if "/oxts/" not in name})
+def test_drive_without_packets_is_pulled_and_the_lack_is_reported(world: World) -> None:
+    world.serve({name: c for name, c in world.files.items() if "/oxts/" not in name})
     report = world.pull()
     world.check()
     assert len(report.lacking) == 7
@@ -149,7 +149,7 @@ def test_drive_without_packets_is_brought_and_the_lack_is_reported(world: World)
 
 def test_clip_by_numbers_from_another_camera(world: World) -> None:
     frame = drives.encode(drives.picture(3))
-    world.serve(world.members | {f"{FOLDER}/image_02/data/0000000003.png": frame})
+    world.serve(world.files | {f"{FOLDER}/image_02/data/0000000003.png": frame})
     with world.catalog.open("a") as stream:
         stream.write(
             f'\n[clips.C]\ndate = "{drives.DATE}"\ndrive = 5\ncamera = 2\nlength = 1\nnumbers = "3"\n'
@@ -194,7 +194,7 @@ def test_mirror_may_end_with_a_slash(world: World) -> None:
 
 
 def _unpack(world: World, folder: Path) -> Path:
-    drives.write_files(folder, world.members | drives.calibration_files())
+    drives.write_files(folder, world.files | drives.calibration_files())
     return folder
 
 

@@ -37,13 +37,13 @@ def drive(data_root: Path, server: FaultyServer, tmp_path: Path) -> dict[str, by
     others = _clip(data_root, "Seq011_Clip01") + _clip(data_root, "Seq020_Clip01")
     before, after = others[:FIRST], others[FIRST:]
     frames = dict(enumerate([*before, *_clip(data_root, CLIP), *after]))
-    members = drives.drive_files(frames, len(frames))
-    members |= {f"{FOLDER}/velodyne_points/data/{k:010d}.bin": b"" for k in range(2000)}
-    return members
+    files = drives.drive_files(frames, len(frames))
+    files |= {f"{FOLDER}/velodyne_points/data/{k:010d}.bin": b"" for k in range(2000)}
+    return files
 
 
-def _serve(server: FaultyServer, folder: Path, members: dict[str, bytes]) -> None:
-    path = drives.write_zip(folder / "sync.zip", members, method=zipfile.ZIP_STORED)
+def _serve(server: FaultyServer, folder: Path, files: dict[str, bytes]) -> None:
+    path = drives.write_zip(folder / "sync.zip", files, method=zipfile.ZIP_STORED)
     server.files[SYNC] = path.read_bytes()
     path.unlink()
     calibration = drives.write_zip(folder / "calib.zip", drives.calibration_files())
@@ -67,9 +67,9 @@ def test_clip_of_the_built_in_catalog_is_located_and_pulled_within_the_targets(
     traffic = _pull(server, root)
     assert TRACKLETS not in server.files
     frames = sum(mark.bytes for mark in found.frames)
-    members = 2 * LENGTH + 2
+    files = 2 * LENGTH + 2
     assert server.sent <= 1.10 * frames + 400_000
-    assert len(server.requests) <= 2 * members
+    assert len(server.requests) <= 2 * files
     assert traffic.bytes <= server.sent
     kitti = RawDrive(root, drives.DATE, 5)
     assert kitti.numbers.tolist() == list(found.numbers)

@@ -95,9 +95,9 @@ def test_files_put_there_by_hand_are_checked(small: FaultyServer, tmp_path: Path
 
 
 def test_zip_is_unpacked_to_the_layout_of_the_readers(small: FaultyServer, tmp_path: Path) -> None:
-    members = {"Hopkins155/cars1/cars1_truth.mat": b"1", "Hopkins155/cars1/cars1.avi": b"no"}
-    members |= {"Hopkins155/cars2/cars2_truth.mat": b"2", "Hopkins155/cars2/other_truth.mat": b"no"}
-    path = drives.write_zip(tmp_path / "h.zip", members)
+    files = {"Hopkins155/cars1/cars1_truth.mat": b"1", "Hopkins155/cars1/cars1.avi": b"no"}
+    files |= {"Hopkins155/cars2/cars2_truth.mat": b"2", "Hopkins155/cars2/other_truth.mat": b"no"}
+    path = drives.write_zip(tmp_path / "h.zip", files)
     small.files["hopkins155/Hopkins155.zip"] = path.read_bytes()
     fetch_release(tmp_path, ["hopkins155"], mirror=small.url, report=len)
     found = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.mat")}

@@ -171,7 +171,7 @@ def test_any_damage_gives_right_content_or_one_error(tmp_path: Path, data: st.Da
 
 
 def test_hostile_zip_on_a_server_writes_nothing(world: World) -> None:
-    world.serve(world.members | {"../../outside.txt": b"x"})
+    world.serve(world.files | {"../../outside.txt": b"x"})
     with pytest.raises(FileFormatError, match=r"\.\./\.\./outside\.txt: expected a path inside the archive"):
         world.pull()
     assert not list(world.root.rglob("*.png"))

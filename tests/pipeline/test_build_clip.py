@@ -76,7 +76,7 @@ def _annotation(path):
     save_annotation(path, Annotation("clip", size, FRAMES, (patch,), annotator="a test"))
 
 
-def test_an_annotation_labels_and_goes_before_masks(folder, tmp_path):
+def test_an_annotation_labels_and_takes_precedence_over_masks(folder, tmp_path):
     _annotation(tmp_path / "clip.json")
     write_masks(tmp_path / "masks", identity=7)
     clip = build_clip(folder, annotation=tmp_path, masks=tmp_path / "masks", fraction=1.0)
@@ -196,7 +196,7 @@ def test_a_clip_of_a_kitti_drive_is_shown_on_its_frames(tmp_path, capsys):
     (data / f"{44:010d}.png").unlink()
     assert main(["show", str(tmp_path / "a.h5"), "--frames", str(root)]) == 2
     assert "expected frames numbered 40 to 49 without a gap" in capsys.readouterr().err
-    # What a file says of its source is not trusted with the way to a folder.
+    # What a file states about its source is not trusted with the way to a folder.
     hostile = {"kind": "kitti", "drive": "2011_09_26_drive_0005", "camera": "0/../../secret"}
     (root / "2011_09_26/2011_09_26_drive_0005_sync/secret/data").mkdir(parents=True)
     for provenance in ({"inputs": {"source": hostile}}, {"inputs": [1]}, {"fingerprint": [1]}):
@@ -305,7 +305,7 @@ def test_bad_masks(tmp_path):
 
 
 class _Stream:
-    """A source that counts how many of its frames are still held when the next is asked for."""
+    """A source that counts how many of its frames are still held when the next is requested."""
 
     name = where = "stream"
 

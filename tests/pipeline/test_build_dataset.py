@@ -79,7 +79,7 @@ def test_any_number_of_workers_gives_the_same_bytes(frames, tmp_path):
     assert sorted(seen) == [(clip, k, FRAMES) for clip in "abc" for k in range(1, FRAMES + 1)]
 
 
-def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
+def test_it_reports_why_it_rebuilds(frames, tmp_path, monkeypatch):
     out = tmp_path / "out"
     assert {o.reason for o in build(frames, out)} == {"new"}
     assert {o.reason for o in build(frames, out, spacing=6)} == {"options spacing was 8, now 6"}
@@ -95,7 +95,7 @@ def test_it_says_why_it_rebuilds(frames, tmp_path, monkeypatch):
     (out / "c.h5").write_bytes(b"half a file")
     outcomes = {o.name: o for o in build(frames, out, spacing=6)}
     assert "no intact clip" in outcomes["c"].reason
-    assert {o.reason for o in build(frames, out, spacing=6, force=True)} == {"asked for"}
+    assert {o.reason for o in build(frames, out, spacing=6, force=True)} == {"forced"}
     monkeypatch.setattr(tracking, "ALGORITHM_VERSION", 0)
     assert {o.reason for o in build(frames, out, spacing=6)} == {"algorithms tracking was 1, now 0"}
     monkeypatch.setattr(pipeline, "ALGORITHM_VERSION", 0)

@@ -248,7 +248,7 @@ def test_what_cannot_be_shown(arguments, words, file, tmp_path, monkeypatch, cap
         ((40, 30), "../elsewhere", "name: expected a clip's name"),
     ],
 )
-def test_what_a_hostile_clip_says_is_not_trusted(size, name, words, clip, tmp_path, monkeypatch, capsys):
+def test_provenance_of_a_hostile_clip_is_not_trusted(size, name, words, clip, tmp_path, monkeypatch, capsys):
     dense = Trajectories(clip.dense.xy, clip.dense.visible, image_size=size)
     save(dataclasses.replace(clip, name=name, dense=dense), tmp_path / "work" / "a.h5")
     monkeypatch.chdir(tmp_path / "work")

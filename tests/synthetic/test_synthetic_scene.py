@@ -1,4 +1,4 @@
-"""What a scene says about itself must agree with what it shows."""
+"""What a scene reports about itself must agree with what it shows."""
 
 import numpy as np
 import pytest

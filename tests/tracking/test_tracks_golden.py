@@ -85,7 +85,7 @@ def test_the_command_writes_what_track_returns(folder, tmp_path, capsys, suffix)
     assert clip.n_motions == 0
 
 
-def test_the_clip_says_where_it_comes_from(folder, tmp_path):
+def test_the_clip_records_its_source(folder, tmp_path):
     out = tmp_path / "clip.h5"
     assert cli.main(["track", str(folder), "-o", str(out), "--flow", "farneback"]) == 0
     provenance = kt3dmoseg.load(out).provenance
@@ -95,7 +95,7 @@ def test_the_clip_says_where_it_comes_from(folder, tmp_path):
     assert provenance["track_options"]["spacing"] == 8
 
 
-def test_one_word_asks_for_tracks_to_rely_on(folder, tmp_path):
+def test_reliable_selects_tracks_to_rely_on(folder, tmp_path):
     flow = kt3dmoseg.flow.create("dis_medium")
     command = ["track", str(folder), "--flow", "dis_medium", "--reliable"]
     assert cli.main([*command, "-o", str(tmp_path / "a.h5")]) == 0
@@ -108,7 +108,7 @@ def test_one_word_asks_for_tracks_to_rely_on(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected"),
     [
         (["--flow", "flownet"], "unknown flow 'flownet'"),
         (["-p", "presett=fast"], "unknown option"),
@@ -117,11 +117,11 @@ def test_one_word_asks_for_tracks_to_rely_on(folder, tmp_path):
         (["-p", "scales=0.5"], "the last 1"),
     ],
 )
-def test_bad_arguments_are_one_line_and_write_nothing(folder, tmp_path, capsys, arguments, says):
+def test_bad_arguments_are_one_line_and_write_nothing(folder, tmp_path, capsys, arguments, expected):
     out = tmp_path / "clip.h5"
     assert cli.main(["track", str(folder), "-o", str(out), *arguments]) == 2
     message = capsys.readouterr().err
-    assert says in message
+    assert expected in message
     assert message.count("\n") == 1
     assert not out.exists()
 

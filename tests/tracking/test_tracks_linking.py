@@ -83,7 +83,7 @@ def test_disagreement_stops_only_where_it_is():
     assert alive.tolist() == [True, False]
 
 
-def test_a_jump_of_the_flow_stops_beside_it_only():
+def test_a_jump_of_the_flow_stops_tracks_near_it_only():
     forward = constant((1.0, 0.0))
     forward[:, 32:] = (3.0, 0.0)
     xy = np.array([[10.0, 20.0], [31.0, 20.0], [32.0, 20.0], [34.0, 20.0]])

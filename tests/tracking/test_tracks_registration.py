@@ -157,7 +157,7 @@ def test_a_window_takes_more_points_than_opencv_does_at_once():
     np.testing.assert_allclose(seen[-1], frame[9:12, 19:22].ravel(), atol=0.05)
 
 
-def test_a_start_knows_its_slopes():
+def test_a_start_has_its_slopes():
     y, x = np.mgrid[:30, :40].astype(float)
     window, xy = Window(2), np.array([[12.0, 10.0], [20.25, 15.5]])
     value, along_x, along_y = window.start(doubled(gray(40 + 3 * x + 2 * y)), xy).swapaxes(0, 1)

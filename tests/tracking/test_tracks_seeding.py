@@ -81,7 +81,7 @@ def test_an_even_frame_has_no_structure(value):
     assert structured(frame, DEFAULT)[36:45, 56:65].any()
 
 
-def test_the_border_asks_for_more_structure(rng):
+def test_the_border_requires_more_structure(rng):
     frame = cv2.GaussianBlur(rng.integers(0, 255, (96, 128), dtype=np.uint8), (0, 0), 1.5)
     with_border = structured(frame, DEFAULT)
     without = structured(frame, TrackOptions(border_gain=0.0))

@@ -92,7 +92,7 @@ def test_no_seeds_give_no_tracks():
 
 
 @pytest.mark.parametrize(
-    ("seeds", "says"),
+    ("seeds", "message"),
     [
         ([[10, 10]], r"shape \(S, 3\)"),
         ([[10, 10, 0], [10, 10, 9]], "seed 1: expected a frame number below 8"),
@@ -102,8 +102,8 @@ def test_no_seeds_give_no_tracks():
         ([[200, 10, 0]], "a point in the 96x64 frame"),
     ],
 )
-def test_bad_seeds(seeds, says):
-    with pytest.raises(InvalidValueError, match=says):
+def test_bad_seeds(seeds, message):
+    with pytest.raises(InvalidValueError, match=message):
         track(frames(), Constant(), seeds=seeds)
 
 
@@ -119,7 +119,7 @@ def test_every_way_to_give_frames_is_the_same(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("source", "says"),
+    ("source", "message"),
     [
         ([], "at least 2 frames, found 0"),
         (frames(1), "at least 2 frames, found 1"),
@@ -129,8 +129,8 @@ def test_every_way_to_give_frames_is_the_same(tmp_path):
         ([np.zeros((20, 96), np.uint8)] * 2, "at least 32 pixels"),
     ],
 )
-def test_bad_frames(source, says):
-    with pytest.raises(InvalidValueError, match=says):
+def test_bad_frames(source, message):
+    with pytest.raises(InvalidValueError, match=message):
         track(source, "dis_medium")
 
 

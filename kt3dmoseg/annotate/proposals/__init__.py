@@ -43,7 +43,7 @@ _EVERY = 4
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What a proposer is given.
+    """The input of a proposer.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Request:
 
 
 def propose(name: str, request: Request) -> list[AnnotatedObject]:
-    """Ask a proposer of `PROPOSERS` for objects, with ids and motions that the annotation does not use yet.
+    """Run a proposer of `PROPOSERS`; its objects get ids and motions that the annotation does not use yet.
 
     Raises
     ------

@@ -54,7 +54,7 @@ mimetypes.add_type("text/javascript", ".js")
 def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guard:
     """Make the guarded ASGI application; see `Guard` for hosts and token."""
     template = Template((_STATIC / "index.html").read_text(encoding="utf-8"), autoescape=True)
-    # The browser fetches at once what it would find out about step by step.
+    # The browser fetches all modules at once instead of following imports step by step.
     modules = [f'<link rel="modulepreload" href="/static/{file.name}">' for file in _STATIC.glob("*.js")]
     fixed = {"palette": json.dumps(css_palette()), "modules": Markup("\n".join(modules))}
 
@@ -147,7 +147,7 @@ def _bounded(receive: Receive) -> Receive:
 
 
 def _with_headers(send: Send, path: str) -> Send:
-    # Files of the page are asked for again after an update: their ETag decides.
+    # The browser requests files of the page again after an update: their ETag decides.
     headers = _HEADERS | ({"cache-control": "no-cache"} if path.startswith("/static/") else {})
     extra = [(name.encode(), value.encode()) for name, value in headers.items()]
 

@@ -84,7 +84,7 @@ class ClipSession:
             return self._progress
 
     def wait(self) -> Trajectories:
-        """Return the trajectories, waiting for them; InvalidValueError when there are none to be had."""
+        """Return the trajectories, waiting for them; InvalidValueError when there are none."""
         found = self.trajectories()
         if isinstance(found, Progress) and self._thread is not None:
             self._thread.join()
@@ -171,7 +171,7 @@ class Summaries:
         self._worker: threading.Thread | None = None
 
     def clips(self) -> list[dict[str, Any]]:
-        """Return what is known of each clip by now; what is not yet is being counted.
+        """Return what is counted of each clip so far; the rest is being counted.
 
         ``name``, ``n_frames`` and ``counting``; for a counted clip ``revision``, ``annotator``, ``objects``,
         ``motions`` as far as there is an annotation, ``trajectories`` as far as there are any, ``counts``

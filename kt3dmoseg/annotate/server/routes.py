@@ -1,4 +1,4 @@
-"""What can be asked of the labelling server.
+"""The requests that the labelling server answers.
 
 ``GET  /api/clips``                          the clips and how far each is
 ``GET  /api/clips/C``                        size, annotation, names of kinds, formats, proposers
@@ -84,7 +84,7 @@ class Routes:
         self.sessions, self.annotator = sessions, annotator
         self.other, self.masks, self.kitti = other, masks, kitti
         self.summaries = Summaries(sessions)
-        # Found out now, not while the first page waits for it.
+        # Computed now, not while the first page waits for it.
         self.suffixes = {name: formats.load(name).suffix for name in formats.FORMATS.names()}
         lacking = {
             "tracklets": "" if kitti else "start with --kitti FOLDER",

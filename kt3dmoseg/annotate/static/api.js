@@ -29,7 +29,7 @@ export const listClips = () => json("/api/clips").then((answer) => answer.clips)
 export const getClip = (name) => json(clip(name));
 export const frameAddress = (name, frame) => `${clip(name)}/frames/${frame}`;
 /** Post an annotation, or a file, to what the server makes of it: regions, labels, proposals/P, compare, import/F. */
-export const ask = (name, what, body, signal) => json(`${clip(name)}/${what}`, send(body, { signal }));
+export const post = (name, what, body, signal) => json(`${clip(name)}/${what}`, send(body, { signal }));
 export const exportAs = (name, format, doc) =>
   request(`${clip(name)}/export/${format}`, send(doc)).then((response) => response.blob());
 export const putAnnotation = (name, doc, revision) =>

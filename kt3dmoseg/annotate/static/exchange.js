@@ -33,7 +33,7 @@ export function propose() {
 async function request(proposer) {
   open("Propose regions", element("p", {}, `Asking ${proposer}…`));
   try {
-    const { objects } = await api.ask(state.clip.name, `proposals/${proposer}`, state.doc);
+    const { objects } = await api.post(state.clip.name, `proposals/${proposer}`, state.doc);
     if (!objects.length) return inform("Propose regions", `${proposer} found nothing that moves.`);
     set({ proposals: objects, compared: null });
     review(0);
@@ -131,7 +131,7 @@ async function write(format, suffix) {
 async function read(format, file) {
   if (!file) return;
   try {
-    const { objects, marks } = await api.ask(state.clip.name, `import/${format}`, file);
+    const { objects, marks } = await api.post(state.clip.name, `import/${format}`, file);
     edit({ ...state.doc, objects, marks });
     close();
     set({ selected: objects[0]?.id ?? null });
@@ -151,7 +151,7 @@ export async function compare() {
   }
   open("Two annotators", element("p", {}, "Comparing…"));
   try {
-    const found = await api.ask(state.clip.name, "compare", state.doc);
+    const found = await api.post(state.clip.name, "compare", state.doc);
     set({ compared: { ...found, at: null }, proposals: null, review: null });
     list();
   } catch (error) {

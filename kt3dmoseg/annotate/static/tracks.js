@@ -48,9 +48,9 @@ async function label() {
   const current = () => clip === state.clip && own === controller;
   try {
     // Regions first: they take a fraction of the time, and the next frame waits for them.
-    const { regions } = await api.ask(clip.name, "regions", doc, own.signal);
+    const { regions } = await api.post(clip.name, "regions", doc, own.signal);
     if (current() && regions) set({ regions });
-    const labels = await api.ask(clip.name, "labels", doc, own.signal);
+    const labels = await api.post(clip.name, "labels", doc, own.signal);
     if (current() && labels.label) set({ labels });
   } catch {
     // Offline or refused: saving reports it; the last labels stay.
