@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -28,28 +29,25 @@ _SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
 
 FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the optical flow; may be repeated.")]
 FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields here.")]
-_ONE_CLIP = Group.create_ordered("One clip of a KITTI raw root")
-_Chosen = Parameter(group=_ONE_CLIP)
+Names = Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))]
+Index = Annotated[Whole, Parameter(metavar="I")]
+Range = Annotated[str, Parameter(name="--range", metavar="FIRST-LAST")]
+_one_clip = partial(Parameter, group=Group.create_ordered("One clip of a KITTI raw root"))
 
 
 @flags(DemoOptions)
 def demo(
     *,
-    output: Annotated[Folder, Parameter(alias="-o")] = Path("demo-out"),
-    methods: Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))] | None = None,
+    output: Annotated[Folder, Parameter(alias="-o", help="Folder for everything.")] = Path("demo-out"),
+    methods: Annotated[
+        Names | None, Parameter(help="Names of mseg.methods.list() (default: one_motion keradd subset).")
+    ] = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Go the whole way on synthetic drives: render, annotate, build, segment, validate, score, report.
 
     Takes about a minute; nothing is downloaded. Every step names the command that does it on
     real data.
-
-    Parameters
-    ----------
-    output : path
-        Folder for everything.
-    methods : list of str
-        Names of mseg.methods.list() (default: one_motion keradd subset).
     """
     from kt3dmoseg.demo import run_demo
     from kt3dmoseg.options import from_mapping
@@ -61,20 +59,27 @@ def demo(
 
 @flags(BuildOptions, TrackOptions)
 def build(
-    frames: Either,
+    frames: Annotated[Either, Parameter(help="Clips, one clip, a video or a KITTI raw root.")],
     *,
-    output: Annotated[Folder, Parameter(alias="-o")],
-    annotations: Folder | None = None,
-    masks: Folder | None = None,
-    workers: Whole | None = None,
-    force: Flag = False,
+    output: Annotated[Folder, Parameter(alias="-o", help="Folder of the files CLIP.h5.")],
+    annotations: Annotated[
+        Folder | None,
+        Parameter(
+            help="Labels: FOLDER/CLIP.json (default: ./annotations when it exists; 'none' for no labels)."
+        ),
+    ] = None,
+    masks: Annotated[
+        Folder | None, Parameter(help="Labels: FOLDER/CLIP/*.png, DAVIS indexed or KITTI MOTS.")
+    ] = None,
+    workers: Annotated[Whole | None, Parameter(help="Processes (default: one per core).")] = None,
+    force: Annotated[Flag, Parameter(help="Build also what is up to date.")] = False,
     parameter: FlowParameters = (),
     cache: FlowCache = None,
-    date: Annotated[str | None, _Chosen] = None,
-    drive: Annotated[str | None, _Chosen] = None,
-    camera: Annotated[Whole, _Chosen] = 0,
-    range_: Annotated[str | None, _Chosen, Parameter(name="--range", metavar="FIRST-LAST")] = None,
-    name: Annotated[Name, _Chosen] = "",
+    date: Annotated[str | None, _one_clip(help="Day of the drive, 2011_09_26.")] = None,
+    drive: Annotated[str | None, _one_clip(help="Number of the drive, 5 or 0005.")] = None,
+    camera: Annotated[Whole, _one_clip(help="0, 1 gray; 2, 3 colour.")] = 0,
+    range_: Annotated[Range | None, _one_clip(help="Frame numbers, both included.")] = None,
+    name: Annotated[Name, _one_clip(help="Name of the clip (default: drive and range).")] = "",
     **options: Any,  # noqa: ANN401
 ) -> int:
     """Frames to dataset files: track, label, subsample; one HDF5 file per clip.
@@ -84,31 +89,6 @@ def build(
     of your choice with --date, --drive, --camera and --range. Clips whose file is up to date are skipped; an
     interrupted build is finished by the same command. Exit code 2 when a clip failed, after the others are
     built.
-
-    Parameters
-    ----------
-    frames : path
-        Clips, one clip, a video or a KITTI raw root.
-    output : path
-        Folder of the files CLIP.h5.
-    annotations : path
-        Labels: FOLDER/CLIP.json (default: ./annotations when it exists; 'none' for no labels).
-    masks : path
-        Labels: FOLDER/CLIP/*.png, DAVIS indexed or KITTI MOTS.
-    workers : int
-        Processes (default: one per core).
-    force : bool
-        Build also what is up to date.
-    date : str
-        Day of the drive, 2011_09_26.
-    drive : str
-        Number of the drive, 5 or 0005.
-    camera : int
-        0, 1 gray; 2, 3 colour.
-    range_ : str
-        Frame numbers, both included.
-    name : str
-        Name of the clip (default: drive and range).
     """
     from kt3dmoseg.options import parse_assignments
     from kt3dmoseg.pipeline import build_dataset, find_sources, kitti_sources
@@ -175,29 +155,20 @@ def _warn_of_empty(outcomes: list[Outcome], min_length: int | str) -> None:
 
 @flags(TrackOptions)
 def track(
-    frames: Folder,
+    frames: Annotated[Folder, Parameter(help="Folder of frames.")],
     *,
-    output: Annotated[File, Parameter(alias="-o")],
-    flow: Name = "dis",
+    output: Annotated[File, Parameter(alias="-o", help="File to write.")],
+    flow: Annotated[Name, Parameter(help="Optical flow.")] = "dis",
     parameter: FlowParameters = (),
     cache: FlowCache = None,
-    colour: Literal["refuse", "luma"] = "refuse",
+    colour: Annotated[
+        Literal["refuse", "luma"], Parameter(help="Colour frames: refuse them, or take their luma.")
+    ] = "refuse",
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Frames to dense point trajectories.
 
     Writes every trajectory, unlabelled, in the format that the suffix of FILE names (.h5, .mat, .npz, .dat).
-
-    Parameters
-    ----------
-    frames : path
-        Folder of frames.
-    output : path
-        File to write.
-    flow : str
-        Optical flow.
-    colour : {"refuse", "luma"}
-        Colour frames: refuse them, or take their luma.
     """
     from kt3dmoseg.files import check_writable
     from kt3dmoseg.flow import create
@@ -216,52 +187,34 @@ def track(
 
 
 def label(
-    clip: Either,
+    clip: Annotated[Either, Parameter(help="Frames, a clip file, or a folder of them.")],
     /,
-    frames: Folder | None = None,
+    frames: Annotated[
+        Folder | None,
+        Parameter(help="Frames of a clip file, a folder with those of all clips, or a KITTI raw root."),
+    ] = None,
     *,
-    tracks: Either | None = None,
-    annotations: Folder = _ANNOTATIONS,
-    annotator: Name = "",
-    compare: Folder | None = None,
-    masks: Folder | None = None,
-    kitti: Folder | None = None,
-    flow: Name = "dis",
-    host: str = "127.0.0.1",
-    port: Annotated[Whole, Parameter(show_default=False)] = 0,
-    no_browser: Flag = False,
+    tracks: Annotated[
+        Either | None, Parameter(help="Clip file or folder of them with trajectories to show.")
+    ] = None,
+    annotations: Annotated[Folder, Parameter(help="Where <clip>.json are.")] = _ANNOTATIONS,
+    annotator: Annotated[Name, Parameter(help="Name written into what is saved.")] = "",
+    compare: Annotated[Folder | None, Parameter(help="Folder of another annotator's annotations.")] = None,
+    masks: Annotated[Folder | None, Parameter(help="Folder of masks to propose regions from.")] = None,
+    kitti: Annotated[
+        Folder | None, Parameter(help="KITTI raw root to propose regions from tracklets.")
+    ] = None,
+    flow: Annotated[Name, Parameter(help="Flow that computes missing trajectories.")] = "dis",
+    host: Annotated[str, Parameter(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[
+        Whole, Parameter(help="Port to listen on (default: a free one).", show_default=False)
+    ] = 0,
+    no_browser: Annotated[Flag, Parameter(help="Print the address, open no browser.")] = False,
 ) -> None:
     """Outline the moving objects of a clip in the browser.
 
     CLIP is a folder of frames, a clip file (.h5, .mat), or a dataset: a folder with one of these per clip.
     The page opens on this machine only; annotations are saved to <clip>.json while you draw.
-
-    Parameters
-    ----------
-    clip : path
-        Frames, a clip file, or a folder of them.
-    frames : path
-        Frames of a clip file, a folder with those of all clips, or a KITTI raw root.
-    tracks : path
-        Clip file or folder of them with trajectories to show.
-    annotations : path
-        Where <clip>.json are.
-    annotator : str
-        Name written into what is saved.
-    compare : path
-        Folder of another annotator's annotations.
-    masks : path
-        Folder of masks to propose regions from.
-    kitti : path
-        KITTI raw root to propose regions from tracklets.
-    flow : str
-        Flow that computes missing trajectories.
-    host : str
-        Address to listen on.
-    port : int
-        Port to listen on (default: a free one).
-    no_browser : bool
-        Print the address, open no browser.
     """
     from kt3dmoseg.annotate.server.app import serve
     from kt3dmoseg.annotate.server.clip_session import ClipSession
@@ -314,38 +267,28 @@ def _read_once(session: ClipSession) -> None:
 
 @flags(DrawOptions)
 def show(
-    clip: File,
+    clip: Annotated[File, Parameter(help="Clip file.")],
     /,
-    frames: Folder | None = None,
+    frames: Annotated[
+        Folder | None, Parameter(help="Frames, a folder with FOLDER/CLIP, or a KITTI raw root.")
+    ] = None,
     *,
-    output: Annotated[Either | None, Parameter(alias="-o")] = None,
-    by: Literal["label", "length", "prediction"] | None = None,
-    pred: File | None = None,
-    at: Annotated[Whole | None, Parameter(metavar="I")] = None,
-    rate: float = 5.0,
+    output: Annotated[
+        Either | None, Parameter(alias="-o", help="Where to write (default: CLIP's name, a folder).")
+    ] = None,
+    by: Annotated[
+        Literal["label", "length", "prediction"] | None,
+        Parameter(help="What colours show (default: label, if labelled)."),
+    ] = None,
+    pred: Annotated[File | None, Parameter(help="Predicted labels: .csv track,label, .npz or .h5.")] = None,
+    at: Annotated[Index | None, Parameter(help="Only frame I of the clip, counted from 0.")] = None,
+    rate: Annotated[float, Parameter(help="Pictures per second of a video.")] = 5.0,
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Draw trajectories with their trails on the frames, as pictures or a short video.
 
     CLIP is any clip file. PATH is a folder (one PNG per frame), a single .png (of --at), or .mp4, .avi,
     .gif, .apng, .webp.
-
-    Parameters
-    ----------
-    clip : path
-        Clip file.
-    frames : path
-        Frames, a folder with FOLDER/CLIP, or a KITTI raw root.
-    output : path
-        Where to write (default: CLIP's name, a folder).
-    by : {"label", "length", "prediction"}
-        What colours show (default: label, if labelled).
-    pred : path
-        Predicted labels: .csv track,label, .npz or .h5.
-    at : int
-        Only frame I of the clip, counted from 0.
-    rate : float
-        Pictures per second of a video.
     """
     from kt3dmoseg.draw import draw_frame
     from kt3dmoseg.errors import InvalidValueError
@@ -418,16 +361,13 @@ def _write(clip: Clip, target: Path, at: int | None, rate: float, drawn: Callabl
     return len(chosen)
 
 
-def info(path: Either, /, *, json: Flag = False) -> None:
-    """Describe a clip, a folder of clips, a folder of frames, a video or a flow field.
-
-    Parameters
-    ----------
-    path : path
-        File or folder.
-    json : bool
-        Print JSON.
-    """
+def info(
+    path: Annotated[Either, Parameter(help="File or folder.")],
+    /,
+    *,
+    json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
+) -> None:
+    """Describe a clip, a folder of clips, a folder of frames, a video or a flow field."""
     from json import dumps
 
     from kt3dmoseg.io.info import describe, info
@@ -435,18 +375,15 @@ def info(path: Either, /, *, json: Flag = False) -> None:
     print(dumps(describe(path), indent=1, ensure_ascii=False) if json else info(path))
 
 
-def convert(source: File, target: File, /) -> None:
+def convert(
+    source: Annotated[File, Parameter(help="File to read.")],
+    target: Annotated[File, Parameter(help="File to write.")],
+    /,
+) -> None:
     """Convert a clip (.h5, .mat, .npz, .dat) or a flow field (.flo, .png, .npy, .npz).
 
     The suffix of TARGET names the format; SOURCE is recognised by its content. What the format of TARGET
     cannot hold is listed.
-
-    Parameters
-    ----------
-    source : path
-        File to read.
-    target : path
-        File to write.
     """
     from kt3dmoseg.io.formats import convert
 

@@ -20,7 +20,7 @@ Root = Annotated[Folder, Parameter(alias=("-o", "--root"))]
 @flags(PullOptions)
 def pull(
     *clips: Clips,
-    output: Root = Path("kitti_raw"),
+    output: Annotated[Root, Parameter(help="KITTI raw root to fill.")] = Path("kitti_raw"),
     catalogs: Catalogs = (),
     **options: Any,  # noqa: ANN401
 ) -> None:
@@ -29,11 +29,6 @@ def pull(
     Only the needed files of KITTI's zips are read: frames, their timestamps and GPS/IMU packets, the
     calibration, and tracklets where there are any. Run it again after an interruption: it continues, and
     fetches nothing twice. A second run that finds everything in place makes no request.
-
-    Parameters
-    ----------
-    output : path
-        KITTI raw root to fill.
     """
     from kt3dmoseg.kitti import pull
 
@@ -43,7 +38,7 @@ def pull(
 @flags(LocateOptions)
 def locate(
     *clips: Clips,
-    output: Root = Path("kitti_raw"),
+    output: Annotated[Root, Parameter(help="Folder of located.toml.")] = Path("kitti_raw"),
     catalogs: Catalogs = (),
     **options: Any,  # noqa: ANN401
 ) -> None:
@@ -53,30 +48,22 @@ def locate(
     are KITTI's own files, and costs a few hundred kB. Otherwise the drive's frames are read and compared by
     pixels; and, when the clip's own frames are given, by correlation. What is proved goes to located.toml in
     the output folder, where `kt3dmoseg pull` and `kt3dmoseg build` find it.
-
-    Parameters
-    ----------
-    output : path
-        Folder of located.toml.
     """
     from kt3dmoseg.kitti import locate
 
     locate(output, clips, catalogs=catalogs, **options)
 
 
-def fetch_release(*names: str, output: Root = Path("data"), mirror: Url | None = None) -> None:
+def fetch_release(
+    *names: Annotated[str, Parameter(help="kt3dmoseg (default), hopkins155, hopkins12, mtpv62.")],
+    output: Annotated[Root, Parameter(help="Folder to fill.")] = Path("data"),
+    mirror: Annotated[
+        Url | None, Parameter(help="Address of a folder with the same files, one sub-folder per name.")
+    ] = None,
+) -> None:
     """Fetch the 2018 release of KT3DMoSeg, and the other benchmarks, from their public homes.
 
     Prints for each where it comes from, its licence, and what to do by hand when the page is gone.
-
-    Parameters
-    ----------
-    names : str
-        kt3dmoseg (default), hopkins155, hopkins12, mtpv62.
-    output : path
-        Folder to fill.
-    mirror : str
-        Address of a folder with the same files, one sub-folder per name.
     """
     from kt3dmoseg.kitti import fetch_release
 
@@ -107,14 +94,8 @@ def list_clips(*, catalogs: Catalogs = ()) -> None:
 
 
 @catalog.command
-def check(*catalogs: Path) -> None:
-    """Print every problem of catalogs.
-
-    Parameters
-    ----------
-    catalogs : path
-        Files (default: the built-in one).
-    """
+def check(*catalogs: Annotated[Path, Parameter(help="Files (default: the built-in one).")]) -> None:
+    """Print every problem of catalogs."""
     from kt3dmoseg.catalog import BUILT_IN, parse
     from kt3dmoseg.errors import FileFormatError
 
@@ -134,37 +115,22 @@ def check(*catalogs: Path) -> None:
 
 @catalog.command
 def add(
-    name: str,
+    name: Annotated[str, Parameter(help="Name of the clip.")],
     /,
-    frames: Folder | None = None,
+    frames: Annotated[
+        Folder | None, Parameter(help="Folder with the clip's PNG files, to locate them by.")
+    ] = None,
     *,
-    catalog: File,
-    date: str,
-    drive: str,
-    camera: str = "0",
-    numbers: str | None = None,
+    catalog: Annotated[File, Parameter(help="The file to add to; made when missing.")],
+    date: Annotated[str, Parameter(help="Day of the drive, 2011_09_26.")],
+    drive: Annotated[str, Parameter(help="Number of the drive.")],
+    camera: Annotated[str, Parameter(help="0 gray left, 1 gray right, 2 colour left, 3 colour right.")] = "0",
+    numbers: Annotated[str | None, Parameter(help="Frame numbers, 40-59 or 40-59,80.")] = None,
 ) -> None:
     """Add a clip to a catalog of your own.
 
     kt3dmoseg catalog add MyClip --date 2011_09_26 --drive 5 --camera 2 --numbers 40-59 --catalog mine.toml
     kt3dmoseg catalog add MyClip FRAMES --date 2011_09_26 --drive 5 --catalog mine.toml
-
-    Parameters
-    ----------
-    name : str
-        Name of the clip.
-    frames : path
-        Folder with the clip's PNG files, to locate them by.
-    catalog : path
-        The file to add to; made when missing.
-    date : str
-        Day of the drive, 2011_09_26.
-    drive : str
-        Number of the drive.
-    camera : str
-        0 gray left, 1 gray right, 2 colour left, 3 colour right.
-    numbers : str
-        Frame numbers, 40-59 or 40-59,80.
     """
     from kt3dmoseg.catalog import Drive, Entry, Fingerprint, add, check_camera, parse_numbers
     from kt3dmoseg.errors import InvalidValueError
