@@ -15,6 +15,7 @@ import textwrap
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -44,21 +45,16 @@ _EXTRAS = {
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 
-def _parse_integer(_: type, tokens: Sequence[cyclopts.Token]) -> int:
-    if not tokens[0].value.removeprefix("-").isdecimal():  # cyclopts would round 1.5
-        raise ValueError(f"expected a whole number, found {tokens[0].value!r}")
-    return int(tokens[0].value)
-
-
-def _positive(_: type, tokens: Sequence[cyclopts.Token]) -> int:
-    if not tokens[0].value.isdecimal() or int(tokens[0].value) < 1:
-        raise ValueError(f"expected a whole number >= 1, found {tokens[0].value!r}")
-    return int(tokens[0].value)
+def _parse_integer(_: type, tokens: Sequence[cyclopts.Token], *, positive: bool = False) -> int:
+    value = tokens[0].value
+    if not value.removeprefix("-").isdecimal() or (positive and int(value) < 1):  # cyclopts would round 1.5
+        raise ValueError(f"expected a whole number{' >= 1' * positive}, found {value!r}")
+    return int(value)
 
 
 # Types of arguments, with the names of their values in help.
 Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
-Positive = Annotated[int, Parameter(converter=_positive, metavar="N")]
+Positive = Annotated[int, Parameter(converter=partial(_parse_integer, positive=True), metavar="N")]
 Whole = Annotated[int, Parameter(converter=_parse_integer, metavar="N")]
 Name = Annotated[str, Parameter(metavar="NAME")]
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
@@ -71,15 +67,9 @@ Parameters = Annotated[
 
 
 def application(name: str, purpose: str, commands: Mapping[str, str]) -> cyclopts.App:
-    """Make a program of its commands.
+    """Make a program of its commands, by name: "module:function", or "module:app" for a group of commands.
 
-    Parameters
-    ----------
-    name, purpose : str
-        Name of the program and one line on what it is for.
-    commands : mapping of str to str
-        Name -> "module:function", or "module:app" for a group of commands; a module is imported when its
-        command is called or listed.
+    A module is imported when its command is called or listed.
     """
     app = group(name, purpose)
     app.version = f"{name} {__version__}"
@@ -145,18 +135,15 @@ class _Help:
     everything = False
 
     def __call__(self, console: object, options: object, panel: Any) -> None:  # noqa: ANN401
-        """Print one group of options or commands."""
         if panel.title.endswith(_RARE) and not self.everything:
             print(f"\n{len(panel.entries)} more options, rarely changed: --help-all")
         elif panel.entries:
             print("", f"{panel.title}:", *map(_row, panel.entries), sep="\n")
 
     def render_usage(self, console: object, options: object, usage: object) -> None:
-        """Print how a command is called."""
         print(f"Usage: {str(usage).strip()}")
 
     def render_description(self, console: object, options: object, description: Any) -> None:  # noqa: ANN401
-        """Print what a command does."""
         print(f"\n{description.primary_renderable.plain.rstrip()}")
 
 
@@ -185,20 +172,10 @@ _HELP = _Help()
 
 
 def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
-    """Run a program and return its exit code.
+    """Run a program with these arguments, by default the process's, and return its exit code.
 
-    Parameters
-    ----------
-    app : App
-        The program, from `application`.
-    argv : sequence of str, optional
-        Arguments without the program's name; by default those of the process.
-
-    Returns
-    -------
-    int
-        0 on success; an error's own exit code (2, or 1 for a rejected submission) after one line
-        on standard error; 130 when interrupted.
+    0 on success; an error's own exit code (2, or 1 for a rejected submission) after one line on standard
+    error; 130 when interrupted.
     """
     program = app.name[0]
     try:

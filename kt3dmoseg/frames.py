@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -53,31 +53,6 @@ class FrameInfo:
     description: dict[str, Any]
     timestamps: FloatArray | None = None
     camera: Camera | None = None
-
-
-class FrameSource(Protocol):
-    """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built."""
-
-    @property
-    def name(self) -> str:
-        """Name of the clip."""
-        ...
-
-    @property
-    def where(self) -> str:
-        """The path on this machine, for messages."""
-        ...
-
-    def inspect(self) -> FrameInfo:
-        """Check the source and return what is known without decoding it."""
-        ...
-
-    def frames(self, colour: Colour) -> Iterator[ByteArray]:
-        """Yield gray frames one after the other."""
-        ...
-
-
-Source = FrameSource  # its name in 0.1.0
 
 
 @dataclass(frozen=True)
@@ -190,6 +165,11 @@ class KittiClip:
         return range(first, last + 1)
 
 
+FrameSource: TypeAlias = FrameFolder | VideoFile | KittiClip
+"""A clip's frames. Making one reads nothing, so that a bad clip fails when it is built."""
+Source = FrameSource  # its name in 0.1.0
+
+
 def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
     """List the clips at a path, sorted by name.
 
@@ -233,10 +213,7 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
 def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
     """List the clips of ``ROOT/located.toml``, as `pull` and `locate` write it, that are on disk.
 
-    Parameters
-    ----------
-    root : path
-        A KITTI raw root; without that file the list is empty.
+    Without that file in the KITTI raw root the list is empty.
 
     Raises
     ------
@@ -345,20 +322,11 @@ def frame_folder(clip: Clip, root: str | os.PathLike[str]) -> Path | None:
 
 
 def frames_of(clip: Clip, root: str | os.PathLike[str]) -> list[ByteArray]:
-    """Read the frames of a clip: as many as it has, and of its size.
+    """Read the frames of a clip, (H, W) uint8 each: as many as it has, and of its size.
 
-    Parameters
-    ----------
-    clip : Clip
-        The clip.
-    root : path
-        A folder of clips or a KITTI raw root that `frame_folder` finds them in; or the folder of the
-        numbered pictures itself. Of pictures in colour the luma is taken. There may be more than the clip's
-        when it was built from a KITTI drive: those of its numbers are taken.
-
-    Returns
-    -------
-    list of (H, W) uint8
+    They are in a folder of clips or a KITTI raw root that `frame_folder` finds them in, or `root` is the
+    folder of the numbered pictures itself. Of pictures in colour the luma is taken. There may be more than
+    the clip's when it was built from a KITTI drive: those of its numbers are taken.
 
     Raises
     ------
@@ -415,25 +383,12 @@ def find_clips(
     frames: str | os.PathLike[str] | None = None,
     tracks: str | os.PathLike[str] | None = None,
 ) -> dict[str, ClipFiles]:
-    """Find the clips to label.
+    """Find the clips to label, sorted by name.
 
-    Parameters
-    ----------
-    path : path
-        A folder of frames; a clip file (``.h5``, ``.mat``); or a dataset: a folder that holds one of
-        these per clip.
-    annotations : path
-        Folder of the annotations, one ``<clip>.json`` each.
-    frames : path, optional
-        Folder with a sub-folder of frames per clip, the frames themselves, or the KITTI raw root that the
-        clips were built from, for clip files.
-    tracks : path, optional
-        Folder of clip files, or one, with trajectories for folders of frames.
-
-    Returns
-    -------
-    dict of str to ClipFiles
-        By name, sorted.
+    They are in a folder of frames, a clip file (``.h5``, ``.mat``), or a dataset: a folder that holds one of
+    these per clip. `annotations` is the folder of ``<clip>.json``. Clip files need `frames`: a folder with a
+    sub-folder of frames per clip, the frames themselves, or the KITTI raw root that the clips were built
+    from. `tracks`, clip files too, adds trajectories to folders of frames.
 
     Raises
     ------

@@ -54,13 +54,6 @@ class Preset:
 
     A dataclass offers presets in a class attribute `presets`, by name. Where one is chosen, its values
     replace the defaults; an option that is given by itself wins. Only the values are stored, not the preset.
-
-    Parameters
-    ----------
-    help : str
-        One line: what it is for.
-    values : mapping of str to object
-        Options by name.
     """
 
     help: str
@@ -128,13 +121,7 @@ def option_names(cls: type[Any]) -> list[str]:
 
 
 def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
-    """Split ``["alpha=8"]`` into ``{"alpha": "8"}``.
-
-    Raises
-    ------
-    InvalidValueError
-        When a pair has no ``=``.
-    """
+    """Split ``["alpha=8"]`` into ``{"alpha": "8"}``; an `InvalidValueError` for a pair without ``=``."""
     out: dict[str, str] = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")

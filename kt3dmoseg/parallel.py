@@ -1,10 +1,4 @@
-"""The one pool of processes and the one cache of arrays that building and benchmarks share.
-
->>> for task, result in run_tasks(work, tasks, lost=failed, workers=4):  # doctest: +SKIP
-...     print(task, result)
->>> cache = Cache("flows")  # doctest: +SKIP
->>> arrays = cache.get(key := cache_key({"frames": checksum, "version": 1}))  # doctest: +SKIP
-"""
+"""The one pool of processes and the one cache of arrays that building and benchmarks share."""
 
 from __future__ import annotations
 
@@ -21,6 +15,7 @@ import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -66,31 +61,14 @@ def run_tasks(
     A worker process computes with one thread and ends with this process, however that ends. When one dies,
     only its task is run again; an exception in a task ends the run and is raised here.
 
-    Parameters
-    ----------
-    work : callable
-        Called as ``work(task, progress)``; pickled when it leaves this process, as the tasks are.
-    tasks : sequence
-        What to do.
-    lost : callable
-        Called in this process as ``lost(task, reason)``, for the result of a task whose workers died three
-        times.
-    workers : int
-        Number of processes; with 1, or for a single task, this process does the work.
-    dask : str
-        Address of a Dask scheduler, ``"tcp://host:8786"``; replaces `workers`.
-    progress : callable, optional
-        Called in this process with what tasks here or in worker processes hand to their `progress`. Dask
-        workers report none.
+    `work` is called as ``work(task, progress)`` and pickled when it leaves this process, as the tasks are;
+    `lost` as ``lost(task, reason)`` in this process, for the result of a task whose workers died three times.
+    With one worker, or for a single task, this process does the work. `dask` is the address of a scheduler,
+    ``"tcp://host:8786"``, and replaces `workers`. `progress` is called in this process with what tasks here
+    or in worker processes hand to theirs; Dask workers report none.
 
-    Raises
-    ------
-    KT3DMoSegError
-        When worker processes cannot start.
-    MissingDependencyError
-        When `dask` is given and ``distributed`` is not installed.
-    InputFileError
-        When no scheduler answers at that address.
+    Raises a `KT3DMoSegError` when worker processes cannot start, a `MissingDependencyError` without Dask's
+    ``distributed``, and an `InputFileError` when no scheduler answers.
     """
     report = progress or _ignore
     if dask:
@@ -236,7 +214,12 @@ def _on_cluster(
     address: str,
     lost: Callable[[TaskT, str], ResultT],
 ) -> Iterator[tuple[TaskT, ResultT]]:
-    distributed = _distributed()
+    try:
+        distributed: Any = import_module("distributed")  # it has no types
+    except ImportError as error:
+        raise MissingDependencyError(
+            "--dask needs distributed", fix="pip install 'kt3dmoseg[dask]'"
+        ) from error
     try:
         client = distributed.Client(address, timeout=_CONNECT_SECONDS)
     except (OSError, ValueError) as error:
@@ -258,26 +241,12 @@ def _on_cluster(
             yield task, result
 
 
-def _distributed() -> Any:  # noqa: ANN401  # it has no types
-    try:
-        import distributed
-    except ImportError as error:
-        raise MissingDependencyError(
-            "--dask needs distributed", fix="pip install 'kt3dmoseg[dask]'"
-        ) from error
-    return distributed
-
-
 class Cache:
     """Arrays on disk by key, one ``.npz`` file each, written atomically.
 
     Several processes may share a folder. What is damaged, or has got under another key's name, counts as
-    absent. Whatever the arrays depend on belongs into the key, so nothing here can be out of date.
-
-    Parameters
-    ----------
-    folder : path or None
-        Where; made when something is put there. None keeps nothing.
+    absent. Whatever the arrays depend on belongs into the key, so nothing here can be out of date. The folder
+    is made when something is put there; None keeps nothing.
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None) -> None:
@@ -301,10 +270,7 @@ class Cache:
     def put(self, key: str, arrays: Mapping[str, npt.ArrayLike]) -> None:
         """Keep arrays by name; none may be called ``key`` or hold objects.
 
-        Raises
-        ------
-        InputFileError
-            When the folder cannot be written.
+        Raises an `InputFileError` when the folder cannot be written.
         """
         if self.folder is None:
             return
@@ -323,10 +289,7 @@ def _contents(key: str, names: Iterable[str]) -> str:
 def cache_key(description: Mapping[str, object]) -> str:
     """Hexadecimal SHA-256 of everything that a result depends on.
 
-    Parameters
-    ----------
-    description : mapping
-        JSON values, arrays (by dtype, shape and content), and anything else with a complete ``repr``.
+    That may be JSON values, arrays (by dtype, shape and content), and anything else with a complete ``repr``.
     """
     return hashlib.sha256(json.dumps(description, sort_keys=True, default=_described).encode()).hexdigest()
 

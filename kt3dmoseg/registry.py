@@ -16,14 +16,8 @@ from kt3dmoseg.errors import UnknownNameError
 class Registry:
     """A table of names to "module:attribute" targets.
 
-    Parameters
-    ----------
-    kind : str
-        What the table holds, in the singular, for messages: ``"method"``.
-    table : mapping of str to str
-        The built-in names.
-    group : str
-        Entry point group of third parties. A built-in name cannot be replaced.
+    `kind` is what it holds, in the singular, for messages: ``"method"``; `group` the entry point group of
+    third parties, which cannot replace a built-in name.
     """
 
     def __init__(self, kind: str, table: Mapping[str, str], group: str) -> None:
@@ -41,13 +35,7 @@ class Registry:
         return list(self.targets())
 
     def load(self, name: str) -> Any:  # noqa: ANN401  # the object behind the name, of the table's kind
-        """Import and return the object named `name`.
-
-        Raises
-        ------
-        UnknownNameError
-            When there is no such name; the message proposes the nearest.
-        """
+        """Import and return the object named `name`; an `UnknownNameError` proposes the nearest name."""
         # Third parties' names are looked for only when needed: that reads a file of every package.
         target = self.table.get(name) or self.targets().get(name)
         if target is None:
@@ -85,14 +73,8 @@ def lazy(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Make the ``__getattr__`` and the ``__dir__`` of a package whose names are imported on first use.
 
-    Parameters
-    ----------
-    package : str
-        Its ``__name__``.
-    names : mapping of str to str
-        Public name -> the module of the package that has it, or the full name of another module.
-    modules : mapping of str to str
-        Public name of a module of the package -> the module.
+    `names` maps public names to the module of the package that has them, or the full name of another module;
+    `modules` maps public names of the package's modules to these.
     """
 
     def getattr_(name: str) -> Any:  # noqa: ANN401  # the object may be anything

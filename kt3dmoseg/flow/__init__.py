@@ -39,7 +39,7 @@ FLOWS = Registry(
     group="kt3dmoseg.flows",
 )
 
-__all__ = ["FLOWS", "Flow", "FlowCache", "check_pair", "create", "flow_pair", "list", "sample", "smooth"]
+__all__ = ["FLOWS", "Flow", "cached_flow", "check_pair", "create", "flow_pair", "list", "sample", "smooth"]
 
 _MIN_SIDE = 32
 _NEGLIGIBLE = 12.0  # radius of the kernel of `smooth`, in its decay lengths
@@ -72,13 +72,9 @@ def check_pair(a: ByteArray, b: ByteArray) -> None:
 
 
 def check_frame(name: str, frame: ByteArray, first: tuple[int, ...] | None = None) -> None:
-    """Reject a frame that cannot be tracked.
+    """Reject a frame that is not (H, W) uint8, differs in size from the first, or has a side under 32 pixels.
 
-    Raises
-    ------
-    InvalidValueError
-        When it is not (H, W) uint8, differs in size from the first one, or a side is under 32 pixels
-        (OpenCV's DIS crashes on thinner frames instead of raising).
+    OpenCV's DIS crashes on thinner frames instead of raising.
     """
     if not isinstance(frame, np.ndarray) or frame.ndim != 2 or frame.dtype != np.uint8:
         found = f"{getattr(frame, 'dtype', type(frame).__name__)} of shape {np.shape(frame)}"
@@ -119,57 +115,36 @@ def create(name: str, **parameters: Any) -> Flow:  # noqa: ANN401
     return backend
 
 
-class FlowCache:
-    """Flow fields in a folder, found by both frames and everything that `backend_identity` lists.
-
-    Several processes may share the folder. A backend without an identity is computed every time.
-
-    Parameters
-    ----------
-    folder : path
-        Where the fields lie; made when missing.
-    """
-
-    def __init__(self, folder: str | os.PathLike[str]) -> None:
-        self._cache = Cache(folder)
-
-    def get(self, flow: Flow, a: ByteArray, b: ByteArray) -> Float32Array:
-        """Return ``flow(a, b)``, (H, W, 2) float32, from the folder when it is there.
-
-        Raises
-        ------
-        InputFileError
-            When the folder cannot be written.
-        """
-        identity = backend_identity(flow)
-        if identity is None:
-            return flow(a, b)
-        key = cache_key({**identity, "frames": [a, b]})
-        stored = self._cache.get(key)
-        if stored is not None:
-            return stored["flow"]
-        field = flow(a, b)
-        self._cache.put(key, {"flow": field})
-        return field
-
-
 def flow_pair(
-    flow: Flow, a: ByteArray, b: ByteArray, cache: FlowCache | None = None
+    flow: Flow, a: ByteArray, b: ByteArray, folder: str | os.PathLike[str] | None = None
 ) -> tuple[Float32Array, Float32Array]:
-    """Forward flow of `a` to `b` and backward flow of `b` to `a`, each (H, W, 2) float32.
+    """Forward flow of `a` to `b` and backward flow of `b` to `a`, (H, W, 2) float32; see `cached_flow`."""
+    return cached_flow(flow, a, b, folder), cached_flow(flow, b, a, folder)
 
-    Parameters
-    ----------
-    flow : Flow
-        The backend.
-    a, b : (H, W) uint8
-        Frames.
-    cache : FlowCache or None
-        Where to look first and to keep the result.
+
+def cached_flow(
+    flow: Flow, a: ByteArray, b: ByteArray, folder: str | os.PathLike[str] | None
+) -> Float32Array:
+    """Return ``flow(a, b)``, (H, W, 2) float32, from a folder when it is there, and keep it there.
+
+    Fields are found by both frames and everything that `backend_identity` lists; a backend without an
+    identity is computed every time. Several processes may share the folder.
+
+    Raises
+    ------
+    InputFileError
+        When the folder cannot be written.
     """
-    if cache is None:
-        return flow(a, b), flow(b, a)
-    return cache.get(flow, a, b), cache.get(flow, b, a)
+    identity = None if folder is None else backend_identity(flow)
+    if identity is None:
+        return flow(a, b)
+    cache, key = Cache(folder), cache_key({**identity, "frames": [a, b]})
+    stored = cache.get(key)
+    if stored is not None:
+        return stored["flow"]
+    field = flow(a, b)
+    cache.put(key, {"flow": field})
+    return field
 
 
 def backend_identity(flow: Flow) -> dict[str, Any] | None:
@@ -203,21 +178,10 @@ def _version(package: str) -> str:
 
 
 def sample(field: npt.NDArray[Any], xy: npt.ArrayLike) -> FloatArray:
-    """Interpolate a field bilinearly in plain numpy; outside, its edge goes on.
+    """Interpolate a field (H, W) or (H, W, C) at points (N, 2) bilinearly; outside, its edge goes on.
 
-    ``cv2.remap`` is not used: up to OpenCV 4 it rounds coordinates to 1/32 pixel.
-
-    Parameters
-    ----------
-    field : (H, W) or (H, W, C)
-        Values at the pixel centres.
-    xy : (N, 2)
-        Points in pixels, x right, y down.
-
-    Returns
-    -------
-    (N,) or (N, C) float64
-        The field at the points; NaN at a point that is NaN or next to one where the field is.
+    Returns (N,) or (N, C) float64: NaN at a point that is NaN or next to one where the field is. Plain numpy,
+    since ``cv2.remap`` rounds coordinates to 1/32 pixel up to OpenCV 4.
     """
     points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     height, width = field.shape[:2]

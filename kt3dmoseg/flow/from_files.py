@@ -42,7 +42,11 @@ class FlowFiles:
             When a folder or field is missing or cannot be read.
         """
         check_pair(a, b)
-        path = self._find(sha256_arrays(a), sha256_arrays(b))
+        path = self._fields.get((sha256_arrays(a), sha256_arrays(b)))
+        if path is None:
+            raise InvalidValueError(
+                "frames", expected=f"two neighbours of {self.frames}", found="a pair that is not there"
+            )
         field = read_flow(path)
         if field.shape[:2] != a.shape:
             height, width = a.shape
@@ -51,36 +55,26 @@ class FlowFiles:
             )
         return field
 
-    def _find(self, first: str, second: str) -> Path:
-        for number, pair in enumerate(pairwise(self._checksums)):
-            if pair == (first, second):
-                return self._forward[number]
-            if pair == (second, first):
-                return self._backward[number]
-        raise InvalidValueError(
-            "frames", expected=f"two neighbours of {self.frames}", found="a pair that is not there"
+    @cached_property
+    def _fields(self) -> dict[tuple[str, str], Path]:
+        """Files by the checksums of their pairs of frames; of frames that come twice, the first."""
+        checksums = [sha256_arrays(read_frame(path)) for path in frame_paths(self._folder("frames"))]
+        found: dict[tuple[str, str], Path] = {}
+        fields = zip(
+            *(self._files(which, len(checksums) - 1) for which in ("forward", "backward")), strict=True
         )
+        for (first, second), (forward, backward) in zip(pairwise(checksums), fields, strict=True):
+            found.setdefault((first, second), forward)
+            found.setdefault((second, first), backward)
+        return found
 
-    @cached_property
-    def _checksums(self) -> list[str]:
-        return [sha256_arrays(read_frame(path)) for path in frame_paths(self._folder("frames"))]
-
-    @cached_property
-    def _forward(self) -> list[Path]:
-        return self._fields("forward")
-
-    @cached_property
-    def _backward(self) -> list[Path]:
-        return self._fields("backward")
-
-    def _fields(self, which: str) -> list[Path]:
+    def _files(self, which: str, count: int) -> list[Path]:
         folder = self._folder(which)
         inside = sorted(folder.iterdir()) if folder.is_dir() else []
         paths = [path for path in inside if path.suffix.lower() in FLOW_SUFFIXES]
-        wanted = len(self._checksums) - 1
-        if len(paths) != wanted:
+        if len(paths) != count:
             raise InputFileError(
-                str(folder), expected=f"{wanted} flow files, one per pair of frames", found=str(len(paths))
+                str(folder), expected=f"{count} flow files, one per pair of frames", found=str(len(paths))
             )
         return paths
 

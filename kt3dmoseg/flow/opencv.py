@@ -12,12 +12,6 @@ from kt3dmoseg.flow import check_pair
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
-_PRESETS = {
-    "ultrafast": cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST,
-    "fast": cv2.DISOPTICAL_FLOW_PRESET_FAST,
-    "medium": cv2.DISOPTICAL_FLOW_PRESET_MEDIUM,
-}
-
 
 @dataclass(frozen=True)
 class DisMedium:
@@ -30,7 +24,7 @@ class DisMedium:
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
         """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`."""
         check_pair(a, b)
-        solver = cv2.DISOpticalFlow.create(_PRESETS[self.preset])
+        solver = cv2.DISOpticalFlow.create(getattr(cv2, f"DISOPTICAL_FLOW_PRESET_{self.preset.upper()}"))
         return np.asarray(solver.calc(a, b, None), np.float32)  # type: ignore[call-overload]  # its stub forgets None
 
 

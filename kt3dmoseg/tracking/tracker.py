@@ -19,7 +19,7 @@ import numpy.typing as npt
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import sha256_file
-from kt3dmoseg.flow import Flow, FlowCache, check_frame, flow_pair
+from kt3dmoseg.flow import Flow, check_frame, flow_pair
 from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame, read_frames
 from kt3dmoseg.options import from_mapping
@@ -90,7 +90,6 @@ def track(
     """
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
-    store = None if cache is None else FlowCache(Path(cache))
     items = frame_paths(frames) if isinstance(frames, (str, os.PathLike)) else frames
     total = len(items) if isinstance(items, Sized) else None
     run = _Run(settings, None if seeds is None else _checked(seeds))
@@ -98,7 +97,7 @@ def track(
     for number, frame in enumerate(_gray_frames(items)):
         run.look_at(frame)
         if before is not None:
-            run.advance(*flow_pair(backend, before, frame, store))
+            run.advance(*flow_pair(backend, before, frame, cache))
         run.start(number, frame)
         before = frame
         if progress is not None:
@@ -152,19 +151,10 @@ def track_clip(
         provenance={
             "frames": {path.name: sha256_file(path) for path in paths},
             "flow": type(backend).__name__,
-            "flow_options": _plain(backend),
+            "flow_options": dataclasses.asdict(backend) if dataclasses.is_dataclass(backend) else {},
             "track_options": dataclasses.asdict(settings),
             "versions": {"kt3dmoseg": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
         },
-    )
-
-
-def _plain(backend: Flow) -> dict[str, Any]:
-    cls = type(backend)
-    return (
-        {f.name: getattr(backend, f.name) for f in dataclasses.fields(cls)}
-        if dataclasses.is_dataclass(cls)
-        else {}
     )
 
 
@@ -250,19 +240,9 @@ def _reject(seeds: FloatArray, bad: BoolArray, expected: str) -> None:
 class RunTrajectories(Trajectories):
     """Trajectories that are visible in one run of frames each, kept as these runs.
 
-    `xy` and `visible` are laid out on first use: over a long clip nearly all of (N, F, 2)
-    is NaN.
-
-    Parameters
-    ----------
-    frames : list of (ids, xy)
-        Per frame the identities (L,) int64, below `count`, and positions (L, 2) float64 of what is visible.
-    count : int
-        Number of identities.
-    min_length : int
-        Trajectories that are visible in fewer frames are dropped.
-    image_size : (W, H)
-        Size of the frames in pixels.
+    `xy` and `visible` are laid out on first use: over a long clip nearly all of (N, F, 2) is NaN. `frames`
+    holds per frame the identities (L,) int64, below `count`, and positions (L, 2) float64 of what is
+    visible; trajectories that are visible in fewer than `min_length` frames are dropped.
     """
 
     def __init__(

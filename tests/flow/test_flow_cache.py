@@ -11,7 +11,7 @@ import pytest
 import kt3dmoseg
 from kt3dmoseg import flow
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.flow import FlowCache, backend_identity, flow_pair
+from kt3dmoseg.flow import backend_identity, cached_flow, flow_pair
 from kt3dmoseg.options import option
 
 ALGORITHM_VERSION = 1
@@ -46,9 +46,9 @@ def only_entry(folder):
 
 
 def test_each_direction_is_computed_once(tmp_path, pair):
-    first = flow_pair(Counting(), *pair, FlowCache(tmp_path))
-    again = flow_pair(Counting(), *pair, FlowCache(tmp_path))
-    reverse = flow_pair(Counting(), *pair[::-1], FlowCache(tmp_path))
+    first = flow_pair(Counting(), *pair, tmp_path)
+    again = flow_pair(Counting(), *pair, tmp_path)
+    reverse = flow_pair(Counting(), *pair[::-1], tmp_path)
     assert len(CALLS) == 2
     for one, two, three in zip(first, again, reversed(reverse), strict=True):
         assert one.dtype == two.dtype == np.float32
@@ -64,24 +64,22 @@ def test_without_cache_both_directions(pair):
 
 def test_other_parameters_or_frames_make_another_entry(tmp_path, pair):
     a, b = pair
-    store = FlowCache(tmp_path)
-    store.get(Counting(), a, b)
-    doubled = store.get(Counting(2.0), a, b)
+    cached_flow(Counting(), a, b, tmp_path)
+    doubled = cached_flow(Counting(2.0), a, b, tmp_path)
     changed = b.copy()
     changed[0, 0] ^= 1
-    other = store.get(Counting(), a, changed)
+    other = cached_flow(Counting(), a, changed, tmp_path)
     np.testing.assert_array_equal(doubled, Counting(2.0)(a, b))
     np.testing.assert_array_equal(other, Counting()(a, changed))
 
 
 def test_another_version_makes_another_entry(tmp_path, pair, monkeypatch):
-    store = FlowCache(tmp_path)
-    store.get(Counting(), *pair)
+    cached_flow(Counting(), *pair, tmp_path)
     monkeypatch.setattr(np, "__version__", "another")
-    store.get(Counting(), *pair)
+    cached_flow(Counting(), *pair, tmp_path)
     monkeypatch.setattr(sys.modules[__name__], "ALGORITHM_VERSION", 2)
-    store.get(Counting(), *pair)
-    store.get(Counting(), *pair)
+    cached_flow(Counting(), *pair, tmp_path)
+    cached_flow(Counting(), *pair, tmp_path)
     assert len(CALLS) == 3
 
 
@@ -98,7 +96,7 @@ def test_the_versions_of_this_package_and_its_flow_count(monkeypatch):
 def test_a_backend_that_states_no_version_is_not_kept(tmp_path, pair, monkeypatch):
     monkeypatch.delattr(sys.modules[__name__], "ALGORITHM_VERSION")
     for _ in range(2):
-        FlowCache(tmp_path).get(Counting(), *pair)
+        cached_flow(Counting(), *pair, tmp_path)
     assert len(CALLS) == 2
     assert not list(tmp_path.iterdir())
 
@@ -115,36 +113,34 @@ def test_a_backend_that_states_no_version_is_not_kept(tmp_path, pair, monkeypatc
     ],
 )
 def test_a_damaged_entry_is_computed_again(tmp_path, pair, damage):
-    store = FlowCache(tmp_path)
-    wanted = store.get(Counting(), *pair)
+    wanted = cached_flow(Counting(), *pair, tmp_path)
     path = only_entry(tmp_path)
     intact = path.read_bytes()
     path.write_bytes(damage(intact))
-    np.testing.assert_array_equal(store.get(Counting(), *pair), wanted)
+    np.testing.assert_array_equal(cached_flow(Counting(), *pair, tmp_path), wanted)
     assert len(CALLS) == 2
     assert path.read_bytes() == intact
 
 
 def test_an_entry_under_another_name_is_not_used(tmp_path, pair):
     a, b = pair
-    store = FlowCache(tmp_path)
-    store.get(Counting(), a, b)
+    cached_flow(Counting(), a, b, tmp_path)
     mine = only_entry(tmp_path)
-    store.get(Counting(), b, a)
+    cached_flow(Counting(), b, a, tmp_path)
     (other,) = [p for p in tmp_path.rglob("*.npz") if p != mine]
     other.write_bytes(mine.read_bytes())
-    np.testing.assert_array_equal(store.get(Counting(), b, a), Counting()(b, a))
+    np.testing.assert_array_equal(cached_flow(Counting(), b, a, tmp_path), Counting()(b, a))
 
 
 def test_what_cannot_be_named_is_not_kept(tmp_path, pair):
     def nameless(a, b):
         return Counting()(a, b)
 
-    FlowCache(tmp_path).get(nameless, *pair)
+    cached_flow(nameless, *pair, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 def test_unwritable_folder_is_one_clear_error(tmp_path, pair):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputFileError, match="cannot write"):
-        FlowCache(tmp_path / "file").get(Counting(), *pair)
+        cached_flow(Counting(), *pair, tmp_path / "file")
