@@ -44,12 +44,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path in the folder of `path`; on success it takes the name `path`, durably.
 
     The folder is created when missing. On any exception, and on ``kill -9``, `path` keeps its
-    former content or stays absent; the temporary file is removed when the process can.
-
-    Raises
-    ------
-    InputFileError
-        When the folder cannot be created or written, or the disk is full.
+    former content or stays absent; the temporary file is removed when the process can. InputFileError
+    when the folder cannot be created or written, or the disk is full.
     """
     target = Path(path)
     try:
@@ -183,23 +179,10 @@ class ZipFault(NamedTuple):
 class SafeZip:
     """A stranger's zip archive: names and claimed sizes are checked, then files are read within bounds.
 
-    Parameters
-    ----------
-    source : path, bytes or binary file
-        The archive, its content, or something that can be read and searched like a file.
-    limits : ZipLimits
-        What is accepted.
-    where : str
-        Its name, for messages.
-    wanted : callable, optional
-        Whether a file of that name counts; the others are passed over unchecked.
-    faults : list of ZipFault, optional
-        Takes up what is wrong; the files concerned are left out. Without it, the first fault is raised.
-
-    Raises
-    ------
-    InputFileError, FileFormatError
-        When the file cannot be opened; for the first fault, when there is no list to take it up.
+    `source` is its path, its content, or a binary file; `where` names it in messages. Files whose name is
+    not `wanted` are passed over unchecked. What is wrong goes to the list `faults`, without the files
+    concerned; when there is no list, the first fault raises FileFormatError. InputFileError when the file
+    cannot be opened. `infos` has what the directory states about every file that may be read, by name.
     """
 
     def __init__(
@@ -211,7 +194,7 @@ class SafeZip:
         faults: list[ZipFault] | None = None,
     ) -> None:
         self.where, self._limits, self._faults = where, limits, faults
-        self._files: dict[str, zipfile.ZipInfo] = {}
+        self.infos: dict[str, zipfile.ZipInfo] = {}
         self._archive: zipfile.ZipFile | None = None
         self._list(io.BytesIO(source) if isinstance(source, bytes) else source, wanted)
 
@@ -227,12 +210,7 @@ class SafeZip:
     @property
     def sizes(self) -> dict[str, int]:
         """Name and size, as claimed and within the limits, of every file that may be read; sorted by name."""
-        return {name: info.file_size for name, info in sorted(self._files.items())}
-
-    @property
-    def infos(self) -> dict[str, zipfile.ZipInfo]:
-        """What the directory states about every file that may be read, by name."""
-        return self._files
+        return {name: info.file_size for name, info in sorted(self.infos.items())}
 
     @property
     def directory_start(self) -> int:
@@ -242,7 +220,7 @@ class SafeZip:
     @contextmanager
     def open(self, name: str) -> Iterator[IO[bytes]]:
         """Open one file to read a part of it; damage that shows in the block becomes a FileFormatError."""
-        info = self._files[name]
+        info = self.infos[name]
         try:
             with self._archive.open(info) as stream:  # type: ignore[union-attr]  # it has files
                 yield stream
@@ -254,7 +232,7 @@ class SafeZip:
 
     def read(self, name: str) -> bytes:
         """Return the content of one file; FileFormatError when it is damaged or its size is a lie."""
-        size = self._files[name].file_size
+        size = self.infos[name].file_size
         with self.open(name) as stream:
             content = stream.read(size + 1)
         if len(content) != size:
@@ -295,7 +273,7 @@ class SafeZip:
         elif stat.S_ISLNK(info.external_attr >> 16):
             fix = "put the file itself there (zip follows links by default; cp -L does too)"
             self._refuse("symlink", name, "a plain file", "a symbolic link", fix)
-        elif name in self._files:
+        elif name in self.infos:
             self._refuse("duplicate-name", name, "each file once", "it twice", "keep one of them")
         elif info.file_size > most:
             expected = f"at most {limits.file_bytes} bytes, packed at most {limits.ratio} to 1"
@@ -306,7 +284,7 @@ class SafeZip:
             found = f"compression method {info.compress_type}"
             self._refuse("unreadable", name, "a stored or deflated file", found, "zip it without options")
         else:
-            self._files[name] = info
+            self.infos[name] = info
 
     def _refuse(self, code: str, file: str, expected: str, found: str, fix: str = "") -> None:
         if self._faults is None:

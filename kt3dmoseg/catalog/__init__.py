@@ -179,10 +179,7 @@ def check_camera(camera: int | str) -> int:
 def parse_numbers(text: str) -> tuple[int, ...]:
     """Read ``"40-59, 80"`` as frame numbers, both ends included.
 
-    Raises
-    ------
-    InvalidValueError
-        When the text is not of that form or names more than 100,000 frames.
+    InvalidValueError when the text is not of that form or names more than 100,000 frames.
     """
     numbers: list[int] = []
     for part in str(text).split(","):
@@ -252,13 +249,7 @@ def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Ent
 
 
 def select(clips: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entry]:
-    """Return the clips of these names, all when none is given.
-
-    Raises
-    ------
-    UnknownNameError
-        For a name that is not in the catalog, with the nearest.
-    """
+    """Return the clips of these names, all when none is given; UnknownNameError, with the nearest name."""
     wanted = list(dict.fromkeys(names)) or list(clips)
     for name in wanted:
         if name not in clips:
@@ -292,13 +283,7 @@ def save(path: str | os.PathLike[str], clips: Iterable[Entry], *, comment: str =
 
 
 def add(path: str | os.PathLike[str], entry: Entry) -> None:
-    """Add a clip to a user's catalog, which is made when missing.
-
-    Raises
-    ------
-    InvalidValueError
-        When the name is in that catalog or in the built-in one.
-    """
+    """Add a clip to a user's catalog, which is made when missing; InvalidValueError for a taken name."""
     target = Path(path)
     present = load(target, built_in=False) if target.exists() else {}
     if entry.name in present or entry.name in load():

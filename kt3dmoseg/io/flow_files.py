@@ -30,26 +30,12 @@ _MAX_FILE = 1 << 30
 
 
 def read_flow(path: str | os.PathLike[str]) -> Float32Array:
-    """Read a flow field; the content decides about the format.
+    """Read a flow field, (H, W, 2) float32, NaN where unknown; the content decides about the format.
 
-    Parameters
-    ----------
-    path : path
-        ``.flo`` (Baker et al., IJCV 2011), KITTI's 16-bit PNG (u = R / 64 - 512, v = G / 64 - 512,
-        valid = B; Menze and Geiger, CVPR 2015), or an array (H, W, 2) or (2, H, W) in ``.npy`` or
-        ``.npz`` (its array ``flow``, or the only one).
-
-    Returns
-    -------
-    (H, W, 2) float32
-        NaN where the file marks a pixel as unknown.
-
-    Raises
-    ------
-    InputFileError
-        When the file cannot be read.
-    FileFormatError
-        When it is none of these formats, damaged, or lies about its size.
+    ``.flo`` (Baker et al., IJCV 2011), KITTI's 16-bit PNG (u = R / 64 - 512, v = G / 64 - 512, valid = B;
+    Menze and Geiger, CVPR 2015), or an array (H, W, 2) or (2, H, W) in ``.npy`` or ``.npz`` (its array
+    ``flow``, or the only one). InputFileError when the file cannot be read; FileFormatError when it is none
+    of these, damaged, or lies about its size.
     """
     where = os.fspath(path)
     content = read_bytes(path, _MAX_FILE)
@@ -69,21 +55,10 @@ def read_flow(path: str | os.PathLike[str]) -> Float32Array:
 
 
 def write_flow(path: str | os.PathLike[str], flow: npt.ArrayLike) -> None:
-    """Write a flow field in the format of the path's suffix, atomically.
+    """Write a flow field (H, W, 2) in pixels, NaN where unknown, in the format of the suffix, atomically.
 
-    Parameters
-    ----------
-    path : path
-        Ends in ``.flo``, ``.png``, ``.npy`` or ``.npz``. PNG keeps 1/64 px within +-512 px.
-    flow : (H, W, 2) array
-        Displacements in pixels; NaN where unknown.
-
-    Raises
-    ------
-    InvalidValueError
-        For another shape or suffix, or a displacement that does not fit into a PNG.
-    InputFileError
-        When the file cannot be written.
+    PNG keeps 1/64 px within +-512 px. InvalidValueError for another shape or suffix, or a displacement that
+    does not fit into a PNG; InputFileError when the file cannot be written.
     """
     field = np.asarray(flow, dtype=np.float32)
     if field.ndim != 3 or field.shape[2] != 2:

@@ -211,11 +211,9 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
     for file in files:
         name = clip_name(file)
         if name in out:
-            where, found = (
-                f"{root}: clip {name}",
-                f"{out[name].relative_to(root)} and {file.relative_to(root)}",
-            )
-            raise FileFormatError(where, expected="one file", found=found, fix="keep one of them")
+            both = f"{out[name].relative_to(root)} and {file.relative_to(root)}"
+            fix = "keep one of them"
+            raise FileFormatError(f"{root}: clip {name}", expected="one file", found=both, fix=fix)
         out[name] = file
     return dict(sorted(out.items()))
 

@@ -37,20 +37,10 @@ _MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
 
 
 def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
-    """List the frames of a folder in the order of their numbers.
+    """List the frames of a folder in the order of their numbers, by which their names end: ``000001.png``.
 
-    Parameters
-    ----------
-    folder : path
-        Holds two or more pictures whose names end in consecutive numbers, for instance
-        ``000001.png`` or ``0000000107.png``.
-
-    Raises
-    ------
-    InputFileError
-        When the folder is missing, empty or holds a single frame.
-    FileFormatError
-        When a name has no number, a number is missing or given twice.
+    InputFileError when the folder is missing, empty or holds a single frame; FileFormatError when a name
+    has no number, a number is missing or given twice.
     """
     root = Path(folder)
     if not root.is_dir():
@@ -102,26 +92,11 @@ def frame_number(path: str | os.PathLike[str]) -> int:
 
 
 def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteArray:
-    """Read one frame as 8-bit gray.
+    """Read one frame as 8-bit gray, (H, W) uint8.
 
-    Parameters
-    ----------
-    path : path
-        The picture.
-    colour : {"refuse", "luma"}
-        What to do with a picture whose channels differ: refuse it, or take its luma
-        0.299 R + 0.587 G + 0.114 B (ITU-R BT.601).
-
-    Returns
-    -------
-    (H, W) uint8
-
-    Raises
-    ------
-    InputFileError
-        When the file cannot be read.
-    FileFormatError
-        When it is damaged, 16-bit, or in colour while `colour` is "refuse".
+    `colour` decides about a picture whose channels differ: refuse it, or take its luma
+    0.299 R + 0.587 G + 0.114 B (ITU-R BT.601). InputFileError when the file cannot be read; FileFormatError
+    when it is damaged, 16-bit, or in colour that is refused.
     """
     where = os.fspath(path)
     return gray(decode(read_bytes(path, _MAX_FILE), where), where, colour)
@@ -164,14 +139,9 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
 
 
 def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
-    """Decode a PNG of one channel to its numbers, whatever colours its palette gives them.
+    """Decode a PNG of one channel to its numbers (H, W) int64, whatever colours its palette gives them.
 
-    Returns
-    -------
-    indices : (H, W) int64
-        The numbers.
-    bits : int
-        Bits per pixel in the file: 1, 2, 4, 8 or 16.
+    Also returned: the file's bits per pixel, 1, 2, 4, 8 or 16.
     """
     if not content.startswith(_PNG):
         raise FileFormatError(where, expected="an indexed or gray PNG", found="another file")

@@ -11,7 +11,6 @@ from __future__ import annotations
 import io
 import math
 import os
-import zipfile
 from collections.abc import Container, Mapping
 from typing import IO, Any
 
@@ -19,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import SafeZip, ZipLimits, read_bytes, write_bytes
+from kt3dmoseg.files import SafeZip, ZipLimits, read_bytes, write_bytes, zip_bytes
 from kt3dmoseg.io.fields import Fields, clip_from, clip_of_tracks, clip_values
 from kt3dmoseg.types import BoolArray, Clip, Trajectories
 
@@ -82,12 +81,7 @@ def npz_shapes(path: str | os.PathLike[str]) -> dict[str, tuple[int, ...]]:
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     """Write a compressed .npz atomically; equal arrays give equal bytes."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, array in arrays.items():
-            info = zipfile.ZipInfo(f"{name}.npy")  # dated 1980, whatever the day
-            archive.writestr(info, npy_bytes(np.asarray(array)), zipfile.ZIP_DEFLATED)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, zip_bytes({f"{name}.npy": npy_bytes(np.asarray(a)) for name, a in arrays.items()}))
 
 
 def npy_bytes(array: npt.NDArray[Any]) -> bytes:

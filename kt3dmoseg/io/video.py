@@ -46,23 +46,10 @@ def write_png(path: str | os.PathLike[str], picture: ByteArray) -> None:
 def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float) -> None:
     """Write (H, W, 3) RGB pictures of one size as a video or animation, by the path's suffix.
 
-    A video of an odd height or width has its last row or column twice: the codecs need even sizes.
-
-    Parameters
-    ----------
-    path : path
-        ``.mp4``, ``.avi`` (one picture in memory at a time), ``.gif``, ``.apng`` or ``.webp``.
-    pictures : iterable of (H, W, 3) uint8
-        RGB.
-    rate : float
-        Pictures per second.
-
-    Raises
-    ------
-    InvalidValueError
-        For another suffix.
-    InputFileError
-        When the file cannot be written.
+    Videos are ``.mp4`` and ``.avi`` (one picture in memory at a time; of an odd height or width the last row
+    or column is repeated, as the codecs need even sizes), animations ``.gif``, ``.apng`` and ``.webp``.
+    `rate` is in pictures per second. InvalidValueError for another suffix, InputFileError when the file
+    cannot be written.
     """
     suffix = Path(path).suffix.lower()
     if suffix in _VIDEO:

@@ -24,7 +24,8 @@ from kt3dmoseg.files import read_bytes, sha256_arrays
 from kt3dmoseg.kitti.drive_archives import FileSet, LocalFolder, Server, TargetFolder, frames_of, open_origin
 from kt3dmoseg.kitti.http import AbsentError, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import LocateOptions
-from kt3dmoseg.kitti.raw import LARGEST_FILE, decode_frame, frame_number
+from kt3dmoseg.kitti.raw import decode_frame, frame_number
+from kt3dmoseg.kitti.remote_zip import LARGEST_FILE
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.types import ByteArray, Float32Array, FloatArray
 
@@ -145,21 +146,9 @@ def drive_frames(files: FileSet, drive: Drive, camera: int) -> dict[int, str]:
 
 
 def fingerprint_folder(folder: Path) -> tuple[tuple[Fingerprint, ...], tuple[int, int]]:
-    """Fingerprint a clip's frames, in the order of their names.
+    """Fingerprint a clip's PNG files, in the order of their names; return their size (W, H) in pixels, too.
 
-    Returns
-    -------
-    frames : tuple of Fingerprint
-        One per PNG file.
-    size : (W, H)
-        Their size in pixels.
-
-    Raises
-    ------
-    InputFileError
-        When there are no PNG files.
-    FileFormatError
-        When the frames differ in size or one is not a PNG.
+    InputFileError when there are none, FileFormatError when they differ in size or one is not a PNG.
     """
     frames = [(fingerprint(content, image), image.shape[1::-1]) for content, image in _read_folder(folder)]
     sizes = {size for _, size in frames}
@@ -282,29 +271,18 @@ def _steady(equal: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
 
 
 def match_graded(similarity: FloatArray | Float32Array, numbers: Sequence[int]) -> Verdict:
-    """Find the consecutive frame numbers from the correlations of the clip's frames with the drive's.
+    """Find the consecutive frame numbers from the correlations (F, D) of the clip's frames with the drive's.
 
     They are proved when the best run of F consecutive numbers correlates by at least 0.8 on average, the
     next best by at least 0.02 less, and nine frames in ten have their best match there. On KITTI frames that
     were re-encoded (JPEG quality 30, gamma 0.7, halved and enlarged, noise of 10 gray levels), the true run
     reaches at least 0.97 and a shift by one frame at most 0.90.
-
-    Parameters
-    ----------
-    similarity : (F, D) float
-        The correlations.
-    numbers : sequence of D int
-        Numbers of the drive's frames, ascending.
     """
     length, column = len(similarity), {number: k for k, number in enumerate(numbers)}
-    runs = {
-        n: [column[n + k] for k in range(length)]
-        for n in numbers
-        if all(n + k in column for k in range(length))
-    }
-    scored = sorted(
-        ((float(similarity[np.arange(length), run].mean()), n) for n, run in runs.items()), reverse=True
-    )
+    complete = [n for n in numbers if all(n + k in column for k in range(length))]
+    runs = {n: np.arange(length) + column[n] for n in complete}  # the numbers ascend
+    means = ((float(similarity[np.arange(length), run].mean()), n) for n, run in runs.items())
+    scored = sorted(means, reverse=True)
     if not scored:
         return Verdict(None)
     (score, first), second = scored[0], scored[1][0] if len(scored) > 1 else -1.0

@@ -18,13 +18,13 @@ import numpy.typing as npt
 from kt3dmoseg.catalog import Drive, check_camera, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
+from kt3dmoseg.kitti.remote_zip import LARGEST_FILE
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
 CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
 TRACKLET_FILE = "tracklet_labels.xml"
 LOCATED = "located.toml"  # the catalog in a KITTI raw root: clips whose frame numbers were proved
-LARGEST_FILE = 64 << 20
 
 _FIX = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
 _FIX_CALIBRATION = "fetch the day's calibration with kt3dmoseg pull, or unpack its _calib.zip here"

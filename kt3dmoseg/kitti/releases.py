@@ -100,29 +100,20 @@ def fetch_release(
             raise unknown_name("release", name, table)
         release = table[name]
         folder = Path(root) / release.folder
-        report(
-            f"{release.title}\n  home: {release.home}\n  licence: {release.licence}\n  cite: {release.cite}"
-        )
-        report(f"  if the page is gone: {release.by_hand} ({folder})")
-        fetched[name] = _fetch(release, folder, mirror, retries, report)
+        report(f"{release.title}\n  home: {release.home}\n  licence: {release.licence}")
+        report(f"  cite: {release.cite}\n  if the page is gone: {release.by_hand} ({folder})")
+        expected, addresses = _read_sums(folder) | release.checksums, release.downloads()
+        if mirror:
+            addresses = {file: f"{mirror.rstrip('/')}/{name}/{file}" for file in addresses}
+        _download(addresses, folder, expected, retries, f"by hand: {release.by_hand}")
+        for file in addresses:
+            if file not in expected:
+                expected[file] = sha256_file(folder / file)
+                report(f"  {file}: no published hash; trusted now, SHA-256 {expected[file]} from now on")
+            if release.wanted:
+                _unpack(release, folder / file, folder, expected)
+        fetched[name] = _check(release, folder, expected, report)
     return fetched
-
-
-def _fetch(
-    release: Release, folder: Path, mirror: str | None, retries: int, report: Callable[[str], object]
-) -> list[Path]:
-    expected = _read_sums(folder) | release.checksums
-    addresses = release.downloads()
-    if mirror:
-        addresses = {name: f"{mirror.rstrip('/')}/{release.name}/{name}" for name in addresses}
-    _download(addresses, folder, expected, retries, f"by hand: {release.by_hand}")
-    for name in addresses:
-        if name not in expected:
-            expected[name] = sha256_file(folder / name)
-            report(f"  {name}: no published hash; trusted now, SHA-256 {expected[name]} from now on")
-        if release.wanted:
-            _unpack(release, folder / name, folder, expected)
-    return _check(release, folder, expected, report)
 
 
 def _download(
@@ -171,12 +162,8 @@ def _check(
         raise InputFileError(f"{folder}: no files, and no address is known", fix=release.by_hand)
     for name, checksum in found.items():
         if checksum != expected.get(name, checksum):
-            raise FileFormatError(
-                f"{folder / name}",
-                expected=f"SHA-256 {expected[name]}",
-                found=checksum,
-                fix="remove it and fetch it again",
-            )
+            wanted, fix = f"SHA-256 {expected[name]}", "remove it and fetch it again"
+            raise FileFormatError(f"{folder / name}", expected=wanted, found=checksum, fix=fix)
     sums = sorted((dict(expected) | found).items())
     here = {name: checksum for name, checksum in sums if (folder / name).is_file()}
     if _read_sums(folder) != here:

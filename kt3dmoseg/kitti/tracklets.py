@@ -17,9 +17,9 @@ from defusedxml import ElementTree
 from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
+from kt3dmoseg.kitti.remote_zip import LARGEST_FILE
 from kt3dmoseg.types import FloatArray, IntArray
 
-_LARGEST = 64 << 20
 _NEAREST = 0.1
 _LAST_FRAME = 10**10 - 1
 # Corners in units of (length, width, height), and the pairs of them that differ in one coordinate.
@@ -107,7 +107,7 @@ class TrackletBox:
 
 def read_tracklets(path: Path) -> list[Tracklet]:
     """Read a ``tracklet_labels.xml`` of at most 64 MiB; FileFormatError for others and for XML entities."""
-    content = read_bytes(path, _LARGEST)
+    content = read_bytes(path, LARGEST_FILE)
     try:
         found = ElementTree.fromstring(content).find("tracklets")  # refuses entities
         if found is None:
