@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.io.fields import clip_name, clip_values
 from kt3dmoseg.types import Clip
 
@@ -82,15 +82,10 @@ def load(path: str | os.PathLike[str]) -> Clip:
         When it is of no known format, damaged, of a newer version, or contradicts itself.
     """
     file = _single_file(Path(path))
-    module = import_module(recognise(file).module)
     try:
-        clip: Clip = module.read(file)
+        clip: Clip = import_module(recognise(file).module).read(file)
     except InvalidValueError as error:
         raise FileFormatError(f"{file}: {error}") from None
-    except KT3DMoSegError:
-        raise
-    except OSError as error:
-        raise InputFileError(f"{file}: {error.strerror or error}") from None
     return clip
 
 

@@ -214,11 +214,9 @@ def open_hdf5(path: str) -> Iterator[h5py.File]:
             yield file
     except KT3DMoSegError:
         raise
-    except OSError as error:
-        if error.errno is not None:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
             raise InputFileError(f"{path}: {os.strerror(error.errno)}") from None
-        raise FileFormatError(path, expected="an intact HDF5 file", found=f"damage: {error}") from None
-    except (KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
         raise FileFormatError(path, expected="an intact HDF5 file", found=f"damage: {error}") from None
 
 

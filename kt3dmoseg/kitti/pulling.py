@@ -45,16 +45,9 @@ _RESERVE = 16 << 20
 class PullReport:
     """What a pull did.
 
-    Parameters
-    ----------
-    files, bytes : int
-        All wanted files, which are now on disk and verified.
-    fetched : int
-        How many of them this pull fetched.
-    requests, transferred : int
-        Requests made and bytes of answers received.
-    lacking : list of str
-        Files that the source does not have (timestamps or packets of incomplete drives).
+    `files` and `bytes` count all wanted files, now on disk and verified; `fetched` those that it fetched;
+    `requests` and `transferred` its requests and the bytes of their answers. The source is `lacking` some
+    files of incomplete drives, timestamps or packets.
     """
 
     files: int = 0
