@@ -63,16 +63,12 @@ def first_few(items: Sequence[object], limit: int = 5) -> str:
     return shown if len(items) <= limit else f"{shown} and {len(items) - limit} more"
 
 
-def _no_rows() -> IntArray:
-    return np.empty(0, dtype=np.int64)
-
-
 @dataclass(eq=False)
 class Prediction:
     """What a prediction file holds, in its order; empty with everything that is wrong, when unreadable."""
 
-    track: IntArray = field(default_factory=_no_rows)
-    label: IntArray = field(default_factory=_no_rows)
+    track: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    label: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     problems: list[Problem] = field(default_factory=list)
 
 
@@ -113,7 +109,13 @@ def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
 def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
     """Read a prediction file of a clip, listing everything that is wrong; the ending chooses the format."""
     columns = _Columns(file, clip)
-    _PARSERS[Path(file).suffix](content, columns)
+    kind, parse = _PARSERS[Path(file).suffix]
+    try:
+        parse(content, columns)
+    except Exception as error:  # zipfile, numpy and libhdf5 raise anything on hostile bytes
+        reason = str(error) if isinstance(error, KT3DMoSegError) else type(error).__name__
+        found = f"a file that starts with {content[:8]!r} and cannot be read ({reason[:200]})"
+        return Prediction(problems=[Problem("unreadable", file, clip, kind, found, _FIX_ARRAYS)])
     track, label = columns.arrays.get("track"), columns.arrays.get("label")
     if track is not None and label is not None:
         if not len(track):
@@ -233,22 +235,6 @@ class _Columns:
                 example = float((fractions if len(fractions) else numbers)[0])
                 found = f"floating-point numbers such as {example!r}"
                 self.bad("float", wanted, found, "write integers, 2 and not 2.0")
-
-
-def _guarded(kind: str, parse: Callable[[bytes, _Columns], None]) -> Callable[[bytes, _Columns], None]:
-    """Turn whatever a library raises on hostile bytes into a problem."""
-
-    def guarded(content: bytes, out: _Columns) -> None:
-        try:
-            parse(content, out)
-        except Exception as error:  # zipfile, numpy and libhdf5 raise anything
-            reason = str(error) if isinstance(error, KT3DMoSegError) else type(error).__name__
-            found = f"a file that starts with {content[:8]!r} and cannot be read ({reason[:200]})"
-            out.problems.clear()
-            out.arrays.clear()
-            out.bad("unreadable", kind, found, _FIX_ARRAYS)
-
-    return guarded
 
 
 def _npz(content: bytes, out: _Columns) -> None:
@@ -386,9 +372,9 @@ def _is_number(cell: str) -> bool:
     return _numbers([cell]) is not None
 
 
-_PARSERS: dict[str, Callable[[bytes, _Columns], None]] = {
-    ".csv": _csv,
-    ".npz": _guarded("an npz archive of numpy", _npz),
-    ".h5": _guarded("an HDF5 file", _h5),
+_PARSERS: dict[str, tuple[str, Callable[[bytes, _Columns], None]]] = {
+    ".csv": ("a CSV file", _csv),
+    ".npz": ("an npz archive of numpy", _npz),
+    ".h5": ("an HDF5 file", _h5),
 }
 SUFFIXES = tuple(_PARSERS)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.types import FloatArray
 from mseg.benchmark.tasks import Configuration
 from mseg.evaluation import Group, Protocol
 from mseg.evaluation.protocol import count, share
-
-if TYPE_CHECKING:
-    from mseg.evaluation.results import ResultsTable
+from mseg.evaluation.results import ResultsTable, clip_table, error_table
 
 _LISTED = 12  # clips named in a note
 
@@ -74,8 +72,6 @@ class BenchmarkResult:
 
     def summary(self) -> ResultsTable:
         """One row per configuration: mean, spread over seeds and median of every group, and time."""
-        from mseg.evaluation.results import error_table
-
         failed = [str(sum(c == wrong for wrong, *_ in self.failures)) for c in self.configurations]
         known = (published_name(self.protocol, c.method) for c in self.configurations)
         return error_table(
@@ -90,8 +86,6 @@ class BenchmarkResult:
 
     def per_clip(self) -> ResultsTable:
         """One row per clip: mean over seeds of every configuration, with the spread over seeds."""
-        from mseg.evaluation.results import clip_table
-
         title = f"{self._heading()}: error in % per clip"
         total = share(len(self.clips), self.protocol.n_clips)
         last = [["CPU s", "", *self._seconds()]]

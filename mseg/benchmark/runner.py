@@ -166,13 +166,7 @@ def find_clips(
 def configure(
     methods: Iterable[str | Configuration], parameters: Mapping[str, Any]
 ) -> tuple[Configuration, ...]:
-    """Make configurations, each once; a parameter goes to the methods that have it, and one of them must.
-
-    Raises
-    ------
-    UnknownNameError
-        For an unknown method, or a parameter that none of them has.
-    """
+    """Make configurations, each once; a parameter goes to the methods that have it, and one of them must."""
     made, used, first = [], set[str](), ""
     for method in methods:
         if isinstance(method, Configuration):

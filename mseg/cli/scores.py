@@ -6,7 +6,7 @@ import dataclasses
 import json as json_
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 from cyclopts.validators import MutuallyExclusive
@@ -14,7 +14,6 @@ from cyclopts.validators import MutuallyExclusive
 from kt3dmoseg.app import Either, File, Flag, Folder, Name, Positive, group
 
 if TYPE_CHECKING:
-    from mseg.evaluation.comparison import Comparison
     from mseg.evaluation.scoring import ScoreTable
 
 Submission = Annotated[Path, Parameter(help="Folder or zip.")]
@@ -62,19 +61,13 @@ def example_submission(
     from mseg.evaluation import example
     from mseg.evaluation.protocol import count
 
+    options: dict[str, Any] = {"format": format, "benchmark": benchmark} | (
+        {"method": method} if method else {}
+    )
     if source is not None:
-        wrote = example.from_label_files(
-            source, data, output, method=method or "unnamed", benchmark=benchmark, format=format
-        )
+        wrote = example.from_label_files(source, data, output, **options)
     else:
-        wrote = example.example_submission(
-            data,
-            output,
-            seeds=seeds,
-            format=format,
-            method=method or "example: left and right",
-            benchmark=benchmark,
-        )
+        wrote = example.example_submission(data, output, seeds=seeds, **options)
     print(f"wrote {wrote.folder} ({count(wrote.clips, 'clip')})", file=sys.stderr)
     print(f"check it: mseg validate {wrote.folder} {wrote.data}", file=sys.stderr)
     print(f"score it: mseg score {wrote.folder} {wrote.data}", file=sys.stderr)
@@ -185,16 +178,26 @@ def compare(
     """
     from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.comparison import compare, comparison_table, pairs_table
+    from mseg.evaluation.scoring import load_scores, score_submission
+    from mseg.evaluation.validation import load_clips
 
     paths = [first, *others]
     if data is None and not all(map(_is_scores, paths)):
         data = paths.pop()
-        if _is_scores(data):
-            expected, fix = "the data (a folder of clips)", "give the data last"
-            raise InvalidValueError(f"{data}", expected=expected, found="scores", fix=fix)
-    found = compare(_tables(paths, data, benchmark), metric=metric)
+    if data is not None and (_is_scores(data) or (data / "meta.toml").exists()):
+        expected, fix = "the data (a folder of clips)", "give the data last"
+        wrong = "scores" if _is_scores(data) else "a submission"
+        raise InvalidValueError(f"{data}", expected=expected, found=wrong, fix=fix)
+    clips = load_clips(data) if data is not None else {}
+    tables = [
+        load_scores(path) if _is_scores(path) else score_submission(path, clips, benchmark=benchmark)
+        for path in paths
+    ]
+    found = compare(tables, metric=metric)
     if json:
-        print(json_.dumps(_as_dict(found), indent=2))
+        means = {name: table[metric] for name, table in zip(found.names, found.tables, strict=True)}
+        pairs = [dataclasses.asdict(pair) for pair in found.pairs]
+        print(json_.dumps({"metric": metric, "means": means, "pairs": pairs}, indent=2))
     else:
         sentences = "\n".join(f"- {pair.sentence}" for pair in found.pairs)
         print("\n\n".join([comparison_table(found).text(), pairs_table(found).text(), sentences]))
@@ -202,30 +205,6 @@ def compare(
 
 def _is_scores(path: Path) -> bool:
     return path.name.endswith(".json")
-
-
-def _tables(paths: list[Path], data: Path | None, benchmark: str) -> list[ScoreTable]:
-    from kt3dmoseg.errors import InvalidValueError
-    from mseg.evaluation.scoring import load_scores, score_submission
-    from mseg.evaluation.validation import load_clips
-
-    if data is not None and (data / "meta.toml").exists():
-        expected, fix = "the data (a folder of clips)", "give the data last"
-        raise InvalidValueError(f"{data}", expected=expected, found="a submission", fix=fix)
-    clips = load_clips(data) if data is not None else {}
-    return [
-        load_scores(path) if _is_scores(path) else score_submission(path, clips, benchmark=benchmark)
-        for path in paths
-    ]
-
-
-def _as_dict(found: Comparison) -> dict[str, object]:
-    tables = zip(found.names, found.tables, strict=True)
-    return {
-        "metric": found.metric,
-        "means": {name: float(table.per_clip(found.metric).mean()) for name, table in tables},
-        "pairs": [dataclasses.asdict(pair) for pair in found.pairs],
-    }
 
 
 def report(

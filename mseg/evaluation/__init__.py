@@ -7,66 +7,56 @@ bare arrays.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy.typing as npt
 
-from kt3dmoseg.registry import lazy
+from mseg.evaluation import metrics
+from mseg.evaluation.comparison import compare
+from mseg.evaluation.contingency import contingency
+from mseg.evaluation.example import example_submission
+from mseg.evaluation.label_import import read_label_files
+from mseg.evaluation.leaderboard import Leaderboard
+from mseg.evaluation.protocol import Group, Protocol, list_protocols, load_protocol
+from mseg.evaluation.reading import Submission, read_submission
+from mseg.evaluation.report import write_report
+from mseg.evaluation.scoring import ClipScore, ScoreTable, score, score_submission
+from mseg.evaluation.submission import (
+    SubmissionMeta,
+    clip_checksum,
+    fingerprint,
+    write_failure,
+    write_meta,
+    write_prediction,
+    write_submission,
+)
+from mseg.evaluation.validation import Validation, validate_submission
 
-if TYPE_CHECKING:
-    from mseg.evaluation.comparison import compare as compare
-    from mseg.evaluation.example import example_submission as example_submission
-    from mseg.evaluation.label_import import read_label_files as read_label_files
-    from mseg.evaluation.leaderboard import Leaderboard as Leaderboard
-    from mseg.evaluation.protocol import Group as Group
-    from mseg.evaluation.protocol import Protocol as Protocol
-    from mseg.evaluation.protocol import list_protocols as list_protocols
-    from mseg.evaluation.protocol import load_protocol as load_protocol
-    from mseg.evaluation.reading import Submission as Submission
-    from mseg.evaluation.reading import read_submission as read_submission
-    from mseg.evaluation.report import write_report as write_report
-    from mseg.evaluation.scoring import ClipScore as ClipScore
-    from mseg.evaluation.scoring import ScoreTable as ScoreTable
-    from mseg.evaluation.scoring import score as score
-    from mseg.evaluation.scoring import score_submission as score_submission
-    from mseg.evaluation.submission import SubmissionMeta as SubmissionMeta
-    from mseg.evaluation.submission import clip_checksum as clip_checksum
-    from mseg.evaluation.submission import fingerprint as fingerprint
-    from mseg.evaluation.submission import write_failure as write_failure
-    from mseg.evaluation.submission import write_meta as write_meta
-    from mseg.evaluation.submission import write_prediction as write_prediction
-    from mseg.evaluation.submission import write_submission as write_submission
-    from mseg.evaluation.validation import Validation as Validation
-    from mseg.evaluation.validation import validate_submission as validate_submission
-
-_PUBLIC = {
-    "compare": "comparison",
-    "example_submission": "example",
-    "read_label_files": "label_import",
-    "Leaderboard": "leaderboard",
-    "Group": "protocol",
-    "Protocol": "protocol",
-    "list_protocols": "protocol",
-    "load_protocol": "protocol",
-    "write_report": "report",
-    "ClipScore": "scoring",
-    "ScoreTable": "scoring",
-    "score": "scoring",
-    "score_submission": "scoring",
-    "Submission": "reading",
-    "SubmissionMeta": "submission",
-    "clip_checksum": "submission",
-    "fingerprint": "submission",
-    "read_submission": "reading",
-    "write_failure": "submission",
-    "write_meta": "submission",
-    "write_prediction": "submission",
-    "write_submission": "submission",
-    "Validation": "validation",
-    "validate_submission": "validation",
-}
-
-__all__ = [*_PUBLIC, "classification_error"]  # noqa: PLE0604
+__all__ = [
+    "ClipScore",
+    "Group",
+    "Leaderboard",
+    "Protocol",
+    "ScoreTable",
+    "Submission",
+    "SubmissionMeta",
+    "Validation",
+    "classification_error",
+    "clip_checksum",
+    "compare",
+    "example_submission",
+    "fingerprint",
+    "list_protocols",
+    "load_protocol",
+    "read_label_files",
+    "read_submission",
+    "score",
+    "score_submission",
+    "validate_submission",
+    "write_failure",
+    "write_meta",
+    "write_prediction",
+    "write_report",
+    "write_submission",
+]
 
 
 def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
@@ -95,10 +85,4 @@ def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
     >>> classification_error([1, 1, 1, 2], [7, 7, 3, 3])
     0.25
     """
-    from mseg.evaluation import metrics
-    from mseg.evaluation.contingency import contingency
-
     return metrics.classification_error(contingency(truth, pred))
-
-
-__getattr__, __dir__ = lazy(__name__, _PUBLIC)

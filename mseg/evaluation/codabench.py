@@ -21,18 +21,9 @@ DETAILS = "detailed_results.html"
 def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
     """Score ``INPUT/res`` against ``INPUT/ref`` and write ``OUTPUT/scores.json`` and the report.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        INPUT and OUTPUT, on Codabench ``/app/input`` and ``/app/output``.
-    benchmark : str
-        Protocol that the competition scores by.
-
-    Returns
-    -------
-    int
-        0; 1 when the submission is rejected, with every problem on standard error; 2 when the
-        folders are not as they should be.
+    The arguments are INPUT and OUTPUT, on Codabench ``/app/input`` and ``/app/output``. Returns 0; 1 when
+    the submission is rejected, with every problem on standard error; 2 when the folders are not as they
+    should be.
     """
     if len(arguments) != 2:
         print("usage: score.py INPUT OUTPUT", file=sys.stderr)

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 from mseg.evaluation.metrics import Metric, all_metrics
+from mseg.evaluation.results import ResultsTable, clip_table, failure_notes
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
-
-if TYPE_CHECKING:
-    from mseg.evaluation.results import ResultsTable
 
 _SIGNIFICANT = 0.05
 _NOISE = 2.0
@@ -87,15 +84,12 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
 
 def comparison_table(comparison: Comparison) -> ResultsTable:
     """Lay out the submissions, one column each: every clip, mean and median, with the spread over seeds."""
-    from mseg.evaluation.results import clip_table, failure_notes
-
     spec = all_metrics()[comparison.metric]
     first = comparison.tables[0]
     named = dict(zip(comparison.names, comparison.tables, strict=True))
     values = {name: table.matrix(comparison.metric) for name, table in named.items()}
-    notes = [f"Scored: {first.benchmark.coverage(first.names)}."]
-    for name, table in named.items():
-        notes += failure_notes(table, name)
+    failures = [note for name, table in named.items() for note in failure_notes(table, name)]
+    notes = [f"Scored: {first.benchmark.coverage(first.names)}.", *failures]
     unit = " in %" if spec.percent else ""
     title = f"{first.benchmark.title}: {spec.title}{unit}, {spec.better} is better"
     return clip_table(title, values, first.motions, scale=spec.scale, notes=notes)
@@ -103,8 +97,6 @@ def comparison_table(comparison: Comparison) -> ResultsTable:
 
 def pairs_table(comparison: Comparison) -> ResultsTable:
     """Lay out the paired statistics."""
-    from mseg.evaluation.results import ResultsTable
-
     scale = all_metrics()[comparison.metric].scale
     rows = [
         [

@@ -63,19 +63,10 @@ class Contingency:
         """Number of scored trajectories."""
         return int(self.sizes.sum())
 
-    @cached_property
-    def matched(self) -> IntArray:
-        """Trajectories of each motion that are in its assigned group, (M,)."""
-        rows = np.arange(len(self.motions))
-        taken = self.counts[rows, self.assignment] if self.groups.size else np.zeros(len(rows), np.int64)
-        return np.where(self.assignment >= 0, taken, 0)
-
-    @cached_property
-    def group_sizes(self) -> IntArray:
-        """Trajectories of each assigned group, (M,); 0 where a motion has none."""
-        if not self.groups.size:
-            return np.zeros(len(self.motions), dtype=np.int64)
-        return np.where(self.assignment >= 0, self.counts.sum(axis=0)[self.assignment], 0)
+    def shared(self, assignment: IntArray) -> tuple[IntArray, IntArray]:
+        """Trajectories that each motion shares with its group, and those of the group, (M,); 0 for -1."""
+        padded = np.pad(self.counts, ((0, 0), (0, 1)))  # the last column, which -1 picks, is no group
+        return padded[np.arange(len(padded)), assignment], padded.sum(axis=0)[assignment]
 
     @cached_property
     def with_outliers(self) -> IntArray:

@@ -16,10 +16,7 @@ from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.label_import import read_label_files
 from mseg.evaluation.protocol import Protocol
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
-from mseg.evaluation.validation import choose_protocol, load_clips
-
-_MADE_UP = {"example_two": 2, "example_three": 3}
-_SIZE = (320, 240)
+from mseg.evaluation.validation import choose_protocol, is_zero_based, load_clips
 
 
 class Written(NamedTuple):
@@ -103,7 +100,7 @@ def from_label_files(
             method,
             dataset_version=_version(protocol, used),
             benchmark=protocol.name,
-            outliers=any(bool((v == 0).any()) and not _is_zero_based(v) for v in labels.values()),
+            outliers=any(0 in v and not is_zero_based(np.unique(v)) for v in labels.values()),
         )
         write_submission(folder, used.values(), labels, meta, format=format)
         return Written(folder, Path(data), len(used))
@@ -111,7 +108,7 @@ def from_label_files(
 
 def made_up_clips() -> dict[str, Clip]:
     """Small clips of points in two and three motions, always the same."""
-    return {name: _made_up(name, motions) for name, motions in _MADE_UP.items()}
+    return {name: _made_up(name, motions) for name, motions in (("example_two", 2), ("example_three", 3))}
 
 
 def _made_up(name: str, motions: int) -> Clip:
@@ -124,7 +121,7 @@ def _made_up(name: str, motions: int) -> Clip:
     visible = np.ones((n, frames), dtype=np.bool_)
     visible[::7, frames // 2 :] = False
     xy[~visible] = np.nan
-    dense = Trajectories(xy, visible, image_size=_SIZE)
+    dense = Trajectories(xy, visible, image_size=(320, 240))
     rows = np.flatnonzero(np.arange(n) % 3 > 0)
     return Clip(name, dense, rows, Labels(label[rows], background=1))
 
@@ -146,11 +143,6 @@ def _left_right(clip: Clip, seed: int) -> IntArray:
     label = np.full(len(x), 2, dtype=np.int64)
     label[np.argsort(x, kind="stable")[:cut]] = 1
     return label
-
-
-def _is_zero_based(label: IntArray) -> bool:
-    found = np.unique(label)
-    return len(found) > 1 and np.array_equal(found, np.arange(len(found)))
 
 
 def _version(protocol: Protocol, clips: Mapping[str, Clip]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.types import Clip, IntArray
@@ -60,10 +60,7 @@ def read_label_files(
 
 def fit_to_clip(labels: npt.ArrayLike, clip: Clip, where: str) -> IntArray:
     """Reduce a label vector over all or the evaluated trajectories to the evaluated ones."""
-    try:
-        vector = label_vector(labels, where)
-    except InvalidValueError as error:
-        raise FileFormatError(str(error)) from None
+    vector = label_vector(labels, where)
     n, n_all = len(clip.evaluated), len(clip.dense)
     if len(vector) not in (n, n_all):
         expected = f"{n} labels (evaluated trajectories) or {n_all} (all)"

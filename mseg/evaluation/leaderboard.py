@@ -11,15 +11,13 @@ from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import write_text
 from mseg.evaluation.protocol import list_protocols, load_protocol, share
+from mseg.evaluation.report import render
+from mseg.evaluation.results import ResultsTable
 from mseg.evaluation.scoring import ScoreTable, from_json, to_json
-
-if TYPE_CHECKING:
-    from mseg.evaluation.results import ResultsTable
 
 _VERSION = 1
 _WAIT_SECONDS = 60.0
@@ -58,8 +56,6 @@ class Board:
 
     def table(self) -> ResultsTable:
         """Lay the board out."""
-        from mseg.evaluation.results import ResultsTable
-
         rows = []
         for rank, e in self.ranked:
             errors = [f"{100 * e.mean:.2f}", f"{100 * e.median:.2f}"]
@@ -170,8 +166,6 @@ class Leaderboard:
 
     def listing(self) -> ResultsTable:
         """Lay out `entries`, with their provenance."""
-        from mseg.evaluation.results import ResultsTable
-
         rows = []
         for e in self.entries():
             scored = [f"{100 * e.mean:.2f}", f"{e.clips}/{e.clips_in_full}", str(e.failed), e.dataset_version]
@@ -199,19 +193,11 @@ class Leaderboard:
 
 
 def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str = "") -> None:
-    """Write the ranked boards to a file ending in ``.html`` (a page that needs nothing else) or ``.md``.
-
-    Raises
-    ------
-    InvalidValueError
-        For another ending.
-    """
+    """Write the ranked boards to a file ending in ``.html`` (a page that needs nothing else) or ``.md``."""
     boards = board.boards(benchmark)
     note = "Entries with failed or missing clips have no rank and come last; different data are never mixed."
     suffix = Path(path).suffix.lower()
     if suffix in (".html", ".htm"):
-        from mseg.evaluation.report import render
-
         write_text(path, render("leaderboard.html", boards=boards, note=note))
     elif suffix == ".md":
         write_text(path, "\n\n".join(["# Leaderboard", *(b.table().markdown() for b in boards), note]) + "\n")

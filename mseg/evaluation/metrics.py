@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from kt3dmoseg.types import FloatArray
+from kt3dmoseg.types import FloatArray, IntArray
 from mseg.evaluation.contingency import Contingency, assign, contingency  # noqa: F401  # in the examples
 
 _OBJECT_F = 0.75
@@ -76,7 +76,7 @@ def classification_error(table: Contingency) -> float:
     >>> round(classification_error(contingency([1, 1, 1, 2, 2, 2], [1, 1, 2, 2, 2, 0])), 4)
     0.3333
     """
-    return (table.n - int(table.matched.sum())) / table.n
+    return (table.n - int(table.shared(table.assignment)[0].sum())) / table.n
 
 
 def adjusted_rand(table: Contingency) -> float:
@@ -180,7 +180,7 @@ def _entropy(share: FloatArray) -> float:
 # --- motion by motion, under the assignment that gives the classification error ----------------
 
 
-def per_motion(table: Contingency) -> dict[str, FloatArray]:
+def per_motion(table: Contingency, assignment: IntArray | None = None) -> dict[str, FloatArray]:
     """Scores of each motion against its assigned group, (M,) each; 0 without a group.
 
     Precision is the share of the group that belongs to the motion, recall the share of the motion
@@ -194,12 +194,13 @@ def per_motion(table: Contingency) -> dict[str, FloatArray]:
     >>> {name: values.round(4).tolist() for name, values in scores.items()}
     {'precision': [1.0, 0.6667], 'recall': [0.5, 1.0], 'f_measure': [0.6667, 0.8], 'iou': [0.5, 0.6667]}
     """
-    both = table.sizes + table.group_sizes
+    shared, size = table.shared(table.assignment if assignment is None else assignment)
+    both = table.sizes + size
     return {
-        "precision": table.matched / np.maximum(table.group_sizes, 1),
-        "recall": table.matched / table.sizes,
-        "f_measure": 2 * table.matched / both,
-        "iou": table.matched / (both - table.matched),
+        "precision": shared / np.maximum(size, 1),
+        "recall": shared / table.sizes,
+        "f_measure": 2 * shared / both,
+        "iou": shared / (both - shared),
     }
 
 
@@ -237,10 +238,9 @@ def moving_f(table: Contingency) -> float:
 def _moving(table: Contingency) -> tuple[int, int, int]:
     """Count moving called moving, background called moving, moving called background."""
     row = table.static
-    kept = int(table.matched[row])
-    false = int(table.sizes[row]) - kept
-    missed = int(table.group_sizes[row]) - kept
-    return table.n - int(table.sizes[row]) - missed, false, missed
+    kept, called = (int(numbers[row]) for numbers in table.shared(table.assignment))
+    size = int(table.sizes[row])
+    return table.n - size - (called - kept), size - kept, called - kept
 
 
 # --- regions, as the FBMS-59 benchmark counts them ---------------------------------------------
@@ -261,15 +261,9 @@ def region_scores(table: Contingency) -> dict[str, FloatArray]:
     >>> {name: values.round(4).tolist() for name, values in scores.items()}
     {'precision': [1.0, 0.5], 'recall': [0.6667, 1.0], 'f_measure': [0.8, 0.6667]}
     """
-    group_sizes = table.counts.sum(axis=0)
-    f = 2 * table.counts / (table.sizes[:, None] + group_sizes[None, :])
-    chosen = assign(f)
-    rows = np.flatnonzero(chosen >= 0)
-    shared, size, f_best = np.zeros(len(chosen)), np.ones(len(chosen)), np.zeros(len(chosen))
-    shared[rows] = table.counts[rows, chosen[rows]]
-    size[rows] = group_sizes[chosen[rows]]
-    f_best[rows] = f[rows, chosen[rows]]
-    return {"precision": shared / size, "recall": shared / table.sizes, "f_measure": f_best}
+    f = 2 * table.counts / (table.sizes[:, None] + table.counts.sum(axis=0))
+    scores = per_motion(table, assign(f))
+    return {name: scores[name] for name in ("precision", "recall", "f_measure")}
 
 
 def region_f(table: Contingency) -> float:

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 from kt3dmoseg.registry import unknown_name
 
@@ -98,13 +97,7 @@ class Protocol:
         return clip not in self.exclude and self.group("all").holds(clip)
 
     def group(self, name: str) -> Group:
-        """Return the group of that name.
-
-        Raises
-        ------
-        UnknownNameError
-            When there is none.
-        """
+        """Return the group of that name; UnknownNameError when there is none."""
         for group in self.groups:
             if group.name == name:
                 return group
@@ -171,8 +164,10 @@ def load_protocol(name: str) -> Protocol:
     """
     if name not in list_protocols():
         raise unknown_name("benchmark", name, list_protocols())
-    text = files("mseg").joinpath("protocols", f"{name}.toml").read_text(encoding="utf-8")
-    return _protocol(name, tomllib.loads(text))
+    raw = tomllib.loads(files("mseg").joinpath("protocols", f"{name}.toml").read_text(encoding="utf-8"))
+    groups = tuple(Group(**{**g, "clips": tuple(g.get("clips", ()))}) for g in raw.pop("groups"))
+    lists = {key: tuple(raw.get(key, ())) for key in ("exclude", "notes")}
+    return Protocol(name=name, groups=groups, **(raw | lists))
 
 
 def protocol_of_clips(clips: Iterable[str]) -> Protocol:
@@ -194,10 +189,3 @@ def guess_protocol(clips: Iterable[str]) -> Protocol:
 def _is_named_in(protocol: Protocol, clip: str) -> bool:
     listed = any(clip in group.clips for group in protocol.groups)
     return listed or re.fullmatch(protocol.names, clip) is not None
-
-
-def _protocol(name: str, raw: dict[str, Any]) -> Protocol:
-    groups = tuple(Group(**{**g, "clips": tuple(g.get("clips", ()))}) for g in raw.pop("groups"))
-    for key in ("exclude", "notes"):
-        raw[key] = tuple(raw.get(key, ()))
-    return Protocol(name=name, groups=groups, **raw)

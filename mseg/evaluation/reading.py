@@ -6,12 +6,12 @@ import hashlib
 import os
 import re
 import stat
+import sys
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import Any
 
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 from kt3dmoseg.files import SafeZip, ZipFault, ZipLimits, read_bytes
@@ -27,12 +27,23 @@ _ENDINGS = (*SUFFIXES, FAILED)
 _IGNORED_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _LABEL_FILES = (".mat", ".dat", ".txt", ".npy", ".pkl", ".pickle", ".tsv", ".xlsx")
 _EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
-_EXPECTED = {
-    "str": "a text",
-    "bool": "true or false",
-    "float": "seconds >= 0",
-    "tuple[str, ...]": 'a list of names, ["A. Author"]',
-    "Mapping[str, str]": "a table of texts",
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and len(value) <= _TEXT_LIMIT
+
+
+def _are_texts(value: object) -> bool:
+    return isinstance(value, list) and len(value) <= _TEXT_LIMIT and all(map(_is_text, value))
+
+
+# Of each type of a field of meta.toml what its value must be, in words and as a check.
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "str": ("a text", _is_text),
+    "bool": ("true or false", lambda v: isinstance(v, bool)),
+    "float": ("seconds >= 0", lambda v: type(v) in (int, float) and 0 <= v <= sys.float_info.max),
+    "tuple[str, ...]": ('a list of names, ["A. Author"]', _are_texts),
+    "Mapping[str, str]": ("a table of texts", lambda v: isinstance(v, dict) and _are_texts([*v.values()])),
 }
 
 
@@ -255,47 +266,19 @@ def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
     version = raw.pop("format_version", None)
     if version != FORMAT_VERSION or isinstance(version, bool):
         bad("format_version", str(FORMAT_VERSION), repr(version))
-    wrong = _wrong_fields(raw)
-    for name, expected in wrong.items():
-        if expected:
-            bad(name, expected, repr(raw[name]))
-        else:
-            meant = nearest(name, [each.name for each in fields(SubmissionMeta)])
+    kinds = {each.name: _KINDS[str(each.type)] for each in fields(SubmissionMeta)}
+    values: dict[str, Any] = {"method": "unnamed"}
+    for name, value in raw.items():
+        if name not in kinds:
+            meant = nearest(name, kinds)
             fix = f"did you mean {meant!r}?" if meant else f"put it under [parameters]; {_EXAMPLE}"
             bad("", "a known field", repr(name), fix)
+        elif kinds[name][1](value):
+            values[name] = value
+        else:
+            bad(name, kinds[name][0], repr(value))
     _check_required(raw, bad)
-    values = {"method": "unnamed", **{name: value for name, value in raw.items() if name not in wrong}}
     return SubmissionMeta(**{**values, "authors": tuple(values.get("authors", ("unnamed",)))}), problems
-
-
-def _wrong_fields(raw: Mapping[str, Any]) -> dict[str, str]:
-    """Name the fields of ``meta.toml`` of the wrong kind, and what each must be; "" = unknown."""
-    from pydantic import ValidationError
-
-    try:
-        _meta_model().model_validate(raw)
-    except ValidationError as error:
-        kinds = {each.name: str(each.type) for each in fields(SubmissionMeta)}
-        names = (str(each["loc"][0]) for each in error.errors(include_url=False))
-        return {name: _EXPECTED[kinds[name]] if name in kinds else "" for name in names}
-    return {}
-
-
-@cache
-def _meta_model() -> Any:  # noqa: ANN401  # a pydantic model
-    """Make a model of the fields of `SubmissionMeta`, each optional; late, so that help stays fast."""
-    from pydantic import ConfigDict, Field, create_model
-
-    text = Annotated[str, Field(max_length=_TEXT_LIMIT)]
-    kinds: dict[str, Any] = {
-        "str": text,
-        "bool": bool,
-        "float": Annotated[float, Field(ge=0, allow_inf_nan=False)],
-        "tuple[str, ...]": Annotated[list[text], Field(max_length=_TEXT_LIMIT)],
-        "Mapping[str, str]": dict[str, text],
-    }
-    known: dict[str, Any] = {each.name: (kinds[str(each.type)], None) for each in fields(SubmissionMeta)}
-    return create_model("Meta", __config__=ConfigDict(strict=True, extra="forbid"), **known)
 
 
 def _check_required(raw: Mapping[str, Any], bad: Callable[..., None]) -> None:

@@ -237,32 +237,26 @@ def _section(
     }
     if first is None or first.table is None:
         return section
-    table, names = first.table, clip.labels.names
+    table, names, colours = first.table, clip.labels.names, _group_colours(first.table)
     static = int(table.motions[table.background]) if table.background is not None else None
     titles = [names.get(m, "") or ("background" if m == static else "") for m in table.motions.tolist()]
     return section | {
         "table": table,
         "note": f", seed {first.seed}" if len(runs) > 1 else "",
-        "groups": _shown_groups(table),
-        "colours": _group_colours(table),
+        "groups": list(colours),
+        "colours": colours,
         "motions": [f"{m} {title}".rstrip() for m, title in zip(table.motions, titles, strict=True)],
         "scores": list(per_motion(table).values()),
         "found": count(len(table.groups), "group"),
     }
 
 
-def _shown_groups(table: Contingency) -> list[int]:
-    """Order predicted groups for display: assigned ones by motion, then the others by size."""
-    assigned = [int(j) for j in table.assignment if j >= 0]
-    free = [j for j in range(len(table.groups)) if j not in assigned]
-    return assigned + sorted(free, key=lambda j: -int(table.counts[:, j].sum()))
-
-
 def _group_colours(table: Contingency) -> dict[int, int]:
-    """Give an assigned group the colour number of its motion, the others numbers of their own."""
-    colours = {int(j): i + 1 for i, j in enumerate(table.assignment) if j >= 0}
-    free = [j for j in _shown_groups(table) if j not in colours]
-    return colours | {j: len(table.motions) + 1 + k for k, j in enumerate(free)}
+    """Give an assigned group the colour number of its motion, the others, by size, numbers of their own."""
+    colours = {int(j): i for i, j in enumerate(table.assignment, 1) if j >= 0}
+    free = [j for j in range(len(table.groups)) if j not in colours]
+    free.sort(key=lambda j: -int(table.counts[:, j].sum()))
+    return colours | {j: i for i, j in enumerate(free, len(table.motions) + 1)}
 
 
 # --- the overlay: positions, labels and frames packed for the page's script -------------------------

@@ -67,16 +67,9 @@ class ResultsTable:
 
 def headline(scores: ScoreTable) -> ResultsTable:
     """Classification error per group of the benchmark, and the rows of Table 1 of Xu et al. 2018."""
-    rows = {scores.meta.method: scores.matrix()}
-    title = f"{scores.benchmark.title}: classification error in %"
-    return error_table(
-        title,
-        scores.benchmark,
-        scores.motions,
-        rows,
-        list(scores.benchmark.published),
-        notes=headline_notes(scores),
-    )
+    protocol, rows = scores.benchmark, {scores.meta.method: scores.matrix()}
+    title, notes = f"{protocol.title}: classification error in %", headline_notes(scores)
+    return error_table(title, protocol, scores.motions, rows, list(protocol.published), notes=notes)
 
 
 def error_table(
@@ -243,10 +236,7 @@ def _mean_and_median(values: FloatArray) -> list[str]:
     """Show the mean over clips and seeds with its spread, and the median over clips."""
     if not len(values):
         return [ABSENT, ABSENT]
-    means = values.mean(axis=1)
-    sd = standard_deviation(values.mean(axis=0))
-    spread = "" if sd is None else f" ±{100 * sd:.2f}"
-    return [f"{100 * means.mean():.2f}{spread}", f"{100 * np.median(means):.2f}"]
+    return [_with_spread(values.mean(axis=0), 100), f"{100 * np.median(values.mean(axis=1)):.2f}"]
 
 
 def _with_spread(values: FloatArray, scale: int) -> str:

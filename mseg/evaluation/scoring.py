@@ -116,13 +116,7 @@ class ScoreTable:
         return "\n".join([counts, *(f"{name:<{width}}  {self[name]:.4f}" for name in self.metrics)])
 
     def __getitem__(self, metric: str) -> float:
-        """Mean of a metric over clips and seeds.
-
-        Raises
-        ------
-        UnknownNameError
-            When there is no such metric.
-        """
+        """Mean of a metric over clips and seeds; UnknownNameError when there is no such metric."""
         return float(self.per_clip(metric).mean())
 
     @property
@@ -412,13 +406,7 @@ def _clip_json(score: ClipScore) -> dict[str, Any]:
 
 
 def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
-    """Read what `to_json` wrote; contingency tables are not kept.
-
-    Raises
-    ------
-    FileFormatError
-        When it is something else.
-    """
+    """Read what `to_json` wrote, without contingency tables; FileFormatError when it is something else."""
     from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
     class OneClip(BaseModel):

@@ -12,7 +12,6 @@ Predictions of several seeds lie in one folder per seed, ``seed-0/Seq005_Clip01.
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
@@ -25,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import atomic_path, sha256_arrays, write_bytes, write_text
+from kt3dmoseg.files import atomic_path, sha256_arrays, write_text
+from kt3dmoseg.io.npz import write_npz
 from kt3dmoseg.types import Clip
 from mseg.evaluation.contingency import label_vector
 
@@ -151,9 +151,7 @@ def write_prediction(
         rows = "\n".join(f"{t},{v}" for t, v in zip(track.tolist(), label.tolist(), strict=True))
         write_text(path, f"track,label\n{rows}\n")
     elif format == "npz":
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, track=track, label=label)
-        write_bytes(path, buffer.getvalue())
+        write_npz(path, {"track": track, "label": label})
     else:
         import h5py
 
@@ -217,13 +215,7 @@ def write_submission(
 
 
 def file_of(folder: str | os.PathLike[str], clip: str, seed: int | None, ending: str) -> Path:
-    """Path of a clip's file in a submission.
-
-    Raises
-    ------
-    InvalidValueError
-        When the clip's name cannot be a file name.
-    """
+    """Path of a clip's file in a submission; InvalidValueError when its name cannot be a file name."""
     if not _CLIP_NAME.fullmatch(clip) or ".." in clip:
         raise InvalidValueError(
             "clip name",

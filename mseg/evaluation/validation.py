@@ -187,7 +187,7 @@ def _label_problems(label: IntArray, clip: str, file: str, meta: SubmissionMeta)
     out = []
     groups = np.unique(label)
     if groups[0] == 0 and not meta.outliers:
-        based = np.array_equal(groups, np.arange(len(groups))) and len(groups) > 1
+        based = is_zero_based(groups)
         found = f"labels {first_few(groups.tolist())}" + (", which look 0-based" if based else "")
         fix = "add 1 to every label; if 0 is meant as outlier: outliers = true in meta.toml"
         code = "zero-based" if based else "zero-label"
@@ -201,6 +201,11 @@ def _label_problems(label: IntArray, clip: str, file: str, meta: SubmissionMeta)
         fix = "look whether the columns track and label are swapped"
         out.append(Problem("too-many-groups", file, clip, "a few groups", found, fix))
     return out
+
+
+def is_zero_based(groups: IntArray) -> bool:
+    """Whether sorted labels, each once, count from 0 without a gap."""
+    return len(groups) > 1 and np.array_equal(groups, np.arange(len(groups)))
 
 
 def _check_extra(name: str, given: Mapping[str, Clip], out: Validation) -> None:
