@@ -24,7 +24,7 @@ from kt3dmoseg import flow, io
 from kt3dmoseg.annotate import Annotation, FlowMotion, ImageMotion, Region, TrackMotion, propagate
 from kt3dmoseg.annotate.geometry import bounds
 from kt3dmoseg.annotate.model import AnnotatedObject, load_annotation
-from kt3dmoseg.annotate.overlay import Box, View, contact_sheets, draw_view, view_around
+from kt3dmoseg.annotate.overlay import Box, contact_sheets, draw_view
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.io.images import frame_paths, read_frame
@@ -74,7 +74,7 @@ def _render(arguments: argparse.Namespace) -> int:
         shown = _regions(annotation, _motion(frames, arguments.tracks), arguments.object)
     for text in arguments.crop:
         number, box = _crop(text, len(frames))
-        picture = draw_view(frames[number], View(box, arguments.zoom), shown[number], title=f"frame {number}")
+        picture = draw_view(frames[number], box, arguments.zoom, shown[number], title=f"frame {number}")
         _write(arguments.output / f"{name}_f{number:03d}_{box[0]:.0f}_{box[1]:.0f}.png", picture)
     if not arguments.crop:
         _overviews(arguments.output, name, frames, shown)
@@ -104,8 +104,8 @@ def _motion(frames: list[ByteArray], tracks: Path | None) -> ImageMotion:
 
 def _overviews(folder: Path, name: str, frames: list[ByteArray], shown: list[Shown]) -> None:
     for number, (frame, items) in enumerate(zip(frames, shown, strict=True)):
-        view = View((0.0, 0.0, frame.shape[1] - 1.0, frame.shape[0] - 1.0), 1.25)
-        picture = draw_view(frame, view, items, title=f"{name} frame {number}")
+        box = (0.0, 0.0, frame.shape[1] - 1.0, frame.shape[0] - 1.0)
+        picture = draw_view(frame, box, 1.25, items, title=f"{name} frame {number}")
         _write(folder / f"{name}_f{number:03d}.png", picture)
 
 
@@ -121,9 +121,10 @@ def _sheets(
         tiles = []
         for number in seen:
             region = shown[number][k][1]
-            view = view_around(region, padding=padding, scale=scale)
+            left, top, right, bottom = bounds(region.polygons)
+            box = (left - padding, top - padding, right + padding, bottom + padding)
             title = f"frame {number}" + (" KEY" if region.key else "")
-            tiles.append(draw_view(frames[number], view, shown[number], title=title))
+            tiles.append(draw_view(frames[number], box, scale, shown[number], title=title))
         for page, sheet in enumerate(contact_sheets(tiles)):
             _write(folder / f"{name}_object{item.id:02d}_{page}.png", sheet)
 

@@ -22,7 +22,7 @@ from sklearn.metrics import cohen_kappa_score
 from kt3dmoseg import cli, io
 from kt3dmoseg.annotate import load_annotation, save_revision
 from kt3dmoseg.annotate.agreement import agree
-from kt3dmoseg.annotate.overlay import View, draw_view
+from kt3dmoseg.annotate.overlay import draw_view
 from kt3dmoseg.draw.palette import motion_colour
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Labels
@@ -135,7 +135,7 @@ def test_render_tool_crops(clip, capsys):
 
 
 def test_views_may_reach_beyond_the_frame():
-    picture = draw_view(np.full((20, 30), 99, np.uint8), View((-10.0, -10.0, 40.0, 30.0), 2.0))
+    picture = draw_view(np.full((20, 30), 99, np.uint8), (-10.0, -10.0, 40.0, 30.0), 2.0)
     assert picture.shape == (2 * 41 + 26, 2 * 51 + 36, 3)
 
 
