@@ -14,14 +14,9 @@ from kt3dmoseg.types import IntArray
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Agreement of labelling `a` with labelling `b` after matching their motions.
+    """Agreement of labellings (n,): the labels of `a` renamed to the matching ones of `b`, or to others.
 
-    Parameters
-    ----------
-    a, b : (n,) int64
-        The labels; those of `a` renamed to the matching label of `b`, or to a number of their own.
-    matching : dict of int to int
-        Label of the given `a` to the label of `b` it was matched with.
+    `matching` maps labels of the given `a` to labels of `b`.
     """
 
     a: IntArray
@@ -76,19 +71,10 @@ class Agreement:
 
 
 def agree(a: npt.ArrayLike, b: npt.ArrayLike) -> Agreement:
-    """Compare two labellings of the same trajectories.
+    """Compare two labellings (n,) of the same trajectories; 0 = unlabelled.
 
     The labels of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955).
-
-    Parameters
-    ----------
-    a, b : (n,) int
-        Labels; 0 = unlabelled.
-
-    Raises
-    ------
-    InvalidValueError
-        When the lengths differ.
+    Raises InvalidValueError when the lengths differ.
     """
     mine, other = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
     if mine.ndim != 1 or mine.shape != other.shape:

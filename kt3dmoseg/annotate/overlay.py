@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,6 +23,7 @@ Box = tuple[float, float, float, float]
 _DPI = 64
 _TOP, _LEFT = 26, 36
 _TICK = 60
+_TEXT: dict[str, Any] = {"bbox": {"color": "black", "alpha": 0.5, "pad": 1}, "parse_math": False}
 
 
 def draw_view(
@@ -52,7 +54,7 @@ def draw_view(
     axes.tick_params(colors="white", labelsize=9, pad=1)
     for axis, length in ((axes.xaxis, width), (axes.yaxis, height)):
         axis.set_major_locator(MaxNLocator(max(1, length // _TICK), steps=[1, 2, 5, 10], integer=True))
-    axes.text(0.01, 0.99, title, color="white", va="top", transform=axes.transAxes, parse_math=False)
+    axes.text(0.01, 0.99, title, color="white", va="top", transform=axes.transAxes, **_TEXT)
     drawn = BytesIO()
     figure.savefig(drawn, format="rgba", dpi=_DPI)
     pixels = np.frombuffer(drawn.getvalue(), dtype=np.uint8)
@@ -87,4 +89,4 @@ def _outline(axes: Axes, item: AnnotatedObject, region: Region) -> None:
         hidden = " (occluded)" if region.visibility == "occluded" else ""
         text = f"{item.motion}: {item.name}{hidden}"
         corner = bounds(region.polygons)[:2]
-        axes.annotate(text, corner, color=colour, va="bottom", clip_on=True, parse_math=False)
+        axes.annotate(text, corner, color=colour, va="bottom", clip_on=True, **_TEXT)

@@ -23,7 +23,6 @@ from kt3dmoseg.annotate.model import Annotation, KeyFrame, Visibility
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
-Polygons: TypeAlias = list[FloatArray]
 
 # A region that grows or shrinks by more than this factor in one frame was fitted to something else.
 _MAX_GROWTH = 1.35

@@ -40,10 +40,7 @@ def has_masks(folder: Path) -> bool:
 def read_mask(path: str | os.PathLike[str]) -> IntArray:
     """Read one mask: object ids (H, W); 0 background, -1 void.
 
-    Raises
-    ------
-    FileFormatError
-        When it is no PNG of one channel, indexed or gray, 8 or 16 bits deep.
+    Raises FileFormatError when it is no PNG of one channel, indexed or gray, 8 or 16 bits deep.
     """
     ids, bits = decode_indices(read_bytes(path, _MAX_FILE), os.fspath(path))
     ids[np.isin(ids, _VOID_16 if bits == 16 else _VOID_8)] = -1
@@ -83,10 +80,7 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
 def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[int, Path]:
     """Match masks to frames by number; by order when there are as many, without a gap, numbered otherwise.
 
-    Raises
-    ------
-    InputFileError
-        When neither fits.
+    Raises InputFileError when neither fits.
     """
     index = {number: k for k, number in enumerate(numbers)}
     named = {frame_number(path): path for path in paths}

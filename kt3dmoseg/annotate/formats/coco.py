@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
+import cv2
 import numpy as np
 
 from kt3dmoseg.annotate.formats import AnnotationFormat
@@ -80,15 +81,13 @@ COCO = AnnotationFormat(".json", "application/json", _dump, _parse)
 
 
 def _mask_to_json(item: AnnotatedObject, frame: int, mask: BoolArray) -> dict[str, Any]:
-    rows, columns = np.nonzero(mask)
-    left, top = int(columns.min()), int(rows.min())
     return {
         "image_id": frame,
         "category_id": KINDS.index(item.kind) + 1,
         "track_id": item.id,
         "segmentation": {"size": list(mask.shape), "counts": encode_rle(mask)},
         "area": int(mask.sum()),
-        "bbox": [left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1],
+        "bbox": list(cv2.boundingRect(mask.view(np.uint8))),
         "iscrowd": 0,
         "attributes": {"name": item.name, "motion": item.motion, "note": item.note},
     }

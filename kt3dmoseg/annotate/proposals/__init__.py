@@ -72,12 +72,7 @@ class Request:
 def propose(name: str, request: Request) -> list[AnnotatedObject]:
     """Run a proposer of `PROPOSERS`; its objects get ids and motions that the annotation does not use yet.
 
-    Raises
-    ------
-    UnknownNameError
-        When there is no such proposer.
-    KT3DMoSegError
-        When the proposer cannot work on this clip; the message is the reason.
+    Raises UnknownNameError, or another KT3DMoSegError with why the proposer cannot work on this clip.
     """
     answer = PROPOSERS.load(name)(request)
     found = objects_from_labels(request.trajectories, answer) if isinstance(answer, Labels) else list(answer)

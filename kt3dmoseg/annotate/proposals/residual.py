@@ -7,19 +7,15 @@ the other way. What moves along its line in the same direction as the scene is n
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from kt3dmoseg.annotate.proposals import Request
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
-
-if TYPE_CHECKING:
-    from kt3dmoseg.annotate.proposals import Request
 
 _GAP = 4
 _FEWEST = 8

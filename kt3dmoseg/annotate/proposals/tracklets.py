@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,12 +11,10 @@ import numpy as np
 from kt3dmoseg import catalog
 from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
 from kt3dmoseg.annotate.model import AnnotatedObject, Polygon
+from kt3dmoseg.annotate.proposals import Request
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.kitti import RawDrive, Tracklet
 from kt3dmoseg.types import FloatArray
-
-if TYPE_CHECKING:
-    from kt3dmoseg.annotate.proposals import Request
 
 _NEAR = 0.5
 _SMALLEST = 12.0

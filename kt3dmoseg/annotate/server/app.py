@@ -17,9 +17,11 @@ from ipaddress import ip_address
 from pathlib import Path
 from urllib.parse import quote
 
+import uvicorn
 from jinja2 import Template
 from markupsafe import Markup
 from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
@@ -30,7 +32,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from kt3dmoseg.annotate.model import StaleRevisionError, to_json
 from kt3dmoseg.annotate.server.routes import Routes
 from kt3dmoseg.draw.palette import css_palette
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 
 MAX_BODY = 32 << 20
 _HTTP = 80
@@ -149,11 +151,10 @@ def _bounded(receive: Receive) -> Receive:
 def _with_headers(send: Send, path: str) -> Send:
     # The browser requests files of the page again after an update: their ETag decides.
     headers = _HEADERS | ({"cache-control": "no-cache"} if path.startswith("/static/") else {})
-    extra = [(name.encode(), value.encode()) for name, value in headers.items()]
 
     async def wrapped(message: Message) -> None:
         if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message.get("headers", []), *extra]}
+            MutableHeaders(scope=message).update(headers)
         await send(message)
 
     return wrapped
@@ -162,31 +163,11 @@ def _with_headers(send: Send, path: str) -> Send:
 def serve(
     routes: Routes, *, host: str = "127.0.0.1", port: int = 0, ready: Callable[[str], None] | None = None
 ) -> None:
-    """Serve the labelling page until interrupted.
+    """Serve the labelling page until interrupted; any host but loopback makes the server want a token.
 
-    Parameters
-    ----------
-    routes : Routes
-        The clips.
-    host : str
-        Address to listen on. Any but loopback makes the server want a token.
-    port : int
-        0 = any free one.
-    ready : callable, optional
-        Called with the page's address once the server listens.
-
-    Raises
-    ------
-    MissingDependencyError
-        When uvicorn is not installed.
-    InputFileError
-        When the address cannot be listened on.
+    Port 0 is any free one. `ready` is called with the page's address once the server listens. Raises
+    InputFileError when the address cannot be listened on.
     """
-    try:
-        import uvicorn
-    except ImportError as error:
-        fix = "pip install 'kt3dmoseg[label]'"
-        raise MissingDependencyError("uvicorn is not installed", fix=fix) from error
     listener = _listen(host, port)
     port = listener.getsockname()[1]
     token = "" if is_loopback(host) else secrets.token_urlsafe(24)

@@ -58,18 +58,10 @@ _ETAG = re.compile(r'"(\d{1,16})"')
 
 
 class Routes:
-    """The clips being labelled and the requests about them.
+    """The clips being labelled, by name, and the requests about them.
 
-    Parameters
-    ----------
-    sessions : mapping of str to ClipSession
-        The clips by name.
-    annotator : str
-        Written into what is saved, when not empty.
-    other : Path or None
-        Folder of the other annotator's annotations.
-    masks, kitti : Path or None
-        Where proposals may find masks and KITTI raw drives.
+    `annotator` is written into what is saved, when not empty; `other` is the folder of the other annotator's
+    annotations; proposals may find masks in `masks` and KITTI raw drives in `kitti`.
     """
 
     def __init__(
