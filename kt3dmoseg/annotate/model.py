@@ -161,10 +161,6 @@ class AnnotatedObject:
     ]
     note: _Text = ""
 
-    def key_at(self, frame: int) -> KeyFrame | None:
-        """Return the key frame at `frame`, or None."""
-        return next((key for key in self.key_frames if key.frame == frame), None)
-
 
 @_checked
 class Mark:
@@ -237,14 +233,6 @@ class Annotation:
         """The motion numbers (>= 1) in use, ascending."""
         used = {item.motion for item in self.objects} | {mark.motion for mark in self.marks}
         return sorted(m for m in used if m != REJECT and m >= 1)
-
-    def object(self, object_id: int) -> AnnotatedObject:
-        """Return the object of that id; raises InvalidValueError when there is none."""
-        by_id = {item.id: item for item in self.objects}
-        if object_id not in by_id:
-            known = ", ".join(map(str, by_id)) or "none"
-            raise InvalidValueError("object", expected=f"an id among: {known}", found=str(object_id))
-        return by_id[object_id]
 
     def emptied(self) -> Annotation:
         """Return the annotation of the same clip without objects and marks."""

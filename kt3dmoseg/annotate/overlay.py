@@ -63,20 +63,13 @@ def draw_view(
 
 def contact_sheets(tiles: Sequence[ByteArray], width: int = 1600, height: int = 1500) -> list[ByteArray]:
     """Arrange pictures in rows on sheets of at most `width` x `height` screen pixels, or one picture."""
-    return _strips(_strips(tiles, width, axis=1), height, axis=0)
-
-
-def _strips(pictures: Sequence[ByteArray], limit: int, axis: int) -> list[ByteArray]:
-    """Join pictures along an axis, beginning another strip at the limit; strips are of one size across."""
-    across = max(picture.shape[1 - axis] for picture in pictures)
-    strips: list[list[ByteArray]] = [[]]
-    for picture in pictures:
-        missing = [(0, 0), (0, 0), (0, 0)]
-        missing[1 - axis] = (0, across - picture.shape[1 - axis])
-        if strips[-1] and sum(p.shape[axis] for p in strips[-1]) + picture.shape[axis] > limit:
-            strips.append([])
-        strips[-1].append(np.pad(picture, missing))
-    return [np.concatenate(strip, axis=axis) for strip in strips]
+    high, wide = np.max([tile.shape[:2] for tile in tiles], axis=0)
+    columns, rows = max(1, width // wide), max(1, height // high)
+    even = np.zeros((-(-len(tiles) // columns) * columns, high, wide, 3), dtype=np.uint8)
+    for cell, tile in zip(even, tiles, strict=False):
+        cell[: tile.shape[0], : tile.shape[1]] = tile
+    strips = [np.hstack(list(even[k : k + columns])) for k in range(0, len(even), columns)]
+    return [np.vstack(strips[k : k + rows]) for k in range(0, len(strips), rows)]
 
 
 def _outline(axes: Axes, item: AnnotatedObject, region: Region) -> None:

@@ -79,7 +79,7 @@ def test_coco_keeps_the_pixels_of_every_object(annotation):
             new = mask_of(after[item.id][frame].polygons if item.id in after else [], SIZE)
             assert (old == new).all()
         if item.id in after:
-            same = back.object(item.id)
+            (same,) = (other for other in back.objects if other.id == item.id)
             assert (same.name, same.kind, same.motion) == (item.name, item.kind, item.motion)
 
 

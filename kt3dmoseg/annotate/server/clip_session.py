@@ -126,10 +126,8 @@ class ClipSession:
 
     def state(self) -> tuple[object, ...]:
         """Return what `summary` depends on: the state of the files, or whether trajectories were computed."""
-        tracks = self.source.tracks
-        return _file_state(self.source.annotation), _file_state(
-            tracks
-        ) if tracks else self._trajectories is not None
+        tracks, computed = self.source.tracks, self._trajectories is not None
+        return _file_state(self.source.annotation), _file_state(tracks) if tracks else computed
 
     def _label(self, annotation: Annotation) -> LabelledTracks:
         return label_tracks_detailed(self.wait(), annotation, regions=self.regions(annotation))

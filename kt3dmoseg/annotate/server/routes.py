@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,6 @@ from kt3dmoseg.annotate.agreement import agree
 from kt3dmoseg.annotate.labelling import LabelledTracks
 from kt3dmoseg.annotate.model import (
     KINDS,
-    AnnotatedObject,
     Annotation,
     from_json,
     load_annotation,
@@ -85,35 +84,40 @@ class Routes:
         self.proposers = {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
 
     def table(self) -> list[Route]:
-        """Return the routes for starlette."""
+        """Return the routes for starlette, which runs plain functions in threads."""
         clip = "/api/clips/{clip}"
+        edited = {
+            "/regions": self._regions,
+            "/labels": self._labels,
+            "/proposals/{proposer}": self._propose,
+            "/compare": self._compare,
+            "/export/{format}": self._export,
+        }
         return [
             Route("/api/clips", self._clips),
             Route(clip, self._clip),
             Route(clip + "/frames/{frame:int}", self._frame),
             Route(clip + "/tracks", self._tracks),
             Route(clip + "/annotation", self._annotation),
-            Route(clip + "/annotation", self._save, methods=["PUT"]),
-            Route(clip + "/regions", self._regions, methods=["POST"]),
-            Route(clip + "/labels", self._labels, methods=["POST"]),
-            Route(clip + "/proposals/{proposer}", self._propose, methods=["POST"]),
-            Route(clip + "/compare", self._compare, methods=["POST"]),
-            Route(clip + "/export/{format}", self._export, methods=["POST"]),
+            Route(clip + "/annotation", self._with_annotation(self._save), methods=["PUT"]),
             Route(clip + "/import/{format}", self._import, methods=["POST"]),
+            *(
+                Route(clip + path, self._with_annotation(work), methods=["POST"])
+                for path, work in edited.items()
+            ),
         ]
 
-    async def _clips(self, _: Request) -> Response:
-        return JSONResponse({"clips": await run_in_threadpool(self.summaries.clips)})
+    def _clips(self, _: Request) -> Response:
+        return JSONResponse({"clips": self.summaries.clips()})
 
-    async def _clip(self, request: Request) -> Response:
+    def _clip(self, request: Request) -> Response:
         session = self._session(request)
-        annotation = await run_in_threadpool(session.annotation)
         return JSONResponse(
             {
                 "name": session.source.name,
                 "image_size": session.image_size,
                 "n_frames": len(session.source.frames),
-                "annotation": to_json(annotation),
+                "annotation": to_json(session.annotation()),
                 "annotator": self.annotator,
                 "kinds": KINDS,
                 "formats": self.suffixes,
@@ -122,88 +126,59 @@ class Routes:
             }
         )
 
-    async def _frame(self, request: Request) -> Response:
+    def _frame(self, request: Request) -> Response:
         frames, index = self._session(request).source.frames, request.path_params["frame"]
         if index >= len(frames):
             raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
-        content, kind = await run_in_threadpool(_picture, frames[index])
+        content, kind = _picture(frames[index])
         return Response(content, media_type=kind, headers={"cache-control": "private, max-age=3600"})
 
-    async def _tracks(self, request: Request) -> Response:
-        found = await run_in_threadpool(self._session(request).trajectories)
+    def _tracks(self, request: Request) -> Response:
+        found = self._session(request).trajectories()
         if isinstance(found, Progress):
             return JSONResponse(vars(found), status_code=500 if found.error else 202)
         content = np.ascontiguousarray(found.xy, dtype="<f4").tobytes()
         shape = {"x-shape": f"{len(found)},{found.n_frames}"}
         return Response(content, media_type="application/octet-stream", headers=shape)
 
-    async def _annotation(self, request: Request) -> Response:
-        found = await run_in_threadpool(self._session(request).annotation)
+    def _annotation(self, request: Request) -> Response:
+        found = self._session(request).annotation()
         return JSONResponse(to_json(found), headers=_etag(found))
 
-    async def _save(self, request: Request) -> Response:
-        base = _if_match(request)
-        session, given = await self._given(request)
-        mine = replace(given, revision=base, annotator=self.annotator or given.annotator)
-        saved = await run_in_threadpool(save_revision, session.source.annotation, mine)
+    def _save(self, request: Request, session: ClipSession, given: Annotation) -> Response:
+        mine = replace(given, revision=_if_match(request), annotator=self.annotator or given.annotator)
+        saved = save_revision(session.source.annotation, mine)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
-    async def _regions(self, request: Request) -> Response:
-        return await self._once_tracked(request, lambda clip, given: {"regions": _shown(clip.regions(given))})
+    def _regions(self, _: Request, session: ClipSession, given: Annotation) -> Response:
+        return _once_tracked(session, lambda: {"regions": _shown(session.regions(given))})
 
-    async def _labels(self, request: Request) -> Response:
-        return await self._once_tracked(request, lambda clip, given: _outcome(clip.labelled(given)))
+    def _labels(self, _: Request, session: ClipSession, given: Annotation) -> Response:
+        return _once_tracked(session, lambda: _outcome(session.labelled(given)))
 
-    async def _once_tracked(
-        self, request: Request, work: Callable[[ClipSession, Annotation], dict[str, Any]]
-    ) -> Response:
-        found = self._session(request).trajectories()
-        if isinstance(found, Progress):
-            return JSONResponse(vars(found), status_code=202)
-        return JSONResponse(await run_in_threadpool(work, *await self._given(request)))
+    def _propose(self, request: Request, session: ClipSession, given: Annotation) -> Response:
+        name, frames = session.source.name, session.source.frames
+        asked = proposals.Request(name, given, session.wait(), frames, self.masks, self.kitti)
+        objects = proposals.propose(request.path_params["proposer"], asked)
+        return JSONResponse({"objects": to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]})
 
-    async def _propose(self, request: Request) -> Response:
-        session, annotation = await self._given(request)
-
-        def work() -> list[AnnotatedObject]:
-            source = session.source
-            asked = proposals.Request(
-                source.name, annotation, session.wait(), source.frames, self.masks, self.kitti
-            )
-            return proposals.propose(request.path_params["proposer"], asked)
-
-        found = replace(annotation.emptied(), objects=tuple(await run_in_threadpool(work)))
-        return JSONResponse({"objects": to_json(found)["objects"]})
-
-    async def _compare(self, request: Request) -> Response:
-        session, mine = await self._given(request)
+    def _compare(self, _: Request, session: ClipSession, mine: Annotation) -> Response:
         if self.other is None:
             raise HTTPException(404, "start with --compare FOLDER to compare two annotators")
-        path = self.other / f"{session.source.name}.json"
+        theirs = load_annotation(self.other / f"{session.source.name}.json")
+        session.check(theirs)
+        found = _comparison(session.wait(), session.labelled(mine), session.labelled(theirs))
+        shown = {"theirs": to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}
+        return JSONResponse(found | shown)
 
-        def work() -> dict[str, Any]:
-            theirs = load_annotation(path)
-            session.check(theirs)
-            found = _comparison(session.wait(), session.labelled(mine), session.labelled(theirs))
-            return found | {"theirs": to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}
-
-        return JSONResponse(await run_in_threadpool(work))
-
-    async def _export(self, request: Request) -> Response:
-        session, annotation = await self._given(request)
-        chosen = formats.load(request.path_params["format"])
-        found = session.trajectories()
-
-        def work() -> bytes:
-            regions = formats.regions(annotation, found if isinstance(found, Trajectories) else None)
-            return chosen.dump(annotation, regions, session.frame_names)
-
-        return Response(await run_in_threadpool(work), media_type=chosen.media_type)
+    def _export(self, request: Request, session: ClipSession, given: Annotation) -> Response:
+        chosen, found = formats.load(request.path_params["format"]), session.trajectories()
+        regions = formats.regions(given, found if isinstance(found, Trajectories) else None)
+        return Response(chosen.dump(given, regions, session.frame_names), media_type=chosen.media_type)
 
     async def _import(self, request: Request) -> Response:
-        session = self._session(request)
+        session, content = self._session(request), await request.body()
         chosen = formats.load(request.path_params["format"])
-        content = await request.body()
         like = (await run_in_threadpool(session.annotation)).emptied()
         found = await run_in_threadpool(chosen.parse, content, like, session.frame_names)
         return JSONResponse(to_json(found))
@@ -214,16 +189,33 @@ class Routes:
             raise HTTPException(404, "no such clip")
         return session
 
-    async def _given(self, request: Request) -> tuple[ClipSession, Annotation]:
-        """Return the clip of a request and the annotation in its body, which must be one of that clip."""
-        session = self._session(request)
-        try:
-            data = json.loads(await request.body())
-        except (ValueError, RecursionError) as error:
-            raise InvalidValueError("body", expected="an annotation in JSON", found=str(error)[:80]) from None
-        annotation = from_json(data)
-        await run_in_threadpool(session.check, annotation)
-        return session, annotation
+    def _with_annotation(
+        self, work: Callable[[Request, ClipSession, Annotation], Response]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """Give `work` the clip of a request and the annotation in the body, which must be one of that clip."""
+
+        async def endpoint(request: Request) -> Response:
+            session, body = self._session(request), await request.body()
+            return await run_in_threadpool(lambda: work(request, session, _given(session, body)))
+
+        return endpoint
+
+
+def _given(session: ClipSession, body: bytes) -> Annotation:
+    try:
+        data = json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise InvalidValueError("body", expected="an annotation in JSON", found=str(error)[:80]) from None
+    annotation = from_json(data)
+    session.check(annotation)
+    return annotation
+
+
+def _once_tracked(session: ClipSession, work: Callable[[], dict[str, Any]]) -> Response:
+    found = session.trajectories()
+    if isinstance(found, Progress):
+        return JSONResponse(vars(found), status_code=202)
+    return JSONResponse(work())
 
 
 def _picture(path: Path) -> tuple[bytes, str]:
