@@ -317,7 +317,7 @@ def _predict(
     _, nearest = cKDTree(trajectories.xy[others, frame]).query(here, k=range(1, count + 1))
     found = others[nearest]
     known = found != rows[:, None]
-    # One more was asked for than needed, because a row may find itself.
+    # One more than needed, because a row may find itself.
     known &= np.cumsum(known, axis=1) <= _NEIGHBOURS
     models, ok = fit_similarities(trajectories.xy[found, frame], trajectories.xy[found, frame + 1], known)
     return (models[:, :, :2] @ here[..., None])[..., 0] + models[:, :, 2] - here, ok

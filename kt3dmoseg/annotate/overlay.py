@@ -1,4 +1,4 @@
-"""Pictures of regions on frames, enlarged where asked, with rulers in pixels; matplotlib draws them."""
+"""Pictures of regions on frames, enlarged on request, with rulers in pixels; matplotlib draws them."""
 
 from __future__ import annotations
 

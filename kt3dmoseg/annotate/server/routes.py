@@ -192,7 +192,7 @@ class Routes:
     def _with_annotation(
         self, work: Callable[[Request, ClipSession, Annotation], Response]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Give `work` the clip of a request and the annotation in the body, which must be one of that clip."""
+        """Give `work` the clip of a request and the annotation in the body, which must be of that clip."""
 
         async def endpoint(request: Request) -> Response:
             session, body = self._session(request), await request.body()
