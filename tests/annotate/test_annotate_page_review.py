@@ -86,7 +86,7 @@ def test_proposals_are_accepted_corrected_or_rejected_by_a_person(reviewer):
     reviewer.until("labeller.state.proposals.length === 2")
     button(reviewer, "Correct").click()
     reviewer.until("labeller.state.doc.objects.length === 1")
-    reviewer.shows("#review", "put it right")
+    reviewer.shows("#review", "correct it")
     assert reviewer.value("document.activeElement.id") == "stage"  # keys edit at once
     points = reviewer.objects()[0]["key_frames"][0]["polygons"][0]
     lowest = max(range(len(points)), key=lambda k: points[k][1] - points[k][0])

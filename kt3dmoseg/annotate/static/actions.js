@@ -62,7 +62,7 @@ function catchTracks(polygon) {
   const rows = rowsWhere(frame, (point) => inside(point, polygon));
   setTool("select");
   set({ lassoed: { frame, polygon, rows } });
-  notify(`${rows.length} trajectories: press 1 to 9, 0 for background, x to reject, Esc to let go`);
+  notify(`${rows.length} trajectories: press 1 to 9, 0 for background, x to reject, Esc to deselect`);
 }
 
 export function addPoint(point) {

@@ -11,20 +11,20 @@ const POLL = 500;
 const HEADS = ["clip", "frames", "objects", "motions", "labelled", "", "saved", "by"];
 
 /** Open a clip, or report why it cannot be opened. */
-export async function openClip(name, remember = true) {
+export async function openClip(name, pushHistory = true) {
   try {
-    await show(name, remember);
+    await show(name, pushHistory);
   } catch (error) {
-    const again = button("Try again", () => (close(), openClip(name, remember)));
+    const again = button("Try again", () => (close(), openClip(name, pushHistory)));
     open("The clip cannot be opened", element("p", {}, error.message), row(again, button("Close", close)));
   }
 }
 
 /** What is not saved of the present clip is saved first, or stays in this browser. */
-async function show(name, remember) {
+async function show(name, pushHistory) {
   await flush();
   const clip = await api.getClip(name);
-  if (remember) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
+  if (pushHistory) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
   stop();
   saver.base = undefined;
   begin(clip, { doc: clip.annotation, view: fit(clip.image_size) });

@@ -92,7 +92,7 @@ function drawReview() {
   if (!state.review) strip("review", "");
   else if (!item) {
     const on = button(left ? `Go on (${left} left)` : "Done", () => review(index), "primary");
-    strip("review", `${name} is an object now: put it right, then`, on);
+    strip("review", `${name} is an object now: correct it, then`, on);
   } else {
     const first = button("Accept", () => (accept(), review(index)), "primary");
     strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Correct", correct),
@@ -112,7 +112,7 @@ export function exchange() {
     return line([NAMES[name] ?? name, button("Export", () => write(name, suffix)), choose]);
   });
   open("Files of other tools",
-    element("p", {}, faint("An import replaces what is drawn, as one edit that Ctrl+Z takes back.")),
+    element("p", {}, faint("An import replaces what is drawn, as one edit that Ctrl+Z undoes.")),
     element("table", {}, rows), row(button("Close", close)));
 }
 

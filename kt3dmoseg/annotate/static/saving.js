@@ -115,7 +115,7 @@ function settleConflict() {
   const first = button("Merge both", () => settle(merge(saver.base, mine, theirs)), "primary");
   ask("Saved elsewhere in the meantime",
     element("p", {}, `Another tab or person saved revision ${theirs.revision} of ${theirs.clip} after this page read `
-      + `revision ${saver.revision}. Your edits are still here. What shall revision ${theirs.revision + 1} be?`),
+      + `revision ${saver.revision}. Your edits are still here. Choose what revision ${theirs.revision + 1} holds.`),
     element("table", {},
       line([first, "objects changed on one side come from there; changed on both, you get both"]),
       line([button("Keep mine", () => settle({ ...mine })), "what you see now replaces the other revision"]),

@@ -103,7 +103,7 @@ class Viewer {
     const pen = canvas.getContext("2d");
     const image = this.image(frame);
     if (image) {
-      pen.globalAlpha = 0.75; // dimmed by the dark ground, so that points stand out
+      pen.globalAlpha = 0.75; // dimmed by the dark ground, so that points are visible
       pen.drawImage(image, 0, 0, canvas.width, canvas.height);
       pen.globalAlpha = 1;
     }
