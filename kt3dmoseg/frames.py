@@ -167,7 +167,6 @@ class KittiClip:
 
 FrameSource: TypeAlias = FrameFolder | VideoFile | KittiClip
 """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built."""
-Source = FrameSource  # its name in 0.1.0
 
 
 def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:

@@ -61,16 +61,9 @@ class Preset:
 
 
 def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
-    """Build an options dataclass from keywords, TOML keys or strings.
+    """Build an options dataclass from keywords, TOML keys or strings, converted to the fields' types.
 
-    Parameters
-    ----------
-    cls : type
-        A dataclass made of `option` fields.
-    values : mapping of str to object
-        Values; strings are converted to the field's type. The name of a `Preset` takes true or false.
-    where : str
-        Context for messages, for instance a file name.
+    The name of a `Preset` takes true or false; `where` is the context for messages, for instance a file name.
 
     Raises
     ------

@@ -18,8 +18,9 @@ from kt3dmoseg.tracking.options import TrackOptions
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate.server.clip_session import ClipSession
-    from kt3dmoseg.draw import Painting
-    from kt3dmoseg.pipeline import Outcome, Source
+    from kt3dmoseg.draw.painting import Painting
+    from kt3dmoseg.frames import FrameSource
+    from kt3dmoseg.pipeline import Outcome
     from kt3dmoseg.types import ByteArray, Clip, Trajectories
 
 _ANNOTATIONS = Path("annotations")
@@ -93,7 +94,7 @@ def build(
     from kt3dmoseg.options import parse_assignments
     from kt3dmoseg.pipeline import build_dataset, find_sources, kitti_sources
 
-    sources: list[Source]
+    sources: list[FrameSource]
     if date or drive or range_ or camera or name:
         sources = kitti_sources(frames, date=date, drive=drive, camera=camera, frames=range_, name=name)
     else:
@@ -290,7 +291,7 @@ def show(
     CLIP is any clip file. PATH is a folder (one PNG per frame), a single .png (of --at), or .mp4, .avi,
     .gif, .apng, .webp.
     """
-    from kt3dmoseg.draw import draw_frame
+    from kt3dmoseg.draw.painting import draw_frame
     from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.frames import frames_of
     from kt3dmoseg.io import load
@@ -332,7 +333,7 @@ def _target(path: Path) -> Path:
 
 
 def _painting(clip: Clip, by: str | None, prediction: Path | None) -> Painting:
-    from kt3dmoseg.draw import by_label, by_length, by_prediction
+    from kt3dmoseg.draw.painting import by_label, by_length, by_prediction
     from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.io.predictions import read_prediction
 

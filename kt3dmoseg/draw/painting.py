@@ -26,24 +26,12 @@ Legend: TypeAlias = Sequence[tuple[str, Colour]]
 
 @dataclass(frozen=True)
 class Painting:
-    """Which trajectories are drawn, in which colours, with which legend.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        N of them.
-    colours : (N, 3) uint8
-        RGB.
-    legend : sequence of (text, (r, g, b))
-        Lines of the legend.
-    ringed : (N,) bool, optional
-        Trajectories whose points have a white ring.
-    """
+    """Which N trajectories are drawn, in which colours (N, 3) uint8 RGB, with which legend."""
 
     trajectories: Trajectories
     colours: ByteArray
     legend: Legend
-    ringed: BoolArray | None = None
+    ringed: BoolArray | None = None  # (N,): whose points have a white ring
 
 
 def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None = None) -> Painting:
@@ -111,25 +99,9 @@ def draw_frame(
     title: str = "",
     options: DrawOptions | None = None,
 ) -> ByteArray:
-    """Draw one frame.
+    """Draw the frame of this index, RGB (H * scale, W * scale, 3) uint8.
 
-    Parameters
-    ----------
-    painting : Painting
-        What to draw.
-    frame : int
-        Index of the frame.
-    picture : (H, W) uint8, optional
-        The frame, drawn below; black when there is none.
-    title : str
-        First line of the legend.
-    options : DrawOptions, optional
-        Trails, sizes.
-
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8
-        RGB.
+    The `picture` (H, W) uint8 is drawn below, black when there is none; the legend starts with the `title`.
     """
     chosen = options or DrawOptions()
     canvas = _canvas(painting.trajectories, picture, chosen)

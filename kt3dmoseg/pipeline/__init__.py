@@ -9,13 +9,8 @@ from kt3dmoseg.options import option
 from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
-    from kt3dmoseg.frames import FrameFolder as FrameFolder
-    from kt3dmoseg.frames import KittiClip as KittiClip
-    from kt3dmoseg.frames import Source as Source
-    from kt3dmoseg.frames import VideoFile as VideoFile
     from kt3dmoseg.frames import find_sources as find_sources
     from kt3dmoseg.frames import kitti_sources as kitti_sources
-    from kt3dmoseg.frames import located_sources as located_sources
     from kt3dmoseg.pipeline.clip import build_clip as build_clip
     from kt3dmoseg.pipeline.dataset import Outcome as Outcome
     from kt3dmoseg.pipeline.dataset import build_dataset as build_dataset
@@ -44,8 +39,8 @@ _PUBLIC = {
     "build_dataset": "dataset",
     "Outcome": "dataset",
     "label_by_masks": "masks",
-    **dict.fromkeys(("find_sources", "kitti_sources", "located_sources"), "kt3dmoseg.frames"),
-    **dict.fromkeys(("FrameFolder", "VideoFile", "KittiClip", "Source"), "kt3dmoseg.frames"),
+    "find_sources": "kt3dmoseg.frames",
+    "kitti_sources": "kt3dmoseg.frames",
 }
 
 __all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604

@@ -22,9 +22,10 @@ import kt3dmoseg
 from kt3dmoseg import flow, pipeline, tracking
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.frames import FrameFolder
 from kt3dmoseg.io import hdf5, load
 from kt3dmoseg.io.flow_files import write_flow
-from kt3dmoseg.pipeline import FrameFolder, build_dataset, dataset
+from kt3dmoseg.pipeline import build_dataset, dataset
 from kt3dmoseg.tracking import RELIABLE
 
 FLOW = ["--flow", "dis_medium"]
