@@ -172,11 +172,7 @@ class _Demo:
         )
         with self.progress("frame") as done:
             outcomes = build_dataset(
-                find_sources(self.kitti),
-                self.dataset,
-                annotations=self.annotations,
-                workers=1,
-                progress=done,
+                find_sources(self.kitti), self.dataset, annotations=self.annotations, workers=1, progress=done
             )
         for outcome in outcomes:
             if outcome.status == "failed":
