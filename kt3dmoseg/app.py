@@ -35,13 +35,8 @@ _USAGE = 2
 _RARE = " (rarely changed)"
 _LABELS = 26  # width of the column of names in help
 _FORMER = {"--set": "--parameter"}  # older names of flags, taken and not listed
-_EXTRAS = {
-    "starlette": "label",
-    "uvicorn": "label",
-    "pycocotools": "label",
-    "requests": "pull",
-    "pooch": "pull",
-}
+_EXTRAS = dict.fromkeys(("starlette", "uvicorn", "pycocotools"), "label")  # of modules that may be missing
+_EXTRAS |= dict.fromkeys(("requests", "pooch"), "pull")
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 

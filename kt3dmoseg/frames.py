@@ -212,12 +212,8 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
 def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
     """List the clips of ``ROOT/located.toml``, as `pull` and `locate` write it, that are on disk.
 
-    Without that file in the KITTI raw root the list is empty.
-
-    Raises
-    ------
-    FileFormatError
-        When the file is no catalog, or a clip in it skips frames.
+    Without that file in the KITTI raw root the list is empty. A `FileFormatError` is raised when the file is
+    no catalog, or a clip in it skips frames.
     """
     from kt3dmoseg import catalog
     from kt3dmoseg.catalog import format_numbers
@@ -325,12 +321,8 @@ def frames_of(clip: Clip, root: str | os.PathLike[str]) -> list[ByteArray]:
 
     They are in a folder of clips or a KITTI raw root that `frame_folder` finds them in, or `root` is the
     folder of the numbered pictures itself. Of pictures in colour the luma is taken. There may be more than
-    the clip's when it was built from a KITTI drive: those of its numbers are taken.
-
-    Raises
-    ------
-    InputFileError, FileFormatError
-        When they cannot be read, or are those of another clip.
+    the clip's when it was built from a KITTI drive: those of its numbers are taken. An `InputFileError` or
+    `FileFormatError` is raised when they cannot be read, or are those of another clip.
     """
     folder = frame_folder(clip, root) or Path(root)
     paths = _paths_of(clip, folder)
@@ -387,12 +379,8 @@ def find_clips(
     They are in a folder of frames, a clip file (``.h5``, ``.mat``), or a dataset: a folder that holds one of
     these per clip. `annotations` is the folder of ``<clip>.json``. Clip files need `frames`: a folder with a
     sub-folder of frames per clip, the frames themselves, or the KITTI raw root that the clips were built
-    from. `tracks`, clip files too, adds trajectories to folders of frames.
-
-    Raises
-    ------
-    InputFileError
-        When `path` holds no clip, or the frames of a clip file are nowhere.
+    from. `tracks`, clip files too, adds trajectories to folders of frames. An `InputFileError` is raised when
+    `path` holds no clip, or the frames of a clip file are nowhere.
     """
     given = Path(path)
     folders, files = _picture_folders(given), _clip_files(given)
