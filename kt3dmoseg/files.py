@@ -177,7 +177,7 @@ class ZipFault(NamedTuple):
 
 
 class SafeZip:
-    """A stranger's zip archive: names and claimed sizes are checked, then files are read within bounds.
+    """An untrusted zip archive: names and claimed sizes are checked, then files are read within bounds.
 
     `source` is its path, its content, or a binary file; `where` names it in messages. Files whose name is
     not `wanted` are passed over unchecked. What is wrong goes to the list `faults`, without the files
@@ -231,7 +231,7 @@ class SafeZip:
             raise FileFormatError(where, expected="an intact file in the zip", found=str(error)) from None
 
     def read(self, name: str) -> bytes:
-        """Return the content of one file; FileFormatError when it is damaged or its size is a lie."""
+        """Return the content of one file; FileFormatError when it is damaged or its size is wrong."""
         size = self.infos[name].file_size
         with self.open(name) as stream:
             content = stream.read(size + 1)

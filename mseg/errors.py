@@ -10,7 +10,7 @@ class SegmentationError(KT3DMoSegError):
 
 
 class TooFewPointsError(SegmentationError, InvalidValueError):
-    """A clip holds too few trajectories or frames for what was asked."""
+    """A clip holds too few trajectories or frames for the request."""
 
 
 class IncompleteTrajectoriesError(SegmentationError, InvalidValueError):

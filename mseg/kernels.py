@@ -40,7 +40,7 @@ def sample_hypotheses(
 
     The points of a pair are normalised together (Hartley), and a fundamental matrix is made rank 2
     in that frame. Degenerate samples are drawn again, at most eleven times; then they are left out,
-    so a pair may hold fewer models than asked for. A pair with fewer visible points than a minimal
+    so a pair may hold fewer models than requested. A pair with fewer visible points than a minimal
     sample holds none.
 
     Parameters

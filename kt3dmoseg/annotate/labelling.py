@@ -58,7 +58,7 @@ class LabelRule:
 
 @dataclass(frozen=True, eq=False)
 class LabelledTracks:
-    """Labels and how they came about.
+    """Labels and the reasons for them.
 
     Parameters
     ----------

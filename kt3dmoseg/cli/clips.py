@@ -45,7 +45,7 @@ def demo(
     ] = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
-    """Go the whole way on synthetic drives: render, annotate, build, segment, validate, score, report.
+    """Run the workflow on synthetic drives: render, annotate, build, segment, validate, score, report.
 
     Takes about a minute; nothing is downloaded. Every step names the command that does it on
     real data.

@@ -1,7 +1,7 @@
 """Brox and FBMS trajectories, ``.dat``: text of whole numbers and coordinates.
 
 ``nFrames``, ``nTracks``, then for each track ``label length`` and `length` times ``x y frame``;
-pixels and frames from 0. Labels are kept as they are, -1 (unlabelled) becoming 0. Files in the wild
+pixels and frames from 0. Labels are kept as they are, -1 (unlabelled) becoming 0. Files of others
 break lines anywhere, so tokens are read, not lines (Brox and Malik, ECCV 2010; Ochs et al., 2014).
 """
 

@@ -35,7 +35,7 @@ def read_flow(path: str | os.PathLike[str]) -> Float32Array:
     ``.flo`` (Baker et al., IJCV 2011), KITTI's 16-bit PNG (u = R / 64 - 512, v = G / 64 - 512, valid = B;
     Menze and Geiger, CVPR 2015), or an array (H, W, 2) or (2, H, W) in ``.npy`` or ``.npz`` (its array
     ``flow``, or the only one). InputFileError when the file cannot be read; FileFormatError when it is none
-    of these, damaged, or lies about its size.
+    of these, damaged, or declares a wrong size.
     """
     where = os.fspath(path)
     content = read_bytes(path, _MAX_FILE)

@@ -58,7 +58,7 @@ def read_npz(
 ) -> dict[str, npt.NDArray[Any]]:
     """Read the arrays of a .npz file; of `names`, when given, those that are there.
 
-    FileFormatError when it is damaged, holds Python objects, or lies about a size.
+    FileFormatError when it is damaged, holds Python objects, or declares a wrong size.
     """
     where = os.fspath(path)
     with SafeZip(path, _LIMITS, where, lambda file: names is None or _name(file) in names) as archive:

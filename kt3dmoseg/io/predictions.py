@@ -127,7 +127,7 @@ def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
 
 
 def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | None, list[Problem]]:
-    """Bring predicted labels into the order of ``clip.evaluated``, or say why not."""
+    """Sort predicted labels into the order of ``clip.evaluated``, or report why that fails."""
     if found.problems:
         return None, found.problems
     wanted = clip.dense.track_id[clip.evaluated]
@@ -167,7 +167,7 @@ def _usual_mistake(
 
 
 def _difference(ids: IntArray, wanted: IntArray) -> tuple[str, str, str]:
-    """Say which ids are missing and which do not belong: code, what was found, repair."""
+    """Report which ids are missing and which do not belong: code, what was found, repair."""
     missing, extra = np.setdiff1d(wanted, ids), np.setdiff1d(ids, wanted)
     parts = [
         f"{len(missing)} missing (track {first_few(missing.tolist())})" if len(missing) else "",
@@ -221,7 +221,9 @@ class _Columns:
             numbers = values.astype(np.float64)
             finite = np.isfinite(numbers)
             huge = np.abs(np.where(finite, numbers, 0)) >= 2**53
-            outlier = "give every trajectory a label; if 0 is meant as outlier, say outliers = true"
+            outlier = (
+                "give every trajectory a label; if 0 is meant as outlier, set outliers = true in meta.toml"
+            )
             for code, wrong, what, fix in (
                 ("nan", np.isnan(numbers), "NaN", outlier),
                 ("infinite", np.isinf(numbers), "infinite values", "write whole numbers"),
@@ -313,7 +315,7 @@ def _csv(content: bytes, out: _Columns) -> None:
 
 
 def _csv_without_header(out: _Columns, rows: dict[int, list[str]], head: list[str], line: str) -> None:
-    """Say why the first line is not the header, then read on as far as it makes sense."""
+    """Report why the first line is not the header, then read on as far as it makes sense."""
     separator = next((s for s in ";\t |" if s in line.strip()), "")
     if len(head) == 1 and separator:
         name = {" ": "blanks", "\t": "tabs"}.get(separator, f"'{separator}'")

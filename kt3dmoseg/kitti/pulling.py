@@ -259,7 +259,7 @@ class _Pull:
             files = self.origin.open(part.packed, again=again)
             part.choose(files, self.target)
             if (part.failures or part.lacking) and files.fresh and not again:
-                # A directory holds no checksum of itself: it is read twice before a gap is believed.
+                # A directory holds no checksum of itself: a second reading confirms a gap.
                 self._choose(part, again=True)
         except RangesIgnoredError as error:
             part.files, part.url, part.size = None, error.url, error.size
@@ -313,7 +313,7 @@ def _show_licence(target: TargetFolder, options: PullOptions, report: Callable[[
 
 
 def _locate(clip: Entry, files: FileSet, known: Entry | None) -> tuple[Entry, list[str]]:
-    """Locate by checksum, which costs nothing; believe what `locate` proved by pictures. Name the frames."""
+    """Locate by checksum, which costs nothing, or take what `locate` proved by pictures; name the frames."""
     by_pictures = known is not None and known.proof in (PIXELS, CORRELATION)
     if known and by_pictures and (known.drive, known.frames) == (clip.drive, clip.frames):
         clip = known

@@ -143,7 +143,7 @@ def _download(
 
 
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:
-    """Unpack the wanted files that are not there, or not right, under names of our own making."""
+    """Unpack the wanted files that are not there, or not right, under fixed names."""
     archive = Archive.on_disk(path)
     matches = {name: match for name in archive.sizes if (match := re.fullmatch(release.wanted, name))}
     targets = {name: match.expand(release.target) for name, match in matches.items()}

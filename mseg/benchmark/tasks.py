@@ -44,7 +44,7 @@ class Configuration:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a method made of a clip."""
+    """The result of a method on a clip."""
 
     key: str  # of the configuration, clip and seed
     labels: IntArray | None  # None when it failed
@@ -96,7 +96,9 @@ def _attempt(task: Task, configuration: Configuration) -> tuple[IntArray | None,
         result = segment(clip, name, n_motions=task.n_motions, seed=task.seed, **configuration.parameters)
     except (KT3DMoSegError, MemoryError, np.linalg.LinAlgError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        return None, re.sub(rf"^{re.escape(clip.name)}[:,] ", "", reason)  # whoever shows it names the clip
+        return None, re.sub(
+            rf"^{re.escape(clip.name)}[:,] ", "", reason
+        )  # the caller that shows it names the clip
     return np.array(result.labels), ""
 
 
@@ -132,7 +134,7 @@ def read_outcome(cache: Cache, key: str) -> Outcome | None:
 
 
 def keep_outcome(cache: Cache, outcome: Outcome) -> None:
-    """Keep an outcome; one of a worker that died is not kept, since it says nothing of the method."""
+    """Keep an outcome; one of a worker that died is not kept, since it is no evidence on the method."""
     if not np.isnan(outcome.seconds):
         labels = np.zeros(0, dtype=np.int64) if outcome.labels is None else outcome.labels
         cache.put(outcome.key, {"labels": labels, "seconds": outcome.seconds, "reason": outcome.reason})

@@ -224,7 +224,7 @@ def report(
     """Write one self-contained HTML page about a submission, which opens offline.
 
     With --frames the trajectories are drawn on the pictures (FRAMES/<clip>/000001.png, ...). The table
-    is also written next to the page where asked for.
+    is also written next to the page on request.
 
     Parameters
     ----------

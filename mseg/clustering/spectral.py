@@ -20,7 +20,7 @@ Symmetric: TypeAlias = Any
 _Array = npt.NDArray[Any]
 # Up to this size LAPACK is faster.
 _DENSE = 250
-# Vectors beyond those asked for, and the width of a block: eight columns cost BLAS no more than six.
+# Vectors beyond the requested ones, and the width of a block: eight columns cost BLAS no more than six.
 _GUARD = 3
 _WIDTH = 8
 _EXPANSIONS = 4

@@ -11,6 +11,7 @@ import numpy as np
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 from mseg.evaluation.metrics import Metric, all_metrics
+from mseg.evaluation.protocol import count
 from mseg.evaluation.results import ResultsTable, clip_table, failure_notes
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
@@ -30,7 +31,7 @@ class Pair:
     p: float  # Wilcoxon signed-rank test over clips
     p_holm: float  # the same, corrected for all pairs compared
     seed_sd: float | None  # of the difference when each takes one other seed; None with a single seed
-    sentence: str = ""  # what this says, in words
+    sentence: str = ""  # the result in words
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,7 @@ def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:
     if (pair.difference > 0) == (spec.better == "lower"):
         better, worse = worse, better
     size = f"{spec.scale * abs(pair.difference):.2f}{unit}"
-    text = f"{better} is better than {worse} by {size} on average over {n_clips} clips. "
+    text = f"{better} is better than {worse} by {size} on average over {count(n_clips, 'clip')}. "
     if pair.seed_sd is None:
         text += "Whether that is larger than the seed noise is unknown: one of them has a single seed. "
     else:
@@ -152,6 +153,6 @@ def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:
             f"each {spec.scale * pair.seed_sd:.2f}{unit}). "
         )
     if 2 / 2**n_clips >= _SIGNIFICANT:  # the smallest p-value that so many clips can give
-        return f"{text}Whether it is consistent over clips, {n_clips} clips are too few to show."
+        return f"{text}There are too few clips ({n_clips}) to show whether it is consistent over clips."
     verdict = "is consistent" if pair.p_holm < _SIGNIFICANT else "could be chance"
     return f"{text}Over the clips it {verdict} (Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})."

@@ -1,4 +1,4 @@
-"""Label vectors that people already have: MATLAB cell arrays, text, Brox ``.dat``."""
+"""Existing label vectors: MATLAB cell arrays, text, Brox ``.dat``."""
 
 from __future__ import annotations
 

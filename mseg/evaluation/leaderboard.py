@@ -183,7 +183,7 @@ class Leaderboard:
             yield connection
             connection.execute("COMMIT")
         except sqlite3.OperationalError as error:
-            fix = "may it be written, and is there room on the disk?"
+            fix = "check the permissions of the folder and the space on the disk"
             raise InputFileError(f"{self.path}: cannot write", found=str(error), fix=fix) from None
         except sqlite3.DatabaseError as error:
             raise FileFormatError(f"{self.path}", expected="a leaderboard", found=str(error)) from None

@@ -27,7 +27,7 @@ class Group:
     n_motions : int or None
         Number of motions that a clip must have, where that is the rule.
     unknown : bool
-        The benchmark does not say which clips belong here: nothing can be scored.
+        The benchmark does not define which clips belong here: nothing can be scored.
     """
 
     name: str
@@ -126,7 +126,7 @@ class Protocol:
         return [name for name, n in motions.items() if self.holds(name) and group.holds(name, n)]
 
     def coverage(self, clips: Iterable[str]) -> str:
-        """Say how much of the benchmark is at hand: ``"14 of 22 clips"`` or ``"all 22 clips"``."""
+        """Describe how much of the benchmark is at hand: ``"14 of 22 clips"`` or ``"all 22 clips"``."""
         return f"{share(sum(self.holds(name) for name in clips), self.n_clips)} clips"
 
 
@@ -136,12 +136,12 @@ def count(number: int, noun: str) -> str:
 
 
 def share(present: int, total: int) -> str:
-    """Say how many of all: "all 22", "14 of 22"."""
+    """Describe how many of all: "all 22", "14 of 22"."""
     return f"all {total}" if present == total else f"{present} of {total}"
 
 
 def list_protocols() -> list[str]:
-    """Names of the benchmark protocols that the package knows."""
+    """Names of the built-in benchmark protocols."""
     found = files("mseg").joinpath("protocols").iterdir()
     return sorted(each.name.removesuffix(".toml") for each in found if each.name.endswith(".toml"))
 

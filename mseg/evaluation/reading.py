@@ -101,7 +101,7 @@ def read_submission(path: str | os.PathLike[str]) -> Submission:
     if not root.exists():
         raise InputFileError(f"{root}", expected="a submission (folder or zip)", found="nothing there")
     names, content_of = _files_of_folder(root, out) if root.is_dir() else _files_of_zip(root, out)
-    if out.problems and not names:  # no zip, or too large, and that is all to say
+    if out.problems and not names:  # no zip, or too large: nothing more can be checked
         return out
     prefix = _root(names, out)
     digest = hashlib.sha256()
@@ -286,7 +286,7 @@ def _check_required(raw: Mapping[str, Any], bad: Callable[..., None]) -> None:
         if not raw.get(name):
             bad(name, example, "nothing")
     if "n_motions_given" not in raw:
-        fix = "say whether the method was given the number of motions"
+        fix = "state whether the method was given the number of motions"
         bad("n_motions_given", "true or false", "nothing", fix)
     benchmark = raw.get("benchmark", "")
     if isinstance(benchmark, str) and benchmark not in ("", "custom", *list_protocols()):

@@ -120,7 +120,7 @@ def clip_table(
     """One row per clip, one column per method: mean over seeds, with the spread over seeds.
 
     `values` are a metric (clips, seeds) of each method, `scale` is the factor of what is printed, `total`
-    says what mean and median are over, such as "14 of 22", and `last` are more rows at the end.
+    describes what mean and median are over, such as "14 of 22", and `last` are more rows at the end.
     """
     rows = [
         [clip, str(n), *(_with_spread(v[i], scale) for v in values.values())]
@@ -136,7 +136,7 @@ def clip_table(
 
 
 def headline_notes(scores: ScoreTable) -> list[str]:
-    """Say what is needed to read the headline rightly: coverage, failures, versions, seeds."""
+    """Note what is needed to read the headline rightly: coverage, failures, versions, seeds."""
     protocol, summary = scores.benchmark, scores.summary()
     notes = [f"Scored: {protocol.coverage(scores.names)}{_coverage_of_groups(scores)}."]
     if len(scores.names) < protocol.n_clips:
@@ -214,7 +214,7 @@ def published_for(protocol: Protocol, group: Group) -> dict[str, dict[str, float
 
 
 def meta_lines(scores: ScoreTable) -> list[tuple[str, str]]:
-    """List what the submission says about itself and what it was scored on, as (name, value)."""
+    """List the meta data of the submission and what it was scored on, as (name, value)."""
     meta, source = scores.meta, scores.provenance
     lines = [
         ("method", meta.method),

@@ -94,7 +94,7 @@ class ScoreTable:
     clips : tuple of ClipScore
         Every clip and seed; failed and missing ones included.
     meta : SubmissionMeta
-        What the submission says about itself.
+        The meta data of the submission.
     protocol : Protocol or None
         The benchmark; None = the clips scored, one group.
     provenance : Provenance
@@ -322,7 +322,7 @@ def _provenance(checked: Validation) -> Provenance:
 
 
 def _reason(checked: Validation, seed: int, name: str) -> str:
-    """Say why a clip has no labels."""
+    """Give the reason why a clip has no labels."""
     read, key = checked.submission, (seed, name)
     if key in read.failures:
         return f"failed: {read.failures[key]}"

@@ -39,7 +39,7 @@ _CLIP_NAME = re.compile(r"\w[\w .-]{0,127}")
 
 @dataclass(frozen=True)
 class SubmissionMeta:
-    """What a submission says about itself: the fields of ``meta.toml``.
+    """The meta data of a submission: the fields of ``meta.toml``.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def write_submission(
     predictions : mapping
         Clip name -> labels for a single run, or seed -> clip name -> labels.
     meta : SubmissionMeta
-        What to say about it; the checksums of the clips are added.
+        The meta data; the checksums of the clips are added.
     format : {"csv", "npz", "h5"}
         File format of the predictions.
 

@@ -194,11 +194,11 @@ def _label_problems(label: IntArray, clip: str, file: str, meta: SubmissionMeta)
         out.append(Problem(code, file, clip, "motions 1, 2, ...", found, fix))
     if len(groups) == 1 and len(label) > 1 and not meta.baseline:
         found = f"all {len(label)} labels are {groups[0]}"
-        fix = "look whether the labels were written at all; if it is meant: baseline = true in meta.toml"
+        fix = "check that the labels were written at all; if it is meant: baseline = true in meta.toml"
         out.append(Problem("one-label", file, clip, "two motions or more", found, fix))
     if len(groups) > max(2, len(label) // 2):
         found = f"{len(groups)} different labels for {len(label)} trajectories"
-        fix = "look whether the columns track and label are swapped"
+        fix = "check whether the columns track and label are swapped"
         out.append(Problem("too-many-groups", file, clip, "a few groups", found, fix))
     return out
 
@@ -209,7 +209,7 @@ def is_zero_based(groups: IntArray) -> bool:
 
 
 def _check_extra(name: str, given: Mapping[str, Clip], out: Validation) -> None:
-    """Say of a predicted clip that is not scored whether that is a mistake."""
+    """Report whether a predicted clip that is not scored is a mistake."""
     protocol = out.protocol
     file = next(file for (_, clip), file in out.submission.files.items() if clip == name)
     if name in given or protocol.holds(name):
@@ -236,7 +236,7 @@ def _check_version(meta: SubmissionMeta, out: Validation) -> None:
     """Recognise a submission that was made on other trajectories, by their checksums or the version."""
     for name, found in meta.fingerprints.items():
         if name in out.checksums and found != out.checksums[name]:
-            expected = f"trajectories with fingerprint {out.checksums[name]}"
+            expected = f"trajectories with checksum {out.checksums[name]}"
             fix = "the submission was made on another version of the data: segment these trajectories"
             out.problems.append(Problem("dataset-version", META, name, expected, found[:40], fix))
     version = meta.dataset_version

@@ -23,7 +23,7 @@ _KEPT = 9
 
 
 class KernelCache:
-    """Kernels by what they depend on, the latest few in memory and, when asked, all of them on disk.
+    """Kernels by what they depend on, the latest few in memory and, on request, all of them on disk.
 
     Parameters
     ----------

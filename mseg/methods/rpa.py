@@ -23,7 +23,7 @@ _INLIER = 5.0
 
 @dataclass(frozen=True)
 class RPA(CompleteDataMethod):
-    """Clean the likeness of preferences by robust principal components, then factor it into memberships.
+    """Clean the similarities of preferences by robust principal components, then factor it into memberships.
 
     1. Points of R^5 and 6 N flats through four neighbours each, as in T-Linkage. (The authors guide half of
        their samples by the preferences for the other half; here neighbourhood guides all of them.)

@@ -17,7 +17,7 @@ from mseg.types import Grouping
 
 @dataclass(frozen=True)
 class S3C(CompleteDataMethod):
-    """Alternate sparse representation and segmentation, each with the other in mind.
+    """Alternate sparse representation and segmentation, each guiding the other.
 
     The first pass is SSC. Pass t then weighs the absolute coefficients by
 

@@ -81,7 +81,7 @@ def test_real_data_fall_into_their_groups(data_root, folder, name, coverage, gro
 
 
 @pytest.mark.data
-def test_prevalence_and_fingerprints_are_those_of_the_data(data_root):
+def test_prevalence_and_checksums_are_those_of_the_data(data_root):
     protocol = load_protocol("kt3dmoseg")
     clips = kt3dmoseg.load_dataset(data_root / "kt3dmoseg" / "release")
     for name, clip in clips.items():

@@ -101,7 +101,7 @@ def test_text_that_is_no_labels(tmp_path, content, word):
         read_label_text(tmp_path / "a.txt")
 
 
-def test_what_is_something_else(tmp_path):
+def test_other_content_is_refused(tmp_path):
     (tmp_path / "r.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
     with pytest.raises(FileFormatError):
         read_cluster_idx(tmp_path / "r.mat")

@@ -140,7 +140,7 @@ def test_failed_clip_is_shown(tmp_path):
     write_report(folder, CLIPS, tmp_path / "r.html", force=True)
 
 
-def test_published_results_and_prevalence_are_shown_and_a_part_is_called_a_part(tmp_path):
+def test_published_results_and_prevalence_are_shown_and_a_partial_submission_is_marked(tmp_path):
     clip = CLIPS["example_two"]
     clips = {"Seq005_Clip01": Clip("Seq005_Clip01", clip.dense, clip.evaluated, clip.labels)}
     folder = write_submission(tmp_path / "s", clips.values(), {"Seq005_Clip01": clip.labels.label}, META)

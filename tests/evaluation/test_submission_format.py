@@ -100,7 +100,7 @@ def test_labels_that_do_not_fit_are_not_written(tmp_path, labels):
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", "", ".hidden", "c\0"])
-def test_a_clip_name_is_no_way_out_of_the_folder(tmp_path, name):
+def test_a_clip_name_cannot_leave_the_folder(tmp_path, name):
     clip = CLIPS["example_two"]
     named = Clip(name, clip.dense, clip.evaluated, clip.labels)
     with pytest.raises(InvalidValueError, match="plain file name"):

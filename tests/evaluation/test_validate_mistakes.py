@@ -246,7 +246,7 @@ def test_dataset_version_is_recognised_by_its_trajectories(folder):
 
 
 def test_declared_version_that_the_data_are_not(tmp_path):
-    """The trajectories of the 2018 release are known by their fingerprints."""
+    """The trajectories of the 2018 release are recognised by their checksums."""
     clip = Clip("Seq005_Clip01", CLIP.dense, CLIP.evaluated, CLIP.labels)
     meta = SubmissionMeta("m", dataset_version="2018")
     folder = write_submission(tmp_path / "s", [clip], {clip.name: LABEL}, meta)
@@ -297,7 +297,7 @@ def test_litter_of_operating_systems_is_ignored(folder, tmp_path):
 @pytest.mark.parametrize(
     "name", ["../evil.csv", "/abs.csv", "a/../../evil.csv", "C:/evil.csv", "a\\..\\evil.csv"]
 )
-def test_way_out_of_the_archive(folder, tmp_path, name):
+def test_path_outside_the_archive(folder, tmp_path, name):
     packed = zip_folder(folder, tmp_path / "s.zip")
     with zipfile.ZipFile(packed, "a") as archive:
         archive.writestr(name, "track,label\n")
@@ -343,7 +343,7 @@ def test_bomb_inside_an_npz(folder):
     assert set(codes(validate_submission(folder, CLIPS))) == {"too-large"}
 
 
-def test_size_that_is_a_lie(folder, tmp_path):
+def test_wrong_declared_size(folder, tmp_path):
     packed = zip_folder(folder, tmp_path / "s.zip")
     content = bytearray(packed.read_bytes())
     at = content.rfind(b"PK\x01\x02")
@@ -352,7 +352,7 @@ def test_size_that_is_a_lie(folder, tmp_path):
     assert "unreadable" in codes(validate_submission(packed, CLIPS))
 
 
-def test_what_is_no_archive(tmp_path):
+def test_other_files_are_no_archive(tmp_path):
     other = tmp_path / "s.tar.gz"
     other.write_bytes(b"\x1f\x8b nothing")
     assert "not-a-zip" in codes(validate_submission(other, CLIPS))

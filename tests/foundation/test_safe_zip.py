@@ -91,7 +91,7 @@ def test_a_packed_size_beyond_the_archive_earns_no_larger_limit():
     assert codes(bytes(content))[0] == [("too-large", "bomb")]
 
 
-def test_a_size_that_is_a_lie_shows_when_the_file_is_read():
+def test_a_wrong_size_shows_when_the_file_is_read():
     for claimed in (2, 4):
         content = bytearray(GOOD)
         at = content.rfind(b"PK\x01\x02")

@@ -98,7 +98,7 @@ def test_arrays_of_other_shapes_and_objects(tmp_path):
 
 
 @pytest.mark.parametrize("shape", ["(4, 600000000, 2)", "(-4, 6, 2)", "(4, 6.0, 2)", "[[[[[[[["])
-def test_a_header_that_lies(shape, tmp_path):
+def test_a_header_with_wrong_sizes(shape, tmp_path):
     header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     content = b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + bytes(192)
     (tmp_path / "a.npy").write_bytes(content)

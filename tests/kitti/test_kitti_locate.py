@@ -134,7 +134,7 @@ def _recode(world: World, change) -> None:
     world.serve(world.files | frames)
 
 
-def test_other_compression_is_found_by_pixels_and_pull_believes_it(world: World) -> None:
+def test_other_compression_is_found_by_pixels_and_pull_uses_it(world: World) -> None:
     _recode(world, lambda image: image)
     with pytest.raises(NotLocatedError, match="kt3dmoseg locate compares pixels"):
         world.pull()

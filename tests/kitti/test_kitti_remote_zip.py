@@ -118,7 +118,7 @@ def test_hostile_archives_are_refused(tmp_path: Path, make: Callable[[], bytes],
     [(16, "<L", 12345), (10, "<H", 0), (24, "<L", 599), (24, "<L", 601)],
     ids=["checksum", "method", "smaller", "larger"],
 )
-def test_lies_of_the_directory_are_noticed_when_the_file_is_read(
+def test_wrong_claims_of_the_directory_are_noticed_when_the_file_is_read(
     tmp_path: Path, offset: int, form: str, value: int
 ) -> None:
     with pytest.raises(FileFormatError):

@@ -138,7 +138,7 @@ def test_no_correction_is_larger_than_allowed_or_leaves_the_frame(rows, limit, s
     assert alike.all()
 
 
-def test_many_points_are_as_each_alone(rng):
+def test_many_points_give_what_single_points_give(rng):
     xy = rng.uniform((0, 0), (95, 63), (700, 2))
     after = gray(picture((0.4, -0.2)))
     every = moved(looking_at(gray(picture()), xy), after, xy)
