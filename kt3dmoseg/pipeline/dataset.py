@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import cv2
 
@@ -19,9 +19,6 @@ from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.parallel import Progress, run_tasks
 from kt3dmoseg.pipeline.clip import Job, Settings, check_label_paths, label_files, reason_to_build
 from kt3dmoseg.pipeline.masks import has_masks
-
-FrameProgress: TypeAlias = Callable[[str, int, int | None], None]
-"""Called after each frame with the clip, frames done, frames in all or None."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ def build_dataset(
     force: bool = False,
     flow_parameters: Mapping[str, Any] | None = None,
     cache: str | os.PathLike[str] | None = None,
-    progress: FrameProgress | None = None,
+    progress: Callable[[str, int, int | None], None] | None = None,
     report: Callable[[Outcome], None] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> list[Outcome]:

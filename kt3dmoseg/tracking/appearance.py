@@ -111,19 +111,6 @@ class Starts(NamedTuple):
     variance: Float32Array
     inverse: Float32Array
 
-    def at(self, rows: npt.NDArray[np.intp]) -> Starts:
-        """Return some of them."""
-        return Starts(*(field[rows] for field in self))
-
-    def put(self, rows: npt.NDArray[np.intp], others: Starts) -> None:
-        """Overwrite some of them."""
-        for field, values in zip(self, others, strict=True):
-            field[rows] = values
-
-    def and_more(self, count: int) -> Starts:
-        """Return these and room for so many others."""
-        return Starts(*(np.concatenate([f, np.zeros((count, *f.shape[1:]), f.dtype)]) for f in self))
-
 
 def prepare(patch: Float32Array, window: Window, options: TrackOptions) -> Starts:
     """Make ready for registration what `Window.start` has seen, (N, 3, P)."""
@@ -216,7 +203,9 @@ class Appearance:
     def add(self, xy: FloatArray) -> None:
         """Keep how new trajectories (N, 2) look; they come after all that are alive."""
         rows = self._free_rows(len(xy))
-        self._starts.put(rows, prepare(self.window.start(self._image, xy), self.window, self.options))
+        new = prepare(self.window.start(self._image, xy), self.window, self.options)
+        for field, values in zip(self._starts, new, strict=True):
+            field[rows] = values
         self._row = np.concatenate([self._row, rows])
         self._affine = np.concatenate([self._affine, np.broadcast_to(np.eye(2), (len(xy), 2, 2))])
 
@@ -225,7 +214,8 @@ class Appearance:
         free = np.ones(len(self._starts.variance), dtype=np.bool_)
         free[self._row] = False
         if free.sum() < count:
-            self._starts = self._starts.and_more(count)
+            more = (np.zeros((count, *field.shape[1:]), field.dtype) for field in self._starts)
+            self._starts = Starts(*map(np.concatenate, zip(self._starts, more, strict=True)))
             free = np.concatenate([free, np.ones(count, dtype=np.bool_)])
         return np.flatnonzero(free)[:count]
 
@@ -255,7 +245,8 @@ class Appearance:
         pose, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)
         for first in range(0, len(xy), _CHUNK):
             part = slice(first, first + _CHUNK)
-            pose[part], alike[part] = self._compared(pose[part], self._starts.at(self._row[part]))
+            start = Starts(*(field[self._row[part]] for field in self._starts))
+            pose[part], alike[part] = self._compared(pose[part], start)
         self._affine = pose[..., :2]
         return pose[..., 2].copy(), alike
 
