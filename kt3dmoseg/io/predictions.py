@@ -73,27 +73,11 @@ class Prediction:
 
 
 def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
-    """Read the predicted labels of the evaluated trajectories of a clip.
+    """Read the predicted labels of a clip, (n,) int64 in the order of ``clip.evaluated``, joined by track id.
 
-    Parameters
-    ----------
-    path : path
-        ``.csv`` with the header ``track,label``, or ``.npz`` or ``.h5`` with the vectors `track` and
-        `label`.
-    clip : Clip
-        The clip; tracks are found by their ids.
-
-    Returns
-    -------
-    (n,) int64
-        In the order of ``clip.evaluated``.
-
-    Raises
-    ------
-    InputFileError
-        When the file cannot be read.
-    FileFormatError
-        When it is of another form, or not of this clip; with everything that is wrong.
+    The file is a ``.csv`` with the header ``track,label``, or an ``.npz`` or ``.h5`` with these vectors.
+    InputFileError when it cannot be read; FileFormatError, with everything that is wrong, when it is of
+    another form or not of this clip.
     """
     file = Path(path)
     suffix = file.suffix.lower()

@@ -98,7 +98,8 @@ def predict(
     tasks = [
         Task(clips[name].without_labels(), given[name], seed, ((key, configuration),))
         for (name, seed), key in keys.items()
-        if key not in record["done"] or not _exists(folder, name, layout[seed])
+        if key not in record["done"]
+        or not any(file_of(folder, name, layout[seed], ending).is_file() for ending in (".csv", FAILED))
     ]
     results = run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask)
     for done, (task, (outcome,)) in enumerate(results, 1):
@@ -143,7 +144,3 @@ def _open_record(folder: Path, configuration: Mapping[str, Any]) -> dict[str, An
             fix="write to another folder",
         )
     return record
-
-
-def _exists(folder: Path, clip: str, seed: int | None) -> bool:
-    return any(file_of(folder, clip, seed, ending).is_file() for ending in (".csv", FAILED))

@@ -169,15 +169,14 @@ def configure(
     """Make configurations, each once; a parameter goes to the methods that have it, and one of them must."""
     made, used, first = [], set[str](), ""
     for method in methods:
-        if isinstance(method, Configuration):
-            create(method.method, **method.parameters)
-            made.append(method)
-            continue
-        first = first or method
-        own = {k: v for k, v in parameters.items() if k in vars(create(method))}
-        used |= set(own)
-        create(method, **own)
-        made.append(Configuration(method, own))
+        configuration = method
+        if not isinstance(configuration, Configuration):
+            first = first or configuration
+            own = {k: v for k, v in parameters.items() if k in vars(create(configuration))}
+            used |= set(own)
+            configuration = Configuration(configuration, own)
+        create(configuration.method, **configuration.parameters)
+        made.append(configuration)
     for name, value in parameters.items():
         if name not in used:
             create(first or "subset", **{name: value})

@@ -13,7 +13,6 @@ from cyclopts import Parameter
 from kt3dmoseg.app import Either, Flag, Folder, Name, Parameters, Positive, progress_bar
 
 _PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
-_STDOUT = "-"
 
 Names = Annotated[
     tuple[str, ...], Parameter(metavar="NAME", consume_multiple=(1, None), show_default=" ".join)
@@ -183,7 +182,7 @@ def benchmark(
         )
     if json is not None:
         everything = json_.dumps(result.as_dict(), indent=1)
-        if json in ([], [_STDOUT]):
+        if json in ([], ["-"]):
             print(everything)
             return
         write_text(json[0], everything + "\n")

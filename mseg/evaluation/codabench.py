@@ -14,9 +14,6 @@ from mseg.evaluation.report import report_html
 from mseg.evaluation.scoring import ScoreTable, score_validated
 from mseg.evaluation.validation import validate_submission
 
-SCORES = "scores.json"
-DETAILS = "detailed_results.html"
-
 
 def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
     """Score ``INPUT/res`` against ``INPUT/ref`` and write ``OUTPUT/scores.json`` and the report.
@@ -36,8 +33,8 @@ def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
         if not checked.scorable:
             return 1
         scores = score_validated(checked)
-        write_text(target / SCORES, json.dumps(leaderboard_values(scores)) + "\n")
-        write_text(target / DETAILS, report_html(checked, scores, overlays=False))
+        write_text(target / "scores.json", json.dumps(leaderboard_values(scores)) + "\n")
+        write_text(target / "detailed_results.html", report_html(checked, scores, overlays=False))
     except KT3DMoSegError as error:
         print(error, file=sys.stderr)
         return error.exit_code

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.label_import import read_label_files
 from mseg.evaluation.protocol import Protocol
@@ -59,7 +60,10 @@ def example_submission(
     if seeds < 1:
         raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
     with _new_folder(output) as folder:
-        source = Path(data) if data is not None else _write_made_up(folder.with_name(folder.name + "-data"))
+        source = Path(data) if data is not None else folder.with_name(folder.name + "-data")
+        if data is None:
+            for clip in made_up_clips().values():
+                save(clip, source / f"{clip.name}.h5")
         clips = load_clips(source)
         protocol = choose_protocol(benchmark, clips)
         counted = {name: clip for name, clip in clips.items() if protocol.holds(name)}
@@ -124,14 +128,6 @@ def _made_up(name: str, motions: int) -> Clip:
     dense = Trajectories(xy, visible, image_size=(320, 240))
     rows = np.flatnonzero(np.arange(n) % 3 > 0)
     return Clip(name, dense, rows, Labels(label[rows], background=1))
-
-
-def _write_made_up(folder: Path) -> Path:
-    from kt3dmoseg.io import save
-
-    for name, clip in made_up_clips().items():
-        save(clip, folder / f"{name}.h5")
-    return folder
 
 
 def _left_right(clip: Clip, seed: int) -> IntArray:

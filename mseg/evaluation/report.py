@@ -179,8 +179,9 @@ def _published(scores: ScoreTable) -> list[dict[str, Any]]:
     """Per group of the benchmark, the mean error among the published means, best first."""
     groups = []
     for group, names in scores.groups():
-        known = results.published_for(scores.benchmark, group) if names else {}
-        if known:
+        published = scores.benchmark.published.items()
+        known = {method: parts[group.name] for method, parts in published if parts.get(group.name)}
+        if names and known:
             own = (scores.summary("error", names).mean, f"{scores.meta.method} (this submission)", "own")
             rows = sorted([own, *((v["mean"] / 100, method, "") for method, v in known.items())])
             groups.append({"title": group.title, "rows": rows, "step": _step(*(v for v, *_ in rows))})

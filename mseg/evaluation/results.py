@@ -14,7 +14,7 @@ import numpy as np
 from kt3dmoseg.tables import text_table
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import all_metrics
-from mseg.evaluation.protocol import Group, Protocol, share
+from mseg.evaluation.protocol import Protocol, share
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import standard_deviation
 
@@ -101,7 +101,7 @@ def error_table(
     for method in published:
         cells = []
         for group, _ in groups:
-            known = published_for(protocol, group).get(method, {})
+            known = protocol.published[method].get(group.name, {})
             cells += [f"{known[key]:.2f}" if key in known else ABSENT for key in ("mean", "median")]
         rows.append([f"published {method} (all {protocol.n_clips})", *cells, *("" for _ in more)])
     return ResultsTable(title, [*columns, *more], rows, notes)
@@ -205,12 +205,6 @@ def davis_files(scores: ScoreTable) -> dict[str, str]:
             index_label="Sequence", float_format=form, lineterminator="\n"
         ),
     }
-
-
-def published_for(protocol: Protocol, group: Group) -> dict[str, dict[str, float]]:
-    """Return the published mean and median (in %) of each method on a group of the benchmark."""
-    found = {method: dict(parts.get(group.name, {})) for method, parts in protocol.published.items()}
-    return {method: values for method, values in found.items() if values}
 
 
 def meta_lines(scores: ScoreTable) -> list[tuple[str, str]]:

@@ -43,8 +43,8 @@ def summarise(values: FloatArray, weights: FloatArray) -> Summary:
     )
 
 
-def bootstrap_mean(values: FloatArray, *, level: float = 0.95, seed: int = 0) -> Interval:
-    """Percentile bootstrap interval of the mean of (n,) values or differences (Efron 1979).
+def bootstrap_mean(values: FloatArray) -> Interval:
+    """95 % percentile bootstrap interval of the mean of (n,) values or differences (Efron 1979).
 
     The same values give the same interval.
 
@@ -54,9 +54,9 @@ def bootstrap_mean(values: FloatArray, *, level: float = 0.95, seed: int = 0) ->
     Interval(low=0.2, high=0.2)
     """
     n = len(values)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     means = values[rng.integers(0, n, size=(_RESAMPLES, n))].mean(axis=1)
-    low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.quantile(means, [(1 - 0.95) / 2, (1 + 0.95) / 2])
     return Interval(round(float(low), 12), round(float(high), 12))
 
 

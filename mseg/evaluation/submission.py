@@ -33,7 +33,6 @@ FORMAT_VERSION = 1
 META = "meta.toml"
 FAILED = ".failed"
 FileFormat: TypeAlias = Literal["csv", "npz", "h5"]
-FORMATS: tuple[FileFormat, ...] = ("csv", "npz", "h5")
 _CLIP_NAME = re.compile(r"\w[\w .-]{0,127}")
 
 
@@ -227,10 +226,6 @@ def file_of(folder: str | os.PathLike[str], clip: str, seed: int | None, ending:
 
 
 def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (int, float)):
-        return repr(value)
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    """Write a value as TOML does: of numbers, texts and lists, as JSON does."""
+    known = value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
+    return json.dumps(known, ensure_ascii=False, default=str).replace("\x7f", "\\u007f")
