@@ -99,11 +99,11 @@ class ImageMotion(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
 class TrackMotion:
     """The image motion of the trajectories inside the region."""
 
-    def __init__(self, trajectories: Trajectories) -> None:
-        self.trajectories = trajectories
+    trajectories: Trajectories
 
     def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
         """Trajectories inside the region in frame `i` that are visible in `j`; see `ImageMotion`."""
@@ -112,6 +112,7 @@ class TrackMotion:
         return x1[kept], x2[kept]
 
 
+@dataclass(frozen=True, eq=False)
 class FlowMotion:
     """The image motion of an optical flow.
 
@@ -124,8 +125,8 @@ class FlowMotion:
         Distance of the sampled points in pixels.
     """
 
-    def __init__(self, flow: Callable[[int, int], Float32Array], spacing: float = 2.0) -> None:
-        self.flow, self.spacing = flow, spacing
+    flow: Callable[[int, int], Float32Array]
+    spacing: float = 2.0
 
     def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
         """Points on a grid in the region and where the flow takes them; see `ImageMotion`."""

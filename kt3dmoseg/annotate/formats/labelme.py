@@ -29,7 +29,6 @@ from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
 
 _DESCRIPTION = re.compile(r"kind=(\w+) motion=(\d{1,4}|reject)")
-_MAX_SHAPES = 10_000
 
 
 def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()) -> bytes:
@@ -46,7 +45,7 @@ def _parse(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annot
     found: dict[int | str, ForeignObject] = {}
     for frame, text in sorted(unzip_frames(content, ".json", like, names, "LabelMe").items()):
         try:
-            for k, shape in enumerate(json.loads(text)["shapes"][:_MAX_SHAPES]):
+            for k, shape in enumerate(json.loads(text)["shapes"]):
                 with within(f"frame {frame}: shapes[{k}]"):
                     _read_shape(shape, frame, found)
         except InvalidValueError:

@@ -56,7 +56,6 @@ _EDGES: dict[Corner, tuple[Corner, Corner]] = {
 }
 # pycocotools reads and writes beyond the end of a text that stops in the middle of a number.
 _RUNS = re.compile("[0-o]*[0-O]")
-_MAX_PIXELS = 1 << 28
 _DAVIS_VOID = 254
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
@@ -183,8 +182,6 @@ def decode_rle(runs: str | Sequence[int], height: int, width: int, where: str = 
     problem = FileFormatError(
         where, expected=f"runs that fill {width}x{height} pixels", found=f"{runs[:40]!r}"
     )
-    if size > _MAX_PIXELS:
-        raise FileFormatError(where, expected=f"at most {_MAX_PIXELS} pixels", found=f"{width}x{height}")
     if not isinstance(runs, str):
         if min(runs, default=0) < 0 or sum(runs) != size:
             raise problem

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from filecmp import cmp
 from pathlib import Path
 
 import cv2
@@ -63,16 +64,13 @@ def _drive(request: Request, root: Path) -> tuple[RawDrive, tuple[int, ...]]:
 
 def _numbers(frames: tuple[Path, ...], drive: RawDrive) -> tuple[int, ...]:
     """Find the clip's frames in the drive by their bytes."""
-    by_size: dict[int, list[int]] = {}
-    for number in drive.numbers.tolist():
-        by_size.setdefault(drive.frame_path(number).stat().st_size, []).append(number)
     out = []
     for frame in frames:
-        content = frame.read_bytes()
-        same = [n for n in by_size.get(len(content), []) if drive.frame_path(n).read_bytes() == content]
-        if not same:
+        same = (n for n in drive.numbers.tolist() if cmp(frame, drive.frame_path(n), shallow=False))
+        number = next(same, None)
+        if number is None:
             raise InvalidValueError(f"{frame}", expected=f"a frame of {drive}", found="none that is equal")
-        out.append(same[0])
+        out.append(number)
     return tuple(out)
 
 

@@ -94,10 +94,28 @@ class Guard:
         """Answer, refuse, or pass the request on with a bounded body."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
-        elif scope["type"] == "http":
-            request = Request(scope)
-            answer = self._refusal(request) or self.app
-            await answer(scope, _bounded(receive), _with_headers(send, request.url.path))
+        if scope["type"] != "http":
+            return
+        # The browser requests files of the page again after an update: their ETag decides.
+        fixed = scope["path"].startswith("/static/")
+        headers = _HEADERS | ({"cache-control": "no-cache"} if fixed else {})
+        size = 0
+
+        async def bounded() -> Message:
+            nonlocal size
+            message = await receive()
+            size += len(message.get("body", b""))
+            if size > MAX_BODY:
+                raise HTTPException(413, _TOO_LARGE.format(MAX_BODY))
+            return message
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(headers)
+            await send(message)
+
+        answer = self._refusal(Request(scope)) or self.app
+        await answer(scope, bounded, with_headers)
 
     def _refusal(self, request: Request) -> Response | None:
         # Starlette's TrustedHostMiddleware ignores the port, and answers in plain text.
@@ -132,32 +150,6 @@ class Guard:
 
 def _refuse(status: int, message: str) -> JSONResponse:
     return JSONResponse({"error": message}, status_code=status)
-
-
-def _bounded(receive: Receive) -> Receive:
-    size = 0
-
-    async def counted() -> Message:
-        nonlocal size
-        message = await receive()
-        size += len(message.get("body", b""))
-        if size > MAX_BODY:
-            raise HTTPException(413, _TOO_LARGE.format(MAX_BODY))
-        return message
-
-    return counted
-
-
-def _with_headers(send: Send, path: str) -> Send:
-    # The browser requests files of the page again after an update: their ETag decides.
-    headers = _HEADERS | ({"cache-control": "no-cache"} if path.startswith("/static/") else {})
-
-    async def wrapped(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(headers)
-        await send(message)
-
-    return wrapped
 
 
 def serve(
