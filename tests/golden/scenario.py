@@ -15,6 +15,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 import kt3dmoseg
@@ -107,6 +108,7 @@ def store_clip(clip: Clip) -> None:
         label=clip.labels.label,
         image_size=np.array(clip.dense.image_size),
         version=np.array(build_versions()),
+        opencv=np.array(cv2.__version__),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 import scenario
@@ -31,11 +32,12 @@ def test_a_built_clip_keeps_its_arrays(tmp_path):
     clip, frozen = scenario.built_clip(tmp_path), scenario.frozen_clip()
     with np.load(scenario.CLIP) as stored:
         assert stored["version"].tolist() == scenario.build_versions(), "run tests/golden/scenario.py"
-    # Versions of OpenCV round differently: a few tracks start or end elsewhere, the others are the same.
-    assert len(clip.dense) == pytest.approx(len(frozen.dense), rel=0.02), CHANGED
+        # Other versions of OpenCV round differently: a few tracks start or end elsewhere.
+        slack = 1 if str(stored["opencv"]) == cv2.__version__ else 40
+    assert len(clip.dense) == pytest.approx(len(frozen.dense), rel=0.001 * slack), CHANGED
     apart = nearest_start(clip.dense, frozen.dense)
-    assert np.median(apart) < 0.001, CHANGED
-    assert (apart < 0.02).mean() > 0.97, CHANGED
+    assert np.median(apart) < 0.001 * slack, CHANGED
+    assert (apart < 0.02 * slack).mean() > 0.97, CHANGED
     assert clip.n_motions == frozen.n_motions
     assert len(clip.evaluated) == pytest.approx(len(frozen.evaluated), abs=3), CHANGED
     counts = [np.bincount(each.labels.label, minlength=4) for each in (clip, frozen)]
