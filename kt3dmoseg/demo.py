@@ -168,7 +168,7 @@ class _Demo:
 
         self.step(
             "Track points through the frames, label the trajectories, write the dataset",
-            f"kt3dmoseg build --frames {self.kitti} --annotations {self.annotations} -o {self.dataset}",
+            f"kt3dmoseg build {self.kitti} --annotations {self.annotations} -o {self.dataset}",
         )
         with self.progress("frame") as done:
             outcomes = build_dataset(
