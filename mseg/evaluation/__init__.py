@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy.typing as npt
 
-from mseg.evaluation import metrics
+from mseg.evaluation import contingency, metrics
 from mseg.evaluation.comparison import compare
-from mseg.evaluation.contingency import contingency
 from mseg.evaluation.example import example_submission
 from mseg.evaluation.label_import import read_label_files
 from mseg.evaluation.leaderboard import Leaderboard
@@ -85,4 +84,4 @@ def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
     >>> classification_error([1, 1, 1, 2], [7, 7, 3, 3])
     0.25
     """
-    return metrics.classification_error(contingency(truth, pred))
+    return metrics.classification_error(contingency.contingency(truth, pred))

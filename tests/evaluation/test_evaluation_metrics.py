@@ -178,3 +178,9 @@ def test_background_against_moving():
 def test_what_is_no_labels_is_refused(truth, pred, word):
     with pytest.raises(InvalidValueError, match=word):
         classification_error(truth, pred)
+
+
+def test_the_function_contingency_does_not_hide_its_module():
+    import mseg.evaluation.contingency as module
+
+    assert module.contingency is contingency
