@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from kt3dmoseg.draw.palette import PALETTE, UNLABELLED, label_colour
 from kt3dmoseg.options import option
+from kt3dmoseg.registry import lazy
 
-# `kt3dmoseg show --help` reads the options; kt3dmoseg.draw.painting would load OpenCV.
-__all__ = ["PALETTE", "UNLABELLED", "DrawOptions", "label_colour"]
+if TYPE_CHECKING:
+    from kt3dmoseg.draw.painting import Painting as Painting
+    from kt3dmoseg.draw.painting import by_label as by_label
+    from kt3dmoseg.draw.painting import by_length as by_length
+    from kt3dmoseg.draw.painting import by_prediction as by_prediction
+    from kt3dmoseg.draw.painting import draw_frame as draw_frame
+
+# Imported on first use: `kt3dmoseg show --help` reads the options without loading OpenCV.
+_PUBLIC = dict.fromkeys(("Painting", "by_label", "by_length", "by_prediction", "draw_frame"), "painting")
+
+__all__ = ["PALETTE", "UNLABELLED", "DrawOptions", "label_colour", *_PUBLIC]  # noqa: PLE0604
+
+__getattr__, __dir__ = lazy(__name__, _PUBLIC)
 
 
 @dataclass(frozen=True)

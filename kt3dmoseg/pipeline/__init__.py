@@ -9,8 +9,13 @@ from kt3dmoseg.options import option
 from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
+    from kt3dmoseg.frames import FrameFolder as FrameFolder
+    from kt3dmoseg.frames import FrameSource as FrameSource
+    from kt3dmoseg.frames import KittiClip as KittiClip
+    from kt3dmoseg.frames import VideoFile as VideoFile
     from kt3dmoseg.frames import find_sources as find_sources
     from kt3dmoseg.frames import kitti_sources as kitti_sources
+    from kt3dmoseg.frames import located_sources as located_sources
     from kt3dmoseg.pipeline.clip import build_clip as build_clip
     from kt3dmoseg.pipeline.dataset import Outcome as Outcome
     from kt3dmoseg.pipeline.dataset import build_dataset as build_dataset
@@ -39,9 +44,18 @@ _PUBLIC = {
     "build_dataset": "dataset",
     "Outcome": "dataset",
     "label_by_masks": "masks",
-    "find_sources": "kt3dmoseg.frames",
-    "kitti_sources": "kt3dmoseg.frames",
-}
+} | dict.fromkeys(
+    (
+        "FrameFolder",
+        "FrameSource",
+        "KittiClip",
+        "VideoFile",
+        "find_sources",
+        "kitti_sources",
+        "located_sources",
+    ),
+    "kt3dmoseg.frames",
+)
 
 __all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604
 
