@@ -92,8 +92,6 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, refuse, or pass the request on with a bounded body."""
-        if scope["type"] == "lifespan":
-            await self.app(scope, receive, send)
         if scope["type"] != "http":
             return
         # The browser requests files of the page again after an update: their ETag decides.

@@ -187,15 +187,13 @@ class Summaries:
         general = {"name": session.source.name, "n_frames": len(session.source.frames)}
         return general | counted | {"counting": state != session.state()}
 
-    def _next(self) -> ClipSession | None:
-        with self._lock:
-            found = next((s for s in self.sessions.values() if self._summary(s)["counting"]), None)
-            if found is None:
-                self._worker = None
-            return found
-
     def _work(self) -> None:
-        while session := self._next():
+        while True:
+            with self._lock:
+                session = next((s for s in self.sessions.values() if self._summary(s)["counting"]), None)
+                if session is None:
+                    self._worker = None
+                    return
             state = session.state()
             try:
                 counted = session.summary()
