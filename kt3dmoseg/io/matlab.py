@@ -21,7 +21,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import write_bytes
@@ -65,6 +64,8 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     have no `yAll`), as far as they still hold everything. Names of motions, frame numbers, image
     size and camera are not part of the schema.
     """
+    from scipy.io import savemat  # a reader does without: importing it takes longer than reading a file
+
     values = _field_values(clip)
     if (size := 8 * values["yAll"].size) > MAX_BYTES:
         raise InvalidValueError("MAT-file", expected=f"at most {MAX_BYTES} bytes", found=f"{size}")
