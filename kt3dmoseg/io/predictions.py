@@ -94,9 +94,10 @@ def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
     """Read a prediction file of a clip, listing everything that is wrong; the ending chooses the format."""
     columns = _Columns(file, clip)
     kind, parse = _PARSERS[Path(file).suffix]
+    foreign = () if parse is _csv else (Exception,)  # an error of our own parser is a bug, and must show
     try:
         parse(content, columns)
-    except Exception as error:  # zipfile, numpy and libhdf5 raise anything on hostile bytes
+    except foreign as error:  # zipfile, numpy and libhdf5 raise anything on hostile bytes
         reason = str(error) if isinstance(error, KT3DMoSegError) else type(error).__name__
         found = f"a file that starts with {content[:8]!r} and cannot be read ({reason[:200]})"
         return Prediction(problems=[Problem("unreadable", file, clip, kind, found, _FIX_ARRAYS)])

@@ -208,7 +208,8 @@ def test_command(submission, tmp_path, capsys):
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1440, 390])
 def test_in_chromium(submission, tmp_path, browser, width):
-    expect = pytest.importorskip("playwright.sync_api").expect
+    from playwright.sync_api import expect
+
     (path,) = write_report(submission, CLIPS, tmp_path / "r.html", frames=frames(tmp_path / "f"))
     page = browser.new_context(viewport={"width": width, "height": 800}, offline=True).new_page()
     messages = []

@@ -3,6 +3,7 @@ import pytest
 from evaluation_helpers import CLIPS, META, NAMES, perfect, truth, zip_folder
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.io import predictions
 from kt3dmoseg.types import Clip, Trajectories
 from mseg.evaluation import (
     SubmissionMeta,
@@ -140,3 +141,12 @@ def test_predictions_for_an_unknown_clip(tmp_path):
 
     with pytest.raises(InvalidValueError, match="nowhere"):
         write_submission(tmp_path, CLIPS.values(), {"nowhere": [1]}, META)
+
+
+def test_a_bug_in_the_csv_parser_is_not_reported_as_a_damaged_file(monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(predictions, "_csv_columns", broken)
+    with pytest.raises(ZeroDivisionError):
+        predictions.parse_prediction(b"track,label\n0,1\n", "a.csv", "a")
