@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -165,8 +165,22 @@ class KittiClip:
         return range(first, last + 1)
 
 
-FrameSource: TypeAlias = FrameFolder | VideoFile | KittiClip
-"""A clip's frames. Making one reads nothing, so that a bad clip fails when it is built."""
+class FrameSource(Protocol):
+    """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built."""
+
+    @property
+    def name(self) -> str:
+        """Name of the clip."""
+
+    @property
+    def where(self) -> str:
+        """What messages call the source."""
+
+    def inspect(self) -> FrameInfo:
+        """Check and describe the source without decoding frames."""
+
+    def frames(self, colour: Colour) -> Iterator[ByteArray]:
+        """Yield gray frames, all of one size."""
 
 
 def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:

@@ -14,6 +14,7 @@ COMMANDS = {
     "track": "kt3dmoseg.cli.clips:track",
     "label": "kt3dmoseg.cli.clips:label",
     "show": "kt3dmoseg.cli.clips:show",
+    "synth": "kt3dmoseg.cli.clips:synth",
     "info": "kt3dmoseg.cli.clips:info",
     "convert": "kt3dmoseg.cli.clips:convert",
     "fetch-release": "kt3dmoseg.cli.kitti:fetch_release",

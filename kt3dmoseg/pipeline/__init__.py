@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from kt3dmoseg.pipeline.clip import build_clip as build_clip
     from kt3dmoseg.pipeline.dataset import Outcome as Outcome
     from kt3dmoseg.pipeline.dataset import build_dataset as build_dataset
+    from kt3dmoseg.pipeline.drives import SyntheticDrive as SyntheticDrive
+    from kt3dmoseg.pipeline.drives import build_synthetic as build_synthetic
     from kt3dmoseg.pipeline.masks import label_by_masks as label_by_masks
 
 ALGORITHM_VERSION = 1
@@ -43,6 +45,8 @@ _PUBLIC = {
     "build_clip": "clip",
     "build_dataset": "dataset",
     "Outcome": "dataset",
+    "SyntheticDrive": "drives",
+    "build_synthetic": "drives",
     "label_by_masks": "masks",
 } | dict.fromkeys(
     (

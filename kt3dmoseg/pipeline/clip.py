@@ -23,6 +23,7 @@ from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.pipeline import BuildOptions
+from kt3dmoseg.pipeline.drives import SyntheticDrive
 from kt3dmoseg.pipeline.masks import by_frame, label_by_masks, mask_paths
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.tracking import Progress, TrackOptions, subsample_background, track
@@ -167,12 +168,16 @@ class Job:
             raise InvalidValueError(f"{self.source.where}: {error}") from None
         numbers = np.arange(dense.n_frames) if info.numbers is None else np.array(info.numbers)
         evaluated, labels = self._evaluated(self._label(dense, numbers), len(dense))
-        provenance = {"format": "kt3dmoseg-build", "inputs": self.inputs}
+        provenance: dict[str, Any] = {"format": "kt3dmoseg-build", "inputs": self.inputs}
+        if isinstance(self.source, SyntheticDrive):
+            provenance["attributes"] = dict(self.source.measure())
         return Clip(
             self.source.name, dense, evaluated, labels, numbers, info.timestamps, info.camera, provenance
         )
 
     def _label(self, dense: Trajectories, numbers: IntArray) -> Labels | None:
+        if isinstance(self.source, SyntheticDrive):
+            return self.source.label(dense)
         if annotation := self.labels.get("annotation"):
             return label_tracks(dense, load_annotation(annotation[0]))
         if masks := self.labels.get("masks"):

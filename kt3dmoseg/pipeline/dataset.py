@@ -53,6 +53,7 @@ def build_dataset(
     annotations: str | os.PathLike[str] | None = None,
     masks: str | os.PathLike[str] | None = None,
     workers: int | None = None,
+    dask: str = "",
     force: bool = False,
     flow_parameters: Mapping[str, Any] | None = None,
     cache: str | os.PathLike[str] | None = None,
@@ -77,6 +78,8 @@ def build_dataset(
         unlabelled.
     workers : int, optional
         Number of processes; by default one per core. Each computes with one thread.
+    dask : str
+        Address of a Dask scheduler, instead of processes; its workers must see the same folders.
     force : bool
         Build also what is up to date.
     flow_parameters, cache
@@ -114,7 +117,9 @@ def build_dataset(
     with _sole_writer(Path(output)) as folder:
         build = _Build(folder, annotations, masks, settings, cache, force)
         outcomes = []
-        for _, outcome in run_tasks(build, sources, lost=build.lost, workers=count, progress=progress):
+        for _, outcome in run_tasks(
+            build, sources, lost=build.lost, workers=count, dask=dask, progress=progress
+        ):
             outcomes.append(outcome)
             if report is not None:
                 report(outcome)

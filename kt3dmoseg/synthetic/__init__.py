@@ -10,7 +10,21 @@ visibility, depth, trajectories and labels come from the same geometry and are e
 
 from __future__ import annotations
 
+from kt3dmoseg.synthetic.drives import DrivePlan, make_drive, measure_drive, plan_drives
 from kt3dmoseg.synthetic.kitti_export import write_drive
 from kt3dmoseg.synthetic.scene import Scene, SceneOptions, make_scene, track_errors
 
-__all__ = ["Scene", "SceneOptions", "make_scene", "track_errors", "write_drive"]
+ALGORITHM_VERSION = 1
+"""Raised when the same options or plan give another scene, other pictures or other figures."""
+
+__all__ = [
+    "DrivePlan",
+    "Scene",
+    "SceneOptions",
+    "make_drive",
+    "make_scene",
+    "measure_drive",
+    "plan_drives",
+    "track_errors",
+    "write_drive",
+]

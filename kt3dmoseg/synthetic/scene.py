@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import check, option
-from kt3dmoseg.synthetic.raycast import NEAR, SKY, Mesh, Rays, cast
+from kt3dmoseg.synthetic.raycast import NEAR, SKY, Face, Mesh, Rays, cast
 from kt3dmoseg.synthetic.render import Painter, expose, gather, ray_offsets
 from kt3dmoseg.synthetic.street import street
-from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, traffic, vehicle_faces
+from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, Vehicle, traffic, vehicle_faces
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Labels, Trajectories
 
 FRAMES_PER_SECOND = 10.0
@@ -50,6 +52,26 @@ class SceneOptions:
         check(self, where="SceneOptions")
 
 
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What a scene consists of, besides its pictures' size and number."""
+
+    camera: Drive  # time 0 is the middle of the clip
+    vehicles: Sequence[Vehicle]
+    faces: Sequence[Face]  # of the static scene
+    shake: float = 1.0  # how much the camera car nods and rolls on its springs; 0: not at all
+
+
+def usual_layout(options: SceneOptions, rng: np.random.Generator) -> Layout:
+    """Lay out the scene that `SceneOptions` describe."""
+    length = options.speed * (options.frames - 1) / FRAMES_PER_SECOND
+    middle, swept = length / 2, 4.0 + 0.5 * length
+    camera = Drive(0.0, middle, 0.0, options.speed, np.radians(options.turn))
+    vehicles = traffic(rng, options.objects, middle, options.speed)
+    free = middle + 8 - swept, middle + 10 + swept
+    return Layout(camera, vehicles, street(rng, length, middle + CROSSING_AHEAD, free))
+
+
 class Scene:
     """A street with moving vehicles, filmed from a moving car.
 
@@ -60,6 +82,8 @@ class Scene:
     ----------
     options : SceneOptions
         Size, length, number of moving objects, seed and so on. Same options, same bytes.
+    layout : Layout, optional
+        Other motions, objects and surroundings than `usual_layout` gives.
 
     Attributes
     ----------
@@ -69,17 +93,19 @@ class Scene:
         The moving objects.
     """
 
-    def __init__(self, options: SceneOptions) -> None:
+    def __init__(self, options: SceneOptions, layout: Layout | None = None) -> None:
         self.options = options
-        layout, looks = (np.random.default_rng([options.seed, 0, k]) for k in (0, 1))
-        length = options.speed * (options.frames - 1) / FRAMES_PER_SECOND
-        middle, swept = length / 2, 4.0 + 0.5 * length
-        self.camera = Drive(0.0, middle, 0.0, options.speed, np.radians(options.turn))
-        self.vehicles = traffic(layout, options.objects, middle, options.speed)
-        faces = street(layout, length, middle + CROSSING_AHEAD, (middle + 8 - swept, middle + 10 + swept))
+        rng, looks = (np.random.default_rng([options.seed, 0, k]) for k in (0, 1))
+        layout = layout or usual_layout(options, rng)
+        self.camera, self.vehicles, self._shake = layout.camera, list(layout.vehicles), layout.shake
+        self._faces = list(layout.faces)
         for body, vehicle in enumerate(self.vehicles, start=1):
-            faces += [replace(face, body=body) for face in vehicle_faces(vehicle.kind, layout)]
-        self._mesh, self._painter = Mesh.of(faces), Painter(looks, faces)
+            self._faces += [replace(face, body=body) for face in vehicle_faces(vehicle.kind, rng)]
+        self._mesh, self._looks = Mesh.of(self._faces), looks
+
+    @cached_property
+    def _painter(self) -> Painter:
+        return Painter(self._looks, self._faces)
 
     @property
     def n_frames(self) -> int:
@@ -90,6 +116,11 @@ class Scene:
     def image_size(self) -> tuple[int, int]:
         """(W, H) in pixels."""
         return self.options.width, self.options.height
+
+    @property
+    def names(self) -> dict[int, str]:
+        """What each label is called."""
+        return {BACKGROUND: "background"} | {k + 2: v.name for k, v in enumerate(self.vehicles)}
 
     @property
     def K(self) -> FloatArray:
@@ -109,12 +140,13 @@ class Scene:
         The camera is mounted on a car that nods and rolls a little.
         """
         time, phase = self.time(self._checked(frame)), float(self.options.seed % 7)
-        pitch, roll = _PITCH * np.sin(7.0 * time + phase), _ROLL * np.sin(5.0 * time + 2 * phase)
+        pitch = self._shake * _PITCH * np.sin(7.0 * time + phase)
+        roll = self._shake * _ROLL * np.sin(5.0 * time + 2 * phase)
         (cx, sx), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in (pitch, roll))
         nod = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
         mount = np.eye(4)
         mount[:3, :3] = nod @ np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
-        mount[1, 3] = -_CAMERA_HEIGHT + _BOUNCE * np.sin(9.0 * time + 3 * phase)
+        mount[1, 3] = -_CAMERA_HEIGHT + self._shake * _BOUNCE * np.sin(9.0 * time + 3 * phase)
         return self.camera.pose(time) @ mount
 
     def body_poses(self, frame: int) -> FloatArray:
@@ -164,7 +196,7 @@ class Scene:
             Whether the point is seen in `j`: inside the image and not hidden.
         """
         width, height = self.image_size
-        xy, visible = self._project(j, *self._locate(i, self._pixels()))
+        xy, visible = self.project(j, *self._locate(i, self._pixels()))
         centres = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=2)
         moved = xy.reshape(height, width, 2) - centres
         return np.nan_to_num(moved).astype(np.float32), visible.reshape(height, width)
@@ -183,11 +215,11 @@ class Scene:
             Row s follows the surface point at ``points[s]``, before and after its frame; visible wherever
             it is inside the image and not hidden, so there may be gaps.
         """
-        surface = self._surface_points(points)
+        surface = self.surface_points(points)
         shape = len(surface[1]), self.n_frames
         xy, visible = np.full((*shape, 2), np.nan), np.zeros(shape, dtype=bool)
         for frame in range(self.n_frames):
-            where, seen = self._project(frame, *surface)
+            where, seen = self.project(frame, *surface)
             xy[seen, frame], visible[:, frame] = where[seen], seen
         return Trajectories(xy, visible, image_size=self.image_size)
 
@@ -196,9 +228,8 @@ class Scene:
 
         1 = background, the sky too; 2, 3, ... = ``vehicles[0]``, ``vehicles[1]``, ...
         """
-        _, body = self._surface_points(points)
-        names = {BACKGROUND: "background"} | {k + 2: v.name for k, v in enumerate(self.vehicles)}
-        return Labels(body + BACKGROUND, background=BACKGROUND, names=names)
+        _, body = self.surface_points(points)
+        return Labels(body + BACKGROUND, background=BACKGROUND, names=self.names)
 
     def _mesh_at(self, frame: int) -> Mesh:
         """All faces in camera coordinates."""
@@ -228,7 +259,7 @@ class Scene:
         to_bodies = np.asarray(np.linalg.inv(self.body_poses(frame)), dtype=np.float64)
         return _transform(to_bodies, body, seen), body
 
-    def _project(self, frame: int, points: FloatArray, body: IntArray) -> tuple[FloatArray, BoolArray]:
+    def project(self, frame: int, points: FloatArray, body: IntArray) -> tuple[FloatArray, BoolArray]:
         """Find where surface points are in a frame, (R, 2), NaN behind the camera, and which are seen."""
         seen = _transform(self.body_poses(frame), body, points)
         z = np.where(seen[:, 2] > NEAR * seen[:, 3], seen[:, 2], np.nan)
@@ -242,7 +273,7 @@ class Scene:
         visible[inside] = nearest >= own * (1 - _SAME_DEPTH)
         return xy, visible
 
-    def _surface_points(self, points: npt.ArrayLike) -> tuple[FloatArray, IntArray]:
+    def surface_points(self, points: npt.ArrayLike) -> tuple[FloatArray, IntArray]:
         """Find the surface points (S, 4) at x, y, frame and their bodies (S,); see `_locate`."""
         seeds = np.array(points, dtype=np.float64)
         if not seeds.size:

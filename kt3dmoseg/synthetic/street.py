@@ -26,13 +26,19 @@ _BEHIND = 14.0
 _BEYOND = 75.0
 
 
-def street(rng: np.random.Generator, length: float, crossing: float, free: tuple[float, float]) -> list[Face]:
+def street(
+    rng: np.random.Generator,
+    length: float,
+    crossing: float,
+    free: tuple[float, float],
+    view: float = _BEYOND,
+) -> list[Face]:
     """Build a straight street with one side street.
 
     The camera drives `length` metres from z = 0; `crossing` is the z of the side street's middle, `free` the
-    range of z on the right-hand side without parked cars.
+    range of z on the right-hand side without parked cars; the houses end `view` metres after the crossing.
     """
-    end = max(length, crossing) + _BEYOND
+    end = max(length, crossing) + view
     faces = [_road(rng, end, crossing)]
     blocks = [(-_BEHIND, crossing - _SIDE_STREET), (crossing + _SIDE_STREET, end)]
     for start, stop in blocks:

@@ -16,15 +16,17 @@ from kt3dmoseg.synthetic.materials import Mark, Material, Plain, block_letters, 
 from kt3dmoseg.synthetic.raycast import Face, Skin, box, rotation_y
 from kt3dmoseg.types import FloatArray
 
-Kind: TypeAlias = Literal["car", "van", "truck"]
+Kind: TypeAlias = Literal["car", "van", "truck", "cyclist", "person"]
 
 CROSSING_AHEAD = 27.0  # metres from the camera to the side street in the middle of the clip
 LANE, ONCOMING = 0.0, -3.5  # x of the middle of the lanes
 PARKED_RIGHT = 3.15
-_SIZES: dict[Kind, tuple[float, float, float]] = {
+SIZES: dict[Kind, tuple[float, float, float]] = {
     "car": (1.78, 1.48, 4.3),
     "van": (1.95, 2.05, 5.0),
     "truck": (2.4, 3.1, 7.2),
+    "cyclist": (0.55, 1.75, 1.75),
+    "person": (0.6, 1.75, 0.45),
 }
 _GREYS = (55.0, 75.0, 95.0, 150.0, 205.0, 225.0)
 _SWAY = 0.6  # metres; a body weaves about its straight path by at most twice this
@@ -40,6 +42,7 @@ class Drive:
     yaw: float = 0.0  # heading in radians; 0 looks along +z, positive turns right
     speed: float = 0.0  # metres per second along the heading
     yaw_rate: float = 0.0  # radians per second
+    during: tuple[float, float] = (-np.inf, np.inf)  # seconds between which it moves; before and after it stands
 
     def pose(self, time: float) -> FloatArray:
         """``T_world_body`` (4, 4) at `time` seconds.
@@ -47,6 +50,7 @@ class Drive:
         Sideways s(t) = v r / w^2 (1 - cos wt) and heading atan(r / w sin wt), the direction of travel, so
         that s'' (0) / v is the yaw rate r; w is chosen so that v r / w^2 stays within the lane.
         """
+        time = min(max(time, self.during[0]), self.during[1])
         weave = max(_SLOWEST_WEAVE, np.sqrt(self.speed * abs(self.yaw_rate) / _SWAY))
         aside = self.speed * self.yaw_rate / weave**2 * (1 - np.cos(weave * time))
         pose = np.eye(4)
@@ -68,8 +72,10 @@ class Vehicle:
 
 def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
     """Faces of a vehicle around its origin, which is on the ground below its middle."""
-    width, height, length = _SIZES[kind]
+    width, height, length = SIZES[kind]
     grey, salt = float(rng.choice(_GREYS)), rng.uniform(0, 50)
+    if kind in ("person", "cyclist"):
+        return _figure(kind, grey, salt, rng)
     paint = Plain(grey, fine=6.0, coarse=11.0, salt=salt)
     half, under = width / 2, Plain(18.0, fine=5.0, coarse=3.0, salt=salt)
     floor, waist = 0.28, 0.86 if kind == "car" else height
@@ -82,6 +88,23 @@ def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
     if kind == "car":
         faces += _cabin(paint, half, waist, height, length)
     return faces
+
+
+def _figure(kind: Kind, grey: float, salt: float, rng: np.random.Generator) -> list[Face]:
+    """Someone on foot or on a bicycle, as stiff as the vehicles: legs or wheels, a coat, a head."""
+    width, height, length = SIZES[kind]
+    half, thin, lower = width / 2, width / 2 - 0.08, 0.85
+    coat, legs = Plain(grey, 14.0, 18.0, salt), Plain(float(rng.choice(_GREYS)), 12.0, 12.0, salt + 1)
+    marks = block_letters(rng, (0.05, width - 0.05), (0.1, 0.5), 3, 3, 255.0 - grey)
+    foot: Skin | Plain = legs
+    if kind == "cyclist":
+        thin, tyres = 0.06, [(0.02, 0.66), (length - 0.66, length - 0.02)]
+        rims = [Mark(u, (0.02, 0.66), 25.0, True) for u in tyres]
+        spokes = [Mark((u + 0.06, v - 0.06), (0.08, 0.6), 120.0, True) for u, v in tyres]
+        foot = Skin(legs, legs, painted(Plain(75.0, 12.0, 12.0, salt + 1), (*rims, *spokes)), legs)
+    faces = box((-thin, -lower, -length / 2), (thin, 0.0, length / 2), foot)
+    faces += box((-half, -1.45, -0.2), (half, -lower, 0.2), painted(coat, marks), (0.03, 0.03, 0.06))
+    return faces + box((-0.11, -height, -0.11), (0.11, -1.45, 0.11), Plain(170.0, 20.0, 10.0, salt))
 
 
 def _wheels(half: float, length: float) -> list[Face]:
@@ -99,7 +122,7 @@ def _wheels(half: float, length: float) -> list[Face]:
 
 
 def _flank(paint: Plain, kind: Kind, rng: np.random.Generator) -> Material:
-    _, height, length = _SIZES[kind]
+    _, height, length = SIZES[kind]
     dark = paint.grey * 0.45
     seams = [Mark((s * length, s * length + 0.025), (0.0, 0.9), dark) for s in (0.3, 0.52, 0.72)]
     trim = [Mark((0.1, length - 0.1), (0.2, 0.27), dark)]
@@ -185,5 +208,5 @@ def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -
     vehicles = []
     for role, drive, kinds in plans[:count]:
         kind = kinds[int(rng.integers(len(kinds)))]
-        vehicles.append(Vehicle(f"{role} {kind}", kind, drive, _SIZES[kind]))
+        vehicles.append(Vehicle(f"{role} {kind}", kind, drive, SIZES[kind]))
     return vehicles

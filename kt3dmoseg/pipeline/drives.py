@@ -1,0 +1,118 @@
+"""Synthetic drives as clips: rendered, tracked like real frames, labelled by the exact scene."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kt3dmoseg import synthetic
+from kt3dmoseg.frames import FrameInfo
+from kt3dmoseg.synthetic import DrivePlan, Scene, make_drive, measure_drive, plan_drives
+from kt3dmoseg.synthetic.drives import Part
+from kt3dmoseg.synthetic.scene import BACKGROUND
+from kt3dmoseg.types import ByteArray, Camera, Labels, Trajectories
+
+if TYPE_CHECKING:
+    from kt3dmoseg.io.images import Colour
+    from kt3dmoseg.pipeline.dataset import Outcome
+
+SMALLEST = 8  # trajectories; a vehicle with fewer is no motion of the benchmark
+_ON_IT = 0.75  # share of a trajectory's frames that must lie on one object
+
+
+@dataclass(frozen=True)
+class SyntheticDrive:
+    """A drive of the synthetic benchmark as a source of frames that knows its labels."""
+
+    plan: DrivePlan
+    samples: int = 1
+
+    @property
+    def name(self) -> str:
+        """Name of the clip."""
+        return self.plan.name
+
+    @property
+    def where(self) -> str:
+        """What messages call it."""
+        return f"synthetic drive {self.name}"
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene, made on first use."""
+        return make_drive(self.plan, samples=self.samples)
+
+    def inspect(self) -> FrameInfo:
+        """Describe the drive: what its bytes depend on."""
+        description = asdict(self.plan) | {"samples": self.samples, "version": synthetic.ALGORITHM_VERSION}
+        return FrameInfo(None, {"kind": "synthetic"} | description)
+
+    def frames(self, colour: Colour) -> Iterator[ByteArray]:
+        """Render the frames."""
+        del colour
+        return map(self.scene.frame, range(self.scene.n_frames))
+
+    def label(self, tracks: Trajectories) -> Labels:
+        """Label trajectories by what is exactly below them.
+
+        That is the object under three quarters of its points, 1 = static scene and sky, 2, 3, ... = the
+        vehicles. A trajectory that slides from one object onto another has label 0.
+        """
+        votes = np.zeros((len(tracks), 2 + len(self.scene.vehicles)))
+        for frame in range(tracks.n_frames):
+            rows, xy = tracks.at(frame)
+            x, y = np.rint(xy).astype(np.int64).T
+            width, height = self.scene.image_size
+            ids = self.scene.ids(frame)[y.clip(0, height - 1), x.clip(0, width - 1)]
+            votes[rows, np.maximum(ids, BACKGROUND)] += 1
+        label = np.where(votes.max(axis=1) >= _ON_IT * tracks.lengths, votes.argmax(axis=1), 0)
+        return Labels(label, BACKGROUND, self.scene.names)
+
+    def measure(self) -> Mapping[str, Any]:
+        """What makes it hard: the plan's camera, and what `measure_drive` finds."""
+        return {"camera": self.plan.camera} | dict(measure_drive(self.scene))
+
+
+def build_synthetic(
+    output: str | os.PathLike[str],
+    *,
+    part: Part | None = None,
+    seed: int = 0,
+    first: int | None = None,
+    samples: int = 1,
+    **options: Any,  # noqa: ANN401
+) -> list[Outcome]:
+    """Make the synthetic benchmark: render, track and label its drives, one clip file each.
+
+    Drives that are there already are left alone; an interrupted run is finished by the same call.
+
+    Parameters
+    ----------
+    output : path
+        Folder of the clips.
+    part : {"public", "test"}, optional
+        Only this half.
+    seed : int
+        0 is the benchmark; other seeds give other drives, under other names.
+    first : int, optional
+        Only so many drives of each half.
+    samples : int
+        Rays per pixel: the square of this.
+    **options
+        Keywords of `build_dataset` apart from annotations and masks.
+
+    Returns
+    -------
+    list of Outcome
+        As `build_dataset`, which also lists the errors.
+    """
+    from kt3dmoseg.pipeline.dataset import build_dataset
+
+    plans = [p for p in plan_drives(seed) if part in (None, p.part) and (first is None or p.number <= first)]
+    sources = [SyntheticDrive(plan, samples) for plan in plans]
+    return build_dataset(sources, output, **{"smallest": SMALLEST} | options)

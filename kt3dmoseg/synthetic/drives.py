@@ -1,0 +1,258 @@
+"""The drives of the synthetic benchmark: drawn from a seed, one hardness at a time, and measured.
+
+A drive is drawn until its vehicles collide with nothing and are in view long enough to be tracked. What
+makes it hard is then measured on the exact geometry, not taken from what was intended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Layout, Scene, SceneOptions
+from kt3dmoseg.synthetic.street import street
+from kt3dmoseg.synthetic.vehicles import LANE, ONCOMING, PARKED_RIGHT, SIZES, Drive, Kind, Vehicle
+from kt3dmoseg.types import FloatArray
+
+Part: TypeAlias = Literal["public", "test"]
+CameraKind: TypeAlias = Literal["driving", "planar", "turning", "rotating", "standing"]
+Trait: TypeAlias = Literal["none", "epipolar", "small", "intermittent"]
+
+PER_PART = 100
+_PARTS: tuple[Part, ...] = ("public", "test")
+# How many of the hundred drives of a part have so many motions, such a camera, such a hardness.
+_MOTIONS = {1: 8, 2: 30, 3: 26, 4: 20, 5: 10, 6: 6}
+_CAMERAS: dict[CameraKind, int] = {"driving": 46, "planar": 12, "turning": 18, "rotating": 12, "standing": 12}
+_TRAITS: dict[Trait, int] = {"none": 40, "epipolar": 20, "small": 20, "intermittent": 20}
+_ALONG = ("leading", "overtaking", "oncoming")  # roles whose course is the camera's
+_ROLES = (*_ALONG, "leaving", "crossing", "walking", "riding")
+_FREE = 60.0  # metres of the right-hand kerb without parked cars, where one leaves
+_TRIES = 400
+_GRID = 8  # pixels between the points at which a drive is measured: those of the tracker
+_SEEN, _LARGE, _SHARE = 14, 5000, 0.5  # points on a vehicle in view, at most, in this share of the frames
+_LEAST_MOTION = 1.0  # pixels in five frames; what moves less nobody would label
+_GAP = 5  # frames between which motion is measured
+_STILL = 0.02  # metres; a camera that moves less between two frames only turns
+
+
+@dataclass(frozen=True)
+class DrivePlan:
+    """What is intended for one drive of the benchmark.
+
+    `number` counts from 1 to 100 in either part. Drives of other seeds than 0 have it in their names.
+    """
+
+    seed: int
+    part: Part
+    number: int
+    motions: int  # with the static scene
+    camera: CameraKind
+    trait: Trait
+
+    @property
+    def name(self) -> str:
+        """``synth_p001`` of the public part, ``synth_t001`` of the test part."""
+        return f"synth{self.seed or ''}_{self.part[0]}{self.number:03d}"
+
+
+def plan_drives(seed: int = 0) -> list[DrivePlan]:
+    """Plan the 200 drives of a seed: the same numbers of every kind in both parts, in random combinations."""
+    plans = []
+    for half, part in enumerate(_PARTS):
+        rng = np.random.default_rng([seed, half])
+        motions, cameras, traits = (
+            [list(counts)[k] for k in rng.permutation(np.repeat(np.arange(len(counts)), list(counts.values())))]
+            for counts in (_MOTIONS, _CAMERAS, _TRAITS)
+        )
+        for k in range(PER_PART):
+            camera, trait = cameras[k], traits[k] if motions[k] > 1 else "none"
+            if trait == "epipolar" and camera != "planar":
+                camera = "driving"  # a camera that only turns has no epipolar lines
+            plans.append(DrivePlan(seed, part, k + 1, motions[k], camera, trait))
+    return plans
+
+
+def make_drive(plan: DrivePlan, *, samples: int = 1) -> Scene:
+    """Make the scene of a plan; the same plan gives the same scene."""
+    rng = np.random.default_rng([plan.seed, _PARTS.index(plan.part), plan.number, 7])
+    for _ in range(_TRIES):
+        frames, textures = int(rng.integers(10, 21)), int(rng.integers(1 << 31))
+        layout = _draw_layout(plan, (frames - 1) / FRAMES_PER_SECOND, rng)
+        if layout is not None:
+            scene = Scene(SceneOptions(frames=frames, seed=textures, samples=samples), layout)
+            if _in_view(scene) and measure_drive(scene).get("motion", np.inf) >= _LEAST_MOTION:
+                return scene
+    raise KT3DMoSegError(f"{plan.name}: no such drive in {_TRIES} tries")
+
+
+def _draw_layout(plan: DrivePlan, seconds: float, rng: np.random.Generator) -> Layout | None:
+    """Draw motions and surroundings; None where they collide."""
+    draw = rng.uniform
+    speed, turn = {
+        "driving": (draw(3, 11), draw(-3, 3)),
+        "planar": (draw(3, 11), draw(-3, 3)),
+        "turning": (draw(3, 8), rng.choice([-1, 1]) * draw(8, 20)),
+        "rotating": (0.0, rng.choice([-1, 1]) * draw(4, 12)),
+        "standing": (0.0, 0.0),
+    }[plan.camera]
+    if plan.trait == "epipolar":
+        turn = 0.0
+    middle = speed * seconds / 2
+    crossing = middle + draw(14, 34)
+    camera = Drive(LANE, middle, 0.0, speed, np.radians(turn))
+    special = int(rng.integers(plan.motions - 1)) if plan.motions > 1 else -1
+    vehicles: list[Vehicle] = []
+    times = np.linspace(-seconds / 2, seconds / 2, 7)
+    for k in range(plan.motions - 1):
+        for _ in range(30):
+            vehicle = _draw_vehicle(plan, k == special, speed, middle, crossing, seconds, rng)
+            others = [(camera, SIZES["car"]), *((other.drive, other.size) for other in vehicles)]
+            if not any(_collide(vehicle, *other, time) for other in others for time in times):
+                vehicles.append(vehicle)
+                break
+        else:
+            return None
+    kerb = middle - _FREE / 2, middle + _FREE / 2
+    free = kerb if any(abs(v.drive.x - PARKED_RIGHT) < 2 for v in vehicles) else (crossing, crossing)
+    shake = 1.0 if plan.camera in ("driving", "turning") else 0.0
+    view = draw(8, 75)  # metres from the side street to where the street ends: how deep the scene is
+    return Layout(camera, vehicles, street(rng, 2 * middle, crossing, free, view), shake)
+
+
+def _draw_vehicle(
+    plan: DrivePlan,
+    special: bool,
+    speed: float,
+    middle: float,
+    crossing: float,
+    seconds: float,
+    rng: np.random.Generator,
+) -> Vehicle:
+    """Draw a vehicle; a `special` one moves little, or only for a part of the clip, where that is the plan."""
+    draw, side = rng.uniform, int(rng.choice([-1, 1]))
+    role = str(rng.choice(_ALONG if plan.trait == "epipolar" else _ROLES))
+    across, weave = side * np.pi / 2, draw(-0.12, 0.12)
+    # x, z ahead of the camera in the middle of the clip, heading, speed
+    x, z, yaw, pace = {
+        "leading": (LANE + draw(-0.3, 0.3), draw(6, 30), weave, speed * draw(0.7, 1.2) + draw(0.5, 3)),
+        "overtaking": (ONCOMING + draw(-0.3, 0.3), draw(5, 22), weave, speed + draw(1, 5)),
+        "oncoming": (ONCOMING + draw(-0.3, 0.3), draw(8, 32), np.pi + weave, draw(2, 8)),
+        "leaving": (PARKED_RIGHT, draw(6, 16), draw(-0.4, -0.1), 0.6 * speed + draw(0.3, 1.5)),
+        "crossing": (draw(-6, 6), crossing - middle + side * 1.6, across, draw(2, 8)),
+        "walking": (draw(-6, 6.5), draw(4, 20), rng.choice([across, across, 0, np.pi]), draw(0.8, 1.8)),
+        "riding": (draw(-5, 4), draw(5, 24), rng.choice([across, 0, np.pi]), draw(2, 5)),
+    }[role]
+    rate = draw(-0.15, 0.15) if role in ("leading", "leaving", "crossing") else 0.0
+    if plan.trait == "epipolar":
+        yaw, rate = (np.pi if role == "oncoming" else 0.0), 0.0
+    during = (-np.inf, np.inf)
+    if special and plan.trait == "small":
+        pace = draw(0.2, 0.8)
+    if special and plan.trait == "intermittent":
+        change = draw(-0.2, 0.2) * seconds
+        during = (-np.inf, change) if rng.random() < 0.5 else (change, np.inf)
+    kinds: dict[str, tuple[Kind, ...]] = {"walking": ("person",), "riding": ("cyclist",), "leaving": ("car", "van")}
+    kind = kinds.get(role, ("car", "van", "truck"))[int(rng.integers(len(kinds.get(role, (0, 0, 0)))))]
+    drive = Drive(float(x), float(middle + z), float(yaw), float(pace), float(rate), during)
+    return Vehicle(f"{role} {kind}", kind, drive, SIZES[kind])
+
+
+def _collide(first: Vehicle, drive: Drive, size: tuple[float, float, float], time: float) -> bool:
+    """Whether a vehicle meets another that drives and measures so, with some room, at a time."""
+    apart = np.linalg.inv(first.drive.pose(time)) @ drive.pose(time)
+    ahead, beside = abs(apart[2, 2]), abs(apart[0, 2])
+    across = 0.5 * (first.size[0] + size[0] * ahead + size[2] * beside) + 0.3
+    along = 0.5 * (first.size[2] + size[2] * ahead + size[0] * beside) + 0.5
+    return bool(abs(apart[0, 3]) < across and abs(apart[2, 3]) < along)
+
+
+def _in_view(scene: Scene) -> bool:
+    """Whether every vehicle shows enough, and not too much, in enough frames."""
+    frames = range(0, scene.n_frames, 3)
+    bodies = np.arange(len(scene.vehicles)) + 1
+    counts = np.zeros((len(frames), len(bodies)))
+    for row, frame in enumerate(frames):
+        counts[row] = np.bincount(_grid_bodies(scene, frame)[1], minlength=len(bodies) + 1)[1:]
+    seen = (counts >= _SEEN).mean(axis=0) >= _SHARE
+    return bool(seen.all() and (counts < _LARGE).all())
+
+
+def _grid_bodies(scene: Scene, frame: int) -> tuple[FloatArray, FloatArray]:
+    """Surface points (R, 4) of the tracker's grid in a frame, and their bodies."""
+    width, height = scene.image_size
+    x, y = np.meshgrid(np.arange(_GRID // 2, width, _GRID), np.arange(_GRID // 2, height, _GRID))
+    return scene.surface_points(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, frame)]))
+
+
+def measure_drive(scene: Scene) -> Mapping[str, float]:
+    """Measure on the exact geometry what makes a drive hard.
+
+    Every figure is that of the hardest vehicle, over the points of an 8 px grid in three frames; motion is
+    measured over five frames.
+
+    Returns
+    -------
+    mapping of str to float
+        ``depth``: 95th to 5th percentile of the static scene's depth; and where something moves
+        ``epipolar``: pixels from the epipolar lines of the static scene (where the camera only turns:
+        from where its rotation takes a point), ``motion``: pixels from where the point would be if it stood
+        still, ``standing``: share of the frames in which it stands, ``occlusion``: share of its points in the
+        image that something hides.
+    """
+    frames = [0, scene.n_frames // 2, scene.n_frames - 1]
+    found = [_grid_bodies(scene, frame) for frame in frames]
+    points, body = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    depth = scene.depth(frames[1])
+    ratio = np.divide(*np.percentile(depth[(scene.ids(frames[1]) == 1)], [95, 5]))
+    facts = {"depth": float(ratio)}
+    movers = [_measure_vehicle(scene, points[body == k], k) for k in range(1, len(scene.vehicles) + 1)]
+    hardest = {"epipolar": min, "motion": min, "standing": max, "occlusion": max}
+    if movers:
+        facts |= {name: float(worst(m[name] for m in movers)) for name, worst in hardest.items()}
+    return facts
+
+
+def _measure_vehicle(scene: Scene, points: FloatArray, body: int) -> Mapping[str, float]:
+    bodies = np.full(len(points), body)
+    places = [scene.project(frame, points, bodies) for frame in range(scene.n_frames)]
+    xy, visible = np.stack([p[0] for p in places], axis=1), np.stack([p[1] for p in places], axis=1)
+    inside = ((xy >= 0) & (xy <= np.array(scene.image_size) - 1)).all(axis=2)
+    apart, moved = [], []
+    for first, second in _pairs(scene.n_frames):
+        rows = visible[:, first] & inside[:, second]
+        if rows.any():
+            pose = scene.body_poses(first)
+            there = points[rows] @ pose[body].T  # in the camera's coordinates of the first frame
+            still = there @ (scene.body_poses(second)[0] @ np.linalg.inv(pose[0])).T
+            seen, center = xy[rows, second], scene.body_poses(second)[0] @ np.linalg.inv(pose[0])[:, 3]
+            direct = still[:, :3] - center[:3]  # the point's direction: where it would be at infinity
+            here, far = ((v[:, :3] @ scene.K.T) for v in (still, direct))
+            still_xy, far_xy = here[:, :2] / here[:, 2:], far[:, :2] / far[:, 2:]
+            moved.append(np.median(np.linalg.norm(seen - still_xy, axis=1)))
+            if np.linalg.norm(center[:3]) < _STILL:
+                apart.append(moved[-1])
+                continue
+            line = still_xy - far_xy
+            line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
+            off = seen - far_xy
+            apart.append(np.median(np.abs(off[:, 0] * line[:, 1] - off[:, 1] * line[:, 0])))
+    stands = [
+        np.allclose(*(scene.vehicles[body - 1].drive.pose(scene.time(f)) for f in (frame, frame + 1)), atol=1e-9)
+        for frame in range(scene.n_frames - 1)
+    ]
+    hidden = (inside & ~visible).sum() / max(1, inside.sum())
+    return {
+        "epipolar": np.mean(apart) if apart else np.inf,
+        "motion": np.mean(moved) if moved else np.inf,
+        "standing": np.mean(stands),
+        "occlusion": hidden,
+    }
+
+
+def _pairs(frames: int) -> Iterator[tuple[int, int]]:
+    for first in range(0, frames - _GAP, 2):
+        yield first, first + _GAP
