@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Whole, flags, progress_bar
+from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Positive, Whole, flags, progress_bar
 from kt3dmoseg.demo import DemoOptions
 from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.pipeline import BuildOptions
@@ -102,7 +102,7 @@ def build(
         sources = find_sources(frames)
     if annotations is None and _ANNOTATIONS.is_dir():
         annotations = _ANNOTATIONS
-    with _outcomes(len(sources)) as callbacks:
+    with _outcomes(len(sources)) as (progress, report):
         outcomes = build_dataset(
             sources,
             output,
@@ -112,7 +112,8 @@ def build(
             force=force,
             flow_parameters=parse_assignments(parameter),
             cache=cache,
-            **callbacks,
+            progress=progress,
+            report=report,
             **options,
         )
     _warn_of_empty(outcomes, options.get("min_length", TrackOptions.min_length))
@@ -120,8 +121,8 @@ def build(
 
 
 @contextmanager
-def _outcomes(total: int) -> Iterator[dict[str, Callable[..., None]]]:
-    """Give callbacks of a build that print each outcome and show progress."""
+def _outcomes(total: int) -> Iterator[tuple[Callable[..., None], Callable[..., None]]]:
+    """Give the two callbacks of a build, which show progress and print each outcome."""
     with progress_bar("clip") as show_progress:
         done: list[Outcome] = []
 
@@ -132,7 +133,7 @@ def _outcomes(total: int) -> Iterator[dict[str, Callable[..., None]]]:
             done.append(outcome)
             _print_outcome(outcome)
 
-        yield {"progress": progress, "report": report}
+        yield progress, report
 
 
 def _sum_up(outcomes: list[Outcome], output: Path) -> int:
@@ -146,7 +147,7 @@ def synth(
     *,
     output: Annotated[Folder, Parameter(alias="-o", help="Folder of the files CLIP.h5.")],
     part: Annotated[Literal["public", "test"] | None, Parameter(help="Only this half.")] = None,
-    first: Annotated[Whole | None, Parameter(help="Only the first N drives of each half.")] = None,
+    first: Annotated[Positive | None, Parameter(help="Only the first N drives of each half.")] = None,
     seed: Annotated[Whole, Parameter(help="0: the benchmark; other seeds: other drives.")] = 0,
     workers: Annotated[Whole | None, Parameter(help="Processes (default: one per core).")] = None,
     dask: Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = "",
@@ -158,10 +159,19 @@ def synth(
     the same command. 'mseg benchmark synth --data FOLDER' runs methods on it.
     """
     from kt3dmoseg.pipeline import build_synthetic
+    from kt3dmoseg.synthetic.drives import PER_PART
 
-    with _outcomes(0) as callbacks:
+    with _outcomes(min(first or PER_PART, PER_PART) * (1 if part else 2)) as (progress, report):
         outcomes = build_synthetic(
-            output, part=part, seed=seed, first=first, workers=workers, dask=dask, force=force, **callbacks
+            output,
+            part=part,
+            seed=seed,
+            first=first,
+            workers=workers,
+            dask=dask,
+            force=force,
+            progress=progress,
+            report=report,
         )
     return _sum_up(outcomes, output)
 

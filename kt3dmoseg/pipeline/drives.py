@@ -15,7 +15,7 @@ from kt3dmoseg.frames import FrameInfo
 from kt3dmoseg.synthetic import DrivePlan, Scene, make_drive, measure_drive, plan_drives
 from kt3dmoseg.synthetic.drives import Part
 from kt3dmoseg.synthetic.scene import BACKGROUND
-from kt3dmoseg.types import ByteArray, Camera, Labels, Trajectories
+from kt3dmoseg.types import ByteArray, Labels, Trajectories
 
 if TYPE_CHECKING:
     from kt3dmoseg.io.images import Colour
@@ -74,7 +74,7 @@ class SyntheticDrive:
         return Labels(label, BACKGROUND, self.scene.names)
 
     def measure(self) -> Mapping[str, Any]:
-        """What makes it hard: the plan's camera, and what `measure_drive` finds."""
+        """Measure what makes it hard: the plan's camera, and what `measure_drive` finds."""
         return {"camera": self.plan.camera} | dict(measure_drive(self.scene))
 
 

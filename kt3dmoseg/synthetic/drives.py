@@ -6,9 +6,10 @@ makes it hard is then measured on the exact geometry, not taken from what was in
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -16,11 +17,12 @@ from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Layout, Scene, SceneOptions
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.vehicles import LANE, ONCOMING, PARKED_RIGHT, SIZES, Drive, Kind, Vehicle
-from kt3dmoseg.types import FloatArray
+from kt3dmoseg.types import FloatArray, IntArray
 
 Part: TypeAlias = Literal["public", "test"]
 CameraKind: TypeAlias = Literal["driving", "planar", "turning", "rotating", "standing"]
 Trait: TypeAlias = Literal["none", "epipolar", "small", "intermittent"]
+KeyT = TypeVar("KeyT")
 
 PER_PART = 100
 _PARTS: tuple[Part, ...] = ("public", "test")
@@ -30,6 +32,11 @@ _CAMERAS: dict[CameraKind, int] = {"driving": 46, "planar": 12, "turning": 18, "
 _TRAITS: dict[Trait, int] = {"none": 40, "epipolar": 20, "small": 20, "intermittent": 20}
 _ALONG = ("leading", "overtaking", "oncoming")  # roles whose course is the camera's
 _ROLES = (*_ALONG, "leaving", "crossing", "walking", "riding")
+_KINDS: dict[str, tuple[Kind, ...]] = {
+    "walking": ("pedestrian",),
+    "riding": ("cyclist",),
+    "leaving": ("car", "van"),
+}
 _FREE = 60.0  # metres of the right-hand kerb without parked cars, where one leaves
 _TRIES = 400
 _GRID = 8  # pixels between the points at which a drive is measured: those of the tracker
@@ -64,16 +71,20 @@ def plan_drives(seed: int = 0) -> list[DrivePlan]:
     plans = []
     for half, part in enumerate(_PARTS):
         rng = np.random.default_rng([seed, half])
-        motions, cameras, traits = (
-            [list(counts)[k] for k in rng.permutation(np.repeat(np.arange(len(counts)), list(counts.values())))]
-            for counts in (_MOTIONS, _CAMERAS, _TRAITS)
-        )
-        for k in range(PER_PART):
-            camera, trait = cameras[k], traits[k] if motions[k] > 1 else "none"
-            if trait == "epipolar" and camera != "planar":
-                camera = "driving"  # a camera that only turns has no epipolar lines
-            plans.append(DrivePlan(seed, part, k + 1, motions[k], camera, trait))
+        motions, cameras = _shuffled(_MOTIONS, rng), _shuffled(_CAMERAS, rng)
+        traits = _shuffled(_TRAITS, rng)
+        for k, (count, camera, trait) in enumerate(zip(motions, cameras, traits, strict=True)):
+            plan = DrivePlan(seed, part, k + 1, count, camera, trait if count > 1 else "none")
+            if plan.trait == "epipolar" and camera != "planar":
+                plan = replace(plan, camera="driving")  # one that only turns has no epipolar lines
+            plans.append(plan)
     return plans
+
+
+def _shuffled(counts: Mapping[KeyT, int], rng: np.random.Generator) -> list[KeyT]:
+    """List every key as often as it counts, in random order."""
+    each = [key for key, count in counts.items() for _ in range(count)]
+    return [each[k] for k in rng.permutation(len(each))]
 
 
 def make_drive(plan: DrivePlan, *, samples: int = 1) -> Scene:
@@ -132,7 +143,7 @@ def _draw_vehicle(
     seconds: float,
     rng: np.random.Generator,
 ) -> Vehicle:
-    """Draw a vehicle; a `special` one moves little, or only for a part of the clip, where that is the plan."""
+    """Draw a vehicle; a `special` one moves little or in a part of the clip only, where that is the plan."""
     draw, side = rng.uniform, int(rng.choice([-1, 1]))
     role = str(rng.choice(_ALONG if plan.trait == "epipolar" else _ROLES))
     across, weave = side * np.pi / 2, draw(-0.12, 0.12)
@@ -155,8 +166,8 @@ def _draw_vehicle(
     if special and plan.trait == "intermittent":
         change = draw(-0.2, 0.2) * seconds
         during = (-np.inf, change) if rng.random() < 0.5 else (change, np.inf)
-    kinds: dict[str, tuple[Kind, ...]] = {"walking": ("person",), "riding": ("cyclist",), "leaving": ("car", "van")}
-    kind = kinds.get(role, ("car", "van", "truck"))[int(rng.integers(len(kinds.get(role, (0, 0, 0)))))]
+    kinds = _KINDS.get(role, ("car", "van", "truck"))
+    kind = kinds[int(rng.integers(len(kinds)))]
     drive = Drive(float(x), float(middle + z), float(yaw), float(pace), float(rate), during)
     return Vehicle(f"{role} {kind}", kind, drive, SIZES[kind])
 
@@ -181,7 +192,7 @@ def _in_view(scene: Scene) -> bool:
     return bool(seen.all() and (counts < _LARGE).all())
 
 
-def _grid_bodies(scene: Scene, frame: int) -> tuple[FloatArray, FloatArray]:
+def _grid_bodies(scene: Scene, frame: int) -> tuple[FloatArray, IntArray]:
     """Surface points (R, 4) of the tracker's grid in a frame, and their bodies."""
     width, height = scene.image_size
     x, y = np.meshgrid(np.arange(_GRID // 2, width, _GRID), np.arange(_GRID // 2, height, _GRID))
@@ -198,20 +209,23 @@ def measure_drive(scene: Scene) -> Mapping[str, float]:
     -------
     mapping of str to float
         ``depth``: 95th to 5th percentile of the static scene's depth; and where something moves
-        ``epipolar``: pixels from the epipolar lines of the static scene (where the camera only turns:
-        from where its rotation takes a point), ``motion``: pixels from where the point would be if it stood
-        still, ``standing``: share of the frames in which it stands, ``occlusion``: share of its points in the
-        image that something hides.
+        ``size``: points of the grid on the vehicle, ``epipolar``: pixels from the epipolar lines of the
+        static scene (where the camera only turns: from where its rotation takes a point), ``motion``: pixels
+        from where the point would be if it stood still, ``standing``: share of the frames in which it
+        stands, ``occlusion``: share of its points in the image that something hides.
     """
     frames = [0, scene.n_frames // 2, scene.n_frames - 1]
     found = [_grid_bodies(scene, frame) for frame in frames]
     points, body = (np.concatenate(parts) for parts in zip(*found, strict=True))
     depth = scene.depth(frames[1])
-    ratio = np.divide(*np.percentile(depth[(scene.ids(frames[1]) == 1)], [95, 5]))
+    ratio = np.divide(*np.percentile(depth[scene.ids(frames[1]) == 1], [95, 5]))
     facts = {"depth": float(ratio)}
-    movers = [_measure_vehicle(scene, points[body == k], k) for k in range(1, len(scene.vehicles) + 1)]
+    bodies = range(1, len(scene.vehicles) + 1)
+    sizes = [max(np.count_nonzero(seen == k) for _, seen in found) for k in bodies]
+    movers = [_measure_vehicle(scene, points[body == k], k) for k in bodies]
     hardest = {"epipolar": min, "motion": min, "standing": max, "occlusion": max}
     if movers:
+        facts["size"] = float(min(sizes))
         facts |= {name: float(worst(m[name] for m in movers)) for name, worst in hardest.items()}
     return facts
 
@@ -220,39 +234,33 @@ def _measure_vehicle(scene: Scene, points: FloatArray, body: int) -> Mapping[str
     bodies = np.full(len(points), body)
     places = [scene.project(frame, points, bodies) for frame in range(scene.n_frames)]
     xy, visible = np.stack([p[0] for p in places], axis=1), np.stack([p[1] for p in places], axis=1)
-    inside = ((xy >= 0) & (xy <= np.array(scene.image_size) - 1)).all(axis=2)
+    inside = np.all((xy >= 0) & (xy <= np.array(scene.image_size) - 1), axis=2)
     apart, moved = [], []
-    for first, second in _pairs(scene.n_frames):
+    for first in range(0, scene.n_frames - _GAP, 2):
+        second = first + _GAP
         rows = visible[:, first] & inside[:, second]
         if rows.any():
-            pose = scene.body_poses(first)
-            there = points[rows] @ pose[body].T  # in the camera's coordinates of the first frame
-            still = there @ (scene.body_poses(second)[0] @ np.linalg.inv(pose[0])).T
-            seen, center = xy[rows, second], scene.body_poses(second)[0] @ np.linalg.inv(pose[0])[:, 3]
-            direct = still[:, :3] - center[:3]  # the point's direction: where it would be at infinity
-            here, far = ((v[:, :3] @ scene.K.T) for v in (still, direct))
-            still_xy, far_xy = here[:, :2] / here[:, 2:], far[:, :2] / far[:, 2:]
-            moved.append(np.median(np.linalg.norm(seen - still_xy, axis=1)))
-            if np.linalg.norm(center[:3]) < _STILL:
-                apart.append(moved[-1])
-                continue
-            line = still_xy - far_xy
+            before, after = scene.body_poses(first), scene.body_poses(second)
+            relative = after[0] @ np.linalg.inv(before[0])  # of the camera, against the static scene
+            turned = (points[rows] @ before[body].T)[:, :3] @ relative[:3, :3].T
+            seen, standing = xy[rows, second], _image(scene, turned + relative[:3, 3])
+            moved.append(np.median(np.linalg.norm(seen - standing, axis=1)))
+            infinity = _image(scene, turned)  # the line's other end: the point, infinitely far away
+            line = standing - infinity
             line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
-            off = seen - far_xy
-            apart.append(np.median(np.abs(off[:, 0] * line[:, 1] - off[:, 1] * line[:, 0])))
-    stands = [
-        np.allclose(*(scene.vehicles[body - 1].drive.pose(scene.time(f)) for f in (frame, frame + 1)), atol=1e-9)
-        for frame in range(scene.n_frames - 1)
-    ]
-    hidden = (inside & ~visible).sum() / max(1, inside.sum())
+            (x, y), (u, v) = (seen - infinity).T, line.T
+            off = np.median(np.abs(x * v - y * u))
+            apart.append(off if np.linalg.norm(relative[:3, 3]) > _STILL else moved[-1])
+    poses = [scene.vehicles[body - 1].drive.pose(scene.time(frame)) for frame in range(scene.n_frames)]
     return {
-        "epipolar": np.mean(apart) if apart else np.inf,
-        "motion": np.mean(moved) if moved else np.inf,
-        "standing": np.mean(stands),
-        "occlusion": hidden,
+        "epipolar": float(np.mean(apart)) if apart else np.inf,
+        "motion": float(np.mean(moved)) if moved else np.inf,
+        "standing": float(np.mean([np.allclose(*pair, atol=1e-9) for pair in pairwise(poses)])),
+        "occlusion": float((inside & ~visible).sum() / max(1, inside.sum())),
     }
 
 
-def _pairs(frames: int) -> Iterator[tuple[int, int]]:
-    for first in range(0, frames - _GAP, 2):
-        yield first, first + _GAP
+def _image(scene: Scene, points: FloatArray) -> FloatArray:
+    """Project points (R, 3) in camera coordinates, in pixels (R, 2)."""
+    homogeneous = points @ scene.K.T
+    return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])

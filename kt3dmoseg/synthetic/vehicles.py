@@ -16,7 +16,7 @@ from kt3dmoseg.synthetic.materials import Mark, Material, Plain, block_letters, 
 from kt3dmoseg.synthetic.raycast import Face, Skin, box, rotation_y
 from kt3dmoseg.types import FloatArray
 
-Kind: TypeAlias = Literal["car", "van", "truck", "cyclist", "person"]
+Kind: TypeAlias = Literal["car", "van", "truck", "cyclist", "pedestrian"]
 
 CROSSING_AHEAD = 27.0  # metres from the camera to the side street in the middle of the clip
 LANE, ONCOMING = 0.0, -3.5  # x of the middle of the lanes
@@ -26,7 +26,7 @@ SIZES: dict[Kind, tuple[float, float, float]] = {
     "van": (1.95, 2.05, 5.0),
     "truck": (2.4, 3.1, 7.2),
     "cyclist": (0.55, 1.75, 1.75),
-    "person": (0.6, 1.75, 0.45),
+    "pedestrian": (0.6, 1.75, 0.45),
 }
 _GREYS = (55.0, 75.0, 95.0, 150.0, 205.0, 225.0)
 _SWAY = 0.6  # metres; a body weaves about its straight path by at most twice this
@@ -42,7 +42,10 @@ class Drive:
     yaw: float = 0.0  # heading in radians; 0 looks along +z, positive turns right
     speed: float = 0.0  # metres per second along the heading
     yaw_rate: float = 0.0  # radians per second
-    during: tuple[float, float] = (-np.inf, np.inf)  # seconds between which it moves; before and after it stands
+    during: tuple[float, float] = (
+        -np.inf,
+        np.inf,
+    )  # seconds between which it moves at all
 
     def pose(self, time: float) -> FloatArray:
         """``T_world_body`` (4, 4) at `time` seconds.
@@ -74,7 +77,7 @@ def vehicle_faces(kind: Kind, rng: np.random.Generator) -> list[Face]:
     """Faces of a vehicle around its origin, which is on the ground below its middle."""
     width, height, length = SIZES[kind]
     grey, salt = float(rng.choice(_GREYS)), rng.uniform(0, 50)
-    if kind in ("person", "cyclist"):
+    if kind in ("pedestrian", "cyclist"):
         return _figure(kind, grey, salt, rng)
     paint = Plain(grey, fine=6.0, coarse=11.0, salt=salt)
     half, under = width / 2, Plain(18.0, fine=5.0, coarse=3.0, salt=salt)

@@ -11,7 +11,7 @@ from kt3dmoseg.types import FloatArray
 from mseg.benchmark.tasks import Configuration
 from mseg.evaluation import Group, Protocol
 from mseg.evaluation.protocol import count, share
-from mseg.evaluation.results import ResultsTable, clip_table, error_table
+from mseg.evaluation.results import ResultsTable, axis_table, clip_table, error_table
 
 _LISTED = 12  # clips named in a note
 
@@ -90,6 +90,11 @@ class BenchmarkResult:
         total = share(len(self.clips), self.protocol.n_clips)
         last = [["CPU s", "", *self._seconds()]]
         return clip_table(title, self._errors(), self.motions, total=total, last=last)
+
+    def by_axis(self) -> ResultsTable | None:
+        """One row per bin of what makes clips hard; None where the benchmark has no such axes."""
+        title = f"{self._heading()}: error in % by what makes clips hard"
+        return axis_table(title, self.protocol, self.motions, self._errors())
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as plain values, for JSON."""

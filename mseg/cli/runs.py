@@ -186,5 +186,5 @@ def benchmark(
             print(everything)
             return
         write_text(json[0], everything + "\n")
-    tables = [result.per_clip(), result.summary()]
+    tables = [table for table in (result.per_clip(), result.by_axis(), result.summary()) if table]
     print("\n\n".join(t.markdown() if markdown else t.text() for t in tables))

@@ -147,8 +147,13 @@ def _rendered(scores: ScoreTable, form: str) -> str:
         return results.headline(scores).markdown()
     if form == "latex":
         return results.headline(scores).latex()
-    parts = [results.headline(scores), results.per_clip(scores), results.all_means(scores)]
-    return "\n\n".join(part.text() for part in parts)
+    parts = [
+        results.headline(scores),
+        results.by_axis(scores),
+        results.per_clip(scores),
+        results.all_means(scores),
+    ]
+    return "\n\n".join(part.text() for part in parts if part)
 
 
 def compare(

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
 
 from kt3dmoseg.registry import unknown_name
 
@@ -46,6 +47,40 @@ class Group:
 
 
 @dataclass(frozen=True)
+class Axis:
+    """A property of clips by which the error is broken down.
+
+    Parameters
+    ----------
+    name, title : str
+        Key in the attributes of clips (``"motions"``: their number of motions), and heading with its unit.
+    bounds : tuple of float
+        Where one bin of a figure ends and the next begins; without any, every value is a bin.
+    """
+
+    name: str
+    title: str
+    bounds: tuple[float, ...] = ()
+
+    def bins(self, values: Mapping[str, float | str]) -> dict[str, list[str]]:
+        """Sort clips, given with their values, into bins by title; bins without clips are left out."""
+        if not self.bounds:
+            kinds = sorted(set(values.values()))  # all of them numbers, or all texts
+            return {str(kind): [clip for clip, v in values.items() if v == kind] for kind in kinds}
+        edges = [float("-inf"), *self.bounds, float("inf")]
+        titles = [
+            f"under {self.bounds[0]:g}",
+            *(f"{low:g} to {high:g}" for low, high in pairwise(self.bounds)),
+            f"{self.bounds[-1]:g} and over",
+        ]
+        bins = {
+            title: [clip for clip, value in values.items() if low <= float(value) < high]
+            for title, (low, high) in zip(titles, pairwise(edges), strict=True)
+        }
+        return {title: clips for title, clips in bins.items() if clips}
+
+
+@dataclass(frozen=True)
 class Protocol:
     """A benchmark: its groups of clips, its exclusions and the published results.
 
@@ -72,6 +107,10 @@ class Protocol:
         Error in per cent of the one-motion baseline on clips, where known.
     versions : mapping of str to mapping of str to str
         Dataset version -> clip -> `mseg.evaluation.clip_checksum`, where known.
+    axes : tuple of Axis
+        Properties by which the error is broken down.
+    attributes : mapping of str to mapping
+        Clip -> axis -> its value, where the clip has one.
     names : str
         Regular expression by which clips of a benchmark that lists none are recognised.
     data : str
@@ -89,6 +128,8 @@ class Protocol:
     published_dataset_version: str = ""
     prevalence: Mapping[str, float] = field(default_factory=dict)
     versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    axes: tuple[Axis, ...] = ()
+    attributes: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
     names: str = ""
     data: str = ""
 
@@ -124,6 +165,15 @@ class Protocol:
     def clips_of(self, group: Group, motions: Mapping[str, int]) -> list[str]:
         """Names of the clips at hand, given with their true numbers of motions, that belong to a group."""
         return [name for name, n in motions.items() if self.holds(name) and group.holds(name, n)]
+
+    def bins_of(self, axis: Axis, motions: Mapping[str, int]) -> dict[str, list[str]]:
+        """Sort the clips at hand, given with their true numbers of motions, into the bins of an axis."""
+        known = {
+            name: {"motions": n, **self.attributes.get(name, {})}
+            for name, n in motions.items()
+            if self.holds(name)
+        }
+        return axis.bins({name: values[axis.name] for name, values in known.items() if axis.name in values})
 
     def coverage(self, clips: Iterable[str]) -> str:
         """Describe how much of the benchmark is at hand: ``"14 of 22 clips"`` or ``"all 22 clips"``."""
@@ -166,6 +216,7 @@ def load_protocol(name: str) -> Protocol:
         raise unknown_name("benchmark", name, list_protocols())
     raw = tomllib.loads(files("mseg").joinpath("protocols", f"{name}.toml").read_text(encoding="utf-8"))
     groups = tuple(Group(**{**g, "clips": tuple(g.get("clips", ()))}) for g in raw.pop("groups"))
+    raw["axes"] = tuple(Axis(**{**a, "bounds": tuple(a.get("bounds", ()))}) for a in raw.get("axes", ()))
     lists = {key: tuple(raw.get(key, ())) for key in ("exclude", "notes")}
     return Protocol(name=name, groups=groups, **(raw | lists))
 

@@ -129,6 +129,7 @@ def report_html(
         published=_published(scores),
         sections=shown,
         headline=results.headline(scores),
+        by_axis=results.by_axis(scores),
         all_means=results.all_means(scores),
         per_clip=results.per_clip(scores),
     )

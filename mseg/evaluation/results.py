@@ -107,6 +107,29 @@ def error_table(
     return ResultsTable(title, [*columns, *more], rows, notes)
 
 
+def axis_table(
+    title: str, protocol: Protocol, motions: Mapping[str, int], errors: Mapping[str, FloatArray]
+) -> ResultsTable | None:
+    """One row per bin of every axis of a benchmark, one column per method: mean over clips and seeds.
+
+    `motions` and `errors` are as in `error_table`. None where the benchmark has no axes.
+    """
+    order = {name: row for row, name in enumerate(motions)}
+    rows = []
+    for axis in protocol.axes:
+        for bin_title, clips in protocol.bins_of(axis, motions).items():
+            chosen = [order[name] for name in clips]
+            means = [_with_spread(values[chosen].mean(axis=0), 100) for values in errors.values()]
+            rows.append([f"{axis.title}: {bin_title}", str(len(clips)), *means])
+    return ResultsTable(title, ["part", "clips", *errors], rows) if rows else None
+
+
+def by_axis(scores: ScoreTable) -> ResultsTable | None:
+    """Break the classification error down by the axes of the benchmark; None where it has none."""
+    title = "Classification error in % by what makes clips hard"
+    return axis_table(title, scores.benchmark, scores.motions, {scores.meta.method: scores.matrix()})
+
+
 def clip_table(
     title: str,
     values: Mapping[str, FloatArray],
