@@ -50,6 +50,7 @@ SESSION = {
     "kt3dmoseg pull mistake": "kt3dmoseg pull -o kitti",
     "kt3dmoseg locate mistake": "kt3dmoseg locate NoSuchClip -o kitti",
     "kt3dmoseg fetch-release mistake": "kt3dmoseg fetch-release -o data --timeout 0",
+    "kt3dmoseg synth mistake": "kt3dmoseg synth -o synth --first 0",
     "kt3dmoseg demo mistake": "kt3dmoseg demo -o demo --methods nomethod",
     "kt3dmoseg mistake": "kt3dmoseg biuld",
     "mseg methods": "mseg methods",
