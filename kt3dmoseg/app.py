@@ -240,12 +240,9 @@ def _without_config(words: list[str]) -> tuple[list[str], str]:
 
 def _tables(app: cyclopts.App, file: str) -> dict[str, Any]:
     """Read a configuration file, one table per command; cyclopts checks the names of its options."""
-    import tomllib
+    from kt3dmoseg.files import TOML_BYTES, parse_toml, read_bytes
 
-    try:
-        tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise FileFormatError(file, expected="TOML", found=str(error)) from None
+    tables = parse_toml(read_bytes(file, TOML_BYTES), file)
     _check_tables(app, tables, file)
     return tables
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
+import json
 import os
+import re
 import stat
 import struct
 import tempfile
@@ -28,6 +30,19 @@ except ImportError:  # pragma: no cover  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _BLOCK = 1 << 20
+_DEPTH = 64  # of lists and tables inside each other; a key of 20,000 dots takes gigabytes
+JSON_BYTES, TOML_BYTES = 8 << 20, 2 << 20  # what is parsed in 2 s and 200 MB
+# Strings and comments; one that does not end takes the rest, since the parser goes no further either.
+_JSON_STRINGS = re.compile(rb'"(?:\\.|[^"\\])*+"?', re.DOTALL)
+_TOML_STRINGS = re.compile(
+    rb'"""(?:\\.|[^\\])*?(?:"""|\Z)'
+    rb"|'''.*?(?:'''|\Z)"
+    rb'|"(?:\\.|[^"\\\n])*+"?'
+    rb"|'[^'\n]*'?|#[^\n]*",
+    re.DOTALL,
+)
+_LONG_KEY = re.compile(rb"(?<![\w-])[\w-]++(?:[ \t]*\.[ \t]*[\w-]++){%d}" % _DEPTH)
+_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
 _REMEDIES = {
     errno.ENOSPC: "free some space, or write somewhere else",
     errno.EEXIST: "a file is where a folder should be; remove it, or write somewhere else",
@@ -45,9 +60,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     The folder is created when missing. On any exception, and on ``kill -9``, `path` keeps its
     former content or stays absent; the temporary file is removed when the process can. InputFileError
-    when the folder cannot be created or written, or the disk is full.
+    when the folder cannot be created or written, the disk is full, or `path` is no regular file.
     """
     target = Path(path)
+    check_target(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
@@ -67,6 +83,24 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise error if isinstance(error, InputFileError) else _unwritable(target, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_target(path: str | os.PathLike[str]) -> None:
+    """Raise InputFileError when a file cannot take this name: there is a folder, pipe or device."""
+    target = Path(path)
+    try:
+        mode = target.stat().st_mode
+    except OSError:  # nothing there yet; what else is wrong shows when the file is written
+        return
+    folder = target.parent.resolve()  # /dev/stdout may lead to a regular file, but is a device's name
+    if not stat.S_ISREG(mode) or folder == Path("/dev") or folder.parts[1:2] == ("proc",):
+        found = _KINDS.get(stat.S_IFMT(mode), "a device")
+        raise InputFileError(
+            f"{target}: cannot write",
+            expected="a regular file or a new name",
+            found=found,
+            fix="give another",
+        )
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -135,6 +169,57 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     if room <= 0:
         raise InputFileError(os.fspath(path), expected=f"at most {limit} bytes", found="more")
     return b"".join(blocks)
+
+
+def parse_json(content: bytes | str, where: str, limit: int = JSON_BYTES) -> Any:  # noqa: ANN401  # JSON
+    """Parse JSON in UTF-8 of at most `limit` bytes and 64 levels; FileFormatError, which begins with `where`.
+
+    NaN and Infinity, which are not JSON, and whole numbers of more than 300 digits are refused.
+    """
+    text = _bounded(content, where, "JSON", limit, _JSON_STRINGS)
+    try:
+        return json.loads(text, parse_int=_integer, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(where, expected="JSON", found=str(error)) from None
+
+
+def parse_toml(content: bytes | str, where: str, limit: int = TOML_BYTES) -> dict[str, Any]:
+    """Parse TOML in UTF-8 of at most `limit` bytes and 64 levels; raises as `parse_json`."""
+    import tomllib
+
+    text = _bounded(content, where, "TOML", limit, _TOML_STRINGS)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(where, expected="TOML", found=str(error)) from None
+
+
+def _bounded(content: bytes | str, where: str, kind: str, limit: int, strings: re.Pattern[bytes]) -> str:
+    """Decode a text after checking its size and how deep it nests."""
+    content = content.encode(errors="replace") if isinstance(content, str) else content
+    if len(content) > limit:
+        raise FileFormatError(where, expected=f"{kind} of at most {limit} bytes", found=f"{len(content)}")
+    bare = strings.sub(b"s", content)
+    symbols = np.frombuffer(bare, np.uint8)
+    steps = np.isin(symbols, tuple(b"[{")).astype(np.int8) - np.isin(symbols, tuple(b"]}"))
+    if np.cumsum(steps, dtype=np.int32).max(initial=0) > _DEPTH or _LONG_KEY.search(bare):
+        expected, found = f"{kind} of at most {_DEPTH} levels", "more levels inside each other"
+        raise FileFormatError(where, expected=expected, found=found)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"byte {content[error.start]:#04x} at {error.start}"
+        raise FileFormatError(where, expected=f"{kind} in UTF-8", found=found) from None
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > 300:  # a float overflows at 309
+        raise ValueError(f"a number of {len(digits)} digits, {digits[:10]}...")
+    return int(digits)
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name}, which is no number of JSON")
 
 
 def zip_bytes(files: Mapping[str, bytes]) -> bytes:

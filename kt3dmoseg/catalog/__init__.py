@@ -24,7 +24,6 @@ import datetime
 import json
 import os
 import re
-import tomllib
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import read_bytes, sha256_arrays, write_text
+from kt3dmoseg.files import parse_toml, read_bytes, sha256_arrays, write_text
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.types import ByteArray
 
@@ -41,7 +40,7 @@ BUILT_IN = Path(__file__).with_name("catalog.toml")
 CAMERAS = (0, 1, 2, 3)
 MOST_FRAMES = 100_000
 
-_LARGEST = 16 << 20
+_LARGEST = 4 << 20
 _REQUIRED = ("date", "drive", "camera", "length")
 _KEYS = (*_REQUIRED, "size", "numbers", "frames", "proof", "source")
 
@@ -260,9 +259,9 @@ def select(clips: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entry]
 def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
     """Read one catalog; return its valid clips and every problem, one line each."""
     try:
-        document = tomllib.loads(read_bytes(path, _LARGEST).decode())
-    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, a number or nesting without end
-        return {}, [f"not TOML: {error}"]
+        document = parse_toml(read_bytes(path, _LARGEST), "not TOML", _LARGEST)
+    except FileFormatError as error:
+        return {}, [str(error)]
     problems = [str(unknown_name("key", key, ["clips"])) for key in document if key != "clips"]
     tables = document.get("clips", {})
     if not isinstance(tables, dict):

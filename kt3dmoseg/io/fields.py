@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import sha256_file
+from kt3dmoseg.files import parse_json, sha256_file
 from kt3dmoseg.types import Camera, Clip, IntArray, Labels, Trajectories
 
 _ENDINGS = ("_Tracks", "_truth")
@@ -171,10 +171,7 @@ def _json_text(values: Mapping[str, Any], what: str) -> str:
 
 def json_object(text: str, where: str) -> dict[str, Any]:
     """Parse a JSON object."""
-    try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(where, expected="JSON", found=str(error)) from None
+    values = parse_json(text, where)
     if not isinstance(values, dict):
         raise FileFormatError(where, expected="a JSON object", found=type(values).__name__)
     return values

@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeAlias
 from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import hold_folder, read_bytes, write_bytes, write_text
+from kt3dmoseg.files import hold_folder, parse_json, read_bytes, write_bytes, write_text
 from kt3dmoseg.kitti.http import AbsentError, Client, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.raw import LOCATED
@@ -78,7 +78,7 @@ class TargetFolder:
             return None
         head, _, tail = read_bytes(path, LARGEST_FILE).partition(b"\n")
         try:
-            size, crc = json.loads(head)
+            size, crc = parse_json(head, "directory")
         except (ValueError, TypeError):
             return None
         return (size, tail) if crc == zlib.crc32(tail) else None
@@ -95,7 +95,7 @@ class TargetFolder:
         if not path.is_file():
             return {}
         try:
-            listed = json.loads(read_bytes(path, LARGEST_FILE))
+            listed = parse_json(read_bytes(path, LARGEST_FILE), "files", LARGEST_FILE)
             return {str(name): (int(size), int(crc, 16)) for name, (size, crc) in listed.items()}
         except (ValueError, TypeError, AttributeError):
             fix = "remove it and pull again"
