@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from kt3dmoseg.types import Clip as Clip
     from kt3dmoseg.types import Labels as Labels
     from kt3dmoseg.types import Trajectories as Trajectories
+    from kt3dmoseg.viewing import label as label
+    from kt3dmoseg.viewing import show as show
 
 # Public names and where they live; imported on first use so that `--help` stays fast.
 _PUBLIC = {
@@ -32,6 +34,8 @@ _PUBLIC = {
     "track": "tracking",
     "load_annotation": "annotate",
     "label_tracks": "annotate",
+    "show": "viewing",
+    "label": "viewing",
     "Trajectories": "types",
     "Labels": "types",
     "Camera": "types",

@@ -85,6 +85,22 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def listed(folder: Path) -> list[Path]:
+    """List what a person put into a folder, sorted; InputFileError for a link that leads nowhere.
+
+    Hidden files, as macOS's ``._000001.png``, and the ``__MACOSX`` of its zips are passed over.
+    """
+    try:
+        paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith((".", "__MACOSX"))]
+    except OSError as error:
+        raise InputFileError(f"{folder}: {error.strerror or error}") from error
+    for path in paths:
+        if path.is_symlink() and not path.exists():
+            found, fix = f"a link that leads nowhere ({path.readlink()})", "mend the link, or remove it"
+            raise InputFileError(f"{path}", expected="a file or folder", found=found, fix=fix)
+    return paths
+
+
 def check_target(path: str | os.PathLike[str]) -> None:
     """Raise InputFileError when a file cannot take this name: there is a folder, pipe or device."""
     target = Path(path)

@@ -16,17 +16,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import sha256_file, sha256_files
+from kt3dmoseg.files import listed, sha256_file, sha256_files
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
 from kt3dmoseg.io.images import (
+    IMAGE_SUFFIXES,
     Colour,
     frame_number,
     frame_paths,
     gray,
     has_pictures,
     numbered_pictures,
+    picture_size,
     read_frames,
 )
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 
 _DRIVE_FOLDERS = "????_??_??/*_drive_????_sync"
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})")
+_DAY_OR_DRIVE = re.compile(r"\d{4}_\d\d_\d\d(_drive_\d{4}_sync)?")
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,12 @@ class KittiClip:
             "sha256": sha256_files([self.drive.frame_path(n) for n in numbers]),
         }
         times, intrinsics = self.drive.timestamps(numbers), self.drive.K
+        calibrated, size = self.drive.image_size, picture_size(self.drive.frame_path(numbers[0]))
+        if calibrated != size:
+            expected, found = ("{}x{} px".format(*size), "{}x{}".format(*calibrated))
+            where = f"{self.drive.folder}: calibration of camera {camera}"
+            fix = "it is of another day, or the frames were resized or cropped"
+            raise FileFormatError(where, expected=f"{expected}, as the frames", found=found, fix=fix)
         return FrameInfo(numbers, description, times, Camera(f"image_{camera:02d}", intrinsics))
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
@@ -195,7 +204,7 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
     Raises
     ------
     InputFileError
-        When there is nothing of the kind.
+        When there is nothing of the kind, pictures lie next to folders of frames, or a link leads nowhere.
     FileFormatError
         When ``located.toml`` is no catalog.
     """
@@ -204,10 +213,11 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
         return [VideoFile(root)]
     if not root.is_dir():
         raise InputFileError(f"{root}", expected="frames, a video or a KITTI raw root", found="no such path")
-    if has_pictures(root):
+    if _is_clip(root):
         return [FrameFolder(root)]
-    inside = [path for path in sorted(root.iterdir()) if not path.name.startswith(".")]
+    inside = listed(root)
     found: list[FrameSource] = []
+    _check_level(root)
     if any(root.glob(_DRIVE_FOLDERS)):
         found += located_sources(root) or kitti_sources(root)
     else:
@@ -221,6 +231,32 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
             fix="give the folder that holds them",
         )
     return sorted(found, key=lambda source: source.name)
+
+
+def _is_clip(folder: Path) -> bool:
+    """Whether a folder's own pictures are the frames of a clip; InputFileError when others lie below it."""
+    if not has_pictures(folder):
+        return False
+    below = [path for path in listed(folder) if has_pictures(path)] or list(folder.glob(_DRIVE_FOLDERS))
+    if below:
+        stray = next(path for path in listed(folder) if path.suffix.lower() in IMAGE_SUFFIXES)
+        raise InputFileError(
+            f"{folder}",
+            expected="the frames of one clip, or one folder of frames per clip",
+            found=f"both: {stray.name} and {below[0].relative_to(folder)}",
+            fix="give the folder of one clip, or move one of them elsewhere",
+        )
+    return True
+
+
+def _check_level(folder: Path) -> None:
+    """Refuse a folder that is next to a KITTI raw root: its day or drive, or the folder that it lies in."""
+    inner = _DAY_OR_DRIVE.fullmatch(folder.resolve().name) is not None
+    near = folder.resolve().parents[:2] if inner else folder.iterdir()
+    root = next((path for path in near if any(path.glob(_DRIVE_FOLDERS))), None)
+    if root is not None:
+        found = "a folder inside of one" if inner else "the folder that it lies in"
+        raise InputFileError(f"{folder}", expected="a KITTI raw root", found=found, fix=f"give {root}")
 
 
 def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
@@ -352,7 +388,27 @@ def frames_of(clip: Clip, root: str | os.PathLike[str]) -> list[ByteArray]:
             expected=f"frames of {wanted[0]}x{wanted[1]} px, as in {clip.name}",
             found=f"{found[0]}x{found[1]}",
         )
+    check_frames(clip.provenance, clip.name, paths)
     return frames
+
+
+def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]) -> None:
+    """Raise InputFileError for frames other than those of a clip, whose provenance may hold their sha256."""
+    source, tracked = _source(provenance), provenance.get("frames")
+    wanted: object = None
+    found: object = None
+    if source.get("kind") in ("frames", "kitti"):
+        wanted, found = source.get("sha256"), sha256_files(paths)
+    elif isinstance(tracked, Mapping):  # of `track`, by name
+        wanted = [str(tracked[name]) for name in sorted(tracked, key=frame_number)]
+        found = [sha256_file(path) for path in paths]
+    if wanted not in (None, found):
+        raise InputFileError(
+            f"{paths[0].parent}",
+            expected=f"the frames that {clip} was made from",
+            found="pictures with other contents (by their sha256)",
+            fix="give the folder that the clip was made from",
+        )
 
 
 def _paths_of(clip: Clip, folder: Path) -> list[Path]:
@@ -364,11 +420,16 @@ def _paths_of(clip: Clip, folder: Path) -> list[Path]:
     return frame_paths(folder)
 
 
-def _kitti_source(clip: Clip) -> Mapping[str, Any]:
-    """Return the KITTI drive that a built clip comes from, as recorded in its file; empty for other clips."""
-    inputs = clip.provenance.get("inputs", clip.provenance.get("fingerprint"))  # its name in 0.1.0
+def _source(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what a built clip comes from, as recorded in its file; empty for other clips."""
+    inputs = provenance.get("inputs", provenance.get("fingerprint"))  # its name in 0.1.0
     source = inputs.get("source") if isinstance(inputs, Mapping) else None
-    return source if isinstance(source, Mapping) and source.get("kind") == "kitti" else {}
+    return source if isinstance(source, Mapping) else {}
+
+
+def _kitti_source(clip: Clip) -> Mapping[str, Any]:
+    source = _source(clip.provenance)
+    return source if source.get("kind") == "kitti" else {}
 
 
 @dataclass(frozen=True)
@@ -400,6 +461,9 @@ def find_clips(
     folders, files = _picture_folders(given), _clip_files(given)
     if tracks is not None:
         files = _clip_files(Path(tracks)) | files
+        if folders and not folders.keys() & files.keys():
+            expected = f"tracks of {', '.join(list(folders)[:3])}"
+            raise InputFileError(f"{tracks}", expected=expected, found=", ".join(list(files)[:3]) or "none")
     out = {}
     for name in sorted(folders or files):
         if name in folders:
@@ -414,9 +478,9 @@ def find_clips(
 
 
 def _picture_folders(path: Path) -> dict[str, Path]:
-    if has_pictures(path):
+    if _is_clip(path):
         return {path.resolve().name: path}
-    inside = sorted(path.iterdir()) if path.is_dir() else []
+    inside = listed(path) if path.is_dir() else []
     return {folder.name: folder for folder in inside if has_pictures(folder)}
 
 

@@ -18,16 +18,11 @@ from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.tracking.options import TrackOptions
 
 if TYPE_CHECKING:
-    from kt3dmoseg.annotate.server.clip_session import ClipSession
-    from kt3dmoseg.draw.painting import Painting
     from kt3dmoseg.frames import FrameSource
     from kt3dmoseg.pipeline import Outcome
-    from kt3dmoseg.types import ByteArray, Clip, Trajectories
 
 _ANNOTATIONS = Path("annotations")
 _FAILED = 2
-_PICTURE = ".png"
-_SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
 
 FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the optical flow; may be repeated.")]
 FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields here.")]
@@ -100,7 +95,7 @@ def build(
         sources = kitti_sources(frames, date=date, drive=drive, camera=camera, frames=range_, name=name)
     else:
         sources = find_sources(frames)
-    if annotations is None and _ANNOTATIONS.is_dir():
+    if annotations is None and any((_ANNOTATIONS / f"{source.name}.json").is_file() for source in sources):
         annotations = _ANNOTATIONS
     with _outcomes(len(sources)) as (progress, report):
         outcomes = build_dataset(
@@ -117,6 +112,8 @@ def build(
             **options,
         )
     _warn_of_empty(outcomes, options.get("min_length", TrackOptions.min_length))
+    if annotations != Path("none") and (annotations or masks or _ANNOTATIONS.is_dir()):
+        _warn_of_unlabelled(outcomes, annotations or masks or _ANNOTATIONS)
     return _sum_up(outcomes, output)
 
 
@@ -199,6 +196,13 @@ def _warn_of_empty(outcomes: list[Outcome], min_length: int | str) -> None:
         )
 
 
+def _warn_of_unlabelled(outcomes: list[Outcome], labels: Path) -> None:
+    names = [outcome.name for outcome in outcomes if outcome.status != "failed" and not outcome.labels]
+    if names:
+        shown = ", ".join(names[:9]) + (" ..." if len(names) > 9 else "")
+        print(f"kt3dmoseg: warning: nothing in {labels} labels {shown}", file=sys.stderr)
+
+
 @flags(TrackOptions)
 def track(
     frames: Annotated[Folder, Parameter(help="Folder of frames.")],
@@ -262,53 +266,22 @@ def label(
     CLIP is a folder of frames, a clip file (.h5, .mat), or a dataset: a folder with one of these per clip.
     The page opens on this machine only; annotations are saved to <clip>.json while you draw.
     """
-    from kt3dmoseg.annotate.server.app import serve
-    from kt3dmoseg.annotate.server.clip_session import ClipSession
-    from kt3dmoseg.annotate.server.routes import Routes
-    from kt3dmoseg.errors import InputFileError
-    from kt3dmoseg.flow import create
-    from kt3dmoseg.frames import find_clips
+    from kt3dmoseg.viewing import label
 
-    create(flow)
-    named = {"frames": frames, "tracks": tracks, "compare": compare, "masks": masks, "kitti": kitti}
-    for name, path in named.items():
-        if path is not None and not path.exists():
-            raise InputFileError(f"--{name} {path}", found="no such file or folder")
-
-    def tracker(pictures: Iterator[ByteArray], progress: Callable[[int, int | None], None]) -> Trajectories:
-        from kt3dmoseg.tracking import track
-
-        return track(pictures, flow=flow, progress=progress)
-
-    clips = find_clips(clip, annotations=annotations, frames=frames, tracks=tracks)
-    sessions = {name: ClipSession(source, tracker) for name, source in clips.items()}
-    if len(sessions) == 1:
-        _read_once(*sessions.values())
-    routes = Routes(sessions, annotator=annotator, other=compare, masks=masks, kitti=kitti)
-    found = f"{len(clips)} clip{'s' * (len(clips) > 1)}; annotations in {annotations.resolve()}"
-
-    def ready(address: str) -> None:
-        print(found)
-        print(f"label at {address}  (Ctrl-C stops)", flush=True)
-        if not no_browser:
-            import webbrowser
-
-            webbrowser.open(address)
-
-    serve(routes, host=host, port=port, ready=ready)
-
-
-def _read_once(session: ClipSession) -> None:
-    """Read the files of the only clip: what is wrong with them is reported here; of several, on the page."""
-    from collections import deque
-
-    from kt3dmoseg.io import load
-    from kt3dmoseg.io.images import read_frames
-
-    deque(read_frames(session.source.frames, "luma"), maxlen=0)
-    if session.source.tracks is not None:
-        load(session.source.tracks)
-    session.annotation()
+    label(
+        clip,
+        frames,
+        tracks=tracks,
+        annotations=annotations,
+        annotator=annotator,
+        compare=compare,
+        masks=masks,
+        kitti=kitti,
+        flow=flow,
+        host=host,
+        port=port,
+        no_browser=no_browser,
+    )
 
 
 @flags(DrawOptions)
@@ -336,75 +309,10 @@ def show(
     CLIP is any clip file. PATH is a folder (one PNG per frame), a single .png (of --at), or .mp4, .avi,
     .gif, .apng, .webp.
     """
-    from kt3dmoseg.draw.painting import draw_frame
-    from kt3dmoseg.errors import InvalidValueError
-    from kt3dmoseg.frames import frames_of
-    from kt3dmoseg.io import load
-    from kt3dmoseg.io.fields import check_name
-    from kt3dmoseg.options import from_mapping
+    from kt3dmoseg.viewing import show
 
-    chosen = from_mapping(DrawOptions, options)
-    if not _SLOWEST <= rate <= _FASTEST:  # nor NaN
-        expected = f"a number above 0, from {_SLOWEST:g} to {_FASTEST:g}"
-        raise InvalidValueError("--rate", expected=expected, found=f"{rate}")
-    loaded = load(clip)
-    check_name(loaded.name, f"{clip}: name")
-    target = _target(output or Path(loaded.name))
-    if not loaded.n_frames:
-        raise InvalidValueError(f"{clip}", expected="a clip with frames", found="none")
-    if at is not None and not 0 <= at < loaded.n_frames:
-        raise InvalidValueError("--at", expected=f"0..{loaded.n_frames - 1}", found=str(at))
-    painting = _painting(loaded, by, pred)
-    pictures = [] if frames is None else frames_of(loaded, frames)
-
-    def drawn(frame: int) -> ByteArray:
-        title = f"{loaded.name}  frame {frame + 1}/{loaded.n_frames}"
-        return draw_frame(painting, frame, pictures[frame] if pictures else None, title, chosen)
-
-    count = _write(loaded, target, at, rate, drawn)
-    print(f"{target}: {loaded.name}, {count} picture{'s' * (count > 1)}", file=sys.stderr)
-
-
-def _target(path: Path) -> Path:
-    """Refuse a suffix that nothing is written as, before anything is drawn."""
-    from kt3dmoseg.errors import InvalidValueError
-    from kt3dmoseg.io.video import MOVING_SUFFIXES
-
-    if not path.is_dir() and path.suffix.lower() not in ("", _PICTURE, *MOVING_SUFFIXES):
-        known = ", ".join((*MOVING_SUFFIXES, _PICTURE))
-        expected = f"a suffix of {known}, or none for a folder"
-        raise InvalidValueError(f"{path}", expected=expected, found=repr(path.suffix))
-    return path
-
-
-def _painting(clip: Clip, by: str | None, prediction: Path | None) -> Painting:
-    from kt3dmoseg.draw.painting import by_label, by_length, by_prediction
-    from kt3dmoseg.errors import InvalidValueError
-    from kt3dmoseg.io.predictions import read_prediction
-
-    by = by or ("prediction" if prediction else "label" if clip.n_motions else "length")
-    if by == "prediction":
-        if prediction is None:
-            raise InvalidValueError("--by prediction", expected="--pred FILE", found="none")
-        return by_prediction(clip, read_prediction(prediction, clip))
-    return by_label(clip, clip.labels.label, clip.labels.names) if by == "label" else by_length(clip.dense)
-
-
-def _write(clip: Clip, target: Path, at: int | None, rate: float, drawn: Callable[[int], ByteArray]) -> int:
-    """Write pictures or a video; return the number of pictures."""
-    from kt3dmoseg.io.video import write_moving, write_png
-
-    chosen = range(clip.n_frames) if at is None else [at]
-    suffix = "" if target.is_dir() else target.suffix.lower()
-    if suffix == _PICTURE:
-        write_png(target, drawn(clip.n_frames // 2 if at is None else at))
-        return 1
-    if suffix:
-        write_moving(target, map(drawn, chosen), rate)
-    else:
-        for frame in chosen:
-            write_png(target / f"{clip.name}_{frame + 1:06d}.png", drawn(frame))
-    return len(chosen)
+    report = partial(print, file=sys.stderr)
+    show(clip, frames, output=output, by=by, pred=pred, at=at, rate=rate, report=report, **options)
 
 
 def info(

@@ -58,10 +58,14 @@ def _parse(path: str | os.PathLike[str]) -> tuple[FloatArray, int, IntArray]:
     tokens = read_bytes(path, _MAX_FILE).split()
     try:
         numbers = np.array(tokens, dtype="S32").astype(np.float64) if tokens else np.zeros(0)
-    except ValueError as error:
-        raise FileFormatError(where, expected=f"numbers: {_LAYOUT}", found=str(error)) from None
+    except ValueError:
+        numbers = np.array([np.nan])
     if max(map(len, tokens), default=0) > 32 or not np.isfinite(numbers).all():
-        raise FileFormatError(where, expected="finite numbers of at most 32 digits", found="another token")
+        number, token = next((k, t) for k, t in enumerate(tokens, start=1) if not _is_finite(t))
+        expected = f"finite numbers of at most 32 digits: {_LAYOUT}"
+        raise FileFormatError(
+            f"{where}: value {number}", expected=expected, found=repr(token[:40].decode(errors="replace"))
+        )
     if len(numbers) < 2:
         raise FileFormatError(where, expected=_LAYOUT, found=f"{len(numbers)} numbers; the file is truncated")
     frames, count = (_integer(numbers[i], where, what) for i, what in enumerate(("nFrames", "nTracks")))
@@ -73,6 +77,13 @@ def _parse(path: str | os.PathLike[str]) -> tuple[FloatArray, int, IntArray]:
         expected, found = f"at most {limit} positions in this file", f"{frames} frames x {count} tracks"
         raise FileFormatError(f"{where}: nFrames", expected=expected, found=found)
     return numbers, frames, _tracks(numbers, count, where)
+
+
+def _is_finite(token: bytes) -> bool:
+    try:
+        return len(token) <= 32 and bool(np.isfinite(np.array(token).astype(np.float64)))
+    except ValueError:
+        return False
 
 
 def _tracks(numbers: FloatArray, count: int, where: str) -> IntArray:

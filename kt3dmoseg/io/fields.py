@@ -48,12 +48,18 @@ class Fields:
         full = value[..., None] if len(shape) == 3 and value.ndim == 2 else value
         fits = full.ndim == len(shape) and all(w in (None, n) for w, n in zip(shape, full.shape, strict=True))
         if not fits:
-            raise self.error(name, wanted or "one value", " x ".join(map(str, value.shape)) or "one value")
+            found = " x ".join(map(str, value.shape)) or "one value"
+            turned = full.ndim == len(shape) > 1 and {*shape} - {None} <= {*full.shape}
+            fix = f"is it transposed? it must be {wanted}" if turned else ""
+            raise self.error(name, wanted or "one value", found, fix)
         return full
 
-    def integers(self, name: str, shape: tuple[int | None, ...] | None, low: int, high: int) -> IntArray:
-        """Return whole numbers within bounds, as a vector."""
-        values = self.array(name, shape).astype(np.float64).ravel()
+    def integers(self, name: str, count: int, low: int, high: int) -> IntArray:
+        """Return so many whole numbers within bounds, from a row, a column or a vector."""
+        given = self.array(name)
+        if given.size != count or (given.size and given.size != max(given.shape, default=1)):
+            raise self.error(name, f"a vector of {count}", " x ".join(map(str, given.shape)) or "one value")
+        values = given.astype(np.float64).ravel()
         good = np.isfinite(values) & (values >= low) & (values <= high)
         good[good] &= values[good] == np.floor(values[good])
         if not good.all():
@@ -69,9 +75,9 @@ class Fields:
             raise self.error(name, "a text", _describe(value))
         return value
 
-    def error(self, name: str, expected: str, found: str) -> FileFormatError:
+    def error(self, name: str, expected: str, found: str, fix: str = "") -> FileFormatError:
         """Make the error that names the field."""
-        return FileFormatError(f"{self.prefix}{name}", expected=expected, found=found)
+        return FileFormatError(f"{self.prefix}{name}", expected=expected, found=found, fix=fix)
 
 
 def _describe(value: object) -> str:

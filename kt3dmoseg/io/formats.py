@@ -6,6 +6,7 @@ Reading recognises the content, writing goes by the suffix.
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -14,12 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.files import listed
 from kt3dmoseg.io.fields import clip_name, clip_values
 from kt3dmoseg.types import Clip
 
 _HEAD = 128
 _FIX = "is the file complete? fetch it, or write it, again"
-_PICKLE_FIX = "pickles run code when read; save the arrays with numpy.savez"
+_SAVE_MAT = "save it in MATLAB with the option '-v7'"
 
 
 @dataclass(frozen=True)
@@ -127,17 +129,43 @@ def recognise(file: Path) -> Format:
             head = stream.read(_HEAD)
     except OSError as error:
         raise InputFileError(f"{file}: {error.strerror or error}") from None
+    matlab = file.suffix.lower() == ".mat"
     for format in FORMATS:
-        if format.recognise(head):
+        if format.recognise(head) and not (matlab and format.name == "dat"):
             return format
     by_suffix = [f for f in FORMATS if f.suffix == file.suffix.lower()]
-    pickled = head[:1] == b"\x80" and head[1:2] in b"\x02\x03\x04\x05"
-    raise FileFormatError(
-        f"{file}",
-        expected=f"a clip ({', '.join(f.name for f in by_suffix or FORMATS)})",
-        found="a pickle" if pickled else f"a file that starts with {head[:8]!r}" if head else "an empty file",
-        fix=_PICKLE_FIX if pickled else _FIX,
-    )
+    expected = f"a clip ({', '.join(f.name for f in by_suffix or FORMATS)})"
+    found, fix = _foreign(head, matlab)
+    raise FileFormatError(f"{file}", expected=expected, found=found, fix=fix)
+
+
+def _foreign(head: bytes, matlab: bool) -> tuple[str, str]:
+    """Return what a file of no clip format is, by its first bytes, and what to do about it."""
+    text = head.lstrip().lower()
+    words = [word for word in text.split() if not _is_text_of_numbers(word)]
+    if not head:
+        return "an empty file", _FIX
+    if head[:1] == b"\x80" and head[1:2] in b"\x02\x03\x04\x05":
+        return "a pickle", "pickles run code when read; save the arrays with numpy.savez"
+    if text.startswith(b"version https://git-lfs"):
+        return "a Git LFS pointer", "fetch the file that it stands for: git lfs pull"
+    if text.startswith((b"<!doctype", b"<html")):
+        return "a web page", "fetch the file itself, not the page about it"
+    if matlab and _is_mat4(head):
+        return "a MATLAB version 4 MAT-file", _SAVE_MAT
+    if all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in head):
+        known = "a text file" + (f" with {words[0].decode()!r}" if words else "")
+        return known, _SAVE_MAT if matlab else ""
+    return f"a file that starts with {head[:8]!r}", _FIX
+
+
+def _is_mat4(head: bytes) -> bool:
+    """Whether five whole numbers are the header of a matrix: type, rows, columns, complex, length of name."""
+    for order in "<>" if len(head) >= 20 else "":
+        kind, rows, columns, complex_, name = struct.unpack(f"{order}5i", head[:20])
+        if 0 <= kind < 5000 and min(rows, columns) >= 0 and complex_ in (0, 1) and 1 < name <= 64:
+            return True
+    return False
 
 
 def check_regular(path: Path) -> None:
@@ -163,11 +191,7 @@ def _single_file(path: Path) -> Path:
 
 def clip_files(folder: Path) -> list[Path]:
     """List the files of a folder that have a clip's suffix, sorted; unfinished ones are hidden."""
-    return [
-        f
-        for f in sorted(folder.iterdir())
-        if f.suffix in CLIP_SUFFIXES and not f.name.startswith(".") and f.is_file()
-    ]
+    return [file for file in listed(folder) if file.suffix.lower() in CLIP_SUFFIXES and file.is_file()]
 
 
 def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:

@@ -100,10 +100,18 @@ def read(path: str | os.PathLike[str]) -> Clip:
 
 
 def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read only the provenance of a clip's file; `read` lists the errors."""
+    """Return only the provenance of a clip's file, after all its checksums are checked; raises as `read`."""
     where = os.fspath(path)
     with open_hdf5(where) as file:
         _check_version(file, where)
+        for inner in _ATTRIBUTES.values():
+            _attribute(file, inner, where)
+        for inner, dtype, ndim, _ in _DATASETS.values():
+            if inner in file:
+                dataset = _dataset(file, inner, where, dtype, ndim)
+                step = dataset.chunks[0] if dataset.chunks else max(1, len(dataset))
+                for first in range(0, len(dataset), step):  # a long clip fits into memory by chunks only
+                    dataset[first : first + step]
         return json_object(_text(file, "provenance", where) or "{}", f"{where}: provenance")
 
 
@@ -166,7 +174,7 @@ def _check_version(file: h5py.File, where: str) -> None:
         found = f"format {kind!r}" if kind else "another HDF5 file (no attribute 'format')"
         fix = "give a file that kt3dmoseg build, track or convert wrote"
         if "#refs#" in file or "Data" in file:
-            found, fix = "a MATLAB 7.3 MAT-file", "save it again in MATLAB with the option '-v7'"
+            found, fix = "a MATLAB 7.3 MAT-file (HDF5)", "save it again in MATLAB with the option '-v7'"
         raise FileFormatError(where, expected=f"a {FORMAT}", found=found, fix=fix)
     version = _integer(file, "version", where)
     if version is None or version < 1:
@@ -217,11 +225,21 @@ def open_hdf5(path: str) -> Iterator[h5py.File]:
     except (OSError, KeyError, RuntimeError, ValueError, TypeError, OverflowError, MemoryError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise InputFileError(f"{path}: {os.strerror(error.errno)}") from None
+        if "already open for" in str(error):
+            fix = "close it there; if that program was killed, 'h5clear -s FILE' frees the file"
+            found = "one that another program has open for writing"
+            raise InputFileError(path, expected="a finished file", found=found, fix=fix) from None
         raise FileFormatError(path, expected="an intact HDF5 file", found=f"damage: {error}") from None
 
 
 def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) -> npt.NDArray[Any]:
     """Read a dataset of known type and number of dimensions, stored in this very file within bounds."""
+    values = np.asarray(_dataset(file, name, where, dtype, ndim)[()], dtype=np.dtype(dtype))
+    values.flags.writeable = False  # a clip takes it as it is, without a copy
+    return values
+
+
+def _dataset(file: h5py.File, name: str, where: str, dtype: str, ndim: int) -> h5py.Dataset:
     field = f"{where}: {name}"
     dataset = _hard_linked(file, name, where)
     if not isinstance(dataset, h5py.Dataset):
@@ -232,9 +250,7 @@ def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) ->
         found = f"{dataset.dtype} with {dataset.ndim}"
         raise FileFormatError(field, expected=f"{wanted} with {ndim} dimensions", found=found)
     _check_storage(dataset, field)
-    values = np.asarray(dataset[()], dtype=wanted)
-    values.flags.writeable = False  # a clip takes it as it is, without a copy
-    return values
+    return dataset
 
 
 def _hard_linked(file: h5py.File, name: str, where: str) -> h5py.Group | h5py.Dataset:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import listed, read_bytes
 from kt3dmoseg.types import ByteArray, IntArray
 
 Colour: TypeAlias = Literal["refuse", "luma"]
@@ -28,10 +28,12 @@ _MAX_FILE = 1 << 28
 MAX_PIXELS = 1 << 26
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")  # none that runs another program
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
+_SIGNATURES = (_PNG, _JPEG, b"BM", b"RIFF", b"II*\0", b"MM\0*")
 _PLAIN_MODES = ("L", "RGB", "RGBA", "I;16", "I;16B", "I", "F")
 _CONVERSIONS = {"1": "L", "LA": "RGBA", "PA": "RGBA"}
 _DEEP = re.compile(r";16|^\('RGB', \d+\)$")  # the latter is PPM with a largest value other than 255
 _BITS = re.compile(r";(\d+)")
+_ORIENTATION = 0x0112  # of EXIF; 1 is upright
 # A marker before a segment, or the end; not the stuffed zeros and restarts within pixel data.
 _MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
 
@@ -65,15 +67,17 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
 
 def has_pictures(folder: Path) -> bool:
     """Whether a path is a folder with pictures in it."""
-    return folder.is_dir() and any(entry.suffix.lower() in IMAGE_SUFFIXES for entry in folder.iterdir())
+    return folder.is_dir() and any(path.suffix.lower() in IMAGE_SUFFIXES for path in listed(folder))
 
 
 def numbered_pictures(folder: Path) -> dict[int, Path]:
     """Return the pictures of a folder by number, in order; there may be gaps, but no number twice."""
     out: dict[int, Path] = {}
-    for file in sorted(folder.iterdir()):
-        if file.suffix.lower() not in IMAGE_SUFFIXES or not file.is_file():
+    for file in listed(folder):
+        if file.suffix.lower() not in IMAGE_SUFFIXES:
             continue
+        if not file.is_file():
+            raise FileFormatError(f"{file}", expected="a picture", found="a folder or device")
         number = frame_number(file)
         if number in out:
             where, found = f"{folder}: frame {number}", f"{out[number].name} and {file.name}"
@@ -89,6 +93,12 @@ def frame_number(path: str | os.PathLike[str]) -> int:
         expected, fix = "a name that ends in the frame's number, as 000001.png", "rename or remove the file"
         raise FileFormatError(os.fspath(path), expected=expected, found=Path(path).name, fix=fix)
     return int(found.group(1))
+
+
+def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Width and height of a picture; raises as `read_frame`."""
+    with _opened(read_bytes(path, _MAX_FILE), os.fspath(path)) as (image, _):
+        return image.size
 
 
 def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteArray:
@@ -123,8 +133,7 @@ def decode(content: bytes, where: str) -> npt.NDArray[Any]:
     FileFormatError when it is no picture, huge, cut short, or damaged as far as its format shows that.
     """
     with _opened(content, where) as (image, stored):
-        if not image.mode.startswith("I;16") and _DEEP.search(stored):
-            image.load()  # of 16-bit colours, Pillow keeps 8 bits
+        if not image.mode.startswith("I;16") and _DEEP.search(stored):  # of these, Pillow keeps 8 bits
             with quiet_opencv():
                 picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
             if picture is None:
@@ -180,17 +189,33 @@ def _opened(content: bytes, where: str) -> Iterator[tuple[Image.Image, str]]:
             if image.format == "PNG":
                 image.verify()  # the checksums, which decoding passes over
         with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-            yield image, str(image.tile[0].args) if image.tile else ""
+            stored = str(image.tile[0].args) if image.tile else ""
+            image.load()
+            _check_upright(image, where)
+            yield image, stored
     except FileFormatError:
         raise
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         found = str(error).partition("(")[2].partition(")")[0]
         raise FileFormatError(where, expected=f"at most {MAX_PIXELS} pixels", found=found) from None
     except UnidentifiedImageError:
-        found = f"{len(content)} bytes that are not" if content else "an empty file"
+        found = f"a file that starts with {content[:8]!r}" if content else "an empty file"
+        fix = fix if not content or content.startswith(_SIGNATURES) else ""
         raise FileFormatError(where, expected="a picture", found=found, fix=fix) from None
     except Exception as error:  # Pillow's readers raise anything on damaged files
         raise FileFormatError(where, expected="an intact picture", found=str(error), fix=fix) from None
+
+
+def _check_upright(image: Image.Image, where: str) -> None:
+    """Refuse a picture that browsers turn or mirror: points tracked in it would lie elsewhere."""
+    try:
+        orientation = image.getexif().get(_ORIENTATION, 1)
+    except Exception:  # whatever Pillow raises on damaged EXIF, which browsers pass over, too
+        return
+    if orientation in range(2, 9):
+        fix = "turn the pixels and remove the tag, as 'mogrify -auto-orient' does"
+        found = f"EXIF orientation {orientation}"
+        raise FileFormatError(where, expected="a picture stored upright", found=found, fix=fix)
 
 
 def _has_end(content: bytes) -> bool:

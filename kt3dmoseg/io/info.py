@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import listed, read_bytes
 from kt3dmoseg.io.flow_files import read_flow
 from kt3dmoseg.io.formats import check_regular, clip_files, dataset_paths, load, recognise
 from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures
@@ -117,9 +117,7 @@ def _tracks(tracks: Trajectories) -> dict[str, Any]:
 def _folder(folder: Path) -> dict[str, Any]:
     if has_pictures(folder):
         return {"kind": "frames", "folders": [_frames(folder, check=True)]}
-    subfolders = [
-        sub for sub in sorted(folder.iterdir()) if not sub.name.startswith(".") and has_pictures(sub)
-    ]
+    subfolders = [sub for sub in listed(folder) if has_pictures(sub)]
     if clip_files(folder) or not subfolders:
         return {"kind": "clips", "clips": [_clip(path) for path in dataset_paths(folder).values()]}
     folders = []

@@ -3,7 +3,7 @@
 The release, Hopkins12 and MTPV62 share a struct `Data`: `yAll` (3, N, F) and `ySparse` (3, n, F) are
 homogeneous pixels, (0, 0, 0) where invisible; `visibleAll` (N, F) and `visibleSparse` (n, F) show where they
 are; `SparseIndex` (n, 1) counts the evaluated rows of `yAll` from 1; `GtLabel` (n, 1) holds the motions, 0 an
-outlier.
+outlier. Only we write `Background`: the motion of the static scene where it is not 1, 0 when it is unknown.
 
 Hopkins155 (Tron and Vidal, CVPR 2007) has one ``<sequence>_truth.mat`` each: `y` (3, P, F) homogeneous
 pixels, `s` (P, 1) the motions from 1, `K` (3, 3) the matrix that normalised them, `width` and `height` of the
@@ -34,6 +34,7 @@ _TEXT = b"MATLAB 5.0 MAT-file, written by kt3dmoseg".ljust(116)
 _BACKGROUND = 1
 _DENSE = ("nAllPoints", "yAll", "visibleAll")
 _ALL_FIELDS = (*_DENSE, "nFrames", "nSparsePoints", "ySparse", "visibleSparse", "SparseIndex", "GtLabel")
+_MINE = "Background"
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
@@ -70,27 +71,30 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     if (size := 8 * values["yAll"].size) > MAX_BYTES:
         raise InvalidValueError("MAT-file", expected=f"at most {MAX_BYTES} bytes", found=f"{size}")
     buffer = io.BytesIO()
-    data = {name: values[name] for name in _wanted_fields(clip)}
+    fields = [name for name in _wanted_fields(clip) if name != _MINE]
+    data = {name: values[name] for name in fields}
+    if clip.labels.background != (_BACKGROUND if "yAll" in fields else None):
+        data[_MINE] = float(clip.labels.background or 0)
     savemat(buffer, {"Data": data}, do_compression=True)  # type: ignore[arg-type]  # a stream will do
     write_bytes(path, _TEXT + buffer.getvalue()[len(_TEXT) :])
 
 
 def _release(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
     fields = Fields(f"{os.fspath(path)}: Data.", data)
-    n, frames = fields.array("ySparse", (3, None, None)).shape[1:]
-    label = fields.integers("GtLabel", (n, 1), 0, 1 << 31)
+    n, frames = _layout(fields, "ySparse", "GtLabel")
+    label = fields.integers("GtLabel", n, 0, 1 << 31)
     sparse, sparse_visible = _points(fields, "ySparse", "visibleSparse")
     dense, visible, rows = sparse, sparse_visible, np.arange(n)
     if released := "yAll" in fields:
         count = fields.array("yAll", (3, None, frames)).shape[1]
         dense, visible = _points(fields, "yAll", "visibleAll")
-        rows = fields.integers("SparseIndex", (n, 1), 1, count) - 1
+        rows = fields.integers("SparseIndex", n, 1, count) - 1
         if not np.array_equal(dense[rows], sparse, equal_nan=True):
             raise fields.error("ySparse", "the rows SparseIndex of yAll", "other coordinates")
         if len(np.unique(rows)) != n:
             raise fields.error("SparseIndex", "rows each given once", "a row given twice")
     for name, actual in (("nFrames", frames), ("nSparsePoints", n), ("nAllPoints", len(dense))):
-        if name in fields and (stated := fields.integers(name, (1, 1), 0, 1 << 31)[0]) != actual:
+        if name in fields and (stated := fields.integers(name, 1, 0, 1 << 31)[0]) != actual:
             raise fields.error(name, f"{actual}, as the arrays hold", str(stated))
     provenance = origin(path, "mat-2018") | {"fields": list(data)}
     if isinstance(data.get("Name"), str):
@@ -101,21 +105,35 @@ def _release(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
         name=clip_name(path),
         dense=Trajectories(dense, visible),
         evaluated=rows,
-        labels=Labels(label, background=_BACKGROUND if released else None),
+        labels=Labels(label, background=_background(fields, _BACKGROUND if released else None)),
         provenance=provenance,
     )
 
 
+def _background(fields: Fields, default: int | None) -> int | None:
+    return int(fields.integers(_MINE, 1, 0, 1 << 31)[0]) or None if _MINE in fields else default
+
+
 def _hopkins(path: str | os.PathLike[str], variables: Mapping[str, Any]) -> Clip:
     fields = Fields(f"{os.fspath(path)}: ", variables)
+    _layout(fields, "y", "s")
     xy, visible = _points(fields, "y", "m")
-    for name, size in (("s", len(xy)), ("K", 9), ("width", 1), ("height", 1)):
+    for name, size in (("K", 9), ("width", 1), ("height", 1)):
         if fields.array(name).size != size:
             raise fields.error(name, f"{size} numbers", f"{fields.array(name).size}")
     image_size = (fields.array("width").item(), fields.array("height").item())
     dense = Trajectories(xy, visible, image_size=image_size)
     camera = Camera(K=fields.array("K").reshape(3, 3))
-    return clip_of_tracks(path, "hopkins155", dense, fields.integers("s", None, 0, 999), camera)
+    return clip_of_tracks(path, "hopkins155", dense, fields.integers("s", len(xy), 0, 999), camera)
+
+
+def _layout(fields: Fields, name: str, labels: str) -> tuple[int, int]:
+    """Return points and frames of homogeneous pixels (3, N, F), which must not be (3, F, N)."""
+    n, frames = fields.array(name, (3, None, None)).shape[1:]
+    if fields.array(labels).size == frames != n:
+        fix = f"permute its last two dimensions: there are {frames} {labels}"
+        raise fields.error(name, f"3 x {frames} points x {n} frames", f"3 x {n} x {frames}", fix)
+    return n, frames
 
 
 def _points(fields: Fields, name: str, mask: str) -> tuple[FloatArray, BoolArray]:
@@ -132,7 +150,7 @@ def _points(fields: Fields, name: str, mask: str) -> tuple[FloatArray, BoolArray
 
 def _wanted_fields(clip: Clip) -> Sequence[str]:
     given = clip.provenance.get("fields")
-    known = {*_ALL_FIELDS, "Name"}
+    known = {*_ALL_FIELDS, "Name", _MINE}
     if not isinstance(given, list) or not {"ySparse", "GtLabel"} <= set(given) <= known:
         return _ALL_FIELDS
     whole = np.array_equal(clip.evaluated, np.arange(len(clip.dense)))

@@ -3,7 +3,7 @@
 docs/formats.md lists the arrays of a clip, for those who have no HDF5. CoTracker: `pred_tracks`
 (1, F, N, 2) pixels with integers at pixel centres, `pred_visibility` (1, F, N) or (1, F, N, 1). TAP-Vid:
 `points` (N, F, 2) as fractions of width and height from the outer corner of the image, `occluded` (N, F),
-and `video` (F, H, W, C), of which only the size is read.
+and `video` (F, H, W, C), (F, C, H, W) or (F, H, W), of which only the size is read.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ _TEXTS = ("label_names", "camera_name", "provenance")
 KEYS = {"name", *_ARRAYS} - _OPTIONAL
 COTRACKER_KEYS = {"pred_tracks", "pred_visibility"}
 TAPVID_KEYS = {"points", "occluded", "video"}
+_CHANNELS = (1, 3, 4)
+_OUTSIDE = 0.05  # a tracker may follow a point a little over the border
+_FRACTION = 1.5  # a clip whose every coordinate is smaller is not in pixels
 _FREE = 1 << 24
 # A video of TAP-Vid may be large; it is not read.
 _LIMITS = ZipLimits(256, 1 << 32, 1 << 40, ratio=1100, free_bytes=_FREE)
@@ -163,17 +166,35 @@ def _cotracker(path: str | os.PathLike[str]) -> Clip:
     seen = fields.array("pred_visibility")
     if seen.shape not in (tracks.shape[:3], (*tracks.shape[:3], 1)):
         raise fields.error("pred_visibility", f"shape {tracks.shape[:3]}", f"{seen.shape}")
+    if not ((seen >= 0) & (seen <= 1)).all():
+        raise fields.error("pred_visibility", "0 to 1", f"{seen.min():g} to {seen.max():g}")
     visible = seen.reshape(tracks.shape[1:3]).T > 0.5
-    return _tracks(path, "cotracker", np.swapaxes(tracks[0], 0, 1), visible)
+    xy = np.swapaxes(tracks[0], 0, 1)
+    if visible.any() and (farthest := np.abs(xy[visible]).max()) <= _FRACTION:
+        fix = "multiply fractions by width and height, and subtract 0.5"
+        raise fields.error("pred_tracks", "pixels", f"at most {farthest:g}", fix)
+    return _tracks(path, "cotracker", xy, visible)
 
 
 def _tapvid(path: str | os.PathLike[str], video: tuple[int, ...]) -> Clip:
     fields = Fields(f"{os.fspath(path)}: ", read_npz(path, TAPVID_KEYS - {"video"}))
     points = fields.array("points", (None, None, 2))
     occluded = fields.array("occluded", points.shape[:2])
-    if len(video) != 4 or video[0] != points.shape[1]:
-        raise fields.error("video", f"{points.shape[1]} frames, (F, H, W, C)", f"video of shape {video}")
-    height, width = video[1:3]
+    if len(video) not in (3, 4) or video[0] != points.shape[1]:
+        fix = "swap tracks and frames of points and occluded" if video[:1] == points.shape[:1] else ""
+        expected = f"{points.shape[1]} frames (F, H, W, C), as points (N, F, 2) have"
+        raise fields.error("video", expected, f"video of shape {video}, points {points.shape}", fix)
+    if len(video) == 4 and not {video[1], video[3]} & {*_CHANNELS}:
+        raise fields.error("video", "1, 3 or 4 channels, (F, H, W, C) or (F, C, H, W)", f"shape {video}")
+    channels_first = len(video) == 4 and video[3] not in _CHANNELS
+    height, width = video[2:4] if channels_first else video[1:3]
+    if not np.isin(occluded, (0, 1)).all():
+        raise fields.error("occluded", "0 or 1", f"{occluded.min():g} to {occluded.max():g}")
+    seen = points[occluded == 0]
+    low, high = seen.min(initial=0), seen.max(initial=0)
+    if low < -_OUTSIDE or high > 1 + _OUTSIDE:
+        fix = "of pixels, add 0.5 and divide by width and height"
+        raise fields.error("points", "fractions of width and height, 0 to 1", f"{low:g} to {high:g}", fix)
     pixels = points.astype(np.float64) * (width, height) - 0.5
     return _tracks(path, "tap-vid", pixels, occluded == 0, (width, height))
 

@@ -177,7 +177,12 @@ class RawDrive(Calibration):
             names = [path.name for path in folder.iterdir()]
         except OSError as error:
             raise InputFileError(f"{folder}: {error.strerror or error}", fix=_FIX) from None
-        return np.array(sorted(n for n in map(frame_number, names) if n is not None), dtype=np.int64)
+        numbers = sorted(n for n in map(frame_number, names) if n is not None)
+        if names and not numbers:
+            fix = "fetch them with kt3dmoseg pull; converted frames are built as a plain folder of frames"
+            expected = "KITTI's frames, 0000000000.png"
+            raise FileFormatError(f"{folder}", expected=expected, found=min(names), fix=fix)
+        return np.array(numbers, dtype=np.int64)
 
     def frame_path(self, number: int) -> Path:
         """Return the path of one frame.

@@ -17,7 +17,7 @@ import kt3dmoseg
 from kt3dmoseg import pipeline, tracking
 from kt3dmoseg.annotate import label_tracks, load_annotation
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import sha256_file, sha256_files
+from kt3dmoseg.files import listed, sha256_file, sha256_files
 from kt3dmoseg.flow import Flow, backend_identity, create
 from kt3dmoseg.frames import FrameSource, find_sources
 from kt3dmoseg.io import hdf5
@@ -99,17 +99,27 @@ def build_clip(
             number, fix = f"{len(found)}", "build_dataset builds many"
             raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
         source = found[0]
-    check_label_paths(annotation, masks)
+    check_label_paths([source.name], annotation, masks)
     return Job(source, label_files(source.name, annotation, masks), settings).build(cache, progress)
 
 
 def check_label_paths(
-    annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
+    names: Sequence[str], annotation: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
 ) -> None:
-    """Raise an `InputFileError` when a path of annotations or masks does not exist."""
+    """Raise an `InputFileError` when annotations or masks do not exist, or annotations are of no clip."""
     for given, what in ((annotation, "annotations"), (masks, "masks")):
         if given is not None and not Path(given).exists():
             raise InputFileError(f"{given}", expected=what, found="no such file or folder")
+    if annotation is None or masks is not None:
+        return
+    folder = Path(annotation)
+    if folder.is_dir() and not any((folder / f"{name}.json").is_file() for name in names):
+        files = [path.name for path in listed(folder) if path.suffix.lower() == ".json"]
+        expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
+        fix = "rename it to the clip, or give --annotations none (annotations=None) for no labels"
+        raise InputFileError(
+            f"{folder}", expected=expected, found=", ".join(files[:3]) or "no annotation", fix=fix
+        )
 
 
 def label_files(
@@ -179,7 +189,11 @@ class Job:
         if isinstance(self.source, SyntheticDrive):
             return self.source.label(dense)
         if annotation := self.labels.get("annotation"):
-            return label_tracks(dense, load_annotation(annotation[0]))
+            found = load_annotation(annotation[0])
+            if found.clip != self.source.name:
+                where, fix = f"{annotation[0]}: clip", "annotations are of one clip each"
+                raise InputFileError(where, expected=repr(self.source.name), found=repr(found.clip), fix=fix)
+            return label_tracks(dense, found)
         if masks := self.labels.get("masks"):
             return label_by_masks(dense, by_frame(masks, numbers.tolist(), self.source.name))
         return None

@@ -37,6 +37,8 @@ class Outcome:
         Its file.
     counts : mapping of str to int
         Frames, trajectories, evaluated and motions of a clip that was built.
+    labels : {"annotation", "masks", ""}
+        What it is labelled by.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Outcome:
     reason: str
     path: Path
     counts: Mapping[str, int]
+    labels: str = ""
 
 
 def build_dataset(
@@ -75,7 +78,7 @@ def build_dataset(
         Folder of the files ``<clip>.h5``.
     annotations, masks : path, optional
         Folders that labels come from, ``<clip>.json`` or ``<clip>/*.png``; a clip without stays
-        unlabelled.
+        unlabelled, but one clip at least must have some.
     workers : int, optional
         Number of processes; by default one per core. Each computes with one thread.
     dask : str
@@ -99,8 +102,8 @@ def build_dataset(
     Raises
     ------
     InputFileError
-        When `frames` holds nothing, `annotations` do not exist, `masks` hold none of any clip, or
-        `output` cannot be written or is being built by another process.
+        When `frames` holds nothing, `annotations` or `masks` hold none of any clip, or `output` cannot be
+        written or is being built by another process.
     InvalidValueError, UnknownNameError
         For a bad option.
     MissingDependencyError
@@ -109,7 +112,7 @@ def build_dataset(
     settings = Settings.of(options, flow_parameters)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     _check_names(sources)
-    check_label_paths(annotations, masks)
+    check_label_paths([source.name for source in sources], annotations, masks)
     _check_masks(sources, masks)
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))
@@ -141,10 +144,11 @@ class _Build:
         cv2.setNumThreads(1)  # also with one worker, which is the calling process
         name, target = source.name, self.output / f"{source.name}.h5"
         try:
-            job = Job(source, label_files(name, self.annotations, self.masks), self.settings)
+            files = label_files(name, self.annotations, self.masks)
+            job, labels = Job(source, files, self.settings), "".join(files)
             reason = reason_to_build(target, job.inputs, force=self.force)
             if not reason:
-                return Outcome(name, "up to date", "", target, {})
+                return Outcome(name, "up to date", "", target, {}, labels)
             clip = job.build(self.cache, lambda done, total: progress(name, done, total))
             for partial in self.output.glob(f".{target.name}.*.part"):  # of a build that was killed
                 partial.unlink(missing_ok=True)
@@ -155,7 +159,7 @@ class _Build:
             return Outcome(name, "failed", str(error), target, {})
         sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
         counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
-        return Outcome(name, "built", reason, target, counts)
+        return Outcome(name, "built", reason, target, counts, labels)
 
     def lost(self, source: FrameSource, reason: str) -> Outcome:
         advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"

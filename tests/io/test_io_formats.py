@@ -97,7 +97,7 @@ def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path):
     ("content", "words"),
     [
         (b"", "empty file; is the file complete"),
-        (b"<html>not found</html>", "starts with"),
+        (b"<html>not found</html>", "a web page; fetch the file itself"),
         (pickle.dumps({"video": 1}), "a pickle.*savez"),
     ],
 )

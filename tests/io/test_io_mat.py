@@ -116,7 +116,7 @@ def _release(**changes):
     [
         ({"K": None}, "K: expected numbers, found only height, s, width, y"),
         ({"K": np.eye(2)}, "K: expected 9 numbers, found 4"),
-        ({"s": np.array([[1], [2], [1]])}, "s: expected 2 numbers, found 3"),
+        ({"s": np.array([[1], [2], [1]])}, "s: expected a vector of 2, found 3 x 1"),
         ({"s": np.array([[1], [1.5]])}, "s: expected whole numbers"),
         ({"y": np.zeros((3, 2, 4))}, r"y: expected finite \(x, y, 1\)"),
         ({"width": "wide"}, "width: expected numbers, found a text"),
@@ -148,7 +148,7 @@ def test_files_of_other_writers_are_read(compressed, tmp_path):
     [
         ({"GtLabel": None}, "struct Data with ySparse and GtLabel.*fields"),
         ({"GtLabel": np.array([[1.0], [2.5]])}, r"Data\.GtLabel: expected whole numbers"),
-        ({"GtLabel": np.array([[1.0]])}, r"Data\.GtLabel: expected 2 x 1, found 1 x 1"),
+        ({"GtLabel": np.array([[1.0]])}, r"Data\.GtLabel: expected a vector of 2, found 1 x 1"),
         ({"SparseIndex": np.array([[0.0], [3.0]])}, r"Data\.SparseIndex: expected whole numbers 1\.\.3"),
         ({"SparseIndex": np.array([[1.0], [4.0]])}, r"Data\.SparseIndex"),
         ({"SparseIndex": np.array([[1.0], [2.0]])}, r"Data\.ySparse: expected the rows SparseIndex"),

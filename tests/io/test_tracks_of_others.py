@@ -1,0 +1,277 @@
+"""Files of trajectories as other programs write them: read rightly, or refused by name."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+from io_clips import small_clip
+
+import kt3dmoseg
+from kt3dmoseg.cli import main
+from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.io import hdf5, load, save
+from kt3dmoseg.types import Clip, Labels, Trajectories
+
+WIDTH, HEIGHT, FRAMES, COUNT = 320, 240, 8, 30
+
+
+@pytest.fixture
+def xy(rng):
+    return rng.uniform(40, 200, (COUNT, FRAMES, 2))
+
+
+def fractions(xy):
+    return (xy + 0.5) / (WIDTH, HEIGHT)
+
+
+def tapvid(path, points, video=(FRAMES, HEIGHT, WIDTH, 3), occluded=None):
+    occluded = np.zeros(np.shape(points)[:2], bool) if occluded is None else occluded
+    np.savez_compressed(path, points=points, occluded=occluded, video=np.zeros(video, np.uint8))
+    return path
+
+
+@pytest.mark.parametrize(
+    "video",
+    [
+        (FRAMES, HEIGHT, WIDTH, 3),
+        (FRAMES, 3, HEIGHT, WIDTH),
+        (FRAMES, HEIGHT, WIDTH, 4),
+        (FRAMES, 1, HEIGHT, WIDTH),
+        (FRAMES, HEIGHT, WIDTH),
+    ],
+)
+def test_tapvid_fractions_become_pixels_whatever_the_layout_of_the_video(xy, tmp_path, video):
+    clip = load(tapvid(tmp_path / "points.npz", fractions(xy), video))
+    np.testing.assert_allclose(clip.dense.xy, xy)
+    assert clip.dense.image_size == (WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda xy: xy, r"points: expected fractions of width and height, 0 to 1, found .*pixels"),
+        (lambda xy: 2 * fractions(xy) - 1, "expected fractions of width and height, 0 to 1, found -"),
+        (lambda xy: xy / 100, "0 to 1, found"),
+    ],
+    ids=["pixels", "from -1 to 1", "another scale"],
+)
+def test_tapvid_points_that_are_no_fractions_are_refused(xy, tmp_path, make, message):
+    with pytest.raises(FileFormatError, match=message):
+        load(tapvid(tmp_path / "points.npz", make(xy)))
+
+
+def test_tapvid_arrays_in_another_order_are_refused(xy, tmp_path):
+    points, path = fractions(xy), tmp_path / "points.npz"
+    with pytest.raises(FileFormatError, match="swap tracks and frames of points and occluded"):
+        load(tapvid(path, points.swapaxes(0, 1)))
+    for video in ((1, FRAMES, 3, HEIGHT, WIDTH), (FRAMES, HEIGHT, WIDTH, 7), (FRAMES - 1, HEIGHT, WIDTH, 3)):
+        with pytest.raises(FileFormatError, match=r"points\.npz: video: expected"):
+            load(tapvid(path, points, video))
+    with pytest.raises(FileFormatError, match="occluded: expected 0 or 1, found -3"):
+        load(tapvid(path, points, occluded=np.linspace(-3, 3, COUNT * FRAMES).reshape(COUNT, FRAMES)))
+
+
+def test_a_point_a_little_over_the_border_is_no_pixel(xy, tmp_path):
+    xy[0, 0] = -2, HEIGHT + 2
+    np.testing.assert_allclose(load(tapvid(tmp_path / "points.npz", fractions(xy))).dense.xy, xy)
+
+
+def cotracker(path, tracks, visibility=None):
+    visibility = np.ones(tracks.shape[:2]) if visibility is None else visibility
+    np.savez(path, pred_tracks=tracks.swapaxes(0, 1)[None], pred_visibility=visibility.T[None])
+    return path
+
+
+def test_cotracker_needs_pixels_and_probabilities(xy, tmp_path):
+    path = tmp_path / "tracks.npz"
+    np.testing.assert_array_equal(load(cotracker(path, xy)).dense.xy, xy)
+    for tracks in (fractions(xy), 2 * fractions(xy) - 1):
+        with pytest.raises(FileFormatError, match="pred_tracks: expected pixels, found at most"):
+            load(cotracker(path, tracks))
+    with pytest.raises(FileFormatError, match="pred_visibility: expected 0 to 1, found -4 to 4"):
+        load(cotracker(path, xy, np.linspace(-4, 4, COUNT * FRAMES).reshape(COUNT, FRAMES)))
+
+
+@pytest.fixture
+def release(xy):
+    rows = np.arange(1, COUNT, 3)
+    homogeneous = np.concatenate([xy, np.ones((COUNT, FRAMES, 1))], axis=2).transpose(2, 0, 1)
+    data = {"yAll": homogeneous, "visibleAll": np.ones((COUNT, FRAMES)), "ySparse": homogeneous[:, rows - 1]}
+    data |= {"visibleSparse": np.ones((len(rows), FRAMES)), "SparseIndex": rows, "GtLabel": 1 + rows % 2}
+    return data | {"nFrames": FRAMES, "nAllPoints": COUNT, "nSparsePoints": len(rows)}
+
+
+@pytest.mark.parametrize("turn", [np.ravel, lambda v: v[:, None], lambda v: v[None]])
+def test_vectors_of_a_mat_file_may_be_rows_or_columns(release, xy, tmp_path, turn):
+    changed = {name: turn(release[name]) for name in ("SparseIndex", "GtLabel")}
+    scipy.io.savemat(tmp_path / "clip.mat", {"Data": release | changed})
+    clip = load(tmp_path / "clip.mat")
+    np.testing.assert_array_equal(clip.dense.xy, xy)
+    np.testing.assert_array_equal(clip.evaluated, release["SparseIndex"] - 1)
+    np.testing.assert_array_equal(clip.labels.label, release["GtLabel"])
+
+
+def test_vectors_of_hopkins_may_be_rows(xy, tmp_path):
+    y = np.concatenate([xy, np.ones((COUNT, FRAMES, 1))], axis=2).transpose(2, 0, 1)
+    fields = {"y": y, "s": np.ones((1, COUNT)), "K": np.eye(3), "width": WIDTH, "height": HEIGHT}
+    scipy.io.savemat(tmp_path / "a_truth.mat", fields)
+    np.testing.assert_array_equal(load(tmp_path / "a_truth.mat").dense.xy, xy)
+    scipy.io.savemat(tmp_path / "a_truth.mat", fields | {"y": y.swapaxes(1, 2)})
+    with pytest.raises(
+        FileFormatError, match="y: expected 3 x 30 points x 8 frames, found 3 x 8 x 30; permute"
+    ):
+        load(tmp_path / "a_truth.mat")
+
+
+@pytest.mark.parametrize(
+    ("name", "order", "message"),
+    [
+        ("ySparse", (1, 0, 2), "ySparse: expected 3 x any x any, found 10 x 3 x 8; is it transposed"),
+        ("yAll", (2, 1, 0), "yAll: expected 3 x any x 8, found 8 x 30 x 3; is it transposed"),
+        ("yAll", (0, 2, 1), "yAll: expected 3 x any x 8, found 3 x 8 x 30"),
+        ("visibleAll", (1, 0), "visibleAll: expected 30 x 8, found 8 x 30; is it transposed"),
+        ("GtLabel", None, "GtLabel: expected a vector of 10, found 2 x 5"),
+    ],
+)
+def test_matrices_in_another_order_are_refused_with_their_shape(release, tmp_path, name, order, message):
+    value = release[name]
+    changed = value.reshape(2, 5) if order is None else value.transpose(order)
+    scipy.io.savemat(tmp_path / "clip.mat", {"Data": release | {name: changed}})
+    with pytest.raises(FileFormatError, match=message):
+        load(tmp_path / "clip.mat")
+
+
+def test_everything_with_points_and_frames_swapped_is_refused(release, tmp_path):
+    names = ("yAll", "ySparse", "visibleAll", "visibleSparse")
+    swapped = {name: release[name].swapaxes(-1, -2) for name in names}
+    kept = {name: release[name] for name in ("SparseIndex", "GtLabel")}
+    scipy.io.savemat(tmp_path / "clip.mat", {"Data": swapped | kept})
+    with pytest.raises(FileFormatError, match="ySparse: expected 3 x 10 points x 8 frames, found 3 x 8 x 10"):
+        load(tmp_path / "clip.mat")
+
+
+def test_older_and_newer_mat_files_texts_and_pages_are_named(tmp_path):
+    path = tmp_path / "clip.mat"
+    scipy.io.savemat(path, {"y": np.ones((3, 4))}, format="4")
+    refused(path, "a MATLAB version 4 MAT-file; save it in MATLAB with the option '-v7'")
+    path.write_bytes(struct.pack(">5i", 1000, 2, 2, 0, 2) + b"y\0" + bytes(32))
+    refused(path, "version 4")
+    path.write_text("  1.0e+00  2.0e+00\n")  # save -ascii
+    refused(path, "a text file; save it in MATLAB with the option '-v7'")
+    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
+    refused(path, "version 7.3 .*'-v7'")
+    with h5py.File(path, "w") as file:
+        file["Data/yAll"] = np.ones(3)
+    refused(path, "a MATLAB 7.3 MAT-file .*'-v7'")
+    path.write_text("<!DOCTYPE html><html>moved</html>")
+    refused(path, "a web page; fetch the file itself")
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\n")
+    refused(path, "a Git LFS pointer; .*git lfs pull")
+
+
+def refused(path, message):
+    with pytest.raises(FileFormatError, match=message) as caught:
+        load(path)
+    assert "is the file complete" not in str(caught.value)
+
+
+def test_only_damage_is_answered_with_fetch_it_again(tmp_path):
+    (tmp_path / "clip.h5").write_bytes(b"")
+    with pytest.raises(FileFormatError, match="an empty file; is the file complete"):
+        load(tmp_path / "clip.h5")
+    (tmp_path / "tracks.dat").write_text("track x y")
+    refused(tmp_path / "tracks.dat", "a text file with 'track'")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("2\n1\n1 1\n0.5 nan 0\n", "a text file with 'nan'"),
+        ("2\n1\n1 1\n0.5 1.2.3 0\n", r"value 6: .* found '1\.2\.3'"),
+        ("2\n1\n1 1\n0.5 " + "9" * 400 + " 0\n", "value 6: expected finite numbers of at most 32 digits"),
+        ("2\n1\n1 1\n0.5 1e999 0\n", "value 6: .* found '1e999'"),
+        ("2\n1\n1 1\n0.5 --- 0\n", "value 6: .* found '---'"),
+    ],
+)
+def test_a_bad_number_in_a_text_is_shown(tmp_path, text, message):
+    (tmp_path / "tracks.dat").write_text(text)
+    with pytest.raises(FileFormatError, match=message):
+        load(tmp_path / "tracks.dat")
+
+
+@pytest.mark.parametrize("background", [1, 2, None])
+@pytest.mark.parametrize("suffix", [".h5", ".mat", ".npz", ".dat"])
+def test_the_background_keeps_its_motion_number_or_is_reported(tmp_path, capsys, xy, background, suffix):
+    label = np.arange(COUNT) % 3
+    clip = Clip(
+        "clip", Trajectories(xy, np.ones(xy.shape[:2], bool)), np.arange(COUNT), Labels(label, background)
+    )
+    save(clip, tmp_path / "clip.h5")
+    target = tmp_path / f"other{suffix}"
+    assert main(["convert", str(tmp_path / "clip.h5"), str(target)]) == 0
+    found, lost = load(target).labels, "which label is the background" in capsys.readouterr().err
+    np.testing.assert_array_equal(found.label, label)
+    assert (found.background, lost) in [(background, False), (None, background is not None)]
+    assert suffix == ".dat" or found.background == background
+    again = tmp_path / "again.mat"
+    assert main(["convert", str(target), str(again)]) == 0
+    assert load(again).labels.background == found.background
+
+
+_OPEN = """
+import h5py, sys
+with h5py.File(sys.argv[1], "r+") as file:
+    print("open", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def test_a_file_that_another_program_writes_is_called_open_not_damaged(tmp_path, capsys):
+    path = tmp_path / "clip.h5"
+    save(small_clip(), path)
+    command = [sys.executable, "-c", _OPEN, str(path)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as other:
+        assert other.stdout.readline() == "open\n"
+        with pytest.raises(
+            InputFileError, match="expected a finished file, found one that another program has open"
+        ):
+            load(path)
+        assert main(["info", str(path)]) == 2
+        assert "damage" not in capsys.readouterr().err
+        other.communicate("\n")
+    assert load(path).name == "tiny"
+
+
+def test_every_flipped_bit_of_the_content_is_noticed_before_a_file_counts_as_up_to_date(tmp_path, rng):
+    path = tmp_path / "clip.h5"
+    save(small_clip(), path)
+    content, intact = path.read_bytes(), dict(small_clip().provenance)
+    assert hdf5.provenance(path) == intact
+    noticed = 0
+    for at in rng.integers(0, len(content), 60):
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            found = hdf5.provenance(path)
+        except (FileFormatError, InputFileError):
+            noticed += 1
+        else:  # an unused byte
+            assert found == intact
+            assert repr(load(path)) == repr(small_clip("tiny"))
+            np.testing.assert_array_equal(load(path).dense.xy, small_clip().dense.xy)
+    assert noticed > 30
+
+
+def test_links_that_lead_nowhere_are_no_missing_clips(tmp_path):
+    save(small_clip(), tmp_path / "data" / "a.h5")
+    (tmp_path / "data" / "b.h5").symlink_to(tmp_path / "gone.h5")
+    with pytest.raises(InputFileError, match=r"b\.h5: expected .* found a link that leads nowhere"):
+        kt3dmoseg.load_dataset(tmp_path / "data")
