@@ -23,7 +23,7 @@ from kt3dmoseg.files import hold_folder, parse_json, read_bytes, write_bytes, wr
 from kt3dmoseg.kitti.http import AbsentError, Client, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.raw import LOCATED
-from kt3dmoseg.kitti.remote_zip import LARGEST_FILE, Archive
+from kt3dmoseg.kitti.remote_zip import LARGEST_FILE, Archive, DamagedError
 
 _COMMENT = """Frame numbers of clips in KITTI raw drives, and how they were proved.
 Written by kt3dmoseg locate and pull; pull starts from them."""
@@ -127,6 +127,11 @@ class TargetFolder:
         """Where something about an archive is kept: its ``directory``, or the ``zip`` when all of it came."""
         return self.state / f"{PurePosixPath(url).stem}.{zlib.crc32(url.encode()):08x}.{suffix}"
 
+    def downloaded(self, url: str) -> int:
+        """Bytes that are here of a whole zip, from an interrupted download."""
+        part = self.path_for(url, "part")
+        return part.stat().st_size if part.is_file() else 0
+
     def drop_zips(self) -> None:
         """Remove downloaded zips, and parts of them; everything wanted is on disk."""
         for path in [*self.state.glob("*.zip"), *self.state.glob("*.part")]:
@@ -166,11 +171,10 @@ class Server:
         self._base, self._client, self._target = address.rstrip("/"), client, target
 
     def open(self, packed: Packed, *, again: bool = False) -> Archive:
-        """Open a zip; `again` reads a directory once more that is kept, and may be damaged."""
+        """Open a zip; with `again`, what is kept of it may be damaged and is fetched once more."""
         url = f"{self._base}/{packed.zip}"
-        copy = self._target.path_for(url, "zip")
-        if copy.is_file():
-            return Archive.on_disk(copy)
+        if copy := self._copy(url, again=again):
+            return copy
         try:
             known = None if again else self._target.directory(url)
             size, tail = known or (self._client.size(url), b"")
@@ -190,17 +194,35 @@ class Server:
             self._target.keep_directory(url, *archive.directory)
         return archive
 
+    def _copy(self, url: str, *, again: bool) -> Archive | None:
+        """Open the whole zip of an earlier download; one that is not intact is removed."""
+        path = self._target.path_for(url, "zip")
+        try:
+            if path.is_file() and not again:
+                return Archive.on_disk(path)
+        except FileFormatError:
+            pass
+        if not self._target.frozen:
+            path.unlink(missing_ok=True)
+        return None
+
     def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:
-        """Download all of a zip whose server ignores ranges, resuming what is there of it."""
+        """Download all of a zip whose server ignores ranges, resuming what is there of it.
+
+        DamagedError when it is not intact then; it is removed.
+        """
         copy = self._target.path_for(url, "zip")
         part = copy.with_suffix(".part")
         part.parent.mkdir(parents=True, exist_ok=True)
         self._client.download(url, part, progress)
         try:
-            self._target.keep_directory(url, *Archive.on_disk(part).directory)
-        except FileFormatError:
+            archive = Archive.on_disk(part)
+            for _ in archive.read(name for name, size in archive.sizes.items() if size <= LARGEST_FILE):
+                pass  # every file has its checksum
+        except FileFormatError as error:
             part.unlink(missing_ok=True)
-            raise
+            raise DamagedError(error.where, expected=error.expected, found=error.found) from None
+        self._target.keep_directory(url, *archive.directory)
         part.replace(copy)
         return Archive.on_disk(copy)
 

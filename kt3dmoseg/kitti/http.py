@@ -1,21 +1,24 @@
 """Bytes over a bad network: ranged requests that resume, retry, and are bounded.
 
-All faults of a server are handled here: dropped connections, 5xx, stalled and slow
-bodies, wrong lengths, wrong ranges, ignored ranges, redirects. What arrives in the wrong *content* is
-found by the readers above, which hold checksums. Most faults show in the body, which `urllib3.Retry` does not
-read; one loop of ours counts them all.
+All faults of a server are handled here: dropped connections, 5xx, stalled and slow headers and
+bodies, wrong lengths, wrong ranges, ignored ranges, redirects, files that change. What arrives in the wrong
+*content* is found by the readers above, which hold checksums. Most faults show in the body, which
+`urllib3.Retry` does not read; one loop of ours counts them all.
 """
 
 from __future__ import annotations
 
+import queue
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urljoin
 
 from tqdm import tqdm
 
@@ -81,8 +84,8 @@ class Client:
             ) from None
         self._options, self._traffic = options or Origin(), traffic or Traffic()
         self.sizes: dict[str, int] = {}
+        self._versions: dict[str, str] = {}  # what If-Range asks for: a strong ETag, else Last-Modified
         self._session = requests.Session()
-        self._session.max_redirects = _REDIRECTS
         self._session.headers["Accept-Encoding"] = "identity"  # so that lengths are those of the file
 
     def close(self) -> None:
@@ -91,7 +94,7 @@ class Client:
 
     def size(self, url: str) -> int:
         """Request the size of a file, with its first byte."""
-        self.sizes.pop(url, None)
+        self._forget(url)
         for _ in self.chunks(url, 0, 1):
             pass
         return self.sizes[url]
@@ -104,18 +107,31 @@ class Client:
         """Append to `path` what it lacks of a file, from a server that may ignore ranges.
 
         A part that is there already, from an interrupted download, is kept: the rest is requested, and
-        where the server sends everything again, the beginning is passed over.
+        where the server sends everything again, the beginning is passed over. A file that changes meanwhile
+        is fetched from its beginning.
         """
         try:
-            with open(path, "ab") as stream:
-                have = stream.tell()
-                for block in self._persist(url, lambda got: self._attempt(url, have + got)):
-                    stream.write(block)
-                    progress(len(block))
+            try:
+                self._append(url, path, progress)
+            except ChangedError:
+                path.unlink()
+                self._append(url, path, progress)
         except OSError as error:
             if isinstance(error, InputFileError):
                 raise
             raise InputFileError(f"{path}: cannot write", found=error.strerror or str(error)) from None
+
+    def _append(self, url: str, path: Path, progress: Callable[[int], object]) -> None:
+        self._forget(url)
+        with open(path, "ab") as stream:
+            have = stream.tell()
+            for block in self._persist(url, lambda got: self._attempt(url, have + got)):
+                stream.write(block)
+                progress(len(block))
+
+    def _forget(self, url: str) -> None:
+        self.sizes.pop(url, None)
+        self._versions.pop(url, None)
 
     def _persist(self, url: str, attempt: Callable[[int], Iterator[bytes]]) -> Iterator[bytes]:
         """Yield the bytes of one attempt after the other; wait between them, and end it after too many."""
@@ -157,12 +173,9 @@ class Client:
         self, response: requests.Response, url: str, start: int, length: int | None
     ) -> tuple[int, int | None]:
         """Return where the body begins and where what is wanted of it ends, if the server states it."""
-        status, total = response.status_code, response.headers.get("Content-Length", "")
+        status = response.status_code
         if status == 200:
-            size = int(total) if total.isdigit() else None
-            if length is None:
-                return 0, size
-            raise RangesIgnoredError(url, size)
+            return self._all(response, url, length)
         if status == 416:
             raise ChangedError(url, expected=f"at least {start + (length or 0)} bytes", found="fewer")
         if status != 206:
@@ -171,6 +184,7 @@ class Client:
         match = re.fullmatch(r"bytes (\d+)-\d+/(\d+)", text.strip())
         if not match:
             raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=repr(text))
+        self._version(response, url)
         first, size = int(match[1]), int(match[2])
         known = self.sizes.setdefault(url, size)
         if known != size:
@@ -179,18 +193,33 @@ class Client:
             raise _TransientError(f"a range from byte {first} instead of {start}")
         return first, size if length is None else start + length
 
+    def _all(self, response: requests.Response, url: str, length: int | None) -> tuple[int, int | None]:
+        """Return the extent of a whole file, from a server that ignores ranges, or where the file changed."""
+        version, asked = self._version(response, url)
+        if asked != version:  # a server that honours If-Range sends all of a file that has changed
+            raise ChangedError(url, expected=f"version {asked} as before", found=version or "another")
+        total = response.headers.get("Content-Length", "")
+        size = int(total) if total.isdigit() else None
+        if length is not None:
+            raise RangesIgnoredError(url, size)
+        return 0, size
+
+    def _version(self, response: requests.Response, url: str) -> tuple[str, str]:
+        """Return what If-Range may ask for, and the same of the first answer about this file."""
+        etag = response.headers.get("ETag", "")
+        version = etag if etag.startswith('"') else response.headers.get("Last-Modified", "")
+        return version, self._versions.setdefault(url, version)
+
     def _get(self, url: str, range_: str) -> requests.Response:
         from requests import exceptions
 
-        self._traffic.requests += 1
         try:
-            headers, timeout = {"Range": range_}, self._options.timeout
-            response = self._session.get(url, headers=headers, stream=True, timeout=timeout)
-        except exceptions.TooManyRedirects:
-            raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
+            response = self._follow(url, range_)
         except (exceptions.InvalidURL, exceptions.InvalidSchema) as error:
             raise InputFileError(f"{url}: {error}") from None
         except (exceptions.RequestException, OSError) as error:
+            if isinstance(error, InputFileError):
+                raise
             if "certificate" in str(error).lower():
                 raise InputFileError(f"{url}: the server's certificate is not trusted") from None
             raise _TransientError(_reason(error)) from None
@@ -203,6 +232,56 @@ class Client:
             response.close()
             raise AbsentError(f"{url}: the server answered {status}")
         return response
+
+    def _follow(self, url: str, range_: str) -> requests.Response:
+        """Request a range, through redirects whose bodies are not read, all within one time-out."""
+        headers, address = {"Range": range_}, url
+        if version := self._versions.get(url):
+            headers["If-Range"] = version
+        deadline = time.monotonic() + self._options.timeout
+        for _ in range(_REDIRECTS + 1):
+            self._traffic.requests += 1
+            response = self._answer(address, headers, deadline)
+            if not response.is_redirect:
+                return response
+            response.close()
+            address = urljoin(address, response.headers["Location"])
+        raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times")
+
+    def _answer(self, url: str, headers: dict[str, str], deadline: float) -> requests.Response:
+        """Wait for the headers until the deadline: a socket's time-out starts again with every byte."""
+        answers: queue.SimpleQueue[requests.Response | Exception] = queue.SimpleQueue()
+        late = threading.Event()
+
+        def ask() -> None:
+            try:
+                answer = self._send(url, headers)
+            except Exception as error:  # raised again where the answer is waited for
+                answers.put(error)
+                return
+            answers.put(answer)
+            if late.is_set():
+                answer.close()
+
+        threading.Thread(target=ask, daemon=True).start()
+        try:
+            answer = answers.get(timeout=max(0.0, deadline - time.monotonic()))
+        except queue.Empty:
+            late.set()
+            raise _TransientError("headers timed out") from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def _send(self, url: str, headers: dict[str, str]) -> requests.Response:
+        from requests import Request
+
+        session = self._session
+        request = session.prepare_request(Request("GET", url, headers))
+        settings = session.merge_environment_settings(url, {}, True, None, None)
+        # Not by session.send: it reads the bodies of redirects, of any length, even where it follows none.
+        adapter, timeout = session.get_adapter(url), self._options.timeout
+        return adapter.send(request, timeout=timeout, **settings)  # type: ignore[arg-type]  # verify: never None
 
     def _body(self, response: requests.Response) -> Iterator[bytes]:
         """Yield what arrives as it arrives; give up on a trickle that the socket's timeout cannot see."""

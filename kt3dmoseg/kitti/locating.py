@@ -25,7 +25,7 @@ from kt3dmoseg.kitti.drive_archives import FileSet, LocalFolder, Server, TargetF
 from kt3dmoseg.kitti.http import AbsentError, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import LocateOptions
 from kt3dmoseg.kitti.raw import decode_frame, frame_number
-from kt3dmoseg.kitti.remote_zip import LARGEST_FILE
+from kt3dmoseg.kitti.remote_zip import LARGEST_FILE, DamagedError
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.types import ByteArray, Float32Array, FloatArray
 
@@ -168,11 +168,34 @@ def _read_folder(folder: Path) -> Iterator[tuple[bytes, ByteArray]]:
 
 
 def _locate_in(
-    clip: Entry, origin: Server | LocalFolder, options: LocateOptions, report: Callable[[str], object]
+    clip: Entry,
+    origin: Server | LocalFolder,
+    options: LocateOptions,
+    report: Callable[[str], object],
+    *,
+    again: bool = False,
+) -> Entry:
+    """Locate a clip in its drive's archive; when what is kept of it is damaged, fetch that once more."""
+    try:
+        return _locate_once(clip, origin, options, report, again=again)
+    except DamagedError as error:
+        if again or isinstance(origin, LocalFolder):
+            raise
+        report(f"{error}; fetching it again")
+        return _locate_in(clip, origin, options, report, again=True)
+
+
+def _locate_once(
+    clip: Entry,
+    origin: Server | LocalFolder,
+    options: LocateOptions,
+    report: Callable[[str], object],
+    *,
+    again: bool,
 ) -> Entry:
     packed = frames_of(clip.drive)
     try:
-        files = origin.open(packed)
+        files = origin.open(packed, again=again)
         if files.local:
             return locate_clip(clip, files, options)
         try:

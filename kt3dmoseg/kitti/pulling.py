@@ -38,7 +38,7 @@ IJRR 2013, https://www.cvlibs.net/datasets/kitti/
 Licence: Creative Commons Attribution-NonCommercial-ShareAlike 3.0 (CC BY-NC-SA 3.0),
 https://creativecommons.org/licenses/by-nc-sa/3.0/: give credit, no commercial use, share alike.
 """
-_RESERVE = 16 << 20
+_RESERVE, _DISK_BLOCK = 16 << 20, 4096
 
 
 @dataclass
@@ -162,6 +162,8 @@ class _Part:
         for clip in self.clips:
             try:
                 located, mine = _locate(clip, files, known.get(clip.name))
+            except DamagedError:  # to be fetched again
+                raise
             except (NotLocatedError, FileFormatError) as error:
                 self.failures.append(error)
                 continue
@@ -178,6 +180,10 @@ class _Part:
     def bytes(self, names: Iterable[str]) -> int:
         """Size of some of the files."""
         return sum(self.sums[name][0] for name in names)
+
+    def space(self) -> int:
+        """Room that the missing files take on disk, in whole blocks."""
+        return sum(-(-self.sums[name][0] // _DISK_BLOCK) * _DISK_BLOCK for name in self.missing)
 
     def extent(self) -> str:
         """How much it is, for the plan."""
@@ -230,7 +236,7 @@ class _Pull:
     def fetch_all(self) -> None:
         """Fetch what is missing, and keep a list of it."""
         total = sum(part.bytes(part.missing) for part in self.parts)
-        self._check_space(total)
+        self._check_space(sum(part.space() for part in self.parts))
         with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
             for part in self.parts:
                 try:
@@ -261,27 +267,32 @@ class _Pull:
             if (part.failures or part.lacking) and files.fresh and not again:
                 # A directory holds no checksum of itself: a second reading confirms a gap.
                 self._choose(part, again=True)
+        except DamagedError:
+            if again or isinstance(self.origin, LocalFolder):
+                raise
+            self._choose(part, again=True)
         except RangesIgnoredError as error:
             part.files, part.url, part.size = None, error.url, error.size
         except AbsentError as error:
             part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
 
     def _fetch_part(self, part: _Part, bar: tqdm[Any]) -> None:
-        """Fetch a part; once more, with a new directory, when it is damaged or its server ignores ranges."""
+        """Fetch a part; once more, from the server, when it is damaged or the server ignores ranges."""
         try:
             self._fetch(part, bar)
         except (DamagedError, ChangedError, RangesIgnoredError):
-            if part.files is None or part.files.local:
+            if isinstance(self.origin, LocalFolder):
                 raise
             self._choose(part, again=True)
             self._fetch(part, bar)
 
     def _fetch(self, part: _Part, bar: tqdm[Any]) -> None:
         if part.url:
+            self._check_space((part.size or 0) - self.target.downloaded(part.url))
             with tqdm(total=part.size, unit="B", unit_scale=True, desc="zip", disable=None) as zip_bar:
                 part.choose(self.origin.download(part.url, zip_bar.update), self.target)
             part.url = ""
-            self._check_space(part.bytes(part.missing))
+            self._check_space(part.space())
         if part.files is None:
             return
         for folder in {(self.target.root / name).parent for name in part.sums}:
@@ -296,8 +307,8 @@ class _Pull:
         root = self.target.root
         existing = next(path for path in (root, *root.absolute().parents) if path.exists())
         free = shutil.disk_usage(existing).free
-        if needed and free < needed + _RESERVE:
-            expected = f"{_megabytes(needed)} free"
+        if needed > 0 and free < needed + _RESERVE:
+            expected = f"{_megabytes(needed + _RESERVE)} free"
             raise InputFileError(f"{root}: disk", expected=expected, found=_megabytes(free))
 
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+
+from tqdm import tqdm
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, MissingDependencyError
 from kt3dmoseg.files import read_bytes, sha256_file, write_bytes, write_text
+from kt3dmoseg.kitti.http import Client
+from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.remote_zip import Archive
 from kt3dmoseg.registry import unknown_name
 
@@ -122,24 +126,27 @@ def _download(
     """Fetch the files that are not there, or not right."""
     try:
         import pooch
-        import requests
     except ImportError:
         raise MissingDependencyError(
             "downloads need the package pooch", fix="pip install 'kt3dmoseg[pull]'"
         ) from None
     pooch.get_logger().setLevel("ERROR")
-    loader = pooch.HTTPDownloader(timeout=60, progressbar=sys.stderr.isatty())
     registry = {name: expected.get(name) for name in addresses}
     files = pooch.create(folder, "", registry=registry, urls=addresses, retry_if_failed=retries)
-    for name, url in addresses.items():
-        try:
-            files.fetch(name, downloader=loader)
-        except (requests.exceptions.RequestException, OSError) as error:
-            status = getattr(getattr(error, "response", None), "status_code", None)
-            found = f"status {status}" if status else type(error).__name__
-            raise InputFileError(f"{url}: cannot be fetched", found=found, fix=by_hand) from None
-        except ValueError:
-            raise FileFormatError(url, expected=f"SHA-256 {expected[name]}", found="other content") from None
+    with closing(Client(Origin(retries=retries, timeout=60))) as client:
+
+        def download(url: str, path: str, _: object) -> None:
+            with tqdm(unit="B", unit_scale=True, desc=PurePosixPath(url).name, disable=None) as bar:
+                client.download(url, Path(path), bar.update)
+
+        for name, url in addresses.items():
+            try:
+                files.fetch(name, downloader=download)
+            except InputFileError as error:
+                raise InputFileError(f"{error}", fix=by_hand) from None
+            except ValueError:
+                wanted = f"SHA-256 {expected[name]}"
+                raise FileFormatError(url, expected=wanted, found="other content") from None
 
 
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:

@@ -23,6 +23,7 @@ class FaultyServer(ThreadingHTTPServer):
         self.files: dict[str, bytes] = {}
         self.fault: Callable[[int, str], str] = lambda count, path: ""
         self.ranges = True
+        self.versions: dict[str, str] = {}  # ETags, by path
         self.requests: list[tuple[str, str]] = []
         self.sent = 0
         self.connections = 0
@@ -67,6 +68,10 @@ class _Handler(BaseHTTPRequestHandler):
             return self._hang_up()
         if fault == "redirect" and not self.path.startswith("/moved"):
             return self._status(302, {"Location": "/moved" + self.path})
+        if fault == "fat redirect" and not self.path.startswith("/moved"):
+            return self._redirect_with_endless_body()
+        if fault == "slow headers":
+            return self._trickle_headers()
         if fault == "loop":
             return self._status(302, {"Location": self.path + "x"})
         content = self.server.files.get(self.path.removeprefix("/moved").removeprefix("/raw_data/"))
@@ -76,8 +81,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, content: bytes, asked: str, fault: str) -> None:
         match = re.fullmatch(r"bytes=(\d*)-(\d*)", asked)
-        if not match or not self.server.ranges:
-            return self._body(200, content, {}, fault)
+        version = self.server.versions.get(self.path.removeprefix("/raw_data/"), "")
+        tag = {"ETag": version} if version else {}
+        if not match or not self.server.ranges or self.headers.get("If-Range", version) != version:
+            return self._body(200, content, tag, fault)
         if not match[1]:
             return self._status(416)  # suffix ranges are refused
         start, stop = int(match[1]), min(int(match[2] or len(content)) + 1, len(content))
@@ -86,7 +93,7 @@ class _Handler(BaseHTTPRequestHandler):
         if fault == "short":
             stop = start + max(1, (stop - start) // 2)
         shift = 1 if fault == "shifted" and start else 0
-        head = {"Content-Range": f"bytes {start - shift}-{stop - 1 - shift}/{len(content)}"}
+        head = tag | {"Content-Range": f"bytes {start - shift}-{stop - 1 - shift}/{len(content)}"}
         part = content[start:stop]
         if fault == "long":
             part += b"surplus" * 100
@@ -123,6 +130,22 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(key, value)
         self.send_header("Content-Length", "0")
         self.end_headers()
+
+    def _redirect_with_endless_body(self) -> None:
+        self.send_response(302)
+        self.send_header("Location", "/moved" + self.path)
+        self.send_header("Content-Length", f"{1 << 40}")
+        self.end_headers()
+        self.close_connection = True
+        while not self.server.stopping.is_set():
+            self._write(bytes(_PIECE))
+
+    def _trickle_headers(self) -> None:
+        self.close_connection = True
+        self.wfile.write(b"HTTP/1.1 206 Partial Content\r\nX-Slow: ")
+        while not self.server.stopping.is_set():
+            time.sleep(0.02)
+            self._write(b"x")
 
     def _hang_up(self) -> None:
         self.close_connection = True

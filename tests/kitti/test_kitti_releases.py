@@ -76,7 +76,7 @@ def test_page_that_is_gone_gives_what_to_do_by_hand(
     small: FaultyServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small.files.clear()
-    with pytest.raises(InputFileError, match="status 404; by hand: git clone"):
+    with pytest.raises(InputFileError, match="answered 404 Not Found; by hand: git clone"):
         fetch_release(tmp_path, mirror=small.url, retries=0, report=len)
     assert cli.main(["fetch-release", "-o", str(tmp_path), "mtpv62"]) == 2
     captured = capsys.readouterr()
