@@ -1,4 +1,4 @@
-"""Predicted labels of one clip: the vectors `track` and `label`, from CSV, npz or HDF5, joined by id.
+"""Labels of one clip from CSV, npz, HDF5 or Python values, checked and joined by track id.
 
 Everything that is wrong with a file is listed at once, as `Problem`; nothing is unpickled, and sizes
 are checked before anything is read.
@@ -10,8 +10,9 @@ import io
 import math
 import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,14 @@ from kt3dmoseg.files import read_bytes
 from kt3dmoseg.types import Clip, IntArray
 
 MAX_FILE_BYTES = 32 << 20
-MAX_ROWS = 1_000_000
+MAX_ROWS = 200_000
 _NAMES = ("track", "label")
 _MAX_CELL = 64
 _MAX_NPY_HEADER = 4096
+_HUGE = 2**53
 _SAME = 0.5
+_FIX_BIG = "keep below 2^53"
+_FIX_NAME = "write the motion's number, not its name"
 _FIX_ARRAYS = "save two integer vectors: np.savez(file, track=ids, label=labels)"
 _FIX_HEADER = "make the first line 'track,label' and write one 'id,label' line per evaluated trajectory"
 
@@ -88,6 +92,87 @@ def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
     if labels is None:
         raise FileFormatError(f"{file}: {numbered(problems)}")
     return labels
+
+
+def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
+    """Return labels as an (n,) int64 vector; InvalidValueError for anything but whole numbers >= 0.
+
+    Whole numbers held as floats (as MATLAB does) and (n, 1) or (1, n) arrays are accepted.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError:  # lists of unequal lengths
+        raise InvalidValueError(name, expected="a vector of labels", found="rows of unequal length") from None
+    array = array.ravel() if array.ndim == 2 and 1 in array.shape else array
+    if array.ndim != 1:
+        found = f"{type(values).__name__} of shape {array.shape}"
+        raise InvalidValueError(name, expected="a vector of labels", found=found)
+    if array.dtype.kind == "O":  # numbers of a data frame that can miss some, or of more than 64 bits
+        whole = np.array([type(v) is not bool and isinstance(v, Integral) for v in array], dtype=np.bool_)
+    elif array.dtype.kind in "iuf" or not array.size:
+        whole = np.isfinite(array) & (array == np.round(array))
+    else:
+        found = f"values of type {array.dtype}"
+        raise InvalidValueError(name, expected="a vector of labels, whole numbers", found=found)
+    if np.ma.is_masked(values):
+        whole &= ~np.ma.getmaskarray(values).ravel()
+    expected, good = "whole numbers, of every trajectory", whole
+    if whole.all():
+        expected, good = "labels >= 0", (array >= 0) & (array < _HUGE)
+    if not good.all():
+        row = int(np.argmin(good))
+        found = "NaN" if array[row] != array[row] else f"{array[row]}"
+        raise InvalidValueError(name, expected=expected, found=f"{found:.40} in row {row}")
+    return array.astype(np.int64)
+
+
+def clip_labels(values: Any, clip: Clip, name: str) -> IntArray:  # noqa: ANN401  # checked
+    """Return labels of a clip, (n,) int64 in the order of ``clip.evaluated``: a vector or `label_table`."""
+    table = label_table(values, name)
+    if table is not None:
+        labels, problems = join_labels(table, clip, name)
+        if labels is None:
+            raise InvalidValueError("; ".join(map(str, problems)))
+        return labels
+    labels = label_vector(values, name)
+    if len(labels) != len(clip.evaluated):
+        expected = f"{len(clip.evaluated)} labels, one per evaluated trajectory of {clip.name}"
+        raise InvalidValueError(name, expected=expected, found=f"{len(labels)}")
+    return labels
+
+
+def is_zero_based(labels: IntArray) -> bool:
+    """Whether labels count from 0 without a gap."""
+    groups = np.unique(labels)
+    return len(groups) > 1 and np.array_equal(groups, np.arange(len(groups)))
+
+
+def label_table(values: Any, name: str) -> Prediction | None:  # noqa: ANN401  # checked
+    """Return tracks and labels of a data frame, mapping or record array of both, or of an indexed series.
+
+    The index of a series, or of a frame without a column `track`, holds the tracks when it is called so; of a
+    series also when it is not 0, 1, ... None for a vector.
+    """
+    names = getattr(values, "columns", getattr(getattr(values, "dtype", None), "names", None))
+    if isinstance(values, Mapping):
+        if not {*_NAMES} <= {*values}:
+            return None
+        names = _NAMES
+    index = getattr(values, "index", None)
+    index = None if callable(index) else index  # of a list
+    if names is None:
+        if index is None or (
+            getattr(index, "name", None) != "track" and np.array_equal(index, np.arange(len(index)))
+        ):
+            return None
+        track, label = index, values
+    else:
+        by_index = "track" not in names and getattr(index, "name", None) == "track"
+        if "label" not in names or not ("track" in names or by_index):
+            expected, found = "the columns track and label", first_few(list(names)) or "none"
+            raise InvalidValueError(name, expected=expected, found=found)
+        track, label = index if by_index else values["track"], values["label"]
+    return Prediction(label_vector(track, f"{name}: track"), label_vector(label, f"{name}: label"))
 
 
 def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
@@ -205,14 +290,14 @@ class _Columns:
             before = len(self.problems)
             numbers = values.astype(np.float64)
             finite = np.isfinite(numbers)
-            huge = np.abs(np.where(finite, numbers, 0)) >= 2**53
+            huge = np.abs(np.where(finite, numbers, 0)) >= _HUGE
             outlier = (
                 "give every trajectory a label; if 0 is meant as outlier, set outliers = true in meta.toml"
             )
             for code, wrong, what, fix in (
                 ("nan", np.isnan(numbers), "NaN", outlier),
                 ("infinite", np.isinf(numbers), "infinite values", "write whole numbers"),
-                ("too-big", huge, "huge numbers", "keep below 2^53"),
+                ("too-big", huge, "huge numbers", _FIX_BIG),
                 ("negative", numbers < 0, "negative numbers", "motions are 1, 2, ...; 0 is an outlier"),
             ):
                 if wrong.any():
@@ -280,11 +365,15 @@ def _csv(content: bytes, out: _Columns) -> None:
     A byte order mark, Windows line ends, blanks around values, empty lines and the columns in the
     order ``label,track`` are accepted.
     """
+    n_cells = sum(map(content.count, (b"\n", b"\r", b",")))
+    if n_cells > 4 * MAX_ROWS:  # checked first: every cell becomes an object
+        return out.bad("too-large", f"at most {MAX_ROWS} rows", f"{n_cells} cells", _FIX_HEADER)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         return out.bad("encoding", "UTF-8 text", "other bytes", "save the file as plain UTF-8 CSV")
-    rows = {i: line.split(",") for i, line in enumerate(text.splitlines(), start=1) if line.strip()}
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    rows = {i: line.split(",") for i, line in enumerate(lines, start=1) if line.strip()}
     if not rows:
         return out.bad("empty-file", "'track,label' and rows", "an empty file", _FIX_HEADER)
     first = next(iter(rows))
@@ -296,7 +385,7 @@ def _csv(content: bytes, out: _Columns) -> None:
         found = f"{len(rows)} lines of up to {len(head)} values"
         fix = "transpose the table: two columns, track and label"
         return out.bad("transposed", "one row per trajectory", found, fix)
-    return _csv_without_header(out, rows, head, ",".join(rows[first]))
+    return _csv_without_header(out, rows, head, lines[first - 1])
 
 
 def _csv_without_header(out: _Columns, rows: dict[int, list[str]], head: list[str], line: str) -> None:
@@ -305,7 +394,7 @@ def _csv_without_header(out: _Columns, rows: dict[int, list[str]], head: list[st
     if len(head) == 1 and separator:
         name = {" ": "blanks", "\t": "tabs"}.get(separator, f"'{separator}'")
         out.bad("separator", "values separated by commas", name, "separate the values by commas")
-    elif len(head) == 1 and _is_number(head[0]):
+    elif len(head) == 1 and _number(head[0]) is not None:
         fix = (
             f"{_FIX_HEADER}; or turn label files into a submission with "
             "'mseg example-submission DATA --from FOLDER -o OUT'"
@@ -313,11 +402,11 @@ def _csv_without_header(out: _Columns, rows: dict[int, list[str]], head: list[st
         out.bad("label-only", "two columns, track and label", f"{len(rows)} lines of one value", fix)
     elif len(head) > 2 and len(rows) <= 2:
         out.bad("transposed", "one row per trajectory", f"{len(rows)} long lines", "transpose the table")
-    elif len(head) == 2 and all(map(_is_number, head)):
+    elif len(head) == 2 and None not in map(_number, head):
         out.bad("no-header", "the first line 'track,label'", f"'{','.join(head)}'", _FIX_HEADER)
         _csv_columns(out, rows, list(_NAMES))
     else:
-        out.bad("header", "the first line 'track,label'", f"'{line[:60]}'", _FIX_HEADER)
+        out.bad("header", "the first line 'track,label'", repr(line[:60]), _FIX_HEADER)
 
 
 def _csv_columns(out: _Columns, rows: dict[int, list[str]], names: list[str]) -> None:
@@ -325,38 +414,37 @@ def _csv_columns(out: _Columns, rows: dict[int, list[str]], names: list[str]) ->
     if ragged:
         found = f"another number in line {first_few(ragged)}"
         return out.bad("ragged", "two values in every line", found, _FIX_HEADER)
-    if not rows:
-        return out.bad("empty-file", "one row per trajectory", "only a header", _FIX_HEADER)
-    columns = dict(zip(names, zip(*rows.values(), strict=True), strict=True))
-    for name in _NAMES:
-        values = _numbers(columns[name])
-        if values is not None:
-            out.arrays[name] = values
-    if len(out.arrays) < 2:
-        lines = [number for number, row in rows.items() if not all(map(_is_number, row))]
-        cell = next(cell for row in rows.values() for cell in row if not _is_number(cell))
-        found = f"{cell.strip()[:40]!r} (line {first_few(lines)})"
-        out.bad("not-a-number", "whole numbers", found, "write the motion's number, not its name")
+    if not 0 < len(rows) <= MAX_ROWS:
+        code, found = ("too-large", f"{len(rows)} rows") if rows else ("empty-file", "only a header")
+        return out.bad(code, f"one row per trajectory, at most {MAX_ROWS}", found, _FIX_HEADER)
+    for name, cells in zip(names, zip(*rows.values(), strict=True), strict=True):
+        values = [_number(cell) for cell in cells]
+        wrong = {line: cell for line, cell, v in zip(rows, cells, values, strict=True) if v is None}
+        if wrong:
+            cell = next(iter(wrong.values())).strip()
+            found = f"{cell[:40]!r} (line {first_few(list(wrong))})"
+            if cell.lstrip("+-").replace(".", "").isdecimal():
+                out.bad("too-big", f"whole numbers >= 0 as {name}", found, _FIX_BIG)
+            else:
+                out.bad("not-a-number", f"whole numbers as {name}", found, _FIX_NAME)
+        elif all(type(value) is int and abs(value) < _HUGE for value in values):
+            out.arrays[name] = np.array(values, dtype=np.int64)
+        else:
+            out.arrays[name] = np.array(list(map(float, values)), dtype=np.float64)  # type: ignore[arg-type]
     return None
 
 
-def _numbers(cells: Sequence[str]) -> npt.NDArray[Any] | None:
-    """Convert text to int64 where possible, else to float64; None when some are no numbers."""
-    # Python would take 1_0 for 10; numpy would make every cell as wide as the widest.
-    if max(map(len, cells)) > _MAX_CELL or "_" in "".join(cells):
+def _number(cell: str) -> int | float | None:
+    """Convert a cell to a number; None when it is none, or of more digits than any number needs."""
+    # Python would take 1_0 for 10.
+    if len(cell) > _MAX_CELL or "_" in cell or not cell.isascii():
         return None
-    try:
-        return np.array(cells, dtype=np.str_).astype(np.int64)
-    except (ValueError, OverflowError):
-        pass
-    try:
-        return np.array([float(cell) for cell in cells], dtype=np.float64)
-    except ValueError:
-        return None
-
-
-def _is_number(cell: str) -> bool:
-    return _numbers([cell]) is not None
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            pass
+    return None
 
 
 _PARSERS: dict[str, tuple[str, Callable[[bytes, _Columns], None]]] = {

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io.predictions import label_vector
 from kt3dmoseg.types import FloatArray, IntArray
 
 _MAX_SEARCH = 1000
@@ -112,25 +113,6 @@ def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | 
     named = np.flatnonzero(motions == background) if background is not None else np.empty(0, np.int64)
     static = int(named[0]) if named.size else None
     return Contingency(table[:, ~none], table[:, none].sum(axis=1), motions, groups[~none], static)
-
-
-def label_vector(values: npt.ArrayLike, name: str) -> IntArray:
-    """Return labels as an (n,) int64 vector; InvalidValueError for NaN, fractions, negative numbers, texts.
-
-    Whole numbers held as floats (as MATLAB does) and (n, 1) or (1, n) arrays are accepted.
-    """
-    array = np.asarray(values)
-    if array.ndim == 2 and 1 in array.shape:
-        array = array.ravel()
-    if array.ndim != 1 or array.dtype.kind not in "iufb":
-        raise InvalidValueError(
-            name, expected="a vector of labels", found=f"{array.dtype} of shape {array.shape}"
-        )
-    if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.round(array)).all()):
-        raise InvalidValueError(name, expected="whole numbers", found="fractions or NaN")
-    if array.size and (array.min() < 0 or array.max() > np.iinfo(np.int64).max // 2):
-        raise InvalidValueError(name, expected="labels >= 0", found=f"{array.min()}..{array.max()}")
-    return array.astype(np.int64)
 
 
 def best_assignment(counts: IntArray) -> IntArray:

@@ -13,11 +13,12 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io import save
+from kt3dmoseg.io.predictions import is_zero_based
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.label_import import read_label_files
 from mseg.evaluation.protocol import Protocol
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
-from mseg.evaluation.validation import choose_protocol, is_zero_based, load_clips
+from mseg.evaluation.validation import choose_protocol, load_clips
 
 
 class Written(NamedTuple):
@@ -104,7 +105,7 @@ def from_label_files(
             method,
             dataset_version=_version(protocol, used),
             benchmark=protocol.name,
-            outliers=any(0 in v and not is_zero_based(np.unique(v)) for v in labels.values()),
+            outliers=any(0 in v and not is_zero_based(v) for v in labels.values()),
         )
         write_submission(folder, used.values(), labels, meta, format=format)
         return Written(folder, Path(data), len(used))

@@ -12,9 +12,8 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.predictions import first_few
+from kt3dmoseg.io.predictions import first_few, label_vector
 from kt3dmoseg.types import Clip, IntArray
-from mseg.evaluation.contingency import label_vector
 
 CELLS = "ClusterIdx"
 _LIMIT = 256 << 20

@@ -8,20 +8,29 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.predictions import SUFFIXES, Problem, numbered, read_prediction
+from kt3dmoseg.io.predictions import (
+    SUFFIXES,
+    Problem,
+    clip_labels,
+    first_few,
+    label_table,
+    label_vector,
+    numbered,
+    read_prediction,
+)
 from kt3dmoseg.registry import unknown_name
-from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels
+from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels, Trajectories
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.contingency import Contingency, contingency
-from mseg.evaluation.metrics import all_metrics, evaluate, per_motion
+from mseg.evaluation.metrics import METRICS, all_metrics, evaluate, per_motion
 from mseg.evaluation.protocol import (
     Group,
     Protocol,
@@ -31,8 +40,9 @@ from mseg.evaluation.protocol import (
     protocol_of_clips,
 )
 from mseg.evaluation.statistics import Summary, summarise
-from mseg.evaluation.submission import SubmissionMeta
-from mseg.evaluation.validation import Validation, validate_submission
+from mseg.evaluation.submission import SubmissionMeta, check_names, prediction_runs
+from mseg.evaluation.validation import Validation, load_clips, validate_submission
+from mseg.types import Segmentation
 
 FORMAT = "mseg-scores"
 VERSION = 1
@@ -192,25 +202,31 @@ class ScoreTable:
 
 
 def score(
-    *,
     truth: Any,  # noqa: ANN401  # labels in any of the forms below
     pred: Any,  # noqa: ANN401
+    *,
     benchmark: str = "",
     force: bool = False,
+    outliers: bool = False,
 ) -> ScoreTable:
     """Score predictions against the truth.
 
     Parameters
     ----------
-    truth : (n,) array of int, Labels, Clip or path
-        True labels, 0 = not scored; or a clip; or a data file or folder.
-    pred : (n,) array of int, Segmentation, Labels or path
-        Predicted labels in the same order, 0 = outlier; or, with truth a path or clip, a
-        submission, or one clip's file of labels.
+    truth : (n,) array of int, Labels, Clip, table, path, or mapping of clip names to these
+        True labels, 0 = not scored. A table has the columns `track` and `label`; a path leads to a
+        data file or folder.
+    pred : (n,) array of int, Segmentation, Labels, table, path, or mapping of clip names to these
+        Predicted labels 1, 2, ..., in the order of the truth; those of a table (or an indexed series) are
+        joined by track. A mapping may also be of seeds to such mappings. A path leads to a submission or
+        to one clip's file of labels.
     benchmark : str
-        Protocol of a submission; by default its own.
+        Protocol; by default a submission's own, or the one that the clips belong to.
     force : bool
         Score a submission that is invalid: clips with problems count as fully wrong.
+    outliers : bool
+        Label 0 in `pred` is meant as "outlier", which is always wrong, as it is in a Segmentation. Otherwise
+        0 is refused as a sign of labels that count from 0.
 
     Returns
     -------
@@ -220,7 +236,7 @@ def score(
     Raises
     ------
     InvalidValueError
-        When bare vectors are no labels or differ in length.
+        When labels are no whole numbers >= 0, are not of the same trajectories or clips, or hold a 0.
     RejectedSubmissionError
         When a submission is invalid and not `force`.
     InputFileError
@@ -228,23 +244,78 @@ def score(
 
     Examples
     --------
-    >>> score(truth=[1, 1, 1, 2, 2, 0], pred=[4, 4, 7, 7, 7, 4]).error
+    >>> score([1, 1, 1, 2, 2, 0], [4, 4, 7, 7, 7, 4]).error
     0.2
     """
     file = Path(pred) if isinstance(pred, (str, os.PathLike)) else None
     if file is not None and file.suffix.lower() not in (*SUFFIXES, ".txt"):
         data = [truth] if isinstance(truth, Clip) else truth
         return score_submission(file, data, benchmark=benchmark, force=force)
-    if isinstance(truth, (str, os.PathLike)):
-        from kt3dmoseg.io import load
+    truths = _truths(truth)
+    if isinstance(pred, Mapping) and label_table(pred, "pred") is None:
+        runs = prediction_runs(pred)
+    elif len(truths) == 1:
+        runs = {None: dict.fromkeys(truths, pred)}
+    elif file is not None and file.stem in truths:
+        truths = {file.stem: truths[file.stem]}
+        runs = {None: {file.stem: file}}
+    else:
+        expected = f"a mapping of clip names to labels, for {first_few(list(truths))}"
+        raise InvalidValueError("pred", expected=expected, found=type(pred).__name__)
+    clips = []
+    for seed, run in runs.items():
+        check_names(run, truths, "pred", complete=True)
+        for name, clip in truths.items():
+            where = "pred" if len(truths) == 1 else f"pred of {name}"
+            predicted = _predicted(run[name], clip, where, outliers=outliers)
+            labels = clip.labels if isinstance(clip, Clip) else clip
+            table = contingency(labels.label, predicted, background=labels.background)
+            clips.append(score_clip(name, seed or 0, table))
+    protocol = load_protocol(benchmark) if benchmark else None
+    return ScoreTable(tuple(clips), protocol=protocol, provenance=_provenance(truths))
 
-        truth = load(truth)
-    predicted = _vector(pred) if file is None else _labels_of(file, truth)
-    name = truth.name if isinstance(truth, Clip) else "clip"
-    labels = truth.labels if isinstance(truth, Clip) else truth
-    background = labels.background if isinstance(labels, Labels) else None
-    table = contingency(_vector(labels), predicted, background=background)
-    return ScoreTable(clips=(score_clip(name, 0, table),), provenance=Provenance("", "", "", __version__))
+
+def _truths(truth: Any) -> dict[str, Clip | Labels]:  # noqa: ANN401  # checked
+    """Clips, or bare labels, by name."""
+    if isinstance(truth, Mapping) and label_table(truth, "truth") is None:
+        return {name: _truth(value, f"truth of {name}", name) for name, value in truth.items()}
+    clips = truth if isinstance(truth, (list, tuple)) else [truth]
+    if isinstance(truth, (str, os.PathLike)) or (clips and all(isinstance(each, Clip) for each in clips)):
+        return {**load_clips(truth if isinstance(truth, (str, os.PathLike)) else clips)}
+    return {"clip": _truth(truth, "truth", "clip")}
+
+
+def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401  # checked
+    """Return the true labels of one clip, those of a table with their tracks."""
+    if isinstance(value, (Clip, Labels)):
+        return value
+    table = label_table(value, where)
+    if table is None:
+        return Labels(label_vector(value, where))
+    n = len(table.track)
+    tracks = Trajectories(np.full((n, 1, 2), np.nan), np.zeros((n, 1), dtype=np.bool_), table.track)
+    return Clip(name, tracks, np.arange(n), Labels(table.label))
+
+
+def _predicted(value: Any, truth: Clip | Labels, where: str, *, outliers: bool) -> IntArray:  # noqa: ANN401
+    """Predicted labels in the order of the truth, (n,)."""
+    if isinstance(value, (str, os.PathLike)):
+        label = _labels_of(Path(value), truth)
+    elif isinstance(value, (Labels, Segmentation)):  # there 0 has a meaning
+        value, outliers = value.label if isinstance(value, Labels) else value.labels, True
+        label = clip_labels(value, truth, where) if isinstance(truth, Clip) else value
+    elif isinstance(truth, Clip):
+        label = clip_labels(value, truth, where)
+    elif label_table(value, where) is not None:
+        expected, fix = "a vector, as truth is", "give truth as a clip, or as a table with the same tracks"
+        raise InvalidValueError(where, expected=expected, found="a table of tracks", fix=fix)
+    else:
+        label = label_vector(value, where)
+    if not outliers and (label == 0).any():
+        found = f"label 0 of {int((label == 0).sum())} in {len(label)} trajectories"
+        fix = "add 1 to all labels if they count from 0; if 0 is an outlier: outliers=True"
+        raise InvalidValueError(where, expected="labels 1, 2, ...", found=found, fix=fix)
+    return label
 
 
 def score_clip(name: str, seed: int, table: Contingency) -> ClipScore:
@@ -309,16 +380,21 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
                 table = contingency(truth.label, pred, background=truth.background)
                 clips.append(score_clip(name, seed, table))
     meta, problems = checked.submission.meta, tuple(checked.problems)
-    return ScoreTable(tuple(clips), meta, checked.protocol, _provenance(checked), problems)
+    version = checked.protocol.version_of(checked.checksums) or meta.dataset_version or "unnamed"
+    source = _provenance(checked.clips, checked.checksums, version, checked.submission.sha256)
+    return ScoreTable(tuple(clips), meta, checked.protocol, source, problems)
 
 
-def _provenance(checked: Validation) -> Provenance:
-    labels = {n: hashlib.sha256(c.labels.label.tobytes()).hexdigest() for n, c in checked.clips.items()}
-    text = "\n".join(f"{name} {checked.checksums[name]} {labels[name]}" for name in sorted(labels))
-    known = checked.protocol.version_of(checked.checksums)
-    version = known or checked.submission.meta.dataset_version or "unnamed"
-    dataset = hashlib.sha256(text.encode()).hexdigest()
-    return Provenance(version, dataset, checked.submission.sha256, __version__)
+def _provenance(
+    truths: Mapping[str, Clip | Labels],
+    checksums: Mapping[str, str] = MappingProxyType({}),
+    version: str = "",
+    submission: str = "",
+) -> Provenance:
+    labels = {name: each.labels if isinstance(each, Clip) else each for name, each in truths.items()}
+    hashes = {name: hashlib.sha256(each.label.tobytes()).hexdigest() for name, each in labels.items()}
+    text = "\n".join(f"{name} {checksums.get(name, '')} {hashes[name]}" for name in sorted(hashes))
+    return Provenance(version, hashlib.sha256(text.encode()).hexdigest(), submission, __version__)
 
 
 def _reason(checked: Validation, seed: int, name: str) -> str:
@@ -330,21 +406,10 @@ def _reason(checked: Validation, seed: int, name: str) -> str:
     return f"invalid: {found}" if key in read.files else "missing"
 
 
-def _vector(value: Any) -> npt.ArrayLike:  # noqa: ANN401
-    """Take the labels out of a Labels or Segmentation."""
-    for attribute in ("label", "labels"):
-        inner = getattr(value, attribute, None)
-        if inner is not None and not callable(inner):
-            return np.asarray(inner)
-    return np.asarray(value)
-
-
-def _labels_of(file: Path, clip: Any) -> IntArray:  # noqa: ANN401  # checked
+def _labels_of(file: Path, clip: Clip | Labels) -> IntArray:
     """Read a clip's file of labels: a prediction file of a submission, or text with one label per line."""
     if not isinstance(clip, Clip):
-        raise InvalidValueError(
-            "truth", expected="a clip or its file, to join ids", found=type(clip).__name__
-        )
+        raise InvalidValueError("truth", expected="a clip or its file, to join ids", found="bare labels")
     if file.suffix.lower() == ".txt":
         from mseg.evaluation.label_import import fit_to_clip, read_label_text
 
@@ -406,18 +471,22 @@ def _clip_json(score: ClipScore) -> dict[str, Any]:
 
 
 def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
-    """Read what `to_json` wrote, without contingency tables; FileFormatError when it is something else."""
-    from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
+    """Read what `to_json` wrote, without contingency tables; FileFormatError when it is something else.
+
+    Its figures are claims: they must lie in their ranges and agree with each other, with the number of
+    trajectories and with the clips of the benchmark.
+    """
+    from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
     class OneClip(BaseModel):
-        clip: str
-        seed: int
-        n_motions: int
-        n: int
-        n_found: int
-        prevalence: FiniteFloat
+        clip: str = Field(min_length=1)
+        seed: int = Field(ge=0, lt=10**18)
+        n_motions: int = Field(ge=1)
+        n: int = Field(ge=1, lt=2**53)
+        n_found: int = Field(ge=0)
+        prevalence: FiniteFloat = Field(ge=0, lt=1)
         reason: str
-        values: dict[str, FiniteFloat] = Field(min_length=1)
+        values: dict[str, FiniteFloat]
 
     class Scores(BaseModel):
         format: Literal["mseg-scores"]
@@ -426,27 +495,87 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         meta: SubmissionMeta
         provenance: Provenance
         clips: list[OneClip] = Field(min_length=1)
-
-        @model_validator(mode="after")
-        def check_grid(self) -> Scores:
-            runs = [(each.clip, each.seed) for each in self.clips]
-            clips, seeds = ({run[i] for run in runs} for i in (0, 1))
-            if len(set(runs)) != len(runs) or len(runs) != len(clips) * len(seeds):
-                raise ValueError("not every clip for every seed, once")
-            if len({tuple(each.values) for each in self.clips}) != 1:
-                raise ValueError("clips with different metrics")
-            return self
+        seeds: list[int] | None = None
+        groups: dict[str, Any] = Field(default_factory=dict)
 
     try:
-        read = Scores.model_validate_json(content)
+        read = Scores.model_validate_json(content, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        found = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)[:120]
-        expected = "scores as 'mseg score --json' writes them"
-        raise FileFormatError(where, expected=expected, found=found) from None
-    clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
-    protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
-    return ScoreTable(clips, read.meta, protocol, read.provenance)
+        wrong = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)
+    else:
+        clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
+        protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
+        table = ScoreTable(clips, read.meta, protocol, read.provenance)
+        wrong = next(_contradictions(table, read.benchmark, read.seeds, read.groups), "")
+        if not wrong:
+            return table
+    raise FileFormatError(where, expected="scores as 'mseg score --json' writes them", found=wrong[:200])
+
+
+def _contradictions(
+    table: ScoreTable, benchmark: str, seeds: list[int] | None, groups: Mapping[str, Any]
+) -> Iterator[str]:
+    """Yield where claimed scores cannot be true."""
+    runs = {(c.clip, c.seed) for c in table.clips}
+    if not len(runs) == len(table.clips) == len(table.names) * len(table.seeds):
+        yield "not every clip for every seed, once"
+        return
+    if benchmark not in ("custom", *list_protocols()):
+        yield f"the benchmark {benchmark!r:.40}, which is none of {', '.join(list_protocols())}"
+    for clip in table.clips:
+        wrong = _clip_contradictions(clip, table.of(clip.clip))
+        yield from (f"clip {clip.clip}, seed {clip.seed}: {each}" for each in wrong)
+    yield from (
+        f"clip {name}, which is none of {table.benchmark.title}"
+        for name in table.names
+        if not table.benchmark.holds(name)
+    )
+    version = table.provenance.dataset_version
+    checksums = {name: value for name, value in table.meta.fingerprints.items() if name in table.motions}
+    if table.benchmark.contradicts(version, checksums):
+        yield f"dataset version {version!r}, of which the checksums of the clips are not"
+    if seeds not in (None, table.seeds):
+        yield f"seeds {first_few(seeds or [])}, but clips of seeds {first_few(table.seeds)}"
+    for group, names in table.groups():
+        claimed = groups.get(group.name)
+        wrong = _group_contradictions(table, claimed, names) if claimed is not None else iter(())
+        yield from (f"group {group.name}: {each}" for each in wrong)
+
+
+def _clip_contradictions(clip: ClipScore, first: ClipScore) -> Iterator[str]:
+    values, n = clip.values, clip.n
+    if not values.keys() >= METRICS.keys():
+        yield f"values without {first_few([name for name in METRICS if name not in values])}"
+        return
+    known = {name: metric for name, metric in all_metrics().items() if name in values}
+    out = [name for name, metric in known.items() if not metric.allows(values[name])]
+    yield from (f"values.{name} = {values[name]:g} is out of range" for name in out)
+    if (n, clip.n_motions, clip.prevalence) != (first.n, first.n_motions, first.prevalence):
+        yield f"other trajectories than in seed {first.seed}"
+    if max(clip.n_motions, clip.n_found) > n:
+        yield f"more motions or groups than trajectories ({n})"
+    for name, value in (("values.error", values["error"]), ("prevalence", clip.prevalence)):
+        if abs(value * n - round(value * n)) > 1e-6 * n:
+            yield f"{name} = {value:g} is no fraction of {n} trajectories"
+    name, wanted = ("error", 1) if clip.reason else ("count_error", abs(clip.n_found - clip.n_motions))
+    if values[name] != wanted:
+        how = f"without labels ({clip.reason})" if clip.reason else f"of {clip.n_found} groups"
+        yield f"values.{name} = {values[name]:g} of a clip {how}"
+
+
+def _group_contradictions(table: ScoreTable, claimed: Any, names: list[str]) -> Iterator[str]:  # noqa: ANN401
+    listed, metrics = (claimed.get(k) if isinstance(claimed, dict) else None for k in ("clips", "metrics"))
+    if listed != len(names):
+        yield f"{listed!r:.20} clips, but {len(names)} are listed"
+        return
+    rows = [table.names.index(name) for name in names]
+    means = metrics if names and isinstance(metrics, dict) else {}
+    for name in means.keys() & {*table.metrics}:
+        mean = means[name].get("mean") if isinstance(means[name], dict) else None
+        own = float(table.per_clip(name)[rows].mean())
+        if not isinstance(mean, (int, float)) or abs(mean - own) > 1e-9 * max(1.0, abs(own)):
+            yield f"mean {name} {mean!r:.40}, but {own:g} over the clips"
 
 
 def load_scores(path: str | os.PathLike[str]) -> ScoreTable:

@@ -18,7 +18,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -26,8 +26,9 @@ import numpy.typing as npt
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import atomic_path, sha256_arrays, write_text
 from kt3dmoseg.io.npz import write_npz
-from kt3dmoseg.types import Clip
-from mseg.evaluation.contingency import label_vector
+from kt3dmoseg.io.predictions import SUFFIXES, clip_labels, first_few, label_table
+from kt3dmoseg.registry import nearest
+from kt3dmoseg.types import Clip, IntArray
 
 FORMAT_VERSION = 1
 META = "meta.toml"
@@ -139,11 +140,7 @@ def write_prediction(
     InvalidValueError
         When the labels do not fit the clip, or its name cannot be a file name.
     """
-    label = label_vector(labels, "labels")
-    if len(label) != len(clip.evaluated):
-        raise InvalidValueError(
-            f"labels of {clip.name}", expected=f"{len(clip.evaluated)}", found=f"{len(label)}"
-        )
+    label = clip_labels(labels, clip, f"labels of {clip.name}")
     path = file_of(folder, clip.name, seed, f".{format}")
     track = clip.dense.track_id[clip.evaluated]
     if format == "csv":
@@ -157,7 +154,8 @@ def write_prediction(
         with atomic_path(path) as temporary, h5py.File(temporary, "w") as stream:
             stream.create_dataset("track", data=track)
             stream.create_dataset("label", data=label)
-    file_of(folder, clip.name, seed, FAILED).unlink(missing_ok=True)
+    for ending in {*SUFFIXES, FAILED} - {path.suffix}:  # what an earlier run wrote about the clip
+        file_of(folder, clip.name, seed, ending).unlink(missing_ok=True)
     return path
 
 
@@ -198,19 +196,66 @@ def write_submission(
     Path
         The folder.
     """
-    by_name = {clip.name: clip for clip in clips}
-    for key, value in predictions.items():
-        runs = value.items() if isinstance(value, Mapping) else [(str(key), value)]
-        seed = int(key) if isinstance(value, Mapping) else None
-        for name, labels in runs:
-            if name not in by_name:
-                raise InvalidValueError(
-                    f"predictions of {name}", expected="a clip", found="none of that name"
-                )
-            write_prediction(folder, by_name[name], labels, seed=seed, format=format)
+    by_name = clips_by_name(clips)
+    labels: dict[tuple[int | None, str], IntArray] = {}
+    for seed, run in prediction_runs(predictions).items():
+        check_names(run, by_name, "predictions")
+        labels |= {(seed, n): clip_labels(v, by_name[n], f"predictions of {n}") for n, v in run.items()}
+    written = {file_of(folder, name, seed, "") for seed, name in labels}
+    older = [
+        p
+        for p in Path(folder).rglob("*")
+        if p.suffix in (*SUFFIXES, FAILED) and p.with_suffix("") not in written
+    ]
+    if older:
+        found = f"{first_few([p.relative_to(folder).as_posix() for p in older])} of an earlier one"
+        fix = "remove them, or write to another folder"
+        raise InvalidValueError(f"{folder}", expected="no other predictions", found=found, fix=fix)
+    (Path(folder) / META).unlink(missing_ok=True)  # until all is written, nothing counts
+    for (seed, name), vector in labels.items():
+        write_prediction(folder, by_name[name], vector, seed=seed, format=format)
     checksums = {name: clip_checksum(clip) for name, clip in by_name.items()}
     write_meta(folder, replace(meta, fingerprints={**checksums, **meta.fingerprints}))
     return Path(folder)
+
+
+def prediction_runs(predictions: Mapping[Any, Any]) -> dict[int | None, Mapping[str, Any]]:
+    """Sort out whether predictions are of clips, one run without a seed (None), or of seeds and clips."""
+    nested = [isinstance(v, Mapping) and label_table(v, "predictions") is None for v in predictions.values()]
+    if predictions and not any(nested):
+        return {None: predictions}
+    seeds = [
+        s for s in predictions if isinstance(s, (int, np.integer)) and not isinstance(s, bool) and s >= 0
+    ]
+    if not all(nested) or len(seeds) != len(predictions) or not seeds:
+        expected = "clip names with their labels, or seeds (0, 1, ...) with these"
+        raise InvalidValueError(
+            "predictions", expected=expected, found=first_few(list(predictions)) or "none"
+        )
+    return {int(seed): run for seed, run in predictions.items()}
+
+
+def check_names(names: Iterable[str], clips: Iterable[str], where: str, *, complete: bool = False) -> None:
+    """Refuse predictions of clips that do not exist and, for `complete` ones, clips without predictions."""
+    wanted, given = list(clips), list(names)
+    extra = [name for name in given if name not in wanted]
+    missing = [name for name in wanted if name not in given] if complete else []
+    if extra or missing:
+        meant = nearest(str(extra[0]), wanted) if extra else ""
+        found = f"{first_few(extra)}, which is no clip" if extra else f"nothing for {first_few(missing)}"
+        expected, fix = f"labels of {first_few(wanted)}", f"did you mean {meant!r}?" if meant else ""
+        raise InvalidValueError(where, expected=expected, found=found, fix=fix)
+
+
+def clips_by_name(clips: Iterable[Clip]) -> dict[str, Clip]:
+    """Return clips by name; InvalidValueError when two have one name, or one is no clip."""
+    out: dict[str, Clip] = {}
+    for clip in clips:
+        if not isinstance(clip, Clip) or clip.name in out:
+            found = f"two named {clip.name}" if isinstance(clip, Clip) else type(clip).__name__
+            raise InvalidValueError("clips", expected="clips, each of its own name", found=found)
+        out[clip.name] = clip
+    return out
 
 
 def file_of(folder: str | os.PathLike[str], clip: str, seed: int | None, ending: str) -> Path:

@@ -6,10 +6,12 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
-from kt3dmoseg.io.predictions import Problem, first_few, join_labels, numbered
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io.predictions import Problem, first_few, is_zero_based, join_labels, numbered
 from kt3dmoseg.registry import nearest
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.protocol import (
@@ -21,11 +23,12 @@ from mseg.evaluation.protocol import (
     protocol_of_clips,
 )
 from mseg.evaluation.reading import Submission, read_submission
-from mseg.evaluation.submission import META, SubmissionMeta, clip_checksum
+from mseg.evaluation.submission import META, SubmissionMeta, clip_checksum, clips_by_name
 
 # With these a submission is invalid but can be scored: a missing clip counts as fully wrong, a clip
 # with one label as what it is. Anything else forbids scoring.
 _SCORABLE = frozenset({"missing-clip", "one-label"})
+_ORDER = "the command line takes the data last, mseg.score(truth, pred) first"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +150,16 @@ def load_clips(data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip
     if isinstance(data, (str, os.PathLike)):
         from kt3dmoseg.io import load, load_dataset
 
-        if os.path.isfile(data):  # noqa: PTH113  # a str or path in
-            clip = load(data)
-            return {clip.name: clip}
-        return load_dataset(data)
-    by_name = dict(data) if isinstance(data, Mapping) else {clip.name: clip for clip in data}
-    return dict(sorted(by_name.items()))
+        path = Path(data)
+        if (path / META).is_file() or path.suffix == ".json":
+            found = "a submission" if path.is_dir() else "scores"
+            raise InvalidValueError(
+                f"{path}", expected="the data (a folder of clips)", found=found, fix=_ORDER
+            )
+        return clips_by_name([load(path)]) if path.is_file() else load_dataset(path)
+    named = data if isinstance(data, Mapping) else clips_by_name(data)
+    clips_by_name(named.values())
+    return dict(sorted(named.items()))
 
 
 def choose_protocol(name: str, clips: Iterable[str]) -> Protocol:
@@ -172,7 +179,7 @@ def _check_labels(out: Validation) -> None:
         file = read.files[seed, name]
         found, problems = join_labels(prediction, out.clips[name], file)
         if found is not None:
-            problems = _label_problems(found, name, file, read.meta)
+            problems = _label_problems(found, out.clips[name], file, read.meta)
             if all(problem.code in _SCORABLE for problem in problems):
                 out.labels[seed, name] = found
         out.problems.extend(problems)
@@ -182,30 +189,25 @@ def _check_labels(out: Validation) -> None:
             out.notes.append(Problem("failed", read.files[key], key[1], found=reason, fix=fix))
 
 
-def _label_problems(label: IntArray, clip: str, file: str, meta: SubmissionMeta) -> list[Problem]:
+def _label_problems(label: IntArray, clip: Clip, file: str, meta: SubmissionMeta) -> list[Problem]:
     """Find labels that cannot be meant: counted from 0, all the same, nearly all different."""
     out = []
     groups = np.unique(label)
     if groups[0] == 0 and not meta.outliers:
-        based = is_zero_based(groups)
+        based = is_zero_based(label)
         found = f"labels {first_few(groups.tolist())}" + (", which look 0-based" if based else "")
         fix = "add 1 to every label; if 0 is meant as outlier: outliers = true in meta.toml"
         code = "zero-based" if based else "zero-label"
-        out.append(Problem(code, file, clip, "motions 1, 2, ...", found, fix))
-    if len(groups) == 1 and len(label) > 1 and not meta.baseline:
+        out.append(Problem(code, file, clip.name, "motions 1, 2, ...", found, fix))
+    if len(groups) == 1 and min(len(label), clip.n_motions) > 1 and not meta.baseline:
         found = f"all {len(label)} labels are {groups[0]}"
         fix = "check that the labels were written at all; if it is meant: baseline = true in meta.toml"
-        out.append(Problem("one-label", file, clip, "two motions or more", found, fix))
+        out.append(Problem("one-label", file, clip.name, "two motions or more", found, fix))
     if len(groups) > max(2, len(label) // 2):
         found = f"{len(groups)} different labels for {len(label)} trajectories"
         fix = "check whether the columns track and label are swapped"
-        out.append(Problem("too-many-groups", file, clip, "a few groups", found, fix))
+        out.append(Problem("too-many-groups", file, clip.name, "a few groups", found, fix))
     return out
-
-
-def is_zero_based(groups: IntArray) -> bool:
-    """Whether sorted labels, each once, count from 0 without a gap."""
-    return len(groups) > 1 and np.array_equal(groups, np.arange(len(groups)))
 
 
 def _check_extra(name: str, given: Mapping[str, Clip], out: Validation) -> None:
