@@ -53,16 +53,20 @@ class Segmentation:
     labels : (n,) int64
         1, 2, ... = predicted motions; 0 = outlier. In the order of ``clip.evaluated``.
     report : mapping of str to object
-        What the method reports: objective values, convergence, chosen rank, timings.
+        What the method reports: objective values, convergence, chosen rank, timings. `notes` are the
+        sentences that one must know to trust the labels, see `mseg.segment`.
     """
 
     labels: IntArray
     report: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        labels = np.array(self.labels, dtype=np.int64)
-        if labels.ndim != 1 or (labels.size and labels.min() < 0):
-            raise InvalidValueError("labels", expected="(n,) integers >= 0", found=f"shape {labels.shape}")
+        given = np.asarray(self.labels)
+        whole = not given.size or (given.dtype.kind in "iu" and given.min() >= 0)
+        if given.ndim != 1 or not whole:
+            found = f"{given.dtype} of shape {given.shape}"
+            raise InvalidValueError("labels", expected="(n,) integers >= 0", found=found)
+        labels = np.array(given, dtype=np.int64)
         labels.flags.writeable = False
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
@@ -92,7 +96,8 @@ class Segmentation:
         """One line: how many trajectories, and the size of each motion."""
         groups, sizes = np.unique(self.labels, return_counts=True)
         shown = ", ".join(f"{g}: {n}" for g, n in zip(groups.tolist(), sizes.tolist(), strict=True))
-        return f"Segmentation({len(self.labels)} trajectories; motion: size {{{shown}}})"
+        notes = "".join(f"; {note}" for note in self.report.get("notes", ()))
+        return f"Segmentation({len(self.labels)} trajectories; motion: size {{{shown}}}{notes})"
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild through the constructor: a read-only mapping view does not pickle."""

@@ -11,8 +11,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import check_writable, write_text
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import check_writable, read_bytes, write_text
+from kt3dmoseg.io.predictions import SUFFIXES, first_few
 from kt3dmoseg.parallel import algorithm_version, run_tasks
 from mseg.benchmark.runner import Progress, configure
 from mseg.benchmark.tasks import Task, lost_task, outcome_key, run_task, seed_numbers
@@ -23,6 +24,7 @@ from mseg.methods import create
 
 # Which configuration made the predictions; hidden, so no part of the submission.
 _RECORD = ".mseg-run.json"
+_LARGEST = 64 << 20
 
 
 def predict(
@@ -104,11 +106,13 @@ def predict(
     results = run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask)
     for done, (task, (outcome,)) in enumerate(results, 1):
         if outcome.labels is None:
+            file_of(folder, task.clip.name, layout[task.seed], ".csv").unlink(missing_ok=True)
             write_failure(folder, task.clip, outcome.reason, seed=layout[task.seed])
         else:
             write_prediction(folder, task.clip, outcome.labels, seed=layout[task.seed])
         if not math.isnan(outcome.seconds):  # else its workers died: the next run tries again
             record["done"][outcome.key] = outcome.seconds
+            record["notes"][outcome.key] = outcome.notes
         write_text(folder / _RECORD, json.dumps(record, indent=1))
         if progress:
             progress(done, len(tasks), task.name)
@@ -123,24 +127,51 @@ def predict(
         outliers=True,
         fingerprints={name: clip_checksum(clip) for name, clip in clips.items()},
         parameters={name: str(value) for name, value in asdict(made).items()},
+        notes=_notes({run: record["notes"].get(key, "") for run, key in keys.items()}),
     )
     write_meta(folder, meta)
     return folder
 
 
+def _notes(by_run: Mapping[tuple[str, int], str]) -> dict[str, str]:
+    """Join the notes on each clip, by clip: those on all seeds once, others with their seeds."""
+    notes: dict[str, str] = {}
+    for name in dict.fromkeys(clip for clip, _ in by_run):
+        runs = {seed: note for (clip, seed), note in by_run.items() if clip == name}
+        texts = {text: [s for s in runs if runs[s] == text] for text in dict.fromkeys(runs.values()) if text}
+        parts = [
+            text if len(seeds) == len(runs) else f"seed {first_few(seeds)}: {text}"
+            for text, seeds in texts.items()
+        ]
+        if parts:
+            notes[name] = "; ".join(parts)[:2000]
+    return notes
+
+
 def _open_record(folder: Path, configuration: Mapping[str, Any]) -> dict[str, Any]:
     """Read what an earlier run left, refusing to mix two configurations."""
     path = folder / _RECORD
-    if not path.is_file():
-        return {"configuration": configuration, "done": {}}
-    record: dict[str, Any] = json.loads(path.read_text())
-    was = record["configuration"]
-    differs = [key for key in configuration if was.get(key) != configuration[key]]
-    if differs:
-        raise InvalidValueError(
-            str(folder),
-            expected=f"no predictions, or those of this configuration ({configuration['method']})",
-            found=f"predictions of another ({was.get('method')}; differs in {', '.join(differs)})",
-            fix="write to another folder",
-        )
-    return record
+    if path.is_file():
+        try:
+            record = dict(json.loads(read_bytes(path, _LARGEST)))
+        except (ValueError, TypeError, RecursionError) as error:
+            fix = "remove the folder, or write to another"
+            raise FileFormatError(
+                f"{path}", expected="what 'mseg run' keeps", found=str(error), fix=fix
+            ) from None
+        was = record.get("configuration", {})
+        differs = [key for key in configuration if was.get(key) != configuration[key]]
+        found = f"predictions of another ({was.get('method')}; differs in {', '.join(differs)})"
+        if not differs:
+            return {"notes": {}, **record}
+    else:
+        files = [each for each in folder.rglob("*") if each.suffix in (*SUFFIXES, FAILED)]
+        found = f"{first_few([each.name for each in files])}, not written by 'mseg run'"
+        if not files:
+            return {"configuration": configuration, "done": {}, "notes": {}}
+    raise InvalidValueError(
+        str(folder),
+        expected=f"no predictions, or those of this configuration ({configuration['method']})",
+        found=found,
+        fix="write to another folder",
+    )

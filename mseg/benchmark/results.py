@@ -48,6 +48,8 @@ class BenchmarkResult:
         What failed and why.
     others : tuple of str
         Clips that lay there and do not belong to the benchmark.
+    notes : tuple of (configuration, clip, seed, note)
+        What one must know to trust some labels, see `mseg.segment`.
     """
 
     protocol: Protocol
@@ -58,6 +60,7 @@ class BenchmarkResult:
     seconds: FloatArray
     failures: tuple[tuple[Configuration, str, int, str], ...] = ()
     others: tuple[str, ...] = ()
+    notes: tuple[tuple[Configuration, str, int, str], ...] = ()
 
     @property
     def clips(self) -> list[str]:
@@ -110,6 +113,10 @@ class BenchmarkResult:
                 {"method": c.title, "clip": clip, "seed": seed, "reason": reason}
                 for c, clip, seed, reason in self.failures
             ],
+            "notes": [
+                {"method": c.title, "clip": clip, "seed": seed, "note": note}
+                for c, clip, seed, note in self.notes
+            ],
         }
 
     def _errors(self) -> dict[str, FloatArray]:
@@ -132,6 +139,8 @@ class BenchmarkResult:
                 notes.append(f"{group.title}: {_missing(group, present)}.")
         if self.others:
             notes.append(f"Not counted: {first_few(self.others, _LISTED)}.")
+        said = [f"{c.title} on {clip}, seed {seed}: {note}" for c, clip, seed, note in self.notes]
+        notes += [f"Reported: {first_few(said, _LISTED)}."] if said else []
         notes += [
             f"Counted as fully wrong: {c.title} on {clip}, seed {seed}: {reason}."
             for c, clip, seed, reason in self.failures

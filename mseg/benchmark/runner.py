@@ -111,7 +111,7 @@ def run(
             keep_outcome(store, outcome)
         if progress:
             progress(done, len(tasks), task.name)
-    errors, seconds, failures = np.ones(shape), np.full(shape, np.nan), []
+    errors, seconds, failures, notes = np.ones(shape), np.full(shape, np.nan), [], []
     for (m, i, s), key in keys.items():
         outcome = outcomes[key]
         seconds[m, i, s] = outcome.seconds
@@ -119,9 +119,19 @@ def run(
             failures.append((configurations[m], clips[i].name, wanted[s], outcome.reason))
         else:
             errors[m, i, s] = classification_error(clips[i].labels.label, outcome.labels)
+        if outcome.notes:
+            notes.append((configurations[m], clips[i].name, wanted[s], outcome.notes))
     motions = {name: clip.n_motions for name, clip in zip(paths, clips, strict=True)}
     return BenchmarkResult(
-        protocol, configurations, motions, wanted, errors, seconds, tuple(failures), tuple(others)
+        protocol,
+        configurations,
+        motions,
+        wanted,
+        errors,
+        seconds,
+        tuple(failures),
+        tuple(others),
+        tuple(notes),
     )
 
 

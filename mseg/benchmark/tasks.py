@@ -50,6 +50,7 @@ class Outcome:
     labels: IntArray | None  # None when it failed
     seconds: float  # CPU time, with that of kernels which another method of the task had made already
     reason: str = ""  # why it failed
+    notes: str = ""  # what one must know to trust the labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +80,9 @@ def run_task(task: Task, progress: Callable[..., None] | None = None) -> list[Ou
         outcomes = []
         for key, configuration in task.work:
             saved, start = cache.saved_seconds, time.process_time()
-            labels, reason = _attempt(task, configuration)
+            labels, reason, notes = _attempt(task, configuration)
             seconds = time.process_time() - start + cache.saved_seconds - saved
-            outcomes.append(Outcome(key, labels, seconds, reason))
+            outcomes.append(Outcome(key, labels, seconds, reason, notes))
         return outcomes
 
 
@@ -90,16 +91,15 @@ def lost_task(task: Task, reason: str) -> list[Outcome]:
     return [Outcome(key, None, float("nan"), reason) for key, _ in task.work]
 
 
-def _attempt(task: Task, configuration: Configuration) -> tuple[IntArray | None, str]:
+def _attempt(task: Task, configuration: Configuration) -> tuple[IntArray | None, str, str]:
     name, clip = configuration.method, task.clip
     try:
         result = segment(clip, name, n_motions=task.n_motions, seed=task.seed, **configuration.parameters)
     except (KT3DMoSegError, MemoryError, np.linalg.LinAlgError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        return None, re.sub(
-            rf"^{re.escape(clip.name)}[:,] ", "", reason
-        )  # the caller that shows it names the clip
-    return np.array(result.labels), ""
+        # The caller that shows it names the clip.
+        return None, re.sub(rf"^{re.escape(clip.name)}[:,] ", "", reason), ""
+    return np.array(result.labels), "", "; ".join(result.report["notes"])
 
 
 def outcome_key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: int) -> str:
@@ -127,14 +127,15 @@ def outcome_key(configuration: Configuration, clip: Clip, n_motions: int | None,
 def read_outcome(cache: Cache, key: str) -> Outcome | None:
     """Return a kept outcome, when it is there."""
     kept = cache.get(key)
-    if kept is None:
+    if kept is None or "notes" not in kept:  # of an earlier version
         return None
-    reason = str(kept["reason"])
-    return Outcome(key, None if reason else kept["labels"].astype(np.int64), float(kept["seconds"]), reason)
+    reason, labels = str(kept["reason"]), kept["labels"].astype(np.int64)
+    return Outcome(key, None if reason else labels, float(kept["seconds"]), reason, str(kept["notes"]))
 
 
 def keep_outcome(cache: Cache, outcome: Outcome) -> None:
     """Keep an outcome; one of a worker that died is not kept, since it is no evidence on the method."""
     if not np.isnan(outcome.seconds):
         labels = np.zeros(0, dtype=np.int64) if outcome.labels is None else outcome.labels
-        cache.put(outcome.key, {"labels": labels, "seconds": outcome.seconds, "reason": outcome.reason})
+        texts = {"reason": outcome.reason, "notes": outcome.notes}
+        cache.put(outcome.key, {"labels": labels, "seconds": outcome.seconds, **texts})

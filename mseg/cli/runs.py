@@ -77,11 +77,12 @@ def run(
     workers: Workers = 1,
     dask: Dask = "",
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Segment every clip of a folder with a method and write the predictions.
 
     The output is a submission: 'mseg validate' and 'mseg score' read it. What is there already is kept,
-    so an interrupted run goes on; a folder that holds predictions of another configuration is refused.
+    so an interrupted run goes on; a folder that holds other predictions is refused. Exit code 1 when the
+    method failed on every clip.
 
     Parameters
     ----------
@@ -96,10 +97,12 @@ def run(
     seeds : int
         Number of seeds; several go to seed-0/, seed-1/, ...
     """
+    from kt3dmoseg.io.predictions import SUFFIXES
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
     from mseg.evaluation.protocol import count
-    from mseg.evaluation.submission import FAILED
+    from mseg.evaluation.reading import parse_meta
+    from mseg.evaluation.submission import FAILED, META
 
     with progress_bar("task", quiet=quiet) as progress:
         folder = predict(
@@ -113,11 +116,15 @@ def run(
             dask=dask,
             progress=progress,
         )
-    failed = {path: path.read_text().strip() for path in sorted(folder.rglob(f"*{FAILED}"))}
-    lines = [f"failed: {path.relative_to(folder)}: {reason}" for path, reason in failed.items()]
+    files = sorted(path for path in folder.rglob("*") if path.suffix in (*SUFFIXES, FAILED))
+    failed = [path for path in files if path.suffix == FAILED]
+    lines = [f"failed: {path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
+    meta, _ = parse_meta((folder / META).read_bytes())
+    lines += [f"note: {clip}: {note}" for clip, note in meta.notes.items()]
     lines.append(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))
     lines.append(f"check it: mseg validate {folder} {data}\nscore it: mseg score {folder} {data}")
     print("\n".join(lines), file=sys.stderr)
+    return 1 if len(failed) == len(files) else 0
 
 
 def benchmark(
@@ -136,11 +143,12 @@ def benchmark(
     workers: Workers = 1,
     dask: Dask = "",
     quiet: Quiet = False,
-) -> None:
+) -> int:
     """Run methods on every clip of a benchmark that is found, over several seeds, and print the tables.
 
     Outcomes are kept in a folder (--cache), so that a re-run, or one with more methods or seeds, runs
     only what is new. What is missing of the benchmark is listed; the published rows are for all of it.
+    Exit code 1 when every run failed.
 
     Parameters
     ----------
@@ -184,7 +192,8 @@ def benchmark(
         everything = json_.dumps(result.as_dict(), indent=1)
         if json in ([], ["-"]):
             print(everything)
-            return
+            return int(result.errors.size == len(result.failures))
         write_text(json[0], everything + "\n")
     tables = [table for table in (result.per_clip(), result.by_axis(), result.summary()) if table]
     print("\n\n".join(t.markdown() if markdown else t.text() for t in tables))
+    return int(result.errors.size == len(result.failures))

@@ -33,6 +33,7 @@ def example_submission(
     seeds: Positive = 1,
     format: Literal["csv", "npz", "h5"] = "csv",
     source: Annotated[Path | None, Parameter(name="--from", metavar="FILES")] = None,
+    zero: Literal["first", "outlier"] | None = None,
     method: Name = "",
     benchmark: Name = "",
 ) -> None:
@@ -53,6 +54,8 @@ def example_submission(
         File format.
     source : path
         Label files: .mat with ClusterIdx, or a folder of <clip>.txt, .csv, .mat or .dat.
+    zero : {"first", "outlier"}
+        What label 0 of label files is: the first cluster (1 is added to all) or an outlier.
     method : str
         Name of the method, for meta.toml.
     benchmark : str
@@ -65,9 +68,11 @@ def example_submission(
         {"method": method} if method else {}
     )
     if source is not None:
-        wrote = example.from_label_files(source, data, output, **options)
+        wrote = example.from_label_files(source, data, output, zero=zero or "", **options)
     else:
         wrote = example.example_submission(data, output, seeds=seeds, **options)
+    if wrote.note:
+        print(f"note: {wrote.note}", file=sys.stderr)
     print(f"wrote {wrote.folder} ({count(wrote.clips, 'clip')})", file=sys.stderr)
     print(f"check it: mseg validate {wrote.folder} {wrote.data}", file=sys.stderr)
     print(f"score it: mseg score {wrote.folder} {wrote.data}", file=sys.stderr)
@@ -267,9 +272,15 @@ _BOARD = Path("leaderboard.sqlite")
 
 @leaderboard.command
 def add(
-    submission: Either, data: Folder | None = None, /, *, benchmark: Benchmark = "", db: Board = _BOARD
+    submission: Either,
+    data: Folder | None = None,
+    /,
+    *,
+    benchmark: Benchmark = "",
+    replace: Positive | None = None,
+    db: Board = _BOARD,
 ) -> None:
-    """Score a submission and keep the scores.
+    """Score a submission and keep the scores; those of a score file are marked as claimed.
 
     Parameters
     ----------
@@ -277,6 +288,8 @@ def add(
         Folder or zip, or a file written by 'mseg score --json'.
     data : path
         Folder of clips with labels.
+    replace : int
+        Number of the entry whose place it takes.
     """
     from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.leaderboard import Leaderboard
@@ -289,9 +302,25 @@ def add(
     else:
         fix = "give it after the submission"
         raise InvalidValueError("data", expected="a folder of clips", found="nothing", fix=fix)
-    number, new = Leaderboard(db, create=True).add(scores)
+    board = Leaderboard(db, create=replace is None)
+    number, new = board.add(scores, claimed=data is None, replace=replace)
     state = "complete" if scores.complete else f"{scores.benchmark.coverage(scores.names)}"
     print(f"{'added' if new else 'already there'}: entry {number}, {scores.meta.method}, {state}")
+
+
+@leaderboard.command
+def remove(number: Positive, /, *, db: Board = _BOARD) -> None:
+    """Remove an entry.
+
+    Parameters
+    ----------
+    number : int
+        Number of the entry, see 'mseg leaderboard list'.
+    """
+    from mseg.evaluation.leaderboard import Leaderboard
+
+    Leaderboard(db, create=False).remove(number)
+    print(f"removed entry {number}", file=sys.stderr)
 
 
 @leaderboard.command(name="list")

@@ -77,7 +77,7 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
     for (i, j), p, p_holm in zip(index, p_values, holm(p_values), strict=True):
         delta, sd_i, sd_j = means[i] - means[j], sds[i], sds[j]
         noise = None if sd_i is None or sd_j is None else float(np.hypot(sd_i, sd_j))
-        mean, interval = float(delta.mean()), bootstrap_mean(delta)
+        mean, interval = round(float(delta.mean()), 12) + 0.0, bootstrap_mean(delta)  # + 0.0: never -0.0
         pair = Pair(names[i], names[j], mean, interval, p, p_holm, noise)
         pairs.append(replace(pair, sentence=_sentence(pair, spec, len(delta))))
     return Comparison(metric, names, tables, pairs)
@@ -102,8 +102,8 @@ def pairs_table(comparison: Comparison) -> ResultsTable:
     rows = [
         [
             f"{pair.first} - {pair.second}",
-            f"{scale * pair.difference:+.2f}",
-            f"{scale * pair.interval.low:+.2f}..{scale * pair.interval.high:+.2f}",
+            _signed(scale * pair.difference),
+            f"{_signed(scale * pair.interval.low)}..{_signed(scale * pair.interval.high)}",
             "-" if pair.seed_sd is None else f"{scale * pair.seed_sd:.2f}",
             f"{pair.p:.3g}",
             f"{pair.p_holm:.3g}",
@@ -112,6 +112,12 @@ def pairs_table(comparison: Comparison) -> ResultsTable:
     ]
     columns = ["pair", "difference", "95 % over clips", "seed sd", "Wilcoxon p", "Holm p"]
     return ResultsTable("Paired over clips", columns, rows)
+
+
+def _signed(value: float) -> str:
+    """Show a difference with its sign, unless it is shown as 0.00."""
+    text = f"{value:+.2f}"
+    return "0.00" if float(text) == 0 else text
 
 
 def _check_same_data(tables: Sequence[ScoreTable]) -> None:
@@ -136,18 +142,20 @@ def _unique_names(names: Sequence[str]) -> list[str]:
 
 
 def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:
-    if pair.difference == 0:
-        return f"{pair.first} and {pair.second} have the same mean."
     unit = " points" if spec.percent else ""
+    size = round(spec.scale * abs(pair.difference), 2)
+    if not size:
+        near = f", to within 0.01{unit}" if pair.difference else ""
+        return f"{pair.first} and {pair.second} have the same mean{near}."
     better, worse = pair.first, pair.second
     if (pair.difference > 0) == (spec.better == "lower"):
         better, worse = worse, better
-    size = f"{spec.scale * abs(pair.difference):.2f}{unit}"
-    text = f"{better} is better than {worse} by {size} on average over {count(n_clips, 'clip')}. "
+    text = f"{better} is better than {worse} by {size:.2f}{unit} on average over {count(n_clips, 'clip')}. "
     if pair.seed_sd is None:
         text += "Whether that is larger than the seed noise is unknown: one of them has a single seed. "
     else:
-        larger = "larger" if abs(pair.difference) > _NOISE * pair.seed_sd else "not larger"
+        noise = round(spec.scale * _NOISE * pair.seed_sd, 2)
+        larger = "larger" if size > noise else "not larger"
         text += (
             f"The difference is {larger} than the seed noise ({_NOISE:g} standard deviations over seeds, "
             f"each {spec.scale * pair.seed_sd:.2f}{unit}). "

@@ -13,9 +13,8 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io import save
-from kt3dmoseg.io.predictions import is_zero_based
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
-from mseg.evaluation.label_import import read_label_files
+from mseg.evaluation.label_import import Zero, labels_and_note
 from mseg.evaluation.protocol import Protocol
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
 from mseg.evaluation.validation import choose_protocol, load_clips
@@ -27,6 +26,7 @@ class Written(NamedTuple):
     folder: Path
     data: Path
     clips: int
+    note: str = ""  # what was done to the labels
 
 
 def example_submission(
@@ -90,6 +90,7 @@ def from_label_files(
     method: str = "unnamed",
     benchmark: str = "",
     format: FileFormat = "csv",
+    zero: Zero = "",
 ) -> Written:
     """Turn label files into a submission; see `mseg.evaluation.label_import`."""
     if data is None:
@@ -99,16 +100,16 @@ def from_label_files(
     with _new_folder(output) as folder:
         clips = load_clips(data)
         protocol = choose_protocol(benchmark, clips)
-        labels = read_label_files(source, clips, names=protocol.clips)
+        labels, note = labels_and_note(source, clips, names=protocol.clips, zero=zero)
         used = {name: clips[name] for name in labels}
         meta = SubmissionMeta(
             method,
             dataset_version=_version(protocol, used),
             benchmark=protocol.name,
-            outliers=any(0 in v and not is_zero_based(v) for v in labels.values()),
+            outliers=any(0 in v for v in labels.values()),
         )
         write_submission(folder, used.values(), labels, meta, format=format)
-        return Written(folder, Path(data), len(used))
+        return Written(folder, Path(data), len(used), note)
 
 
 def made_up_clips() -> dict[str, Clip]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.predictions import first_few, label_vector
+from kt3dmoseg.io.predictions import first_few, is_zero_based, label_vector
 from kt3dmoseg.types import Clip, IntArray
+from mseg.evaluation.protocol import count
 
+Zero: TypeAlias = Literal["", "first", "outlier"]
 CELLS = "ClusterIdx"
 _LIMIT = 256 << 20
 _MAX_DIGITS = 18  # these fit into 64 bits
@@ -25,7 +28,11 @@ _FORMATS = (
 
 
 def read_label_files(
-    source: str | os.PathLike[str], clips: Mapping[str, Clip], *, names: Sequence[str] = ()
+    source: str | os.PathLike[str],
+    clips: Mapping[str, Clip],
+    *,
+    names: Sequence[str] = (),
+    zero: Zero = "",
 ) -> dict[str, IntArray]:
     """Read the predictions that somebody has for the given clips.
 
@@ -38,6 +45,10 @@ def read_label_files(
     names : sequence of str
         Names of all sequences of the benchmark, in the order of the cells; used when there are
         as many cells. By default, and otherwise, the clips sorted by name.
+    zero : {"", "first", "outlier"}
+        What label 0 is: the first cluster, so that 1 is added to all labels, or an outlier. By default the
+        first cluster when the labels of every clip are 0, 1, ... up to less than its number of motions, with
+        a warning; otherwise label 0 is refused. In a Brox file it is the first cluster, and -1 an outlier.
 
     Returns
     -------
@@ -50,11 +61,35 @@ def read_label_files(
     InputFileError, FileFormatError, InvalidValueError
         When nothing is found, a file is none of these formats, or a vector fits no clip.
     """
+    labels, note = labels_and_note(source, clips, names=names, zero=zero)
+    if note:
+        warnings.warn(note, stacklevel=2)
+    return labels
+
+
+def labels_and_note(
+    source: str | os.PathLike[str], clips: Mapping[str, Clip], *, names: Sequence[str], zero: Zero
+) -> tuple[dict[str, IntArray], str]:
+    """Read labels as `read_label_files` does, with a sentence on what was done to them, or none."""
     path = Path(source)
-    found = _folder(path, clips) if path.is_dir() else _cells_by_name(path, clips, names)
-    if not found:
+    settled, open_ = _folder(path, clips) if path.is_dir() else ({}, _cells_by_name(path, clips, names))
+    if not settled and not open_:
         raise InputFileError(f"{path}", expected=_FORMATS, found="labels of none of the clips")
-    return {name: fit_to_clip(labels, clips[name], f"{path}: {name}") for name, labels in found.items()}
+    fitted, labels = (
+        {name: fit_to_clip(vector, clips[name], f"{path}: {name}") for name, vector in each.items()}
+        for each in (settled, open_)
+    )
+    with_zero = [name for name, label in labels.items() if (label == 0).any()]
+    note = ""
+    if with_zero and zero != "outlier":
+        contiguous = all(is_zero_based(v) and v.max() < clips[n].n_motions for n, v in labels.items())
+        if zero != "first" and not contiguous:
+            found = f"label 0 in {first_few(with_zero)} ({len(with_zero)} of {count(len(labels), 'clip')})"
+            fix = "state what it is: --zero first (1 is added to all labels) or --zero outlier"
+            raise InvalidValueError(f"{path}", expected="labels 1, 2, ...", found=found, fix=fix)
+        labels = {name: label + 1 for name, label in labels.items()}
+        note = f"labels count from 0: 1 was added to every label of {count(len(labels), 'clip')}"
+    return fitted | labels, note
 
 
 def fit_to_clip(labels: npt.ArrayLike, clip: Clip, where: str) -> IntArray:
@@ -92,21 +127,32 @@ def read_brox_labels(path: Path) -> IntArray:
     There, clusters count from 0 and -1 means none; a file without a label below 1 is taken as
     counting from 1.
     """
+    labels = _brox(path)
+    return labels + int(labels.min(initial=1) < 1)
+
+
+def _brox(path: Path) -> IntArray:
     from kt3dmoseg.io.brox import read_labels
 
-    labels = read_labels(path)
-    return labels if labels.min(initial=1) >= 1 else labels + 1
+    return read_labels(path)
 
 
-def _folder(folder: Path, clips: Mapping[str, Clip]) -> dict[str, npt.NDArray[Any]]:
-    out: dict[str, npt.NDArray[Any]] = {}
+def _folder(
+    folder: Path, clips: Mapping[str, Clip]
+) -> tuple[dict[str, npt.NDArray[Any]], dict[str, npt.NDArray[Any]]]:
+    """Read one file per clip: labels of Brox files, counted from 1, and those of others as they are."""
+    files: dict[str, Path] = {}
     for file in sorted(folder.iterdir()):
         name = next((n for n in (file.stem, file.stem.removesuffix("_Tracks")) if n in clips), None)
         if name is not None and file.suffix.lower() in _READERS:
-            if name in out:
-                raise FileFormatError(f"{file}", expected=f"one label file for clip {name}", found="several")
-            out[name] = _READERS[file.suffix.lower()](file)
-    return out
+            if name in files:
+                expected, found = f"one label file for clip {name}", f"also {files[name].name}"
+                raise FileFormatError(f"{file}", expected=expected, found=found)
+            files[name] = file
+    labels = {name: _READERS[file.suffix.lower()](file) for name, file in files.items()}
+    brox = {name: labels.pop(name) for name, file in files.items() if file.suffix.lower() == ".dat"}
+    first = min((label.min(initial=1) for label in brox.values()), default=1)
+    return {name: label + (first < 1) for name, label in brox.items()}, labels
 
 
 def _cells_by_name(
@@ -177,6 +223,6 @@ def _matlab73(path: Path) -> dict[str, npt.NDArray[Any]]:
 _READERS: dict[str, Callable[[Path], npt.NDArray[Any]]] = {
     ".txt": read_label_text,
     ".csv": read_label_text,
-    ".dat": read_brox_labels,
+    ".dat": _brox,
     ".mat": _single_vector,
 }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.tables import text_table
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import all_metrics
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 MAIN_METRICS = ("error", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f")
 ABSENT = "-"
+_LISTED = 12  # clips named in a note
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +178,24 @@ def headline_notes(scores: ScoreTable) -> list[str]:
         f"95 % bootstrap interval over clips {100 * low:.2f} to {100 * high:.2f}; "
         f"all trajectories pooled {100 * summary.pooled:.2f}."
     )
-    return notes + failure_notes(scores)
+    return [*notes, *_method_notes(scores), *failure_notes(scores)]
+
+
+def _method_notes(scores: ScoreTable) -> list[str]:
+    """Note what the method reports, and clips in which it found another number of groups than it was given."""
+    meta = scores.meta
+    found = [c for c in scores.clips if meta.n_motions_given and not c.reason and c.clip not in meta.notes]
+    other = {f"{c.clip} ({c.n_found} of {c.n_motions})": 0 for c in found if c.n_found != c.n_motions}
+    said = [f"{clip}: {note}" for clip, note in meta.notes.items()]
+    if meta.baseline:
+        return []
+    counts = f"Other groups than motions, though their number was given: {first_few(list(other), _LISTED)}."
+    more = f"And on {len(said) - _LISTED} more clips."
+    return [
+        *([counts] if other else []),
+        *(f"The method reports on {each}." for each in said[:_LISTED]),
+        *([more] if len(said) > _LISTED else []),
+    ]
 
 
 def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:

@@ -68,6 +68,9 @@ class SubmissionMeta:
         Clip -> `clip_checksum` of the trajectories that were segmented.
     parameters : mapping of str to str
         Options of the method, free.
+    notes : mapping of str to str
+        Clip -> what one must know to trust its labels, such as a method that did not converge; shown with
+        the scores.
     """
 
     method: str
@@ -82,6 +85,7 @@ class SubmissionMeta:
     baseline: bool = False
     fingerprints: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
 
 
 def clip_checksum(clip: Clip) -> str:

@@ -6,12 +6,13 @@ import builtins
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.registry import Registry
-from kt3dmoseg.types import Clip
+from kt3dmoseg.types import BoolArray, Clip, Labels, Trajectories
 from mseg.errors import SegmentationError
 from mseg.types import Method, Segmentation
 
@@ -68,52 +69,112 @@ def create(name: str, **parameters: Any) -> Method:  # noqa: ANN401
 
 
 def segment(
-    clip: Clip,
+    clip: Clip | Trajectories | npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike],
     method: str | Method = "subset",
     *,
     n_motions: int | None = None,
     seed: int = 0,
+    visible: npt.ArrayLike | None = None,
     **parameters: Any,  # noqa: ANN401
 ) -> Segmentation:
-    """Segment the evaluated trajectories of a clip.
+    """Segment the evaluated trajectories of a clip, or all of some trajectories.
 
     Parameters
     ----------
-    clip : Clip
-        The sequence; its labels are not looked at.
+    clip : Clip, Trajectories, (N, F, 2) array, or pair of arrays (xy, visible)
+        The sequence; its labels are not looked at. Arrays hold pixels; by default a point is visible where
+        both coordinates are finite.
     method : str or Method
         A name of `list`, or a method object.
     n_motions : int or None
         Number of motions, background included; None for methods that find it themselves.
     seed : int
         Same seed, same labels.
+    visible : (N, F) bool, optional
+        Where the points of an array are visible, and finite.
     **parameters
         Parameters of the method, when it is given by name.
 
     Returns
     -------
     Segmentation
-        One label per evaluated trajectory.
+        One label per (evaluated) trajectory. ``report["notes"]`` has one sentence each on another number
+        of groups than asked for, outliers that were not asked for, a method that did not converge, and
+        whatever the method has in ``report["warnings"]``.
 
     Raises
     ------
     SegmentationError
         When the method cannot segment this clip.
     UnknownNameError, InvalidValueError
-        For a bad method name, parameter or number of motions.
+        For a bad method name, parameter, number of motions, seed, clip or array.
     """
-    if n_motions is not None and n_motions < 1:
-        raise InvalidValueError("n_motions", expected="at least 1", found=str(n_motions))
+    _check_whole("seed", seed, 0)
+    if n_motions is not None:
+        _check_whole("n_motions", n_motions, 1)
+    if not isinstance(method, str) and parameters:
+        raise InvalidValueError("parameters", expected="none with a method object", found=str([*parameters]))
+    hidden = _clip(clip, visible).without_labels()
     chosen = create(method, **parameters) if isinstance(method, str) else method
-    hidden = clip.without_labels()
     # With several BLAS threads sums are rounded in another order: one, for the same bytes anywhere.
     with threadpool_limits(limits=1, user_api="blas"):
         result = chosen.segment(hidden, n_motions=n_motions, rng=np.random.default_rng(seed))
-    if len(result.labels) != len(clip.evaluated):
+    if len(result.labels) != len(hidden.evaluated):
         raise SegmentationError(
-            f"{method} on {clip.name}",
-            expected=f"{len(clip.evaluated)} labels",
+            f"{method} on {hidden.name}",
+            expected=f"{len(hidden.evaluated)} labels",
             found=f"{len(result.labels)}",
             fix="this is a fault of the method",
         )
-    return result
+    notes = _notes(result, n_motions, outliers=bool(getattr(chosen, "reject_outliers", False)))
+    return Segmentation(result.labels, {**result.report, "notes": notes})
+
+
+def _check_whole(name: str, value: object, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        expected = f"a whole number, at least {least}"
+        raise InvalidValueError(name, expected=expected, found=f"{value!r:.60}")
+
+
+def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  # checked
+    """Return a clip, or make one of trajectories or arrays."""
+    if isinstance(value, (Clip, Trajectories)):
+        if visible is not None:
+            raise InvalidValueError("visible", expected="nothing with a clip", found="an array")
+    else:
+        given = value if isinstance(value, tuple) and len(value) == 2 else (value, visible)
+        value = _trajectories(*given)
+    if isinstance(value, Clip):
+        return value
+    return Clip("clip", value, np.arange(len(value)), Labels(np.zeros(len(value), dtype=np.int64)))
+
+
+def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  # noqa: ANN401  # checked
+    try:
+        xy = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        expected = "a Clip, Trajectories, an array (N, F, 2) or (xy, visible)"
+        fix = "kt3dmoseg.load(path) reads a file"
+        raise InvalidValueError("clip", expected=expected, found=f"{points!r:.60}", fix=fix) from None
+    if xy.ndim != 3 or xy.shape[2] != 2:
+        raise InvalidValueError("xy", expected="shape (N, F, 2)", found=f"{xy.shape}")
+    given = np.asarray(np.isfinite(xy).all(axis=2) if visible is None else visible)
+    if not np.isin(given, (0, 1)).all():
+        raise InvalidValueError("visible", expected="True or False", found=f"values of type {given.dtype}")
+    seen: BoolArray = given.astype(np.bool_)
+    if seen.shape == xy.shape[:2]:  # else Trajectories raises
+        xy[~seen] = np.nan
+    return Trajectories(xy, seen)
+
+
+def _notes(result: Segmentation, n_motions: int | None, *, outliers: bool) -> tuple[str, ...]:
+    """Say what one must know to trust the labels."""
+    found, none = len(np.unique(result.labels[result.labels > 0])), int((result.labels == 0).sum())
+    converged = [value for key, value in result.report.items() if key.endswith("converged")]
+    notes = {
+        f"groups found: {found}, asked for: {n_motions}": n_motions not in (None, found),
+        f"{none} trajectories are outliers (label 0), which was not asked for": none and not outliers,
+        "the method did not converge": not all(converged),
+        **dict.fromkeys(result.report.get("warnings", ()), True),
+    }
+    return tuple(note for note, applies in notes.items() if applies)

@@ -183,9 +183,228 @@ assert peak < 300_000, peak
 """
 
 
-def test_a_deep_key_is_refused_in_one_line(tmp_path):
+def later_deep_key_is_refused_in_one_line(tmp_path):
     folder = perfect(tmp_path / "s")
     (folder / "meta.toml").write_text("a" + ".a" * 20_000 + " = 1\n")
     [problem] = validate_submission(folder, CLIPS).problems
     assert problem.code == "meta-syntax"
     assert "levels" in problem.found
+
+
+# --- neighbours: Python values ------------------------------------------------------------------
+
+LABELS = CLIP.labels.label
+SHUFFLED = np.random.default_rng(0).permutation(len(LABELS))
+TABLE = pd.DataFrame({"track": IDS, "label": LABELS}).iloc[SHUFFLED]
+SAME_LABELS = {
+    "tuple": tuple(LABELS.tolist()),
+    "floats": LABELS.astype(float),
+    "column": LABELS[:, None],
+    "series": pd.Series(LABELS),
+    "series by track": TABLE.set_index("track")["label"],
+    "nullable": pd.Series(LABELS, dtype="Int64"),
+    "categorical": pd.Series(LABELS).astype("category"),
+    "frame": TABLE,
+    "frame by index": TABLE.set_index("track"),
+    "frame of more columns": TABLE.assign(score=0.5),
+    "mapping": {"track": IDS[SHUFFLED], "label": LABELS[SHUFFLED]},
+    "record array": TABLE.to_records(index=False),
+    "by clip": {CLIP.name: LABELS},
+    "by seed and clip": {0: {CLIP.name: TABLE}, 5: {CLIP.name: LABELS}},
+    "labels": CLIP.labels,
+}
+
+
+@pytest.mark.parametrize("kind", SAME_LABELS)
+def test_predictions_in_any_form_are_scored_alike(kind):
+    assert mseg.score(CLIP, SAME_LABELS[kind]).error == 0
+
+
+def without(row):
+    return TABLE.drop(index=TABLE.index[row])
+
+
+WRONG_LABELS = {
+    "bool": (LABELS == 1, "type bool"),
+    "texts": (list(map(str, LABELS)), "type <U1"),
+    "NaN": (np.where(np.arange(len(LABELS)) == 3, np.nan, LABELS), "NaN in row 3"),
+    "infinite": (np.where(np.arange(len(LABELS)) == 3, np.inf, LABELS), "inf in row 3"),
+    "fraction": (LABELS + 0.5, "whole numbers"),
+    "negative": (LABELS - 2, "labels >= 0"),
+    "long": ([10**30, *LABELS[1:].tolist()], "labels >= 0"),
+    "short": (LABELS[:-1], "40 labels"),
+    "2-D": (np.tile(LABELS, (2, 1)), "vector"),
+    "ragged": ([[1, 2], [1]], "unequal"),
+    "number": (1, "vector"),
+    "nothing": (None, "vector"),
+    "set": (set(LABELS.tolist()), "vector"),
+    "clip": (CLIP, "vector"),
+    "masked": (np.ma.masked_array(LABELS, LABELS == 1), "every trajectory"),
+    "nullable": (pd.Series([None, *LABELS[1:].tolist()], dtype="Int64"), "row 0"),
+    "categorical": (pd.Series(list(map(str, LABELS))).astype("category"), "row 0"),
+    "shuffled series": (pd.Series(LABELS)[SHUFFLED], "trajectories"),
+    "missing track": (without(0), "1 missing"),
+    "track twice": (pd.concat([TABLE, TABLE.iloc[:1]]), "more than once"),
+    "another track": (TABLE.assign(track=TABLE.track.replace(IDS[0], 7777)), "not evaluated"),
+    "no track": (pd.DataFrame({"label": LABELS}), "columns track and label"),
+    "no label": (pd.DataFrame({"track": IDS, "motion": LABELS}), "columns track and label"),
+    "track NaN": (TABLE.assign(track=np.nan), "track"),
+    "another clip": ({"example_three": LABELS}, "which is no clip"),
+    "two clips": ({CLIP.name: LABELS, "other": LABELS}, "other, which is no clip"),
+    "no clip": ({}, "clip names"),
+    "texts for seeds": ({"a": {CLIP.name: LABELS}}, "seeds"),
+    "outliers": (LABELS - 1, "outliers=True"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG_LABELS)
+def test_python_predictions_that_fit_no_clip_are_refused(kind, tmp_path):
+    values, word = WRONG_LABELS[kind]
+    with pytest.raises(InvalidValueError, match=word) as caught:
+        mseg.score(CLIP, values)
+    assert "\n" not in str(caught.value)
+    if kind not in ("outliers", "another clip", "two clips", "no clip", "texts for seeds"):
+        with pytest.raises(InvalidValueError, match=word):
+            write_submission(tmp_path / "s", [CLIP], {CLIP.name: values}, SubmissionMeta("m"))
+        assert not (tmp_path / "s").exists()
+
+
+def test_zero_is_an_outlier_where_that_is_stated(tmp_path):
+    some = np.where(np.arange(len(LABELS)) < 4, 0, LABELS)
+    for pred in (mseg.Segmentation(some), Labels(some)):
+        assert mseg.score(CLIP, pred).error == 0.1
+    assert mseg.score(CLIP, some, outliers=True).error == 0.1
+    write_submission(tmp_path, [CLIP], {CLIP.name: some}, SubmissionMeta("m"))
+    file = tmp_path / f"{CLIP.name}.csv"
+    assert mseg.score(CLIP, file, outliers=True).error == 0.1
+    with pytest.raises(InvalidValueError, match="label 0 of 4"):
+        mseg.score(CLIP, file)
+
+
+def test_truth_and_predictions_of_several_clips(data, tmp_path):
+    for truths in (CLIPS, list(CLIPS.values()), data, truth()):
+        table = mseg.score(truths, truth())
+        assert (table.error, sorted(table.names)) == (0, sorted(CLIPS))
+    folder = perfect(tmp_path / "s")
+    assert mseg.score(data, folder / "example_three.csv").names == ["example_three"]
+    with pytest.raises(InvalidValueError, match="nothing for example_three"):
+        mseg.score(data, {"example_two": LABELS})
+    with pytest.raises(InvalidValueError, match="a mapping of clip names"):
+        mseg.score(data, LABELS)
+    with pytest.raises(InvalidValueError, match="own name"):
+        mseg.score([CLIP, CLIP], {CLIP.name: LABELS})
+
+
+def test_tables_without_a_clip_are_joined_by_track():
+    assert mseg.score(TABLE, pd.DataFrame({"track": IDS, "label": LABELS})).error == 0
+    assert mseg.score(TABLE.set_index("track").label, TABLE.sample(frac=1, random_state=1)).error == 0
+    with pytest.raises(InvalidValueError, match="a table of tracks"):
+        mseg.score(LABELS, TABLE)
+
+
+def test_data_and_submission_in_the_wrong_order_are_named(data, tmp_path):
+    with pytest.raises(InvalidValueError, match="found a submission"):
+        mseg.score(perfect(tmp_path / "s"), data)
+
+
+def test_scores_of_other_labels_are_not_compared():
+    from mseg.evaluation import compare
+
+    with pytest.raises(InvalidValueError, match="same clips and labels"):
+        compare([mseg.score([1, 1, 2], [1, 1, 2]), mseg.score([1, 2, 2], [1, 1, 2])])
+
+
+# --- neighbours: segmenting arrays ----------------------------------------------------------------
+
+XY = CLIP.dense.xy
+SEEN = CLIP.dense.visible
+
+
+@pytest.mark.parametrize(
+    ("given", "more"),
+    [
+        (CLIP.dense, {}),
+        (XY, {}),
+        ((np.nan_to_num(XY), SEEN), {}),
+        (XY.tolist(), {"visible": SEEN.astype(int)}),
+    ],
+    ids=["trajectories", "xy", "pair", "visible"],
+)
+def test_arrays_are_segmented_as_the_clip_is(given, more):
+    every = Clip("all", CLIP.dense, np.arange(len(CLIP.dense)), Labels(np.zeros(len(CLIP.dense), int)))
+    wanted = mseg.segment(every, "affine", n_motions=2)
+    assert mseg.segment(given, "affine", n_motions=2, **more).labels.tolist() == wanted.labels.tolist()
+
+
+@pytest.mark.parametrize(
+    ("given", "more", "word"),
+    [
+        ("clip.h5", {}, "kt3dmoseg.load"),
+        (XY[..., 0], {}, r"shape \(N, F, 2\)"),
+        (XY.swapaxes(1, 2), {}, r"shape \(N, F, 2\)"),
+        (XY, {"visible": SEEN[1:]}, "visible"),
+        (XY, {"visible": np.full(SEEN.shape, 0.5)}, "True or False"),
+        (XY, {"visible": np.ones_like(SEEN)}, "finite"),
+        (CLIP, {"visible": SEEN}, "nothing with a clip"),
+        (CLIP, {"n_motions": 2.5}, "n_motions"),
+        (CLIP, {"n_motions": True}, "n_motions"),
+        (CLIP, {"n_motions": "2"}, "n_motions"),
+        (CLIP, {"seed": -1}, "seed"),
+        (CLIP, {"seed": None}, "seed"),
+    ],
+)
+def test_what_cannot_be_segmented_is_refused(given, more, word):
+    with pytest.raises(InvalidValueError, match=word):
+        mseg.segment(given, "affine", **{"n_motions": 2, **more})
+
+
+class Careless:
+    """A method with everything wrong that is no error."""
+
+    def segment(self, clip, *, n_motions, rng):
+        labels = np.ones(len(clip.evaluated), dtype=int)
+        labels[:3] = 0
+        return mseg.Segmentation(labels, {"converged": False, "warnings": ["2 parts never seen together"]})
+
+
+NOTES = (
+    "groups found: 1, asked for: 2",
+    "3 trajectories are outliers (label 0), which was not asked for",
+    "the method did not converge",
+    "2 parts never seen together",
+)
+
+
+def test_what_a_method_did_otherwise_than_asked_is_reported(data, tmp_path, monkeypatch, capsys):
+    found = mseg.segment(CLIP, Careless(), n_motions=2)
+    assert found.report["notes"] == NOTES
+    assert NOTES[0] in repr(found)
+    monkeypatch.setattr("mseg.methods.create", lambda name, **_: Careless())
+    monkeypatch.setattr("mseg.benchmark.tasks.create", lambda name, **_: Careless())
+    monkeypatch.setattr("mseg.benchmark.runner.create", lambda name, **_: Careless())
+    monkeypatch.setattr("mseg.benchmark.tasks.asdict", vars)
+    monkeypatch.setattr("mseg.benchmark.predictions.create", lambda name, **_: Careless())
+    monkeypatch.setattr("mseg.benchmark.predictions.asdict", vars)
+    assert mseg.cli.main(["run", str(data), "-o", str(tmp_path / "s"), "--seeds", "2", "--quiet"]) == 0
+    line = f"note: example_two: {'; '.join(NOTES)}"
+    assert line in capsys.readouterr().err.splitlines()
+    table = score_submission(tmp_path / "s", CLIPS)
+    assert table.meta.notes["example_two"] == "; ".join(NOTES)
+    assert mseg.cli.main(["score", str(tmp_path / "s"), str(data)]) == 0
+    out = capsys.readouterr().out
+    assert f"The method reports on example_two: {'; '.join(NOTES)}." in out
+    assert mseg.cli.main(["report", str(tmp_path / "s"), str(data), "-o", str(tmp_path / "r.html")]) == 0
+    assert NOTES[3] in (tmp_path / "r.html").read_text()
+
+
+def test_fewer_groups_than_the_given_number_are_named_with_the_scores(data, tmp_path, capsys):
+    labels = {**truth(), "example_three": np.minimum(truth()["example_three"], 2)}
+    folder = write_submission(tmp_path / "s", CLIPS.values(), labels, SubmissionMeta("m"))
+    assert mseg.cli.main(["score", str(folder), str(data)]) == 0
+    assert "though their number was given: example_three (2 of 3)." in capsys.readouterr().out
+
+
+def test_a_run_into_a_folder_of_other_predictions_is_refused(data, tmp_path, capsys):
+    folder = str(perfect(tmp_path / "s"))
+    assert mseg.cli.main(["run", str(data), "-o", folder, "--method", "one_motion", "--quiet"]) == 2
+    assert "not written by 'mseg run'" in capsys.readouterr().err

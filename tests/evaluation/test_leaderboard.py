@@ -3,6 +3,8 @@ import re
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
+from dataclasses import replace
 
 import pytest
 from evaluation_helpers import CLIPS, perfect, truth
@@ -11,8 +13,9 @@ import kt3dmoseg
 import mseg.cli
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.types import Labels
-from mseg.evaluation import SubmissionMeta, score_submission, write_submission
+from mseg.evaluation import SubmissionMeta, leaderboard, score, score_submission, write_submission
 from mseg.evaluation.leaderboard import Leaderboard, export
+from mseg.evaluation.scoring import Provenance, from_json, to_json
 
 
 def scored(folder, method, wrong, clips=CLIPS):
@@ -155,3 +158,144 @@ def test_command(tmp_path, capsys):
     assert mseg.cli.main(["leaderboard", "export", "--db", db, "-o", str(tmp_path / "b.html")]) == 0
     assert mseg.cli.main(["leaderboard", "rank", "--db", str(tmp_path / "no")]) == 2
     assert mseg.cli.main(["leaderboard", "add", folder, "--db", db]) == 2
+
+
+def claim(scores, change=lambda s: None):
+    content = to_json(scores)
+    change(content)
+    return from_json(json.dumps(content))
+
+
+def test_claimed_scores_are_marked_until_they_are_computed_here(board, tmp_path):
+    scores = scored(tmp_path, "one", 1)
+    assert board.add(claim(scores), claimed=True) == (1, True)
+    assert board.boards()[0].table().rows[0][6] == "claimed"
+    assert board.add(scores) == (1, True)
+    assert [e.claimed for e in board.entries()] == [0]
+    assert board.boards()[0].table().rows[0][6] == "here"
+    assert board.add(claim(scores), claimed=True) == (1, False)
+
+
+def better(content):
+    for clip in content["clips"]:
+        clip["values"]["error"] = 0.0
+    for group in content["groups"].values():
+        group["metrics"]["error"]["mean"] = 0.0
+
+
+def fewer(content):
+    del content["clips"][0]
+    content["groups"] = {}
+    content["provenance"]["submission_sha256"] = "0" * 64
+
+
+@pytest.mark.parametrize(("change", "word"), [(better, "other errors"), (fewer, "other clips")])
+def test_a_claim_that_an_entry_contradicts_is_refused(board, tmp_path, change, word):
+    scores = scored(tmp_path, "one", 3)
+    board.add(scores)
+    with pytest.raises(InvalidValueError, match=f"entry 1.*{word}"):
+        board.add(claim(scores, change), claimed=True)
+
+
+def test_a_claim_on_fewer_clips_has_no_rank_beside_a_complete_one(board, tmp_path):
+    scores = scored(tmp_path, "one", 3)
+    board.add(claim(scores, fewer), claimed=True)
+    board.add(scores)
+    assert [(rank, e.clips) for rank, e in board.boards()[0].ranked] == [(1, 2), (None, 1)]
+
+
+def test_equal_to_two_decimals_is_equal_in_rank(board, tmp_path):
+    for i, mean in enumerate((0.10001, 0.1, 0.2)):
+        table = score([1, 1, 2, 2, 2], [1, 1, 2, 2, 2])
+        source = Provenance("v", "data", str(i), "1")
+        board.add(replace(table, provenance=source, clips=(shifted(table.clips[0], mean),)))
+    assert [rank for rank, _ in board.boards()[0].ranked] == [1, 1, 3]
+
+
+def shifted(clip, error):
+    return replace(clip, values={**clip.values, "error": error})
+
+
+def test_entries_are_replaced_and_removed(board, tmp_path):
+    one, two, three = (scored(tmp_path, name, i) for i, name in enumerate(("one", "two", "three")))
+    board.add(one)
+    board.add(two)
+    assert board.add(three, replace=1) == (1, True)
+    assert [e.method for e in board.entries()] == ["three", "two"]
+    assert board.add(two, replace=1) == (1, True)  # it is kept once
+    assert [e.method for e in board.entries()] == ["two"]
+    board.remove(1)
+    assert board.entries() == []
+    for call in (lambda: board.remove(1), lambda: board.add(one, replace=7)):
+        with pytest.raises(InputFileError, match="none of that number"):
+            call()
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[:5000])
+
+
+def zeroed(path):
+    content = path.read_bytes()
+    path.write_bytes(content[:4096] + bytes(len(content) - 4096))
+
+
+def headless(path):
+    path.write_bytes(bytes(16) + path.read_bytes()[16:])
+
+
+def emptied(path):
+    path.write_bytes(b"")
+
+
+def another_number(path):
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b'"error": 0.05', b'"error": 0.00', 1))
+
+
+def another_type(path):
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE entries SET mean = 'best'")
+    connection.close()
+
+
+@pytest.mark.parametrize("damage", [truncated, zeroed, headless, another_number, another_type])
+def test_a_damaged_leaderboard_is_called_damaged(board, tmp_path, damage):
+    board.add(scored(tmp_path, "one", 2))
+    before = board.path.read_bytes()
+    damage(board.path)
+    assert board.path.read_bytes() != before
+    with pytest.raises(FileFormatError, match="damaged"):
+        Leaderboard(board.path, create=False).boards()
+
+
+def test_an_emptied_leaderboard_is_no_leaderboard(board):
+    emptied(board.path)
+    with pytest.raises(FileFormatError, match="leaderboard"):
+        Leaderboard(board.path, create=False)
+
+
+def test_reading_writes_nothing_and_waits_for_no_writer(board, tmp_path, monkeypatch):
+    board.add(scored(tmp_path, "one", 2))
+    monkeypatch.setattr(leaderboard, "_WAIT_SECONDS", 0.01)
+    with closing(sqlite3.connect(board.path, isolation_level=None)) as writer:
+        writer.execute("BEGIN IMMEDIATE")
+        assert Leaderboard(board.path, create=False).boards()[0].ranked[0][1].method == "one"
+        with pytest.raises(InputFileError, match="locked"):
+            board.remove(1)
+
+
+def test_entries_of_version_1_are_read_as_claims_and_kept(tmp_path):
+    path = tmp_path / "old.sqlite"
+    new = Leaderboard(tmp_path / "new.sqlite")
+    new.add(scored(tmp_path, "one", 2))
+    with sqlite3.connect(new.path) as connection:
+        connection.execute("ALTER TABLE entries DROP COLUMN claimed")
+        connection.execute("ALTER TABLE entries DROP COLUMN sha256")
+        connection.execute("PRAGMA user_version = 1")
+    connection.close()
+    new.path.rename(path)
+    old = Leaderboard(path, create=False)
+    assert [e.claimed for e in old.entries()] == [1]
+    old.add(scored(tmp_path, "two", 3))
+    assert [(e.method, e.claimed) for e in old.entries()] == [("one", 1), ("two", 0)]

@@ -106,7 +106,7 @@ def test_clips_without_labels_need_a_number_of_motions(tmp_path, capsys):
     name, clip = next(iter(CLIPS.items()))
     kt3dmoseg.save(clip.without_labels(), tmp_path / "data" / f"{name}.h5")
     command = ["run", str(tmp_path / "data"), "-o", str(tmp_path / "p"), "--method", "affine"]
-    assert mseg.cli.main(command) == 0
+    assert mseg.cli.main(command) == 1
     assert "give --n-motions N" in capsys.readouterr().err
     assert mseg.cli.main([*command[:3], str(tmp_path / "q"), *command[4:], "--n-motions", "2"]) == 0
     assert "failed" not in capsys.readouterr().err
