@@ -16,7 +16,7 @@ from kt3dmoseg.files import check_writable, read_bytes, write_text
 from kt3dmoseg.io.predictions import SUFFIXES, first_few
 from kt3dmoseg.parallel import algorithm_version, run_tasks
 from mseg.benchmark.runner import Progress, configure
-from mseg.benchmark.tasks import Task, lost_task, outcome_key, run_task, seed_numbers
+from mseg.benchmark.tasks import BASELINES, Task, lost_task, outcome_key, run_task, seed_numbers
 from mseg.evaluation import SubmissionMeta, clip_checksum, write_failure, write_meta, write_prediction
 from mseg.evaluation.submission import FAILED, file_of
 from mseg.evaluation.validation import load_clips
@@ -123,7 +123,7 @@ def predict(
         n_motions_given=all(given.values()),
         hardware=f"{platform.machine()}, one core per clip",
         seconds=round(seconds, 3),
-        baseline=configuration.method in ("one_motion", "prevalence"),
+        baseline=configuration.method in BASELINES,
         outliers=True,
         fingerprints={name: clip_checksum(clip) for name, clip in clips.items()},
         parameters={name: str(value) for name, value in asdict(made).items()},

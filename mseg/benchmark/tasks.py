@@ -18,6 +18,7 @@ from kt3dmoseg.types import Clip, IntArray
 from mseg.methods import create, segment
 from mseg.methods.kernel_cache import kernel_cache
 
+BASELINES = ("one_motion", "prevalence")  # one label for a whole clip is meant
 _THIS_PROCESS = uuid4().hex
 
 
@@ -99,7 +100,8 @@ def _attempt(task: Task, configuration: Configuration) -> tuple[IntArray | None,
         reason = " ".join(str(error).split()) or type(error).__name__
         # The caller that shows it names the clip.
         return None, re.sub(rf"^{re.escape(clip.name)}[:,] ", "", reason), ""
-    return np.array(result.labels), "", "; ".join(result.report["notes"])
+    notes = () if name in BASELINES else result.report["notes"]
+    return np.array(result.labels), "", "; ".join(notes)
 
 
 def outcome_key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: int) -> str:

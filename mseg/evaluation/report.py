@@ -87,7 +87,7 @@ def write_report(
         contents[f"{page.stem}.md"] = results.headline(scores).markdown() + "\n"
     if "csv" in extras:
         contents[f"{page.stem}.csv"] = results.per_clip(scores, scores.metrics).csv()
-        contents |= results.davis_files(scores)
+        contents |= results.davis_files(scores, "" if page.stem == "report" else f"-{page.stem}")
     if "json" in extras:
         contents[f"{page.stem}.json"] = json.dumps(to_json(scores), indent=1) + "\n"
     for name, content in contents.items():

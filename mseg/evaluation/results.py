@@ -182,7 +182,7 @@ def headline_notes(scores: ScoreTable) -> list[str]:
 
 
 def _method_notes(scores: ScoreTable) -> list[str]:
-    """Note what the method reports, and clips in which it found another number of groups than it was given."""
+    """Note what the method reports, and where it found another number of groups than it was given."""
     meta = scores.meta
     found = [c for c in scores.clips if meta.n_motions_given and not c.reason and c.clip not in meta.notes]
     other = {f"{c.clip} ({c.n_found} of {c.n_motions})": 0 for c in found if c.n_found != c.n_motions}
@@ -233,14 +233,14 @@ def all_means(scores: ScoreTable) -> ResultsTable:
     return ResultsTable("Over all clips scored, fractions in %", columns, rows)
 
 
-def davis_files(scores: ScoreTable) -> dict[str, str]:
+def davis_files(scores: ScoreTable, ending: str = "") -> dict[str, str]:
     """Name and content of the two files that DAVIS scripts look for: fractions, one row per clip."""
     import pandas as pd
 
     frame = pd.DataFrame({f"{m}-Mean": scores.per_clip(m) for m in scores.metrics}, index=scores.names)
     means = pd.DataFrame({f"{m}-Mean": [scores[m]] for m in scores.metrics})
     form = "%.6f"
-    name = scores.benchmark.name
+    name = scores.benchmark.name + ending
     return {
         f"global_results-{name}.csv": means.to_csv(index=False, float_format=form, lineterminator="\n"),
         f"per-sequence_results-{name}.csv": frame.to_csv(

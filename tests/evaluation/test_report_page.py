@@ -160,13 +160,13 @@ def test_tables_next_to_the_page(submission, tmp_path):
         submission, CLIPS, tmp_path / "out" / "r.html", extras=["latex", "markdown", "csv", "json"]
     )
     names = {p.name for p in wrote}
-    davis = {"global_results-custom.csv", "per-sequence_results-custom.csv"}
+    davis = {"global_results-custom-r.csv", "per-sequence_results-custom-r.csv"}
     assert names == davis | {f"r.{ending}" for ending in ("html", "tex", "md", "csv", "json")}
     folder = tmp_path / "out"
-    rows = list(csv.DictReader((folder / "per-sequence_results-custom.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((folder / "per-sequence_results-custom-r.csv").read_text().splitlines()))
     assert [row["Sequence"] for row in rows] == NAMES
     assert [float(row["error-Mean"]) for row in rows] == [0, 10 / 40 / 2]
-    (mean,) = csv.DictReader((folder / "global_results-custom.csv").read_text().splitlines())
+    (mean,) = csv.DictReader((folder / "global_results-custom-r.csv").read_text().splitlines())
     assert float(mean["error-Mean"]) == pytest.approx(10 / 40 / 2 / 2)
     assert r"\textless" not in (folder / "r.tex").read_text()
     assert json.loads((folder / "r.json").read_text())["format"] == "mseg-scores"
@@ -236,3 +236,14 @@ def test_in_chromium(submission, tmp_path, browser, width):
     assert unseen.evaluate("c => c.toDataURL()") != before  # printed, though never in view
     assert messages == []
     page.context.close()
+
+
+def test_the_tables_of_two_methods_lie_in_one_folder(tmp_path):
+    folder, wrong = perfect(tmp_path / "s"), tmp_path / "wrong"
+    one = {name: np.where(label == 1, 1, 2) for name, label in truth().items()}
+    write_submission(wrong, CLIPS.values(), one, SubmissionMeta("wrong"))
+    pages = [(folder, "a.html"), (wrong, "b.html"), (folder, "report.html")]
+    wrote = [
+        p for s, n in pages for p in write_report(s, CLIPS, tmp_path / "out" / n, extras=["csv", "json"])
+    ]
+    assert len(set(wrote)) == len(wrote) == 15

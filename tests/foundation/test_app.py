@@ -23,7 +23,7 @@ EVERY_COMMAND = [
     *(("kt3dmoseg", command) for command in DATASET_COMMANDS),
     *(("kt3dmoseg", f"catalog {command}") for command in ("list", "check", "add")),
     *(("mseg", command) for command in MSEG_COMMANDS),
-    *(("mseg", f"leaderboard {command}") for command in ("add", "list", "rank", "export")),
+    *(("mseg", f"leaderboard {command}") for command in ("add", "remove", "list", "rank", "export")),
 ]
 
 
