@@ -7,14 +7,13 @@ import os
 import re
 import stat
 import sys
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from kt3dmoseg.errors import InputFileError, KT3DMoSegError
-from kt3dmoseg.files import SafeZip, ZipFault, ZipLimits, read_bytes
+from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
+from kt3dmoseg.files import SafeZip, ZipFault, ZipLimits, parse_toml, read_bytes
 from kt3dmoseg.io.predictions import MAX_FILE_BYTES, SUFFIXES, Prediction, Problem, parse_prediction
 from kt3dmoseg.registry import nearest
 from mseg.evaluation.protocol import list_protocols
@@ -259,10 +258,10 @@ def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
         problems.append(Problem("meta-field", META, "", expected, found[:80], fix))
 
     try:
-        raw = tomllib.loads(content.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        found = f"a syntax error: {' '.join(str(error).split())[:160]}"
-        return SubmissionMeta("unnamed"), [Problem("meta-syntax", META, "", "TOML", found, _EXAMPLE)]
+        raw = parse_toml(content, META)
+    except FileFormatError as error:
+        problem = Problem("meta-syntax", META, "", error.expected, error.found[:160], _EXAMPLE)
+        return SubmissionMeta("unnamed"), [problem]
     version = raw.pop("format_version", None)
     if version != FORMAT_VERSION or isinstance(version, bool):
         bad("format_version", str(FORMAT_VERSION), repr(version))
