@@ -14,7 +14,7 @@ from kt3dmoseg.synthetic.drives import DrivePlan, make_drive, measure_drive, pla
 from kt3dmoseg.synthetic.kitti_export import write_drive
 from kt3dmoseg.synthetic.scene import Scene, SceneOptions, make_scene, track_errors
 
-ALGORITHM_VERSION = 1
+ALGORITHM_VERSION = 2
 """Raised when the same options or plan give another scene, other pictures or other figures."""
 
 __all__ = [

@@ -37,6 +37,9 @@ _KINDS: dict[str, tuple[Kind, ...]] = {
     "riding": ("cyclist",),
     "leaving": ("car", "van"),
 }
+# Grey levels. Beyond 2 this is no camera's, but gives the tracks the noise of the real clips, where contrast
+# is lower and light changes.
+_NOISE = 1.5, 8.0
 _FREE = 60.0  # metres of the right-hand kerb without parked cars, where one leaves
 _TRIES = 400
 _GRID = 8  # pixels between the points at which a drive is measured: those of the tracker
@@ -89,12 +92,13 @@ def _shuffled(counts: Mapping[KeyT, int], rng: np.random.Generator) -> list[KeyT
 
 def make_drive(plan: DrivePlan, *, samples: int = 1) -> Scene:
     """Make the scene of a plan; the same plan gives the same scene."""
-    rng = np.random.default_rng([plan.seed, _PARTS.index(plan.part), plan.number, 7])
+    rng, film = (np.random.default_rng([plan.seed, _PARTS.index(plan.part), plan.number, k]) for k in (7, 8))
+    noise = float(_NOISE[0] * (_NOISE[1] / _NOISE[0]) ** film.random())
     for _ in range(_TRIES):
         frames, textures = int(rng.integers(10, 21)), int(rng.integers(1 << 31))
         layout = _draw_layout(plan, (frames - 1) / FRAMES_PER_SECOND, rng)
         if layout is not None:
-            scene = Scene(SceneOptions(frames=frames, seed=textures, samples=samples), layout)
+            scene = Scene(SceneOptions(frames=frames, seed=textures, noise=noise, samples=samples), layout)
             if _in_view(scene) and measure_drive(scene).get("motion", np.inf) >= _LEAST_MOTION:
                 return scene
     raise KT3DMoSegError(f"{plan.name}: no such drive in {_TRIES} tries")
