@@ -39,7 +39,7 @@ _KINDS: dict[str, tuple[Kind, ...]] = {
 }
 # Grey levels. Beyond 2 this is no camera's, but gives the tracks the noise of the real clips, where contrast
 # is lower and light changes.
-_NOISE = 1.5, 8.0
+_NOISE = 1.5, 5.0
 _FREE = 60.0  # metres of the right-hand kerb without parked cars, where one leaves
 _TRIES = 400
 _GRID = 8  # pixels between the points at which a drive is measured: those of the tracker
