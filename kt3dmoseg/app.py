@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import io
 import os
 import shutil
 import sys
@@ -173,6 +174,8 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
     error; 130 when interrupted.
     """
     program = app.name[0]
+    if isinstance(sys.stdout, io.TextIOWrapper):  # as standard error: a file's name may be no UTF-8
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         return _run(app, list(sys.argv[1:] if argv is None else argv))
     except SystemExit:  # of --install-completion, which has printed why

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -9,20 +10,22 @@ from pathlib import Path
 from typing import ClassVar
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError
-from kt3dmoseg.files import sha256_arrays
+from kt3dmoseg.files import listed, sha256_arrays
 from kt3dmoseg.flow import check_pair
 from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow
 from kt3dmoseg.io.images import frame_paths, read_frame
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
+_DIGITS = re.compile(r"\d{1,18}")
+
 
 @dataclass(frozen=True)
 class FlowFiles:
     """Flow fields from two folders; a pair's file is found by the content of its frames.
 
-    Sorted by name, the i-th file of `forward` is the flow of frame i to frame i + 1, the i-th file of
-    `backward` that of frame i + 1 to frame i. Formats: .flo, KITTI 16-bit .png, .npy, .npz.
+    Sorted by the numbers in their names, the i-th file of `forward` is the flow of frame i to frame i + 1,
+    the i-th file of `backward` that of frame i + 1 to frame i. Formats: .flo, KITTI 16-bit .png, .npy, .npz.
     """
 
     uncached: ClassVar[bool] = True
@@ -70,8 +73,8 @@ class FlowFiles:
 
     def _files(self, which: str, count: int) -> list[Path]:
         folder = self._folder(which)
-        inside = sorted(folder.iterdir()) if folder.is_dir() else []
-        paths = [path for path in inside if path.suffix.lower() in FLOW_SUFFIXES]
+        paths = [path for path in listed(folder) if path.suffix.lower() in FLOW_SUFFIXES]
+        paths.sort(key=lambda path: [int(digits) for digits in _DIGITS.findall(path.stem)])  # 2 before 10
         if len(paths) != count:
             raise InputFileError(
                 str(folder), expected=f"{count} flow files, one per pair of frames", found=str(len(paths))

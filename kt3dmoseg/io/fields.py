@@ -126,7 +126,7 @@ def clip_of_tracks(
 def clip_values(clip: Clip) -> dict[str, Any]:
     """Return everything of a clip but positions and visibility; what is not known is left out."""
     size, background, camera = clip.dense.image_size, clip.labels.background, clip.camera
-    values = {
+    values: dict[str, Any] = {
         "name": clip.name,
         "track_id": clip.dense.track_id,
         "evaluated": clip.evaluated,
@@ -140,6 +140,11 @@ def clip_values(clip: Clip) -> dict[str, Any]:
         "camera_name": None if camera is None else camera.name,
         "K": None if camera is None else camera.K,
     }
+    for name in ("name", "label_names", "provenance", "camera_name"):
+        try:
+            (values[name] or "").encode()
+        except UnicodeEncodeError:  # half of a pair of UTF-16, as Python reads a byte of a file's name
+            raise InvalidValueError(name, expected="text in UTF-8", found=ascii(values[name])[:80]) from None
     return {name: value for name, value in values.items() if value is not None}
 
 

@@ -20,6 +20,7 @@ from kt3dmoseg.io.fields import clip_name, clip_values
 from kt3dmoseg.types import Clip
 
 _HEAD = 128
+_LEVELS = 3  # of folders in which clips are looked for
 _FIX = "is the file complete? fetch it, or write it, again"
 _SAVE_MAT = "save it in MATLAB with the option '-v7'"
 
@@ -200,8 +201,8 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
     Parameters
     ----------
     folder : path
-        Holds one file per clip, or sub-folders that do (``kt3dmoseg/release``,
-        ``hopkins155/<sequence>``). Sub-folders count only when the folder itself has no clip.
+        Holds one file per clip, or folders that do, as archives of benchmarks unpack: up to three levels
+        below (``kt3dmoseg/release``, ``Hopkins155/<sequence>``, ``MTPV62/<clip>_Tracks``).
 
     Returns
     -------
@@ -211,23 +212,26 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
     Raises
     ------
     InputFileError
-        When the folder is missing or holds no clip.
+        When the folder is missing or holds no clip, or holds some itself and others in folders.
     FileFormatError
         When two files give the same clip.
     """
     root = Path(folder)
     if not root.is_dir():
-        raise InputFileError(f"{root}", expected="a folder of clips", found="no such folder")
-    files = clip_files(root)
-    if not files:
-        folders = (sub for sub in sorted(root.iterdir()) if sub.is_dir())
-        files = [file for sub in folders for file in clip_files(sub)]
-    if not files:
-        raise InputFileError(
-            f"{root}", expected=f"clips ({', '.join(CLIP_SUFFIXES)})", found="none, nor in its sub-folders"
+        found, fix = (
+            ("a file", "give a folder; unpack an archive") if root.exists() else ("no such folder", "")
         )
+        raise InputFileError(f"{root}", expected="a folder of clips", found=found, fix=fix)
+    own, below = clip_files(root), _clips_below(root, _LEVELS)
+    if own:
+        _check_unmixed(root, own, below)
+    elif not below:
+        near = clip_files(root.resolve().parent)
+        expected, found = f"clips ({', '.join(CLIP_SUFFIXES)})", f"none, nor in folders up to {_LEVELS} below"
+        fix = f"give {root.resolve().parent}, which has {near[0].name}" if near else ""
+        raise InputFileError(f"{root}", expected=expected, found=found, fix=fix)
     out: dict[str, Path] = {}
-    for file in files:
+    for file in own or below:
         name = clip_name(file)
         if name in out:
             both = f"{out[name].relative_to(root)} and {file.relative_to(root)}"
@@ -235,6 +239,24 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
             raise FileFormatError(f"{root}: clip {name}", expected="one file", found=both, fix=fix)
         out[name] = file
     return dict(sorted(out.items()))
+
+
+def _clips_below(folder: Path, levels: int) -> list[Path]:
+    """List the clip files in the folders of a folder, and in theirs, so many levels deep."""
+    folders = [path for path in listed(folder) if path.is_dir()] if levels else []
+    return [file for sub in folders for file in (*clip_files(sub), *_clips_below(sub, levels - 1))]
+
+
+def _check_unmixed(root: Path, own: list[Path], below: list[Path]) -> None:
+    """Refuse clips in folders next to clips; predictions and copies have their names, caches are npz."""
+    names = {clip_name(file) for file in own}
+    others = [
+        file for file in below if file.suffix.lower() in (".h5", ".mat") and clip_name(file) not in names
+    ]
+    if others:
+        found = f"{own[0].name} there, and {others[0].relative_to(root)} ({len(others)} in folders)"
+        fix = "move them into one folder, or give the folder of some"
+        raise InputFileError(f"{root}", expected="all clips there, or all in folders", found=found, fix=fix)
 
 
 def load_dataset(folder: str | os.PathLike[str]) -> dict[str, Clip]:

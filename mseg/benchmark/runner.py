@@ -167,9 +167,8 @@ def find_clips(
         found = {**dataset_paths(folder), **found}
     clips = {name: found[name] for name in sorted(found) if protocol.holds(name)}
     if not clips:
-        raise InputFileError(
-            ", ".join(map(str, folders)), expected=f"clips of {protocol.title}", found="none"
-        )
+        there = f"{len(found)} others ({', '.join(list(found)[:3])})"
+        raise InputFileError(", ".join(map(str, folders)), expected=f"clips of {protocol.title}", found=there)
     return clips, sorted(set(found) - set(clips))
 
 
@@ -196,14 +195,20 @@ def configure(
 def _default_folders(protocol: Protocol) -> list[Path]:
     named = os.environ.get(VARIABLE)
     root = Path(named) if named else _SHARED
-    folder = root / protocol.data
+    folder = _named(root, protocol.data)
     if not folder.is_dir():
         raise InputFileError(
             str(folder), expected=f"the clips of {protocol.title}", found="no such folder",
             fix=f"give --data DIR, or set {VARIABLE} to the folder that holds {protocol.data}/",
         )  # fmt: skip
-    borrowed = (root / name for name in _BORROWED.get(protocol.name, ()))
+    borrowed = (_named(root, name) for name in _BORROWED.get(protocol.name, ()))
     return [folder, *(other for other in borrowed if other.is_dir())]
+
+
+def _named(root: Path, name: str) -> Path:
+    """Find a folder by its name, or by that of the archive it comes from: ``Hopkins155`` for hopkins155."""
+    alike = sorted(path for path in root.glob("*/") if path.name.lower() == name.lower())
+    return root / name if (root / name).is_dir() or not alike else alike[0]
 
 
 def _tasks(

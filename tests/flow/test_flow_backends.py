@@ -127,6 +127,15 @@ def test_files_need_folders_and_one_field_per_pair(clip, tmp_path):
         flow.create("files", forward=str(tmp_path), **names)(a, a)
 
 
+def test_files_are_sorted_by_their_numbers_without_hidden_ones(clip, tmp_path):
+    folders = {name: str(clip / name) for name in ("frames", "forward", "backward")}
+    for number, source in ((9, "000000.flo"), (10, "000001.flo")):  # "10" sorts before "9"
+        (tmp_path / f"flow_{number}_fwd.flo").write_bytes((clip / "forward" / source).read_bytes())
+    (tmp_path / "._flow_9_fwd.flo").write_bytes(b"left by macOS")
+    field = flow.create("files", **folders | {"forward": str(tmp_path)})(texture(), shifted(texture()))
+    np.testing.assert_array_equal(field[0, 0], np.float32(SHIFT))
+
+
 def test_files_refuse_other_frames_and_other_sizes(clip, tmp_path):
     folders = {name: str(clip / name) for name in ("frames", "forward", "backward")}
     with pytest.raises(InvalidValueError, match="two neighbours"):

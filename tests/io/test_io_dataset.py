@@ -62,6 +62,59 @@ def test_nothing_there(tmp_path):
         dataset_paths(tmp_path / "none")
 
 
+HOPKINS = ["1R2RC", "1R2RC_g12", "cars1"]
+
+
+@pytest.fixture
+def benchmarks(tmp_path):
+    """Two benchmarks as their archives unpack."""
+    for name in HOPKINS:
+        save(small_clip(name), tmp_path / "all" / "Hopkins155" / name / f"{name}_truth.mat")
+        (tmp_path / "all" / "__MACOSX" / name).mkdir(parents=True)
+        (tmp_path / "all" / "__MACOSX" / name / f"{name}_truth.mat").write_bytes(b"0")
+    for name in ("MTPV_data_Boat", "MTPV_data_Man"):
+        save(small_clip(name), tmp_path / "all" / "MTPV62" / f"{name}_Tracks" / f"{name}_Tracks.mat")
+    return tmp_path / "all"
+
+
+def test_clips_are_found_as_archives_unpack_and_one_or_two_levels_higher(benchmarks):
+    both = [*HOPKINS, "MTPV_data_Boat", "MTPV_data_Man"]
+    assert list(load_dataset(benchmarks / "Hopkins155")) == HOPKINS
+    assert list(load_dataset(benchmarks)) == sorted(both)
+    assert list(load_dataset(benchmarks.parent)) == sorted(both)
+    assert list(load_dataset(benchmarks / "Hopkins155" / "cars1")) == ["cars1"]
+
+
+def test_below_the_clips_or_at_an_archive_the_message_says_where_they_are(benchmarks):
+    below = benchmarks / "Hopkins155" / "cars1" / "images"
+    below.mkdir()
+    with pytest.raises(
+        InputFileError, match=rf"found none, .*; give {below.parent}, which has cars1_truth\.mat"
+    ):
+        dataset_paths(below)
+    (benchmarks / "Hopkins12.zip").write_bytes(b"PK")
+    with pytest.raises(
+        InputFileError, match=r"Hopkins12\.zip: expected a folder of clips, found a file; .*unpack"
+    ):
+        dataset_paths(benchmarks / "Hopkins12.zip")
+
+
+def test_clips_next_to_folders_of_other_clips_are_not_all_there_is(benchmarks):
+    save(small_clip(), benchmarks / "a.h5")
+    with pytest.raises(
+        InputFileError, match=r"found a\.h5 there, and Hopkins155/1R2RC/.*\(5 in folders\); move"
+    ):
+        load_dataset(benchmarks)
+
+
+def test_predictions_copies_and_caches_below_clips_are_no_other_clips(tmp_path):
+    for name in ("a", "b"):
+        save(small_clip(name), tmp_path / f"{name}.h5")
+        save(small_clip(name), tmp_path / "mine" / f"{name}.h5")
+        save(small_clip(name), tmp_path / "cache" / f"{name}0123.npz")
+    assert list(dataset_paths(tmp_path).values()) == [tmp_path / "a.h5", tmp_path / "b.h5"]
+
+
 def test_names_come_from_files():
     assert clip_name("x/Seq028_clip03_Tracks.mat") == "Seq028_clip03"
     assert clip_name("oc1R2RC_g12_Tracks.mat") == "oc1R2RC_g12"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 import struct
 import subprocess
 import sys
@@ -14,9 +16,9 @@ from io_clips import small_clip
 
 import kt3dmoseg
 from kt3dmoseg.cli import main
-from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.io import hdf5, load, save
-from kt3dmoseg.types import Clip, Labels, Trajectories
+from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
 WIDTH, HEIGHT, FRAMES, COUNT = 320, 240, 8, 30
 
@@ -275,3 +277,18 @@ def test_links_that_lead_nowhere_are_no_missing_clips(tmp_path):
     (tmp_path / "data" / "b.h5").symlink_to(tmp_path / "gone.h5")
     with pytest.raises(InputFileError, match=r"b\.h5: expected .* found a link that leads nowhere"):
         kt3dmoseg.load_dataset(tmp_path / "data")
+
+
+def test_a_name_that_is_no_utf8_is_refused_where_a_file_would_hold_it(tmp_path, capsys):
+    path = os.fsdecode(os.fsencode(tmp_path) + b"/clip\xff.mat")
+    save(small_clip(), path)
+    assert main(["info", path]) == 0
+    assert r"clip\udcff" in capsys.readouterr().out
+    for target in ("copy.h5", "copy.npz"):
+        assert main(["convert", path, str(tmp_path / target)]) == 2
+        assert r"name: expected text in UTF-8, found 'clip\udcff'" in capsys.readouterr().err
+        assert not (tmp_path / target).exists()
+    clip = small_clip()
+    for changed in ({"provenance": {"a": "\ud800"}}, {"camera": Camera("\ud800")}):
+        with pytest.raises(InvalidValueError, match="expected text in UTF-8"):
+            save(dataclasses.replace(clip, **changed), tmp_path / "copy.h5")

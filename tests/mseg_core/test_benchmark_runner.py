@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import signal
 
 import numpy as np
@@ -236,6 +237,16 @@ def test_default_folder(data, monkeypatch, tmp_path):
     monkeypatch.setenv("KT3DMOSEG_DATA", str(tmp_path))
     with pytest.raises(InputFileError, match="KT3DMOSEG_DATA"):
         find_clips(load_protocol("kt3dmoseg"))
+
+
+def test_default_folder_may_have_the_name_of_its_archive(data, monkeypatch, tmp_path):
+    shutil.copytree(data, tmp_path / "KT3DMoSeg" / "release")
+    monkeypatch.setenv("KT3DMOSEG_DATA", str(tmp_path))
+    assert list(find_clips(load_protocol("kt3dmoseg"))[0]) == list(CLIPS)
+    shutil.copy(data / f"{CLIPS[0]}.h5", tmp_path / "cars1.h5")
+    shutil.rmtree(tmp_path / "KT3DMoSeg")
+    with pytest.raises(InputFileError, match=r"expected clips of KT3DMoSeg, found 1 others \(cars1\)"):
+        find_clips(load_protocol("kt3dmoseg"), [tmp_path])
 
 
 def test_a_method_named_twice_is_run_once(data):
