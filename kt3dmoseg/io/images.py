@@ -18,12 +18,12 @@ from PIL import Image, UnidentifiedImageError
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import listed, read_bytes
+from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import ByteArray, IntArray
 
 Colour: TypeAlias = Literal["refuse", "luma"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
-_NUMBER = re.compile(r"(\d{1,18})\D*$")
 _MAX_FILE = 1 << 28
 MAX_PIXELS = 1 << 26
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")  # none that runs another program
@@ -88,11 +88,11 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
 
 def frame_number(path: str | os.PathLike[str]) -> int:
     """Return the last number in a frame's file name."""
-    found = _NUMBER.search(Path(path).stem)
-    if not found:
+    number = number_in(Path(path).name)
+    if number is None:
         expected, fix = "a name that ends in the frame's number, as 000001.png", "rename or remove the file"
         raise FileFormatError(os.fspath(path), expected=expected, found=Path(path).name, fix=fix)
-    return int(found.group(1))
+    return number
 
 
 def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:

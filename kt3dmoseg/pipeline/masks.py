@@ -1,8 +1,7 @@
 """Labels from a folder of masks: DAVIS indexed PNG or KITTI MOTS 16-bit PNG.
 
-Pixel values are object ids, 0 the background. DAVIS marks void with 254 or 255, MOTS ignored regions
-with 10000; a MOTS id is 1000 * class + instance (Voigtlaender et al., CVPR 2019). Every id is
-taken as one motion.
+Pixel values are object ids, 0 the background; `void_ids` says which are void. A MOTS id is
+1000 * class + instance (Voigtlaender et al., CVPR 2019). Every id is taken as one motion.
 """
 
 from __future__ import annotations
@@ -13,38 +12,32 @@ from pathlib import Path
 
 import numpy as np
 
+from kt3dmoseg.annotate.formats.masks import void_ids
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.images import decode_indices, frame_number, numbered_pictures
+from kt3dmoseg.io.images import decode_indices
+from kt3dmoseg.matching import is_hidden, match_frames
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
 BACKGROUND = 1
-_VOID_8, _VOID_16, _MOTS_CLASS = (254, 255), (10000,), 1000
+_MOTS_CLASS = 1000
 _SHARE = 0.75
 _MAX_FILE = 1 << 26
 
 
 def mask_paths(folder: str | os.PathLike[str], clip: str) -> list[Path]:
     """List a clip's masks, not for every frame: those of ``folder/clip``, or of `folder` itself, or none."""
-    for candidate in (Path(folder) / clip, Path(folder)):
-        if has_masks(candidate):
-            return list(numbered_pictures(candidate).values())
-    return []
+    return next(filter(None, (_masks_in(path) for path in (Path(folder) / clip, Path(folder)))), [])
 
 
 def has_masks(folder: Path) -> bool:
     """Whether a folder holds masks itself."""
-    return folder.is_dir() and any(folder.glob("*.png"))
+    return bool(_masks_in(folder))
 
 
-def read_mask(path: str | os.PathLike[str]) -> IntArray:
-    """Read one mask: object ids (H, W); 0 background, -1 void.
-
-    Raises FileFormatError when it is no PNG of one channel, indexed or gray, 8 or 16 bits deep.
-    """
-    ids, bits = decode_indices(read_bytes(path, _MAX_FILE), os.fspath(path))
-    ids[np.isin(ids, _VOID_16 if bits == 16 else _VOID_8)] = -1
-    return ids
+def _masks_in(folder: Path) -> list[Path]:
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [file for file in files if file.suffix.lower() == ".png" and not is_hidden(file.name)]
 
 
 def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Labels:
@@ -64,8 +57,10 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
         three quarters of the points agree.
     """
     votes: list[tuple[IntArray, IntArray]] = []
+    used, bits = {0}, 1
     for frame, path in sorted(masks.items()):
-        mask = read_mask(path)
+        mask, depth = decode_indices(read_bytes(path, _MAX_FILE), os.fspath(path))
+        used, bits = used.union(np.unique(mask).tolist()), max(bits, depth)
         size = mask.shape[1], mask.shape[0]
         if trajectories.image_size not in (None, size):
             expected = f"the frames' size {trajectories.image_size}"
@@ -74,23 +69,21 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
         column, line = np.clip(np.rint(xy).astype(np.int64), 0, np.array(size) - 1).T
         votes.append((rows, mask[line, column]))
     rows, ids = (np.concatenate(parts) for parts in zip(*votes, strict=True))
+    ids[np.isin(ids, void_ids(used, bits, f"masks of {path.parent}"))] = -1
     return _elect(rows, ids, len(trajectories))
 
 
 def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[int, Path]:
-    """Match masks to frames by number; by order when there are as many, without a gap, numbered otherwise.
+    """Match masks to frames by number, as `match_frames` does.
 
-    Raises InputFileError when neither fits.
+    Raises InputFileError when masks belong to no frame and not every frame has one.
     """
-    index = {number: k for k, number in enumerate(numbers)}
-    named = {frame_number(path): path for path in paths}
-    if set(named) <= set(index):
-        return {index[number]: path for number, path in named.items()}
-    if len(paths) == len(numbers) == max(named) - min(named) + 1:
-        return dict(enumerate(paths))
-    expected = f"numbers within {numbers[0]}..{numbers[-1]}, or {len(numbers)} masks"
-    found = f"{len(paths)} masks numbered {min(named)}..{max(named)}"
-    raise InputFileError(f"masks of {clip}", expected=expected, found=found)
+    names = {path.name: path for path in paths}
+    match = match_frames(names, [f"{number}.png" for number in numbers])
+    if doubt := match.doubt(len(numbers)):
+        expected, fix = f"numbers within {numbers[0]}..{numbers[-1]}", "number them as the frames"
+        raise InputFileError(f"masks of {clip}", expected=expected, found=doubt, fix=fix)
+    return {frame: names[name] for name, frame in match.frames.items()}
 
 
 def _elect(rows: IntArray, ids: IntArray, count: int) -> Labels:

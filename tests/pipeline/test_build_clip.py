@@ -20,7 +20,7 @@ from kt3dmoseg.frames import FrameInfo, find_clips, frame_folder, frames_of
 from kt3dmoseg.io import save
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.pipeline import build_clip, find_sources, kitti_sources, label_by_masks
-from kt3dmoseg.pipeline.masks import by_frame, read_mask
+from kt3dmoseg.pipeline.masks import by_frame
 from kt3dmoseg.types import Trajectories
 
 
@@ -256,7 +256,7 @@ def test_an_absurd_range_takes_no_memory(tmp_path):
         build_clip(source)
 
 
-def test_masks_are_matched_by_number_else_by_order(tmp_path):
+def test_masks_are_matched_by_number_else_from_zero(tmp_path):
     paths = sorted(write_masks(tmp_path / "m", first=0).iterdir())
     assert by_frame(paths, list(range(FRAMES)), "c")[2] == paths[2]
     assert by_frame(paths[2:4], list(range(FRAMES)), "c") == {2: paths[2], 3: paths[3]}
@@ -265,10 +265,38 @@ def test_masks_are_matched_by_number_else_by_order(tmp_path):
         by_frame(paths, list(range(100, 110)), "c")
 
 
-def test_a_gap_in_masks_is_no_order(tmp_path):
+def test_masks_that_may_be_of_other_frames_are_refused(tmp_path):
     paths = sorted(write_masks(tmp_path / "m", first=0).iterdir())
-    with pytest.raises(InputFileError, match="masks of c: expected numbers within"):
-        by_frame([*paths[:2], *paths[3:]], list(range(100, 100 + FRAMES - 1)), "c")
+    for given, numbers in [
+        ([*paths[:2], *paths[3:]], range(100, 100 + FRAMES - 1)),  # a gap
+        (paths, range(1, 1 + FRAMES)),  # from 0 on, or of the frame before?
+        (paths[:-1], range(1, 1 + FRAMES)),
+    ]:
+        with pytest.raises(InputFileError, match=r"masks of c: expected numbers within.*0+\.png"):
+            by_frame(given, list(numbers), "c")
+
+
+def test_masks_of_more_frames_than_the_clip_has(tmp_path):
+    paths = sorted(write_masks(tmp_path / "m", first=0).iterdir())
+    assert by_frame(paths, [2, 3], "c") == {0: paths[2], 1: paths[3]}
+
+
+def test_255_alone_is_an_object_and_with_others_void(tmp_path):
+    x = np.array([[12.0, 12], [25, 25], [50, 50]])
+    tracks = Trajectories(np.stack([x, x * 0 + 9], axis=2), np.ones((3, 2), dtype=bool), image_size=(64, 48))
+
+    def labels(*values):
+        for number in range(2):
+            mask = np.zeros((48, 64), np.uint8)
+            for start, value in zip((10, 20), values, strict=True):
+                mask[:, start : start + 10] = value
+            cv2.imwrite(str(tmp_path / f"{number}.png"), mask)
+        return label_by_masks(tracks, {k: tmp_path / f"{k}.png" for k in range(2)}).label.tolist()
+
+    assert labels(255, 0) == [2, 1, 1]
+    assert labels(255, 1) == [0, 2, 1]
+    with pytest.raises(FileFormatError, match="255 and"):
+        labels(255, 128)
 
 
 @pytest.mark.parametrize("kept", [{1}, {0, FRAMES - 1}])
@@ -301,7 +329,7 @@ def test_bad_masks(tmp_path):
         label_by_masks(tracks, {0: tmp_path / "0.png"})
     (tmp_path / "1.png").write_bytes(b"text")
     with pytest.raises(FileFormatError, match="indexed or gray PNG"):
-        read_mask(tmp_path / "1.png")
+        label_by_masks(tracks, {1: tmp_path / "1.png"})
 
 
 class _Stream:

@@ -18,7 +18,7 @@ another class are different objects in MOTS: they come back as motions of their 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import ModuleType
 
 import cv2
@@ -57,6 +57,8 @@ _EDGES: dict[Corner, tuple[Corner, Corner]] = {
 # pycocotools reads and writes beyond the end of a text that stops in the middle of a number.
 _RUNS = re.compile("[0-o]*[0-O]")
 _DAVIS_VOID = 254
+# Ids up to this are numbers of objects; gray levels that a person chose to see are brighter.
+_DARK = 20
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
 _MOTS_LARGEST = (1 << 16) - 1
@@ -100,6 +102,23 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
         if len(outline) >= 3:
             out.append(tuple((float(x), float(y)) for x, y in outline))
     return out
+
+
+def void_ids(used: Collection[int], bits: int, where: str) -> list[int]:
+    """Return which of the ids that the masks of a clip use are void, nothing to be scored on.
+
+    10000 in the 16 bits of MOTS; in 8 bits 254 (ours) and 255 (DAVIS), but masks of 0 and 255 are of one
+    object. Raises FileFormatError where 255 may be either: next to other values that one can see.
+    """
+    if bits == 16:
+        return [_MOTS_IGNORE]
+    others = set(used) - {0, 255}
+    if not others:
+        return []
+    if 255 in used and min(others) > _DARK:
+        expected, fix = "ids 1, 2, ... (255 = void)", "number the objects from 1 on"
+        raise FileFormatError(where, expected=expected, found=f"255 and {sorted(others)[:5]}", fix=fix)
+    return [_DAVIS_VOID, 255]
 
 
 def label_images(
