@@ -50,6 +50,7 @@ MAX_POLYGONS = 200
 MAX_POINTS = 5_000
 MAX_SIDE = 100_000
 _MAX_BYTES = 32 << 20
+_MAX_VALUES = 3_000_000
 _DECIMALS = 2
 
 
@@ -255,14 +256,23 @@ def load_annotation(path: str | os.PathLike[str]) -> Annotation:
         When it is not an annotation; the message names the field.
     """
     name = os.fspath(path)
-    content = read_bytes(path, _MAX_BYTES)
     try:
-        return from_json(json.loads(content))
+        return from_json(parse_json(read_bytes(path, _MAX_BYTES), name))
     except InvalidValueError as error:
         where = f"{name}: {error.where}"
         raise FileFormatError(where, expected=error.expected, found=error.found, fix=error.fix) from error
+
+
+def parse_json(content: bytes, where: str) -> Any:  # noqa: ANN401  # whatever JSON holds
+    """Parse untrusted JSON whose values take a bounded part of the memory; FileFormatError names `where`."""
+    values = sum(content.count(mark) for mark in (b",", b"[", b"{"))
+    if values > _MAX_VALUES:
+        expected = f"at most {_MAX_VALUES} values"
+        raise FileFormatError(where, expected=expected, found=str(values))
+    try:
+        return json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(name, expected="an annotation in JSON", found=str(error)[:100]) from error
+        raise FileFormatError(where, expected="JSON", found=str(error)[:100]) from None
 
 
 def save_annotation(path: str | os.PathLike[str], annotation: Annotation) -> None:

@@ -44,14 +44,14 @@ def test_foreign_mots_ids_of_two_classes_are_two_motions():
 
 def test_foreign_coco_polygons():
     data = {
-        "images": [{"id": 10}, {"id": 11}],
+        "images": [{"id": 2}, {"id": 3}],
         "categories": [{"id": 1, "name": "Car"}],
         "annotations": [
-            {"image_id": 11, "category_id": 1, "track_id": 5, "segmentation": [[1, 1, 9, 1, 9, 9]]}
+            {"image_id": 3, "category_id": 1, "track_id": 5, "segmentation": [[1, 1, 9, 1, 9, 9]]}
         ],
     }
     (item,) = formats.load("coco").parse(json.dumps(data).encode(), EMPTY).objects
-    assert (item.kind, item.motion, [k.frame for k in item.key_frames]) == ("car", 1, [0, 1, 2])
+    assert (item.kind, item.motion, [k.frame for k in item.key_frames]) == ("car", 1, [2, 3])
 
 
 CVAT_EXPORT = b"""<?xml version="1.0" encoding="utf-8"?>
@@ -165,7 +165,7 @@ def test_masks_named_as_frames_belong_to_those(name):
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         images = [archive.read(annotation) for annotation in sorted(archive.namelist())]
     renamed = zipped(**dict(zip(NAMES, images, strict=True)))
-    assert motions(chosen.parse(renamed, EMPTY, NAMES)) == motions(chosen.parse(content, EMPTY, NAMES))
+    assert motions(chosen.parse(renamed, EMPTY, NAMES)) == motions(chosen.parse(content, EMPTY))
 
 
 def test_coco_images_named_as_frames_are_those():

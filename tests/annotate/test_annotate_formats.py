@@ -218,13 +218,14 @@ CROWDS = [
         + b"]}",
         "10 objects",
     ),
-    ("coco", b'{"images": [], "annotations": [' + b",".join([b"{}"] * 5001) + b"]}", "5000 annotations"),
+    ("coco", b'{"images": [], "annotations": [' + b",".join([b"{}"] * 51) + b"]}", "50 annotations"),
 ]
 
 
 @pytest.mark.parametrize(("name", "content", "limit"), CROWDS)
 def test_crowds_are_refused_before_they_fill_the_memory(name, content, limit, monkeypatch):
-    monkeypatch.setattr("kt3dmoseg.annotate.formats.masks.MAX_OBJECTS", 10)
+    for module in ("masks", "coco", "foreign"):
+        monkeypatch.setattr(f"kt3dmoseg.annotate.formats.{module}.MAX_OBJECTS", 10)
     with pytest.raises(KT3DMoSegError, match=f"at most {limit}"):
         formats.load(name).parse(content, EMPTY)
 

@@ -346,7 +346,7 @@ def test_proposals_from_masks(clips, tmp_path):
     for k in range(6):
         mask = np.zeros((200, 320), np.uint8)
         mask[70:130, 60 + 4 * k : 140 + 4 * k] = 3
-        cv2.imwrite(str(masks / f"{k:05d}.png"), mask)
+        cv2.imwrite(str(masks / f"{k + 1:05d}.png"), mask)
     page = client(routes(clips, tmp_path, masks=tmp_path / "masks"))
     (item,) = page.post("/api/clips/one/proposals/masks", json=drawn(page)).json()["objects"]
     assert (item["id"], item["motion"]) == (2, 4)

@@ -2,15 +2,15 @@
 
 Kept: each object's pixels in every frame, its id, name, kind, motion, note. Not kept: key frames (every
 frame becomes one), what is hidden, marks. ``pycocotools`` reads it; files of polygons are read too.
-Reading, images that are named as the clip's frames are those; others are its frames in the order of their
-ids. Annotations with the same ``track_id`` (else each alone) are one object.
+Reading, an image is the frame of its file name, else of its number. An object is what has one ``track_id``,
+in the annotation or its attributes; without ids, what has one category, once an image. Boxes are no outlines.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import PurePosixPath
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -19,23 +19,28 @@ import numpy as np
 from kt3dmoseg.annotate.formats import AnnotationFormat
 from kt3dmoseg.annotate.formats.foreign import (
     ForeignObject,
-    assemble,
-    check_frame,
+    Import,
+    Shape,
     check_shape,
-    frame_indices,
-    with_centre_origin,
+    identity_in,
+    motion_from,
+    strict,
 )
-from kt3dmoseg.annotate.formats.masks import add_mask, decode_rle, encode_rle, mask_of
-from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation
+from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, polygons_of
+from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation, Polygon, parse_json
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray
+
+_IDENTITIES = ("track_id", "instance_id", "object_id")
+# A mask may be of a larger picture, by this factor.
+_MOST_PIXELS = 16
 
 
 def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Sequence[str] = ()) -> bytes:
     width, height = annotation.image_size
     images = [
-        {"id": k, "file_name": picture, "width": width, "height": height, "video": annotation.clip}
+        {"id": k, "file_name": picture, "width": width, "height": height, "annotated": True}
         for k, picture in enumerate(names or [f"{k:06d}.png" for k in range(annotation.n_frames)])
     ]
     masks = [
@@ -57,27 +62,59 @@ def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Se
     return (json.dumps(data, separators=(",", ":")) + "\n").encode()
 
 
-def _parse(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
+def _read(content: bytes, into: Import) -> None:
+    data = parse_json(content, "COCO")
     try:
-        data = json.loads(content)
-        frames = _frames(data["images"], names)
-        kinds = {int(c["id"]): str(c["name"]).lower() for c in data.get("categories", [])}
-        masks = list(data["annotations"])
-        most = MAX_OBJECTS * like.n_frames
-        if len(masks) > most:
-            raise FileFormatError("COCO", expected=f"at most {most} annotations", found=str(len(masks)))
-        found: dict[int, ForeignObject] = {}
-        for number, mask in enumerate(masks):
-            _read_mask(mask, number, frames, kinds, like, found)
-    except (FileFormatError, InvalidValueError):
-        raise
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        images = _images(data)
+        kinds = {int(c["id"]): str(c["name"]) for c in data.get("categories", [])}
+        shapes = list(data["annotations"])
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         problem = f"{type(error).__name__}: {error}"[:100]
         raise FileFormatError("COCO", expected="images, annotations, categories", found=problem) from error
-    return assemble(dict(sorted(found.items())), like)
+    most = MAX_OBJECTS * into.like.n_frames
+    if len(shapes) > most:
+        raise FileFormatError("COCO", expected=f"at most {most} annotations", found=str(len(shapes)))
+    frames = into.match([image.file for image in images.values()], "COCO images")
+    for number, shape in enumerate(shapes):
+        with into.skipping(f"annotations[{number}]"):
+            image = images.get(int(shape["image_id"]))
+            if image is None:
+                raise InvalidValueError("image_id", expected="of images", found=str(shape["image_id"])[:40])
+            if image.file in frames:
+                _read_shape(shape, frames[image.file], image, kinds, into)
+    surely = {image.file for image in images.values() if image.annotated}
+    into.annotated |= {frame for file, frame in frames.items() if file in surely}
+    into.list_frames([frame for file, frame in frames.items() if file not in surely])
 
 
-COCO = AnnotationFormat(".json", "application/json", _dump, _parse)
+COCO = AnnotationFormat(".json", "application/json", _dump, strict(_read), _read)
+
+
+@dataclass(frozen=True)
+class _Image:
+    file: str
+    size: tuple[int, int] | None
+    annotated: bool
+
+
+def _images(data: Mapping[str, Any]) -> dict[int, _Image]:
+    """Images by id; one without a file name is the frame of its number, else of its id.
+
+    Of several videos in one file, each is a folder.
+    """
+    videos = {video["id"]: str(video["name"]) for video in data.get("videos", [])}
+    images: dict[int, _Image] = {}
+    for image in data["images"]:
+        number = int(image["id"])
+        file = str(image.get("file_name") or image.get("frame_id", number))
+        if len(videos) > 1:
+            file = f"{videos[image['video_id']]}/{file}"
+        sides = image.get("width"), image.get("height")
+        size = None if None in sides else (int(sides[0]), int(sides[1]))
+        images[number] = _Image(file, size, image.get("annotated") is True)
+    if len({image.file for image in images.values()}) < len(data["images"]):
+        raise ValueError("an image is listed twice")
+    return images
 
 
 def _mask_to_json(item: AnnotatedObject, frame: int, mask: BoolArray) -> dict[str, Any]:
@@ -93,43 +130,43 @@ def _mask_to_json(item: AnnotatedObject, frame: int, mask: BoolArray) -> dict[st
     }
 
 
-def _frames(images: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[int, int]:
-    """Image id to frame."""
-    ordered = sorted(images, key=lambda image: int(image["id"]))
-    files = [str(image.get("file_name", "")) for image in ordered]
-    stems = {PurePosixPath(name).stem for name in names}
-    by_name = all(PurePosixPath(file).stem in stems for file in files)
-    indices = frame_indices(files, names, "COCO") if by_name else range(len(files))
-    return {int(image["id"]): k for image, k in zip(ordered, indices, strict=True)}
-
-
-def _read_mask(
-    mask: dict[str, Any],
-    number: int,
-    frames: Mapping[int, int],
-    kinds: Mapping[int, str],
-    like: Annotation,
-    found: dict[int, ForeignObject],
+def _read_shape(
+    shape: Mapping[str, Any], frame: int, image: _Image, kinds: Mapping[int, str], into: Import
 ) -> None:
-    where = f"annotations[{number}]"
-    frame = frames[int(mask["image_id"])]
-    check_frame(frame, like, where)
-    instance = int(mask["track_id"]) if "track_id" in mask else -1 - number
-    known = instance in found
-    item = add_mask(found, instance, frame, _pixels(mask["segmentation"], like, where), where)
-    if item is not None and not known:
-        about = mask.get("attributes", {})
-        item.kind = kinds.get(int(mask.get("category_id", 0)), "other")
-        item.name, item.note = str(about.get("name", "")), str(about.get("note", ""))
-        item.motion = about.get("motion")
+    attributes = shape.get("attributes") or {}
+    key, source = identity_in(shape, _IDENTITIES)
+    if key is None:
+        key, source = identity_in(attributes)
+        source = f"attributes.{source}"
+    if key is not None:
+        into.note(f"ids come from {source}")
+    kind = kinds.get(int(shape.get("category_id", 0)), "other")
+    name, note = (str(attributes.get(field) or "") for field in ("name", "note"))
+    about = ForeignObject(name, kind, motion_from(str(attributes.get("motion"))), note)
+    polygons = _outlines(shape, image, into)
+    if polygons:
+        into.add(Shape(frame, key, kind, polygons, about))
+    into.annotated.add(frame)
 
 
-def _pixels(segmentation: Any, like: Annotation, where: str) -> BoolArray:  # noqa: ANN401
-    if isinstance(segmentation, list):
-        polygons = [with_centre_origin(zip(p[::2], p[1::2], strict=True), where) for p in segmentation]
-        return mask_of([np.array(polygon) for polygon in polygons], like.image_size)
-    height, width = (int(v) for v in segmentation["size"])
-    check_shape((height, width), like, where)
-    counts = segmentation["counts"]
-    runs = [int(count) for count in counts] if isinstance(counts, list) else str(counts)
-    return decode_rle(runs, height, width, where)
+def _outlines(shape: Mapping[str, Any], image: _Image, into: Import) -> list[Polygon]:
+    found = shape.get("segmentation")
+    if not found:
+        expected = "polygons or run lengths"
+        raise InvalidValueError("segmentation", expected=expected, found="a box only" * ("bbox" in shape))
+    scale = into.scale(image.size, image.file)
+    if isinstance(found, list):
+        return [into.outline(zip(p[::2], p[1::2], strict=True), scale) for p in found]
+    height, width = (int(side) for side in found["size"])
+    if (width, height) != image.size:
+        check_shape((height, width), into.like, "segmentation.size")
+    columns, rows = into.like.image_size
+    if width * height > _MOST_PIXELS * columns * rows:
+        raise InvalidValueError("segmentation.size", expected="a smaller mask", found=f"{width}x{height}")
+    counts = found["counts"]
+    runs = [int(run) for run in counts] if isinstance(counts, list) else str(counts)
+    mask = decode_rle(runs, height, width, "segmentation")
+    if (width, height) != (columns, rows):
+        resized = cv2.resize(mask.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT)
+        mask = resized.astype(np.bool_)
+    return [into.counted(polygon) for polygon in polygons_of(mask)]

@@ -2,13 +2,14 @@
 
 Kept: each object's polygons in every frame to 1/100 pixel, whether it is occluded, its id, name, kind and
 motion. Not kept: which frames are key frames (every frame becomes one), occluded objects without a
-position, notes, marks. An object without a shape in a frame is outside there. Reading, shapes with the same
-``group_id``, or without one the same label, are one object.
+position, notes, marks. Reading, shapes with the same ``group_id``, or without one the same label, are one
+object; one without a shape in a file is outside there, and a frame without a file is not annotated.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
@@ -17,13 +18,16 @@ from typing import Any
 from kt3dmoseg.annotate.formats import AnnotationFormat
 from kt3dmoseg.annotate.formats.foreign import (
     ForeignObject,
-    assemble,
+    Import,
+    Shape,
+    ellipse,
+    identity_in,
     motion_from,
+    strict,
     unzip_frames,
-    with_centre_origin,
     with_corner_origin,
 )
-from kt3dmoseg.annotate.model import Annotation, Polygon, within
+from kt3dmoseg.annotate.model import Annotation, parse_json
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
@@ -41,24 +45,34 @@ def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Se
     )
 
 
-def _parse(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-    found: dict[int | str, ForeignObject] = {}
-    for frame, text in sorted(unzip_frames(content, ".json", like, names, "LabelMe").items()):
-        try:
-            for k, shape in enumerate(json.loads(text)["shapes"]):
-                with within(f"frame {frame}: shapes[{k}]"):
-                    _read_shape(shape, frame, found)
-        except InvalidValueError:
-            raise
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
-            expected, where = "shapes with label and points", f"LabelMe frame {frame}"
-            raise FileFormatError(where, expected=expected, found=repr(error)[:80]) from error
-    if all(isinstance(key, int) for key in found):
-        found = dict(sorted(found.items()))
-    return assemble(found, like)
+def _read(content: bytes, into: Import) -> None:
+    """Read a zip of files, or a single one."""
+    if content.lstrip()[:1] == b"{":
+        data = parse_json(content, "LabelMe")
+        path = data.get("imagePath")
+        files = into.match([str(path)], "LabelMe imagePath")
+        _read_file(data, str(path), files[str(path)], into)
+        return
+    for frame, file, text in unzip_frames(content, ".json", into, "LabelMe"):
+        _read_file(parse_json(text, f"LabelMe: {file}"), file, frame, into)
 
 
-LABELME = AnnotationFormat(".zip", "application/zip", _dump, _parse)
+LABELME = AnnotationFormat(".zip", "application/zip", _dump, strict(_read), _read)
+
+
+def _read_file(data: Any, file: str, frame: int, into: Import) -> None:  # noqa: ANN401
+    try:
+        shapes = list(data["shapes"])
+        sides = data.get("imageWidth"), data.get("imageHeight")
+        size = None if None in sides else (int(sides[0]), int(sides[1]))
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        expected = "shapes with label and points"
+        raise FileFormatError(f"LabelMe: {file}", expected=expected, found=repr(error)[:80]) from error
+    scale = into.scale(size, f"LabelMe: {file}")
+    into.annotated.add(frame)
+    for k, shape in enumerate(shapes):
+        with into.skipping(f"{file}: shapes[{k}]"):
+            _read_shape(shape, frame, scale, into)
 
 
 def _frame_file(
@@ -89,23 +103,29 @@ def _frame_file(
     return json.dumps(data, indent=1).encode()
 
 
-def _read_shape(shape: dict[str, Any], frame: int, found: dict[int | str, ForeignObject]) -> None:
-    points = _outline(shape)
-    label, group = str(shape["label"]), shape.get("group_id")
-    key = label if group is None else int(group)
-    if key not in found:
-        ours = _DESCRIPTION.search(str(shape.get("description") or ""))
-        kind, motion = ours.groups() if ours else (label.lower(), "")
-        found[key] = ForeignObject(label, kind, motion_from(motion))
-    hidden = (shape.get("flags") or {}).get("occluded") or found[key].visibility.get(frame) == "occluded"
-    found[key].add(frame, [points], "occluded" if hidden else "visible")
+def _read_shape(shape: dict[str, Any], frame: int, scale: tuple[float, float], into: Import) -> None:
+    points = into.outline(_outline(shape), scale)
+    label = str(shape["label"])
+    key, source = identity_in(shape, ("group_id",))
+    if key is not None:
+        into.note(f"ids come from {source}")
+    ours = _DESCRIPTION.search(str(shape.get("description") or ""))
+    kind, motion = ours.groups() if ours else (label, "")
+    hidden = (shape.get("flags") or {}).get("occluded")
+    about = ForeignObject(label, kind, motion_from(motion))
+    into.add(Shape(frame, key, label, [points], about, "occluded" if hidden else "visible"))
 
 
-def _outline(shape: dict[str, Any]) -> Polygon:
+def _outline(shape: dict[str, Any]) -> Any:  # noqa: ANN401  # checked by the caller
     form, points = shape.get("shape_type", "polygon"), shape["points"]
     if form == "rectangle" and len(points) == 2:
         (left, top), (right, bottom) = points
-        points = [(left, top), (right, top), (right, bottom), (left, bottom)]
-    elif form not in ("polygon", "rectangle"):
-        raise InvalidValueError("shape_type", expected="'polygon' or 'rectangle'", found=repr(form)[:40])
-    return with_centre_origin(points, "points")
+        return [(left, top), (right, top), (right, bottom), (left, bottom)]
+    if form == "circle" and len(points) == 2:
+        (x, y), (edge_x, edge_y) = points
+        radius = math.hypot(edge_x - x, edge_y - y)
+        return ellipse(x, y, radius, radius)
+    if form not in ("polygon", "rectangle"):
+        expected = "a polygon, rectangle or circle"
+        raise InvalidValueError("shape_type", expected=expected, found=repr(form)[:40])
+    return points

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import PurePosixPath
 from types import ModuleType
 
 import cv2
@@ -27,8 +28,8 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from kt3dmoseg.annotate.formats import AnnotationFormat
-from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble, check_frame, check_shape, unzip_frames
-from kt3dmoseg.annotate.geometry import area, bounds, inside
+from kt3dmoseg.annotate.formats.foreign import Import, check_shape, strict, unzip_frames
+from kt3dmoseg.annotate.geometry import area
 from kt3dmoseg.annotate.model import (
     BACKGROUND,
     MAX_OBJECTS,
@@ -42,7 +43,8 @@ from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.io.images import decode_indices, encode_indices
-from kt3dmoseg.types import BoolArray, ByteArray, FloatArray
+from kt3dmoseg.matching import number_in
+from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
 
 Corner = tuple[int, int]
 Regions = Mapping[int, list[Region]]
@@ -57,28 +59,45 @@ _EDGES: dict[Corner, tuple[Corner, Corner]] = {
 # pycocotools reads and writes beyond the end of a text that stops in the middle of a number.
 _RUNS = re.compile("[0-o]*[0-O]")
 _DAVIS_VOID = 254
+_BLOCK = 1 << 20
 # Ids up to this are numbers of objects; gray levels that a person chose to see are brighter.
 _DARK = 20
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
-_MOTS_LARGEST = (1 << 16) - 1
+_MOTS_DIGITS = 9
 _MOTS_CLASS = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
 _MOTS_KIND = {1: "car", 2: "pedestrian", 3: "other"}
 
 
 def mask_of(polygons: Sequence[FloatArray], image_size: tuple[int, int]) -> BoolArray:
-    """Return the pixels whose centres lie in the union of the polygons, (H, W) bool."""
+    """Return the pixels whose centres lie in the union of the polygons by the even-odd rule, (H, W) bool."""
     width, height = image_size
     mask = np.zeros((height, width), dtype=np.bool_)
+    step = max(1, _BLOCK // height)
     for polygon in polygons:
-        left, top, right, bottom = bounds([polygon])
-        x0, x1 = max(0, int(np.floor(left))), min(width - 1, int(np.ceil(right)))
-        y0, y1 = max(0, int(np.floor(top))), min(height - 1, int(np.ceil(bottom)))
-        if x1 >= x0 and y1 >= y0:
-            grid = np.stack(np.meshgrid(np.arange(x0, x1 + 1), np.arange(y0, y1 + 1)), axis=-1)
-            for row, points in enumerate(grid.astype(np.float64), start=y0):
-                mask[row, x0 : x1 + 1] |= inside(points, polygon)
+        crossings = np.zeros(height * (width + 1), dtype=np.int64)
+        starts, ends = polygon, np.roll(polygon, -1, axis=0)
+        for k in range(0, len(polygon), step):
+            _count_crossings(starts[k : k + step], ends[k : k + step], crossings, (width, height))
+        # A pixel is inside when an odd number of edges cross its row to its right.
+        right = crossings.reshape(height, width + 1)[:, :0:-1]
+        mask |= np.cumsum(right, axis=1)[:, ::-1] % 2 == 1
     return mask
+
+
+def _count_crossings(
+    starts: FloatArray, ends: FloatArray, crossings: IntArray, image_size: tuple[int, int]
+) -> None:
+    """Count where edges cross the rows between their ends, the upper end included, in (H * (W + 1),)."""
+    width, height = image_size
+    (ax, ay), (bx, by) = starts.T, ends.T
+    first = np.clip(np.ceil(np.minimum(ay, by)), 0, height).astype(np.int64)
+    counts = np.clip(np.ceil(np.maximum(ay, by)), 0, height).astype(np.int64) - first
+    edge = np.repeat(np.arange(len(starts)), counts)
+    row = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts) + first[edge]
+    at = ax[edge] + (row - ay[edge]) * (bx - ax)[edge] / (by - ay)[edge]
+    column = np.clip(np.ceil(at), 0, width).astype(np.int64)
+    crossings += np.bincount(row * (width + 1) + column, minlength=len(crossings))
 
 
 def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
@@ -233,21 +252,10 @@ def _pycocotools() -> ModuleType:
     return module
 
 
-def add_mask(
-    found: dict[int, ForeignObject], number: int, frame: int, mask: BoolArray, where: str
-) -> ForeignObject | None:
-    """Add the outlines of an object in one frame, not its pixels, so that no file fills the memory.
-
-    Returns the object, None when the mask is empty; raises FileFormatError when there are too many.
-    """
-    polygons = polygons_of(mask)
-    if not polygons:
-        return None
-    if number not in found and len(found) == MAX_OBJECTS:
-        raise FileFormatError(where, expected=f"at most {MAX_OBJECTS} objects", found="more")
-    item = found.setdefault(number, ForeignObject())
-    item.add(frame, polygons)
-    return item
+def add_mask(into: Import, number: int, frame: int, mask: BoolArray) -> None:
+    """Add the outlines of an object in one frame, not its pixels, so that no file fills the memory."""
+    if polygons := [into.counted(polygon) for polygon in polygons_of(mask)]:
+        into.object(number).add(frame, polygons)
 
 
 def _dump_davis(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
@@ -258,56 +266,77 @@ def _dump_davis(annotation: Annotation, regions: Regions, names: Sequence[str] =
     values = {o.id: _DAVIS_VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
     images = label_images(annotation, regions, values)
     palette = davis_palette()
-    return zip_bytes(
-        {f"{k:05d}.png": encode_indices(image.astype(np.uint8), palette) for k, image in enumerate(images)}
+    files = (encode_indices(image.astype(np.uint8), palette) for image in images)
+    return zip_bytes(dict(zip(_mask_names(names, annotation, "{:05d}.png"), files, strict=True)))
+
+
+def _read_davis(content: bytes, into: Import) -> None:
+    used, bits = _read_images(content, into, "DAVIS masks", bits=8)
+    voids = void_ids(used, bits, "DAVIS masks")
+    for value, item in sorted(into.found.items()):
+        void = value in voids
+        item.motion = REJECT if void else int(value)
+        item.name = "rejected" if void else f"motion {value}"
+    if 255 in used and 255 not in voids:
+        into.found[255].name, into.found[255].motion = "object 255", 1
+    into.note(
+        "ids are the values of the masks"
+        + ("; 255 is void and rejected" if 255 in {*used} & {*voids} else "")
     )
-
-
-def _parse_davis(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-    found = _parse_images(content, like, names, "DAVIS masks", bits=8, largest=_DAVIS_VOID)
-    for value, item in found.items():  # 255 was taken as 254
-        void = value == _DAVIS_VOID
-        item.motion, item.name = (REJECT, "rejected") if void else (value, f"motion {value}")
-    return assemble({str(value): found[value] for value in sorted(found)}, like)
+    into.found = {str(value): into.found[value] for value in sorted(used) if value in into.found}
 
 
 def _dump_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
     images = _mots_images(annotation, regions)
-    encoded = (cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images)
-    return zip_bytes({f"{k:06d}.png": content for k, content in enumerate(encoded)})
+    files = (cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images)
+    return zip_bytes(dict(zip(_mask_names(names, annotation, "{:06d}.png"), files, strict=True)))
 
 
-def _parse_mots_png(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-    found = _parse_images(content, like, names, "MOTS masks", bits=16, largest=_MOTS_LARGEST)
-    return _mots_annotation(found, like)
+def _mask_names(names: Sequence[str], annotation: Annotation, pattern: str) -> list[str]:
+    """Name masks as the frames are."""
+    given = [PurePosixPath(name).stem + ".png" for name in names]
+    return given or [pattern.format(frame) for frame in range(annotation.n_frames)]
+
+
+def _read_mots_png(content: bytes, into: Import) -> None:
+    _read_images(content, into, "MOTS masks", bits=16)
+    _name_mots(into)
 
 
 def _dump_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
     width, height = annotation.image_size
+    numbers = [number_in(name) for name in names] or range(annotation.n_frames)
     lines = [
-        f"{frame} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
-        for frame, image in enumerate(_mots_images(annotation, regions))
+        f"{number} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
+        for number, image in zip(numbers, _mots_images(annotation, regions), strict=True)
         for value in np.unique(image[image > 0]).tolist()
     ]
     return "".join(lines).encode()
 
 
-def _parse_mots_text(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-    found: dict[int, ForeignObject] = {}
+def _read_mots_text(content: bytes, into: Import) -> None:
     lines = content.decode("ascii", "replace").splitlines()
-    most = MAX_OBJECTS * like.n_frames
+    most = MAX_OBJECTS * into.like.n_frames
     if len(lines) > most:
         raise FileFormatError("MOTS text", expected=f"at most {most} lines", found=str(len(lines)))
+    found: list[tuple[int, int, str, str]] = []
     for number, line in enumerate(lines, start=1):
-        if line.strip():
-            frame, value, mask = _mots_line(line, like, f"line {number}")
-            add_mask(found, value, frame, mask, "MOTS text")
-    return _mots_annotation(found, like)
+        with into.skipping(f"line {number}"):
+            if line.strip():
+                found.append((*_mots_line(line, into.like), f"line {number}"))
+    frames = into.match(dict.fromkeys(str(frame) for frame, *_ in found), "MOTS text")
+    into.annotated |= set(range(into.like.n_frames))
+    width, height = into.like.image_size
+    for number, value, text, where in found:
+        with into.skipping(where):
+            if (frame := frames.get(str(number))) is not None:
+                add_mask(into, value, frame, decode_rle(text, height, width, "rle"))
+    _name_mots(into)
 
 
-DAVIS = AnnotationFormat(".zip", "application/zip", _dump_davis, _parse_davis)
-MOTS_PNG = AnnotationFormat(".zip", "application/zip", _dump_mots_png, _parse_mots_png)
-MOTS_TXT = AnnotationFormat(".txt", "text/plain", _dump_mots_text, _parse_mots_text)
+DAVIS = AnnotationFormat(".zip", "application/zip", _dump_davis, strict(_read_davis), _read_davis)
+MOTS_PNG = AnnotationFormat(".zip", "application/zip", _dump_mots_png, strict(_read_mots_png), _read_mots_png)
+MOTS_TXT = AnnotationFormat(".txt", "text/plain", _dump_mots_text, strict(_read_mots_text), _read_mots_text)
 
 
 def davis_palette() -> ByteArray:
@@ -321,22 +350,22 @@ def davis_palette() -> ByteArray:
     return palette.astype(np.uint8)
 
 
-def _parse_images(
-    content: bytes, like: Annotation, names: Sequence[str], what: str, *, bits: int, largest: int
-) -> dict[int, ForeignObject]:
-    """Objects of a zip of PNGs of at most `bits` bits; larger numbers than `largest` are taken as it."""
-    found: dict[int, ForeignObject] = {}
-    for frame, png in unzip_frames(content, ".png", like, names, what).items():
-        where = f"{what}, frame {frame}"
+def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> tuple[set[int], int]:
+    """Read a zip of PNGs of at most `bits` bits; return the numbers in use, and their bits."""
+    used, deepest = {0}, 1
+    for frame, file, png in unzip_frames(content, ".png", into, what):
+        where = f"{what}: {file}"
         image, depth = decode_indices(png, where)
         if depth > bits:
             expected = f"an indexed or gray PNG of {bits} bits"
             raise FileFormatError(where, expected=expected, found=f"{depth} bits")
-        check_shape(image.shape, like, where)
-        image = np.minimum(image, largest)
-        for value in np.unique(image[image > 0]).tolist():
-            add_mask(found, value, frame, image == value, where)
-    return found
+        check_shape(image.shape, into.like, where)
+        values = np.unique(image[image > 0]).tolist()
+        used, deepest = used.union(values), max(deepest, depth)
+        into.annotated.add(frame)
+        for value in values:
+            add_mask(into, value, frame, image == value)
+    return used, deepest
 
 
 def _mots_images(annotation: Annotation, regions: Regions) -> Iterator[npt.NDArray[np.int64]]:
@@ -351,28 +380,28 @@ def _mots_images(annotation: Annotation, regions: Regions) -> Iterator[npt.NDArr
     return label_images(annotation, regions, values)
 
 
-def _mots_line(line: str, like: Annotation, where: str) -> tuple[int, int, BoolArray]:
+def _mots_line(line: str, like: Annotation) -> tuple[int, int, str]:
+    """Frame number, id and run lengths of a line."""
     try:
         frame, value, _, height, width, text = line.split()
-        numbers = [int(frame), int(value), int(height), int(width)]
-        if min(numbers) < 0:
+        numbers = [int(part) for part in (frame, value, height, width) if len(part) <= _MOTS_DIGITS]
+        if len(numbers) < 4 or min(numbers) < 0:
             raise ValueError
     except ValueError:
         expected = "frame id class height width rle"
-        raise FileFormatError(where, expected=expected, found=repr(line[:60])) from None
-    check_frame(numbers[0], like, where)
-    check_shape((numbers[2], numbers[3]), like, where)
-    return numbers[0], numbers[1], decode_rle(text, numbers[2], numbers[3], where)
+        raise FileFormatError("", expected=expected, found=repr(line[:60])) from None
+    check_shape((numbers[2], numbers[3]), like, "size")
+    return numbers[0], numbers[1], text
 
 
-def _mots_annotation(found: Mapping[int, ForeignObject], like: Annotation) -> Annotation:
+def _name_mots(into: Import) -> None:
+    found = sorted((int(value), item) for value, item in into.found.items())
     ignored = _MOTS_IGNORE // _MOTS_STEP
-    instances = [value % _MOTS_STEP for value in found if value // _MOTS_STEP != ignored]
+    instances = [value % _MOTS_STEP for value, _ in found if value // _MOTS_STEP != ignored]
     unique = len(set(instances)) == len(instances) and min(instances, default=1) > 0
-    ordered: dict[int | str, ForeignObject] = {str(value): found[value] for value in sorted(found)}
-    for number, (value, item) in enumerate(sorted(found.items()), start=1):
+    for number, (value, item) in enumerate(found, start=1):
         kind, instance = divmod(value, _MOTS_STEP)
         item.kind = _MOTS_KIND.get(kind, "other")
         item.motion = REJECT if kind == ignored else instance if unique else number
         item.name = "rejected" if kind == ignored else f"{item.kind} {value}"
-    return assemble(ordered, like)
+    into.found = {str(value): item for value, item in found}

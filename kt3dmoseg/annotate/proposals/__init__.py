@@ -20,6 +20,7 @@ from kt3dmoseg.annotate.geometry import area, arrays
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, KeyFrame, Polygon
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes, zip_bytes
+from kt3dmoseg.matching import is_hidden
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import BoolArray, FloatArray, Labels, Trajectories
 
@@ -90,14 +91,13 @@ def propose_masks(request: Request) -> list[AnnotatedObject]:
     if request.masks is None:
         raise InputFileError("masks", found="no folder of masks", fix="start with --masks FOLDER")
     text = request.masks / f"{request.clip}.txt"
-    empty = request.annotation.emptied()
+    empty, names = request.annotation.emptied(), [frame.name for frame in request.frames]
     if text.is_file():
-        return list(load("mots_txt").parse(read_bytes(text, _MAX_FILE), empty, ()).objects)
-    files = sorted((request.masks / request.clip).glob("*.png"))
+        return list(load("mots_txt").parse(read_bytes(text, _MAX_FILE), empty, names).objects)
+    files = [f for f in sorted((request.masks / request.clip).glob("*.png")) if not is_hidden(f.name)]
     if not files:
         raise InputFileError(f"{request.masks / request.clip}", expected="masks, *.png", found="none")
     content = zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in files})
-    names = [frame.name for frame in request.frames]
     problems = []
     for name in _MASK_FORMATS:
         try:
