@@ -26,7 +26,7 @@ from kt3dmoseg.annotate.formats.foreign import (
     motion_from,
     strict,
 )
-from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, polygons_of
+from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation, Polygon, parse_json
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -165,8 +165,9 @@ def _outlines(shape: Mapping[str, Any], image: _Image, into: Import) -> list[Pol
         raise InvalidValueError("segmentation.size", expected="a smaller mask", found=f"{width}x{height}")
     counts = found["counts"]
     runs = [int(run) for run in counts] if isinstance(counts, list) else str(counts)
+    into.count_pixels(width * height // 4)  # decoding is cheap
     mask = decode_rle(runs, height, width, "segmentation")
     if (width, height) != (columns, rows):
         resized = cv2.resize(mask.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT)
         mask = resized.astype(np.bool_)
-    return [into.counted(polygon) for polygon in polygons_of(mask)]
+    return outlines_of(mask, into)

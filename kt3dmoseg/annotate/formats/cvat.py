@@ -33,8 +33,16 @@ from kt3dmoseg.annotate.formats.foreign import (
     unzip_only,
     with_corner_origin,
 )
-from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, polygons_of
-from kt3dmoseg.annotate.model import KINDS, MAX_FRAMES, AnnotatedObject, Annotation, Polygon, Visibility
+from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, outlines_of
+from kt3dmoseg.annotate.model import (
+    KINDS,
+    MAX_FRAMES,
+    MAX_POINTS,
+    AnnotatedObject,
+    Annotation,
+    Polygon,
+    Visibility,
+)
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.matching import number_in, several, stem
@@ -50,6 +58,7 @@ _STEP = re.compile(r"step\s*=\s*(\d{1,6})")
 _MOST_NODES, _DEEPEST = 400_000, 12
 # Overlap of two outlines from which on they are of one object, as intersection over union.
 _SAME_PLACE = 0.3
+_COARSE = 128
 # CVAT needs points where an object is hidden; these mean "somewhere".
 _NOWHERE = "0.00,0.00;1.00,0.00;0.00,1.00"
 
@@ -93,6 +102,13 @@ def _read(content: bytes, into: Import) -> None:
 CVAT = AnnotationFormat(".xml", "application/xml", _dump, strict(_read), _read)
 
 
+class _Blocks(BytesIO):
+    """Content in large blocks: of small ones, the parser reads a long attribute again with each."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(max(size or 0, 1 << 22))
+
+
 def _children(content: bytes) -> Iterator[ET.Element]:
     """Give the elements right below <annotations>, one at a time; there are no entities, nor deep nesting."""
     from defusedxml import DefusedXmlException
@@ -101,7 +117,7 @@ def _children(content: bytes) -> Iterator[ET.Element]:
     above: list[ET.Element] = []
     count = 0
     try:
-        for event, node in iterparse(BytesIO(content), ("start", "end"), forbid_dtd=True):
+        for event, node in iterparse(_Blocks(content), ("start", "end"), forbid_dtd=True):
             if event == "start":
                 above.append(node)
                 count += 1
@@ -305,8 +321,9 @@ def _continued(
         if not ended or kind_of(item.kind) != kind_of(label):
             continue
         last = max(frame for frame in item.polygons)
+        scale = _COARSE / max(into.like.image_size)
         left, right = (
-            mask_of([np.array(p) for p in polygons], into.like.image_size)
+            mask_of([scale * np.array(p) for p in polygons], (_COARSE, _COARSE))
             for polygons in (item.polygons[last], own[start][1])
         )
         if (left & right).sum() >= _SAME_PLACE * max(1, (left | right).sum()):
@@ -400,6 +417,8 @@ def _shape(
 
 def _polygon(shape: ET.Element, scale: tuple[float, float], into: Import) -> list[Polygon]:
     text = shape.get("points", "")
+    if (points := text.count(";") + 1) > MAX_POINTS:
+        raise InvalidValueError("points", expected=f"at most {MAX_POINTS}", found=str(points))
     try:
         pairs = [tuple(float(v) for v in pair.split(",")) for pair in text.split(";")]
     except ValueError:
@@ -420,9 +439,7 @@ def _mask(shape: ET.Element, scale: tuple[float, float], into: Import) -> list[P
         expected, found = f"a mask in pictures of {columns}x{rows}", f"{width}x{height} at {left}, {top}"
         raise InvalidValueError("mask", expected=expected, found=found)
     runs = [int(run) for run in shape.get("rle", "").split(",") if len(run) <= _DIGITS]
-    mask = np.zeros((rows, columns), dtype=np.bool_)
-    mask[top : top + height, left : left + width] = decode_rle(runs, width, height, "rle").T
-    return [into.counted(polygon) for polygon in polygons_of(mask)]
+    return outlines_of(decode_rle(runs, width, height, "rle").T, into, (left, top))
 
 
 _OUTLINES = {"polygon": _polygon, "ellipse": _ellipse, "mask": _mask}

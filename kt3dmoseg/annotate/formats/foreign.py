@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import count, islice
 from math import isfinite
 from pathlib import PurePosixPath
 from typing import Any, TypeAlias
@@ -21,6 +21,7 @@ from kt3dmoseg.annotate.model import (
     KINDS,
     MAX_FRAMES,
     MAX_OBJECTS,
+    MAX_POINTS,
     REJECT,
     AnnotatedObject,
     Annotation,
@@ -45,6 +46,8 @@ _LIMITS = ZipLimits(files=MAX_FRAMES, file_bytes=32 << 20, total_bytes=128 << 20
 _DECIMALS = 2
 # Corners that all outlines of a file may have together; 20 frames of 100 outlines of 250 corners.
 _MAX_CORNERS = 500_000
+# Pixels of all masks that are decoded; 400 frames of 20 boxes of 200x200.
+_MAX_PIXELS = 400_000_000
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01
 _BEYOND = 2.0
@@ -157,7 +160,7 @@ class Import:
         self.notes: list[str] = []
         self.skipped: list[str] = []
         self.doubts: list[str] = []
-        self.skips, self._corners, self._sized = 0, 0, True
+        self.skips, self._corners, self._pixels, self._sized = 0, 0, 0, True
 
     def note(self, text: str) -> None:
         """Note what the import does, once."""
@@ -229,7 +232,8 @@ class Import:
         where: str = "points",
     ) -> Polygon:
         """Return an outline from the top-left corner as one from the centre of that pixel, scaled."""
-        checked = polygon_from(list(points), where)
+        given = list(islice(points, MAX_POINTS + 1))  # of more, a first part is as wrong
+        checked = polygon_from(given, where)
         return self.counted(
             tuple((_rounded(x * scale[0] - 0.5), _rounded(y * scale[1] - 0.5)) for x, y in checked)
         )
@@ -240,6 +244,12 @@ class Import:
         if self._corners > _MAX_CORNERS:
             raise TooMuchError("corners", _MAX_CORNERS)
         return polygon
+
+    def count_pixels(self, size: int) -> None:
+        """Count the pixels of a mask; raises FileFormatError when all together are too many."""
+        self._pixels += size
+        if self._pixels > _MAX_PIXELS:
+            raise TooMuchError("pixels in masks", _MAX_PIXELS)
 
     def add(self, shape: Shape) -> None:
         """Add a shape whose identity is settled when all are known."""

@@ -28,8 +28,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from kt3dmoseg.annotate.formats import AnnotationFormat
-from kt3dmoseg.annotate.formats.foreign import Import, check_shape, strict, unzip_frames
-from kt3dmoseg.annotate.geometry import area
+from kt3dmoseg.annotate.formats.foreign import Import, TooMuchError, check_shape, strict, unzip_frames
 from kt3dmoseg.annotate.model import (
     BACKGROUND,
     MAX_OBJECTS,
@@ -46,20 +45,17 @@ from kt3dmoseg.io.images import decode_indices, encode_indices
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
 
-Corner = tuple[int, int]
 Regions = Mapping[int, list[Region]]
 
-# Step to the neighbour that is not in the mask -> the edge between, clockwise around the pixel.
-_EDGES: dict[Corner, tuple[Corner, Corner]] = {
-    (-1, 0): ((0, 0), (1, 0)),
-    (0, 1): ((1, 0), (1, 1)),
-    (1, 0): ((1, 1), (0, 1)),
-    (0, -1): ((0, 1), (0, 0)),
-}
+# For each heading (right, down, left, up) the step (y, x) from a pixel to the neighbour that is not in the
+# mask, and where on the pixel (x, y) the edge between begins: clockwise around it.
+_EDGES = (((-1, 0), (0, 0)), ((0, 1), (1, 0)), ((1, 0), (1, 1)), ((0, -1), (0, 1)))
 # pycocotools reads and writes beyond the end of a text that stops in the middle of a number.
 _RUNS = re.compile("[0-o]*[0-O]")
 _DAVIS_VOID = 254
 _BLOCK = 1 << 20
+# Pixel edges around one region; a car that fills a large picture has 10,000.
+_MOST_EDGES = 300_000
 # Ids up to this are numbers of objects; gray levels that a person chose to see are brighter.
 _DARK = 20
 _MOTS_IGNORE = 10_000
@@ -106,14 +102,12 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
     Of more parts than a region may have, the largest; of more corners than a polygon may have, every
     second, or third... Corners closer than `tolerance` pixels to the simplified outline are left out.
     """
-    parts, _ = ndimage.label(mask)
-    boxes = ndimage.find_objects(parts)
-    sizes = np.bincount(parts.ravel())[1:]
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     out = []
-    for k in np.sort(np.argsort(-sizes, kind="stable")[:MAX_POLYGONS]):
-        rows, columns = boxes[k]
-        offset = np.array([columns.start, rows.start]) - 0.5
-        outline = _joined(_loops(parts[rows, columns] == k + 1)) + offset
+    for k in 1 + np.sort(np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:MAX_POLYGONS]):
+        left, top, width, height = stats[k, : cv2.CC_STAT_AREA].tolist()
+        part = parts[top : top + height, left : left + width] == k
+        outline = _joined(_loops(part)) + np.array([left, top]) - 0.5
         if tolerance > 0:  # Douglas and Peucker (1973)
             simple = cv2.approxPolyDP(outline.astype(np.float32)[:, None], tolerance, True)
             outline = np.asarray(simple[:, 0], dtype=np.float64)
@@ -161,35 +155,46 @@ def label_images(
 
 
 def _loops(part: BoolArray) -> list[FloatArray]:
-    """Return the corners of closed walks along the pixel edges of a mask, the mask on the right hand."""
+    """Return the corners of closed walks along the pixel edges of a mask, the mask on the right hand.
+
+    The first is the outer one; the others are those of the holes.
+    """
+    columns = part.shape[1] + 1
     padded = np.pad(part, 1)
-    leave: dict[Corner, list[Corner]] = {}
-    for (dy, dx), (start, end) in _EDGES.items():
-        rows, columns = np.nonzero(padded & ~np.roll(padded, (-dy, -dx), axis=(0, 1)))
-        for y, x in zip((rows - 1).tolist(), (columns - 1).tolist(), strict=True):
-            leave.setdefault((x + start[0], y + start[1]), []).append((x + end[0], y + end[1]))
-    loops = []
-    while leave:  # in reading order, so that each walk starts at a corner
-        loops.append(np.array(_walk(leave, next(iter(leave))), dtype=np.float64))
+    starts, headings = [], []
+    for number, ((dy, dx), (right, down)) in enumerate(_EDGES):
+        y, x = np.nonzero(padded & ~np.roll(padded, (-dy, -dx), axis=(0, 1)))
+        starts.append((y - 1 + down) * columns + x - 1 + right)
+        headings.append(np.full(len(y), number))
+    start, heading = np.concatenate(starts), np.concatenate(headings)
+    if len(start) > _MOST_EDGES:
+        raise FileFormatError("mask", expected="regions that a person draws", found="noise")
+    order = np.argsort(4 * start + heading)
+    known = (4 * start + heading)[order]
+    end = start + np.array([1, columns, -1, -columns])[heading]
+    # Turning right keeps to the same pixel, so that pixels touching at a corner stay apart.
+    after = np.zeros(len(start), dtype=np.int64)
+    for turn in (3, 0, 1):
+        sought = 4 * end + (heading + turn) % 4
+        at = np.minimum(np.searchsorted(known, sought), len(known) - 1)
+        after = np.where(known[at] == sought, order[at], after)
+    corner = np.stack([start % columns, start // columns], axis=1).astype(np.float64)
+    turned = heading.tolist()
+    following = after.tolist()
+    loops, left = [], bytearray(b"\1") * len(after)
+    for first in range(
+        len(starts[0])
+    ):  # every walk has an upper edge; in reading order the outer one is first
+        walk, edge, before = [], first, -1
+        while left[edge]:
+            left[edge] = 0
+            if turned[edge] != before:
+                walk.append(edge)
+                before = turned[edge]
+            edge = following[edge]
+        if walk:
+            loops.append(corner[walk])
     return loops
-
-
-def _walk(leave: dict[Corner, list[Corner]], first: Corner) -> list[Corner]:
-    corners: list[Corner] = []
-    at, heading = first, (0, 0)
-    while not corners or at != first:
-        ways = leave[at]
-        # Turning right keeps to the same pixel, so that pixels touching at a corner stay apart.
-        right = (at[0] - heading[1], at[1] + heading[0])
-        after = right if right in ways else ways[0]
-        ways.remove(after)
-        if not ways:
-            del leave[at]
-        step = (after[0] - at[0], after[1] - at[1])
-        if step != heading:
-            corners.append(at)
-        heading, at = step, after
-    return corners
 
 
 def _joined(loops: list[FloatArray]) -> FloatArray:
@@ -197,12 +202,12 @@ def _joined(loops: list[FloatArray]) -> FloatArray:
 
     The slit to a hole runs along pixel edges only: there no pixel centre can fall on it.
     """
-    loops.sort(key=area, reverse=True)
-    outline = loops[0]
-    for hole in loops[1:]:
-        corner = np.array([[outline[0, 0], hole[0, 1]]])
-        outline = np.concatenate([outline[:1], corner, hole, hole[:1], corner, outline])
-    return outline
+    outer, *holes = loops
+    pieces = [outer, outer[:1]]
+    for hole in holes:
+        corner = np.array([[outer[0, 0], hole[0, 1]]])
+        pieces += [corner, hole, hole[:1], corner, outer[:1]]
+    return np.concatenate(pieces) if holes else outer
 
 
 def encode_rle(mask: BoolArray) -> str:
@@ -252,10 +257,16 @@ def _pycocotools() -> ModuleType:
     return module
 
 
-def add_mask(into: Import, number: int, frame: int, mask: BoolArray) -> None:
-    """Add the outlines of an object in one frame, not its pixels, so that no file fills the memory."""
-    if polygons := [into.counted(polygon) for polygon in polygons_of(mask)]:
-        into.object(number).add(frame, polygons)
+def outlines_of(mask: BoolArray, into: Import, corner: tuple[int, int] = (0, 0)) -> list[Polygon]:
+    """Return the outlines of a mask that begins at the pixel `corner` (x, y), and count them."""
+    boxes = ndimage.find_objects(mask.view(np.uint8))
+    if not boxes:
+        return []
+    rows, columns = boxes[0]
+    part = mask[rows, columns]
+    into.count_pixels(part.size)
+    x, y = corner[0] + columns.start, corner[1] + rows.start
+    return [into.counted(tuple((a + x, b + y) for a, b in polygon)) for polygon in polygons_of(part)]
 
 
 def _dump_davis(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
@@ -330,7 +341,9 @@ def _read_mots_text(content: bytes, into: Import) -> None:
     for number, value, text, where in found:
         with into.skipping(where):
             if (frame := frames.get(str(number))) is not None:
-                add_mask(into, value, frame, decode_rle(text, height, width, "rle"))
+                into.count_pixels(width * height // 4)  # decoding is cheap
+                if outlines := outlines_of(decode_rle(text, height, width, "rle"), into):
+                    into.object(value).add(frame, outlines)
     _name_mots(into)
 
 
@@ -360,11 +373,14 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> tuple
             expected = f"an indexed or gray PNG of {bits} bits"
             raise FileFormatError(where, expected=expected, found=f"{depth} bits")
         check_shape(image.shape, into.like, where)
-        values = np.unique(image[image > 0]).tolist()
-        used, deepest = used.union(values), max(deepest, depth)
+        boxes = {k: box for k, box in enumerate(ndimage.find_objects(image), start=1) if box is not None}
+        if len(boxes) > MAX_OBJECTS:
+            raise TooMuchError("objects", MAX_OBJECTS)
+        used, deepest = used.union(boxes), max(deepest, depth)
         into.annotated.add(frame)
-        for value in values:
-            add_mask(into, value, frame, image == value)
+        for value, box in boxes.items():
+            outlines = outlines_of(image[box] == value, into, (box[1].start, box[0].start))
+            into.object(value).add(frame, outlines)
     return used, deepest
 
 
