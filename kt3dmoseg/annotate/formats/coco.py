@@ -27,7 +27,7 @@ from kt3dmoseg.annotate.formats.foreign import (
     strict,
 )
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
-from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation, Polygon, parse_json
+from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, AnnotatedObject, Annotation, Polygon, parse_document
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray
@@ -63,7 +63,7 @@ def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Se
 
 
 def _read(content: bytes, into: Import) -> None:
-    data = parse_json(content, "COCO")
+    data = parse_document(content, "COCO")
     try:
         images = _images(data)
         kinds = {int(c["id"]): str(c["name"]) for c in data.get("categories", [])}

@@ -27,7 +27,7 @@ from kt3dmoseg.annotate.formats.foreign import (
     unzip_frames,
     with_corner_origin,
 )
-from kt3dmoseg.annotate.model import Annotation, parse_json
+from kt3dmoseg.annotate.model import Annotation, parse_document
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
@@ -48,13 +48,13 @@ def _dump(annotation: Annotation, regions: Mapping[int, list[Region]], names: Se
 def _read(content: bytes, into: Import) -> None:
     """Read a zip of files, or a single one."""
     if content.lstrip()[:1] == b"{":
-        data = parse_json(content, "LabelMe")
+        data = parse_document(content, "LabelMe")
         path = data.get("imagePath")
         files = into.match([str(path)], "LabelMe imagePath")
         _read_file(data, str(path), files[str(path)], into)
         return
     for frame, file, text in unzip_frames(content, ".json", into, "LabelMe"):
-        _read_file(parse_json(text, f"LabelMe: {file}"), file, frame, into)
+        _read_file(parse_document(text, f"LabelMe: {file}"), file, frame, into)
 
 
 LABELME = AnnotationFormat(".zip", "application/zip", _dump, strict(_read), _read)

@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
@@ -39,12 +38,12 @@ from kt3dmoseg.annotate.model import (
     Annotation,
     from_json,
     load_annotation,
+    parse_document,
     save_revision,
     to_json,
 )
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_session import ClipSession, Progress, Summaries
-from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
@@ -202,11 +201,7 @@ class Routes:
 
 
 def _given(session: ClipSession, body: bytes) -> Annotation:
-    try:
-        data = json.loads(body)
-    except (ValueError, RecursionError) as error:
-        raise InvalidValueError("body", expected="an annotation in JSON", found=str(error)[:80]) from None
-    annotation = from_json(data)
+    annotation = from_json(parse_document(body, "body"))
     session.check(annotation)
     return annotation
 
