@@ -112,9 +112,10 @@ def test_schema_refuses_the_same(path, value, field):
 
 
 def test_infinite_coordinates_are_refused(tmp_path):
-    (tmp_path / "a.json").write_text(dumps(scene()).replace("60.25", "Infinity"))
-    with pytest.raises(FileFormatError, match="polygons"):
-        load_annotation(tmp_path / "a.json")
+    for number, word in (("Infinity", "Infinity"), ("1e400", "polygons"), ("9" * 400, "400 digits")):
+        (tmp_path / "a.json").write_text(dumps(scene()).replace("60.25", number))
+        with pytest.raises(FileFormatError, match=rf"a\.json.*{word}"):
+            load_annotation(tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("content", ["", "[", "null", "[]", '"x"', "[" * 100_000, "\xff"])

@@ -196,7 +196,9 @@ def test_tracks_that_fail_say_why(clips, tmp_path):
 
 
 def test_tracks_of_another_clip_are_refused(clips, tmp_path):
-    found = find_clips(clips / "frames" / "two", annotations=tmp_path, tracks=clips / "tracks" / "one.npz")
+    with pytest.raises(InputFileError, match="expected tracks of two, found one"):
+        find_clips(clips / "frames" / "two", annotations=tmp_path, tracks=clips / "tracks" / "one.npz")
+    found = find_clips(clips / "frames" / "two", annotations=tmp_path)
     source = replace(found["two"], tracks=clips / "tracks" / "one.npz")
     answer = wait(client(Routes({"two": ClipSession(source, never)})), "two")
     assert "3 frames" in answer.json()["error"]
