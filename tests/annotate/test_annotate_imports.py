@@ -302,7 +302,7 @@ REFUSED_COCO = {
     ),
     "400 digits": (
         coco({"track_id": 1}, segment=lambda k: [[10**400, 1, 5, 5, 9, 9]]),
-        "segmentation|points",
+        "401 digits",
     ),
     "no images": (coco({"track_id": 1}, listed=()), "image_id"),
 }
