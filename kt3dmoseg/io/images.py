@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +26,9 @@ Colour: TypeAlias = Literal["refuse", "luma"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 _MAX_FILE = 1 << 28
 MAX_PIXELS = 1 << 26
+MOTS_IGNORE = 10_000
+# Ids up to this are numbers of objects; gray levels that a person chose to see are brighter.
+_DARK = 20
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")  # none that runs another program
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _SIGNATURES = (_PNG, _JPEG, b"BM", b"RIFF", b"II*\0", b"MM\0*")
@@ -164,6 +167,23 @@ def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
         # Pillow stretches gray of 2 and 4 bits to 0..255.
         stretch = 255 // ((1 << bits) - 1) if image.mode == "L" else 1
         return np.asarray(image).astype(np.int64) // stretch, bits
+
+
+def void_ids(used: Collection[int], bits: int, where: str) -> list[int]:
+    """Return which of the ids that the masks of a clip use are void, nothing to be scored on.
+
+    10000 in the 16 bits of MOTS; in 8 bits 254 (ours) and 255 (DAVIS), but masks of 0 and 255 are of one
+    object. Raises FileFormatError where 255 may be either: next to other values that one can see.
+    """
+    if bits == 16:
+        return [MOTS_IGNORE]
+    others = set(used) - {0, 255}
+    if not others:
+        return []
+    if 255 in used and min(others) > _DARK:
+        expected, fix = "ids 1, 2, ... (255 = void)", "number the objects from 1 on"
+        raise FileFormatError(where, expected=expected, found=f"255 and {sorted(others)[:5]}", fix=fix)
+    return [254, 255]
 
 
 def encode_indices(indices: ByteArray, palette: ByteArray) -> bytes:

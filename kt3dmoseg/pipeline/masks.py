@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kt3dmoseg.annotate.formats.masks import void_ids
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.images import decode_indices
+from kt3dmoseg.io.images import decode_indices, void_ids
 from kt3dmoseg.matching import is_hidden, match_frames
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 

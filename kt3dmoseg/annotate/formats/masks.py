@@ -18,7 +18,7 @@ another class are different objects in MOTS: they come back as motions of their 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
 from types import ModuleType
 
@@ -41,7 +41,7 @@ from kt3dmoseg.annotate.model import (
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.files import zip_bytes
-from kt3dmoseg.io.images import decode_indices, encode_indices
+from kt3dmoseg.io.images import decode_indices, encode_indices, void_ids
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
 
@@ -56,8 +56,6 @@ _DAVIS_VOID = 254
 _BLOCK = 1 << 20
 # Pixel edges around one region; a car that fills a large picture has 10,000.
 _MOST_EDGES = 300_000
-# Ids up to this are numbers of objects; gray levels that a person chose to see are brighter.
-_DARK = 20
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
 _MOTS_DIGITS = 9
@@ -115,23 +113,6 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
         if len(outline) >= 3:
             out.append(tuple((float(x), float(y)) for x, y in outline))
     return out
-
-
-def void_ids(used: Collection[int], bits: int, where: str) -> list[int]:
-    """Return which of the ids that the masks of a clip use are void, nothing to be scored on.
-
-    10000 in the 16 bits of MOTS; in 8 bits 254 (ours) and 255 (DAVIS), but masks of 0 and 255 are of one
-    object. Raises FileFormatError where 255 may be either: next to other values that one can see.
-    """
-    if bits == 16:
-        return [_MOTS_IGNORE]
-    others = set(used) - {0, 255}
-    if not others:
-        return []
-    if 255 in used and min(others) > _DARK:
-        expected, fix = "ids 1, 2, ... (255 = void)", "number the objects from 1 on"
-        raise FileFormatError(where, expected=expected, found=f"255 and {sorted(others)[:5]}", fix=fix)
-    return [_DAVIS_VOID, 255]
 
 
 def label_images(
