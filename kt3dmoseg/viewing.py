@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.draw.painting import Painting, by_label, by_length, by_prediction, draw_frame
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
-from kt3dmoseg.files import check_target
+from kt3dmoseg.files import check_target, listed
 from kt3dmoseg.flow import create
 from kt3dmoseg.frames import check_frames, find_clips, frames_of
 from kt3dmoseg.io import load
@@ -203,6 +203,7 @@ def label(
     clips = find_clips(clip, annotations=annotations, frames=frames, tracks=tracks)
     sessions = {name: ClipSession(source, tracker) for name, source in clips.items()}
     _check_sources(sessions)
+    _check_case(Path(annotations), clips)
     other, masks_folder, raw = (given.get(name) for name in ("compare", "masks", "kitti"))
     routes = Routes(sessions, annotator=annotator, other=other, masks=masks_folder, kitti=raw)
     found = f"{len(clips)} clip{'s' * (len(clips) > 1)}; annotations in {Path(annotations).resolve()}"
@@ -232,3 +233,10 @@ def _check_sources(sessions: Mapping[str, ClipSession]) -> None:
             if len(sessions) == 1:
                 raise
             print(f"kt3dmoseg: warning: {name}: {error}", file=sys.stderr)
+
+
+def _check_case(folder: Path, clips: Iterable[str]) -> None:
+    names = {f"{name}.json" for name in clips}
+    for path in listed(folder) if folder.is_dir() else []:
+        if path.name not in names and path.name.lower() in {name.lower() for name in names}:
+            print(f"kt3dmoseg: warning: {path} is of none of the clips by its case", file=sys.stderr)

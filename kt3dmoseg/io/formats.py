@@ -233,7 +233,7 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
     out: dict[str, Path] = {}
     for file in own or below:
         name = clip_name(file)
-        if name in out:
+        if name in out and not out[name].samefile(file):  # a link may lead back to a folder above
             both = f"{out[name].relative_to(root)} and {file.relative_to(root)}"
             fix = "keep one of them"
             raise FileFormatError(f"{root}: clip {name}", expected="one file", found=both, fix=fix)

@@ -191,7 +191,7 @@ def _tapvid(path: str | os.PathLike[str], video: tuple[int, ...]) -> Clip:
     if not np.isin(occluded, (0, 1)).all():
         raise fields.error("occluded", "0 or 1", f"{occluded.min():g} to {occluded.max():g}")
     seen = points[occluded == 0]
-    low, high = seen.min(initial=0), seen.max(initial=0)
+    low, high = (seen.min(), seen.max()) if seen.size else (0, 0)
     if low < -_OUTSIDE or high > 1 + _OUTSIDE:
         fix = "of pixels, add 0.5 and divide by width and height"
         raise fields.error("points", "fractions of width and height, 0 to 1", f"{low:g} to {high:g}", fix)

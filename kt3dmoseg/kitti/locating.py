@@ -146,7 +146,7 @@ def drive_frames(files: FileSet, drive: Drive, camera: int) -> dict[int, str]:
 
 
 def fingerprint_folder(folder: Path) -> tuple[tuple[Fingerprint, ...], tuple[int, int]]:
-    """Fingerprint a clip's PNG files, in the order of their names; return their size (W, H) in pixels, too.
+    """Fingerprint a clip's PNG files, in the order of their numbers; return their size (W, H) in pixels, too.
 
     InputFileError when there are none, FileFormatError when they differ in size or one is not a PNG.
     """
@@ -158,41 +158,35 @@ def fingerprint_folder(folder: Path) -> tuple[tuple[Fingerprint, ...], tuple[int
 
 
 def _read_folder(folder: Path) -> Iterator[tuple[bytes, ByteArray]]:
-    """Yield every PNG file and its picture, in the order of the names."""
-    paths = sorted(folder.glob("*.png"))
-    if not paths:
-        raise InputFileError(f"{folder}: no PNG files there")
+    """Yield every PNG file and its picture, in the order of the numbers."""
+    from kt3dmoseg.io.images import numbered_pictures
+
+    paths = list(numbered_pictures(folder).values())
+    other = next((path.name for path in paths if path.suffix.lower() != ".png"), "" if paths else "none")
+    if other:
+        raise InputFileError(f"{folder}", expected="the clip's PNG files", found=other)
     for path in paths:
         content = read_bytes(path, LARGEST_FILE)
         yield content, decode_frame(content, str(path))
 
 
 def _locate_in(
-    clip: Entry,
-    origin: Server | LocalFolder,
-    options: LocateOptions,
-    report: Callable[[str], object],
-    *,
-    again: bool = False,
+    clip: Entry, origin: Server | LocalFolder, options: LocateOptions, report: Callable[[str], object]
 ) -> Entry:
     """Locate a clip in its drive's archive; when what is kept of it is damaged, fetch that once more."""
     try:
-        return _locate_once(clip, origin, options, report, again=again)
+        return _locate_once(clip, origin, options, report)
     except DamagedError as error:
-        if again or isinstance(origin, LocalFolder):
+        if isinstance(origin, LocalFolder):
             raise
         report(f"{error}; fetching it again")
-        return _locate_in(clip, origin, options, report, again=True)
+        return _locate_once(clip, origin, options, report, again=True)
 
 
 def _locate_once(
-    clip: Entry,
-    origin: Server | LocalFolder,
-    options: LocateOptions,
-    report: Callable[[str], object],
-    *,
-    again: bool,
-) -> Entry:
+    clip: Entry, origin: Server | LocalFolder, options: LocateOptions, report: Callable[[str], object],
+    *, again: bool = False,
+) -> Entry:  # fmt: skip
     packed = frames_of(clip.drive)
     try:
         files = origin.open(packed, again=again)

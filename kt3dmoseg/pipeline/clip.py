@@ -116,7 +116,8 @@ def check_label_paths(
     if folder.is_dir() and not any((folder / f"{name}.json").is_file() for name in names):
         files = [path.name for path in listed(folder) if path.suffix.lower() == ".json"]
         expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
-        fix = "rename it to the clip, or give --annotations none (annotations=None) for no labels"
+        fix = "rename it" if files else "give the folder that has some"
+        fix += ", or give --annotations none (annotations=None) for no labels"
         raise InputFileError(
             f"{folder}", expected=expected, found=", ".join(files[:3]) or "no annotation", fix=fix
         )

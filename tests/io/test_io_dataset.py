@@ -115,6 +115,11 @@ def test_predictions_copies_and_caches_below_clips_are_no_other_clips(tmp_path):
     assert list(dataset_paths(tmp_path).values()) == [tmp_path / "a.h5", tmp_path / "b.h5"]
 
 
+def test_a_link_back_to_the_folder_gives_no_clip_twice(benchmarks):
+    (benchmarks / "MTPV62" / "all").symlink_to(benchmarks / "MTPV62", target_is_directory=True)
+    assert list(dataset_paths(benchmarks / "MTPV62")) == ["MTPV_data_Boat", "MTPV_data_Man"]
+
+
 def test_names_come_from_files():
     assert clip_name("x/Seq028_clip03_Tracks.mat") == "Seq028_clip03"
     assert clip_name("oc1R2RC_g12_Tracks.mat") == "oc1R2RC_g12"

@@ -13,8 +13,17 @@ from hypothesis import strategies as st
 from kitti_world import FRAMES, HIDDEN, QUICK, SYNC, World
 
 from kt3dmoseg import catalog, cli
+from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.files import sha256_arrays
 from kt3dmoseg.kitti.http import Traffic
-from kt3dmoseg.kitti.locating import NotLocatedError, descriptor, locate, match_exact, match_graded
+from kt3dmoseg.kitti.locating import (
+    NotLocatedError,
+    descriptor,
+    fingerprint_folder,
+    locate,
+    match_exact,
+    match_graded,
+)
 
 FOLDER = f"{drives.DATE}/{drives.NAME}_sync/image_00/data"
 SIZE = (320, 96)
@@ -230,3 +239,16 @@ def test_command_line(world: World, capsys: pytest.CaptureFixture[str]) -> None:
     line = world.command("locate")
     assert cli.main(line) == 0
     assert "frames 11-16 (crc32)" in capsys.readouterr().out
+
+
+def test_a_clips_own_frames_go_by_number_and_are_png(tmp_path: Path) -> None:
+    pictures = [drives.picture(k, size=(320, 96)) for k in range(3)]
+    for number, picture in zip((9, 10, 11), pictures, strict=True):  # "10" sorts before "9"
+        (tmp_path / f"frame{number}.png").write_bytes(drives.encode(picture))
+    (tmp_path / "._frame9.png").write_bytes(b"left by macOS")
+    marks, size = fingerprint_folder(tmp_path)
+    assert size == (320, 96)
+    assert [mark.pixels for mark in marks] == [sha256_arrays(picture) for picture in pictures]
+    (tmp_path / "frame12.jpg").write_bytes(b"x")
+    with pytest.raises(InputFileError, match="expected the clip's PNG files, found frame12"):
+        fingerprint_folder(tmp_path)

@@ -282,3 +282,33 @@ def test_jpeg_frames_of_a_drive_are_named(raw, tmp_path):
         path.unlink()
     outcome = build(raw, tmp_path / "out")[0]
     assert "expected KITTI's frames, 0000000000.png, found 0000000000.jpg" in outcome.reason
+
+
+# --- several clips on the labelling page -----------------------------------------------------------
+
+
+def test_label_warns_of_what_does_not_fit_several_clips(frames, built, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(
+        "kt3dmoseg.annotate.server.app.serve", lambda routes, **_: print(sorted(routes.sessions))
+    )
+    for name in ("clip", "other"):
+        write_clip(tmp_path / "others" / name, seed=5)
+    annotate(tmp_path / "drawn" / "Clip.json", "Clip")
+    kt3dmoseg.label(tmp_path / "others", tracks=built, annotations=tmp_path / "drawn")
+    shown = capsys.readouterr()
+    assert shown.out == "['clip', 'other']\n"
+    assert "warning: clip: " in shown.err
+    assert "expected the frames that clip was made from" in shown.err
+    assert "Clip.json is of none of the clips by its case" in shown.err
+
+
+def test_show_is_a_function_with_the_options_of_the_command(frames, built, tmp_path):
+    lines = []
+    written = kt3dmoseg.show(built, frames, output=tmp_path / "p", at=2, trail=3, report=lines.append)
+    assert written == [tmp_path / "p" / "clip_000003.png"]
+    assert lines == [f"{tmp_path / 'p'}: clip, 1 picture"]
+    for target in ("a.png", "b.gif"):
+        assert kt3dmoseg.show(built, output=tmp_path / target, report=len) == [tmp_path / target]
+    os.mkfifo(tmp_path / "c.png")
+    with pytest.raises(InputFileError, match="found a FIFO"):
+        kt3dmoseg.show(built, output=tmp_path / "c.png")
