@@ -11,8 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import check_writable, read_bytes, write_text
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import check_writable, parse_json, read_bytes, write_text
 from kt3dmoseg.io.predictions import SUFFIXES, first_few
 from kt3dmoseg.parallel import algorithm_version, run_tasks
 from mseg.benchmark.runner import Progress, configure
@@ -152,13 +152,7 @@ def _open_record(folder: Path, configuration: Mapping[str, Any]) -> dict[str, An
     """Read what an earlier run left, refusing to mix two configurations."""
     path = folder / _RECORD
     if path.is_file():
-        try:
-            record = dict(json.loads(read_bytes(path, _LARGEST)))
-        except (ValueError, TypeError, RecursionError) as error:
-            fix = "remove the folder, or write to another"
-            raise FileFormatError(
-                f"{path}", expected="what 'mseg run' keeps", found=str(error), fix=fix
-            ) from None
+        record = parse_json(read_bytes(path, _LARGEST), f"{path}", _LARGEST)
         was = record.get("configuration", {})
         differs = [key for key in configuration if was.get(key) != configuration[key]]
         found = f"predictions of another ({was.get('method')}; differs in {', '.join(differs)})"

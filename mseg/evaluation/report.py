@@ -17,7 +17,7 @@ import numpy as np
 
 from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.files import write_text
+from kt3dmoseg.files import check_target, write_text
 from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation import results
 from mseg.evaluation.contingency import Contingency
@@ -77,9 +77,10 @@ def write_report(
     InputFileError
         When the frames of a clip are incomplete, or there are none of any clip.
     """
+    page = Path(path)
+    check_target(page)
     checked = validate_submission(submission, data, benchmark=benchmark)
     scores = score_validated(checked, force=force)
-    page = Path(path)
     contents = {page.name: report_html(checked, scores, frames=frames)}
     if "latex" in extras:
         contents[f"{page.stem}.tex"] = results.headline(scores).latex() + "\n"

@@ -14,9 +14,15 @@ from evaluation_helpers import CLIPS, perfect, truth
 import kt3dmoseg
 import mseg
 import mseg.cli
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.types import Clip, Labels, Trajectories
-from mseg.evaluation import SubmissionMeta, score_submission, validate_submission, write_submission
+from mseg.evaluation import (
+    SubmissionMeta,
+    score_submission,
+    validate_submission,
+    write_report,
+    write_submission,
+)
 
 CLIP = CLIPS["example_two"]
 IDS = CLIP.dense.track_id[CLIP.evaluated]
@@ -183,12 +189,18 @@ assert peak < 300_000, peak
 """
 
 
-def later_deep_key_is_refused_in_one_line(tmp_path):
+def test_a_deep_key_is_refused_in_one_line(tmp_path):
     folder = perfect(tmp_path / "s")
     (folder / "meta.toml").write_text("a" + ".a" * 20_000 + " = 1\n")
     [problem] = validate_submission(folder, CLIPS).problems
-    assert problem.code == "meta-syntax"
-    assert "levels" in problem.found
+    assert (problem.code, problem.found) == ("meta-syntax", "more levels inside each other")
+
+
+def test_a_report_onto_a_pipe_is_refused_before_anything_is_read(tmp_path):
+    os.mkfifo(tmp_path / "report.html")
+    with pytest.raises(InputFileError, match="FIFO"):
+        write_report(tmp_path / "nothing", tmp_path / "nowhere", tmp_path / "report.html")
+    assert (tmp_path / "report.html").is_fifo()
 
 
 # --- neighbours: Python values ------------------------------------------------------------------
