@@ -31,6 +31,7 @@ _MAX_NPY_HEADER = 4096
 _HUGE = 2**53
 _SAME = 0.5
 _FIX_BIG = "keep below 2^53"
+_FIX_ROWS = "write one row per evaluated trajectory"
 _FIX_NAME = "write the motion's number, not its name"
 _FIX_ARRAYS = "save two integer vectors: np.savez(file, track=ids, label=labels)"
 _FIX_HEADER = "make the first line 'track,label' and write one 'id,label' line per evaluated trajectory"
@@ -114,7 +115,7 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
     else:
         found = f"values of type {array.dtype}"
         raise InvalidValueError(name, expected="a vector of labels, whole numbers", found=found)
-    if np.ma.is_masked(values):
+    if type(values).__module__.startswith("numpy.ma"):  # asked so, since numpy.ma is slow to import
         whole &= ~np.ma.getmaskarray(values).ravel()
     expected, good = "whole numbers, of every trajectory", whole
     if whole.all():
@@ -367,7 +368,7 @@ def _csv(content: bytes, out: _Columns) -> None:
     """
     n_cells = sum(map(content.count, (b"\n", b"\r", b",")))
     if n_cells > 4 * MAX_ROWS:  # checked first: every cell becomes an object
-        return out.bad("too-large", f"at most {MAX_ROWS} rows", f"{n_cells} cells", _FIX_HEADER)
+        return out.bad("too-large", f"at most {MAX_ROWS} rows", f"{n_cells} cells", _FIX_ROWS)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
