@@ -62,7 +62,8 @@ class Segmentation:
 
     def __post_init__(self) -> None:
         given = np.asarray(self.labels)
-        whole = not given.size or (given.dtype.kind in "iu" and given.min() >= 0)
+        numbers = given.dtype.kind in "iuf"
+        whole = not given.size or (numbers and given.min() >= 0 and bool((given == np.round(given)).all()))
         if given.ndim != 1 or not whole:
             found = f"{given.dtype} of shape {given.shape}"
             raise InvalidValueError("labels", expected="(n,) integers >= 0", found=found)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.types import Clip, IntArray
+from kt3dmoseg.types import BoolArray, Clip, IntArray
 
 MAX_FILE_BYTES = 32 << 20
 MAX_ROWS = 200_000
@@ -100,6 +100,9 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
 
     Whole numbers held as floats (as MATLAB does) and (n, 1) or (1, n) arrays are accepted.
     """
+    if _index(values) is not None:
+        fix = "mseg.score joins by track; or give values.to_numpy()"
+        raise InvalidValueError(name, expected="a vector", found="a series with an index", fix=fix)
     try:
         array = np.asarray(values)
     except ValueError:  # lists of unequal lengths
@@ -108,23 +111,27 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
     if array.ndim != 1:
         found = f"{type(values).__name__} of shape {array.shape}"
         raise InvalidValueError(name, expected="a vector of labels", found=found)
-    if array.dtype.kind == "O":  # numbers of a data frame that can miss some, or of more than 64 bits
-        whole = np.array([type(v) is not bool and isinstance(v, Integral) for v in array], dtype=np.bool_)
-    elif array.dtype.kind in "iuf" or not array.size:
-        whole = np.isfinite(array) & (array == np.round(array))
-    else:
-        found = f"values of type {array.dtype}"
-        raise InvalidValueError(name, expected="a vector of labels, whole numbers", found=found)
+    expected, good = "whole numbers, of every trajectory", _is_whole(array, name)
     if type(values).__module__.startswith("numpy.ma"):  # asked so, since numpy.ma is slow to import
-        whole &= ~np.ma.getmaskarray(values).ravel()
-    expected, good = "whole numbers, of every trajectory", whole
-    if whole.all():
+        good &= ~np.ma.getmaskarray(values).ravel()
+    if good.all():
         expected, good = "labels >= 0", (array >= 0) & (array < _HUGE)
     if not good.all():
         row = int(np.argmin(good))
-        found = "NaN" if array[row] != array[row] else f"{array[row]}"
+        value = array[row].item() if isinstance(array[row], np.generic) else array[row]
+        found = "NaN" if value != value else repr(value)
         raise InvalidValueError(name, expected=expected, found=f"{found:.40} in row {row}")
     return array.astype(np.int64)
+
+
+def _is_whole(array: npt.NDArray[Any], name: str) -> BoolArray:
+    """Find the whole numbers of a vector (n,), which must be one of numbers."""
+    if array.dtype.kind == "O":  # of a data frame that can miss some, or of more than 64 bits
+        return np.array([type(v) is not bool and isinstance(v, Integral) for v in array], dtype=np.bool_)
+    if array.dtype.kind not in "iuf":
+        found = f"values of type {array.dtype}"
+        raise InvalidValueError(name, expected="a vector of labels, whole numbers", found=found)
+    return np.asarray(np.isfinite(array) & (array == np.round(array)))
 
 
 def clip_labels(values: Any, clip: Clip, name: str) -> IntArray:  # noqa: ANN401  # checked
@@ -159,12 +166,9 @@ def label_table(values: Any, name: str) -> Prediction | None:  # noqa: ANN401  #
         if not {*_NAMES} <= {*values}:
             return None
         names = _NAMES
-    index = getattr(values, "index", None)
-    index = None if callable(index) else index  # of a list
+    index = _index(values)
     if names is None:
-        if index is None or (
-            getattr(index, "name", None) != "track" and np.array_equal(index, np.arange(len(index)))
-        ):
+        if index is None:
             return None
         track, label = index, values
     else:
@@ -173,7 +177,17 @@ def label_table(values: Any, name: str) -> Prediction | None:  # noqa: ANN401  #
             expected, found = "the columns track and label", first_few(list(names)) or "none"
             raise InvalidValueError(name, expected=expected, found=found)
         track, label = index if by_index else values["track"], values["label"]
+    track, label = (np.asarray(column) for column in (track, label))
     return Prediction(label_vector(track, f"{name}: track"), label_vector(label, f"{name}: label"))
+
+
+def _index(values: Any) -> Any | None:  # noqa: ANN401  # of pandas
+    """Return the index of a pandas series or frame, unless it is just 0, 1, ..."""
+    index = getattr(values, "index", None)
+    if index is None or callable(index):  # that of a list
+        return None
+    plain = index.name != "track" and np.array_equal(index, np.arange(len(index)))
+    return None if plain else index
 
 
 def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
@@ -225,7 +239,7 @@ def _usual_mistake(
     if found > n and np.array_equal(ids, np.sort(clip.dense.track_id)):
         text = f"{found} labels: those are all trajectories of the clip"
         return "all-trajectories", text, "keep the evaluated ones (clip.dense.track_id[clip.evaluated])"
-    if 2 * found < n and np.isin(label, wanted).mean() > _SAME:
+    if 0 < 2 * found < n and np.isin(label, wanted).mean() > _SAME:
         fix = "swap the columns: track first, then label"
         return "swapped-columns", "the ids in the column label", fix
     if found == n and np.array_equal(ids - 1, np.sort(wanted)):

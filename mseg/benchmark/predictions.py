@@ -13,14 +13,14 @@ from typing import Any
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import check_writable, parse_json, read_bytes, write_text
-from kt3dmoseg.io.predictions import SUFFIXES, first_few
+from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.parallel import algorithm_version, run_tasks
 from mseg.benchmark.runner import Progress, configure
 from mseg.benchmark.tasks import BASELINES, Task, lost_task, outcome_key, run_task, seed_numbers
 from mseg.evaluation import SubmissionMeta, clip_checksum, write_failure, write_meta, write_prediction
-from mseg.evaluation.submission import FAILED, file_of
+from mseg.evaluation.submission import FAILED, file_of, prediction_files
 from mseg.evaluation.validation import load_clips
-from mseg.methods import create
+from mseg.methods import check_whole, create
 
 # Which configuration made the predictions; hidden, so no part of the submission.
 _RECORD = ".mseg-run.json"
@@ -72,8 +72,8 @@ def predict(
         When the folder holds predictions of another configuration, other numbers of motions or
         another layout, or `n_motions` is not positive.
     """
-    if n_motions is not None and n_motions < 1:
-        raise InvalidValueError("n_motions", expected="1 or more, or None", found=str(n_motions))
+    if n_motions is not None:
+        check_whole("n_motions", n_motions, 1)
     folder = Path(output)
     configuration = configure([method], parameters or {})[0]
     made: Any = create(configuration.method, **configuration.parameters)
@@ -159,7 +159,7 @@ def _open_record(folder: Path, configuration: Mapping[str, Any]) -> dict[str, An
         if not differs:
             return {"notes": {}, **record}
     else:
-        files = [each for each in folder.rglob("*") if each.suffix in (*SUFFIXES, FAILED)]
+        files = prediction_files(folder)
         found = f"{first_few([each.name for each in files])}, not written by 'mseg run'"
         if not files:
             return {"configuration": configuration, "done": {}, "notes": {}}

@@ -89,10 +89,10 @@ def run(
         When there are no clips.
     """
     protocol = load_protocol(benchmark)
-    configurations = configure(methods, parameters or {})
+    configurations = configure([methods] if isinstance(methods, str) else methods, parameters or {})
     wanted = seed_numbers(seeds)
-    if not wanted or not configurations:
-        raise InvalidValueError("benchmark", expected="at least one method and one seed", found="none")
+    if not configurations:
+        raise InvalidValueError("benchmark", expected="at least one method", found="none")
     paths, others = find_clips(protocol, data)
     clips = [load(path) for path in paths.values()]
     shape = (len(configurations), len(clips), len(wanted))

@@ -12,10 +12,10 @@ from uuid import uuid4
 import numpy as np
 import scipy
 
-from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key
 from kt3dmoseg.types import Clip, IntArray
-from mseg.methods import create, segment
+from mseg.methods import check_whole, create, segment
 from mseg.methods.kernel_cache import kernel_cache
 
 BASELINES = ("one_motion", "prevalence")  # one label for a whole clip is meant
@@ -72,7 +72,14 @@ class Task:
 
 def seed_numbers(seeds: int | Sequence[int]) -> tuple[int, ...]:
     """Return the seeds; of a number of them, those counted from 0."""
-    return tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    if not isinstance(seeds, (Sequence, range, np.ndarray)):
+        check_whole("seeds", seeds, 1)
+        return tuple(range(seeds))
+    for seed in seeds:
+        check_whole("seeds", seed, 0)
+    if not len(seeds) or len(set(seeds)) < len(seeds):
+        raise InvalidValueError("seeds", expected="one or more, each once", found=str(list(seeds))[:80])
+    return tuple(map(int, seeds))
 
 
 def run_task(task: Task, progress: Callable[..., None] | None = None) -> list[Outcome]:

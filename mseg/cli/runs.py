@@ -97,12 +97,11 @@ def run(
     seeds : int
         Number of seeds; several go to seed-0/, seed-1/, ...
     """
-    from kt3dmoseg.io.predictions import SUFFIXES
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
     from mseg.evaluation.protocol import count
     from mseg.evaluation.reading import parse_meta
-    from mseg.evaluation.submission import FAILED, META
+    from mseg.evaluation.submission import FAILED, META, prediction_files
 
     with progress_bar("task", quiet=quiet) as progress:
         folder = predict(
@@ -116,7 +115,7 @@ def run(
             dask=dask,
             progress=progress,
         )
-    files = sorted(path for path in folder.rglob("*") if path.suffix in (*SUFFIXES, FAILED))
+    files = prediction_files(folder)
     failed = [path for path in files if path.suffix == FAILED]
     lines = [f"failed: {path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
     meta, _ = parse_meta((folder / META).read_bytes())

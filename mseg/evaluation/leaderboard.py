@@ -108,6 +108,9 @@ class Leaderboard:
         if not self.path.exists() and not create:
             fix = "'mseg leaderboard add' makes it"
             raise InputFileError(f"{path}", expected="a leaderboard", found="no such file", fix=fix)
+        if self.path.exists() and not self.path.is_file():
+            found = "a folder" if self.path.is_dir() else "a pipe or device"
+            raise InputFileError(f"{path}: cannot write", expected="an SQLite file", found=found)
         new = not self.path.exists() or (create and not self.path.stat().st_size)
         with self._transaction(write=new):
             pass

@@ -137,6 +137,11 @@ class Protocol:
         """Whether a clip of that name counts in this benchmark."""
         return clip not in self.exclude and self.group("all").holds(clip)
 
+    def recognises(self, clip: str) -> bool:
+        """Whether a clip is listed in this benchmark, or named as its clips are."""
+        listed = any(clip in group.clips for group in self.groups)
+        return listed or re.fullmatch(self.names, clip) is not None
+
     def group(self, name: str) -> Group:
         """Return the group of that name; UnknownNameError when there is none."""
         for group in self.groups:
@@ -232,11 +237,6 @@ def guess_protocol(clips: Iterable[str]) -> Protocol:
     """Return the benchmark to which most of the clips belong by name; else `protocol_of_clips`."""
     names = list(clips)
     known = [load_protocol(name) for name in list_protocols()]
-    counts = [sum(_is_named_in(p, n) for n in names) for p in known]
+    counts = [sum(map(protocol.recognises, names)) for protocol in known]
     best = max(range(len(known)), key=counts.__getitem__)
     return known[best] if 2 * counts[best] > len(names) else protocol_of_clips(names)
-
-
-def _is_named_in(protocol: Protocol, clip: str) -> bool:
-    listed = any(clip in group.clips for group in protocol.groups)
-    return listed or re.fullmatch(protocol.names, clip) is not None

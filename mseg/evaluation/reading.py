@@ -280,6 +280,13 @@ def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
     return SubmissionMeta(**{**values, "authors": tuple(values.get("authors", ("unnamed",)))}), problems
 
 
+def wrong_fields(meta: Mapping[str, Any]) -> list[str]:
+    """Name the fields of a `SubmissionMeta`, as a mapping, with a value that ``meta.toml`` could not have."""
+    values = {name: list(value) if isinstance(value, tuple) else value for name, value in meta.items()}
+    wrong = [f.name for f in fields(SubmissionMeta) if not _KINDS[str(f.type)][1](values[f.name])]
+    return wrong if meta["method"] else ["method", *wrong]
+
+
 def _check_required(raw: Mapping[str, Any], bad: Callable[..., None]) -> None:
     for name, example in (("method", '"My method"'), ("authors", '["A. Author"]')):
         if not raw.get(name):

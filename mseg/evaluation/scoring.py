@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -39,14 +40,15 @@ from mseg.evaluation.protocol import (
     load_protocol,
     protocol_of_clips,
 )
+from mseg.evaluation.reading import wrong_fields
 from mseg.evaluation.statistics import Summary, summarise
-from mseg.evaluation.submission import SubmissionMeta, check_names, prediction_runs
-from mseg.evaluation.validation import Validation, load_clips, validate_submission
+from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs
+from mseg.evaluation.validation import Validation, choose_protocol, load_clips, validate_submission
 from mseg.types import Segmentation
 
 FORMAT = "mseg-scores"
 VERSION = 1
-_MAX_JSON = 64 << 20
+_MAX_JSON = 16 << 20
 
 
 @dataclass(frozen=True)
@@ -271,7 +273,10 @@ def score(
             labels = clip.labels if isinstance(clip, Clip) else clip
             table = contingency(labels.label, predicted, background=labels.background)
             clips.append(score_clip(name, seed or 0, table))
-    protocol = load_protocol(benchmark) if benchmark else None
+    protocol = choose_protocol(benchmark, truths) if benchmark else None
+    foreign = [name for name in truths if protocol and not protocol.holds(name)]
+    if foreign:
+        raise InvalidValueError("truth", expected=f"clips of {benchmark}", found=first_few(foreign))
     return ScoreTable(tuple(clips), protocol=protocol, provenance=_provenance(truths))
 
 
@@ -302,8 +307,7 @@ def _predicted(value: Any, truth: Clip | Labels, where: str, *, outliers: bool) 
     if isinstance(value, (str, os.PathLike)):
         label = _labels_of(Path(value), truth)
     elif isinstance(value, (Labels, Segmentation)):  # there 0 has a meaning
-        value, outliers = value.label if isinstance(value, Labels) else value.labels, True
-        label = clip_labels(value, truth, where) if isinstance(truth, Clip) else value
+        return _predicted(bare_labels(value), truth, where, outliers=True)
     elif isinstance(truth, Clip):
         label = clip_labels(value, truth, where)
     elif label_table(value, where) is not None:
@@ -495,7 +499,10 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         meta: SubmissionMeta
         provenance: Provenance
         clips: list[OneClip] = Field(min_length=1)
-        seeds: list[int] | None = None
+        # What the others must agree with.
+        seeds: list[int] = Field(default_factory=list)
+        coverage: str = ""
+        complete: bool | None = None
         groups: dict[str, Any] = Field(default_factory=dict)
 
     try:
@@ -507,40 +514,51 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
         protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
         table = ScoreTable(clips, read.meta, protocol, read.provenance)
-        wrong = next(_contradictions(table, read.benchmark, read.seeds, read.groups), "")
+        wrong = next(_contradictions(table, read), "")
         if not wrong:
             return table
     raise FileFormatError(where, expected="scores as 'mseg score --json' writes them", found=wrong[:200])
 
 
-def _contradictions(
-    table: ScoreTable, benchmark: str, seeds: list[int] | None, groups: Mapping[str, Any]
-) -> Iterator[str]:
+def _contradictions(table: ScoreTable, read: Any) -> Iterator[str]:  # noqa: ANN401  # a pydantic model
     """Yield where claimed scores cannot be true."""
     runs = {(c.clip, c.seed) for c in table.clips}
     if not len(runs) == len(table.clips) == len(table.names) * len(table.seeds):
         yield "not every clip for every seed, once"
         return
-    if benchmark not in ("custom", *list_protocols()):
-        yield f"the benchmark {benchmark!r:.40}, which is none of {', '.join(list_protocols())}"
     for clip in table.clips:
         wrong = _clip_contradictions(clip, table.of(clip.clip))
         yield from (f"clip {clip.clip}, seed {clip.seed}: {each}" for each in wrong)
-    yield from (
-        f"clip {name}, which is none of {table.benchmark.title}"
-        for name in table.names
-        if not table.benchmark.holds(name)
-    )
-    version = table.provenance.dataset_version
-    checksums = {name: value for name, value in table.meta.fingerprints.items() if name in table.motions}
-    if table.benchmark.contradicts(version, checksums):
-        yield f"dataset version {version!r}, of which the checksums of the clips are not"
-    if seeds not in (None, table.seeds):
-        yield f"seeds {first_few(seeds or [])}, but clips of seeds {first_few(table.seeds)}"
+    yield from _source_contradictions(table, read.benchmark)
+    own = {
+        "seeds": table.seeds,
+        "coverage": table.benchmark.coverage(table.names),
+        "complete": table.complete,
+    }
+    for name, value in own.items():
+        if getattr(read, name) not in (None, "", [], value):
+            yield f"{name} {getattr(read, name)!r:.60}, but {value!r:.60} by its clips"
     for group, names in table.groups():
-        claimed = groups.get(group.name)
+        claimed = read.groups.get(group.name)
         wrong = _group_contradictions(table, claimed, names) if claimed is not None else iter(())
         yield from (f"group {group.name}: {each}" for each in wrong)
+
+
+def _source_contradictions(table: ScoreTable, benchmark: str) -> Iterator[str]:
+    """Compare the benchmark, the provenance and the meta data with the clips."""
+    protocol, source = table.benchmark, table.provenance
+    if benchmark not in ("custom", *list_protocols()):
+        yield f"the benchmark {benchmark!r:.40}, which is none of {', '.join(list_protocols())}"
+    known = protocol.recognises if table.protocol else protocol.holds
+    foreign = [name for name in table.names if not (known(name) and protocol.holds(name))]
+    yield from (f"clip {name}, which is none of {protocol.title}" for name in foreign)
+    checksums = {name: value for name, value in table.meta.fingerprints.items() if name in table.motions}
+    if protocol.contradicts(source.dataset_version, checksums):
+        yield f"dataset version {source.dataset_version!r}, of which the checksums of the clips are not"
+    hashes = (source.dataset_sha256, source.submission_sha256)
+    if not all(re.fullmatch("([0-9a-f]{64})?", each) for each in hashes):
+        yield "provenance with hashes that are none"
+    yield from (f"meta.{name}" for name in wrong_fields(asdict(table.meta)))
 
 
 def _clip_contradictions(clip: ClipScore, first: ClipScore) -> Iterator[str]:
@@ -572,10 +590,11 @@ def _group_contradictions(table: ScoreTable, claimed: Any, names: list[str]) -> 
     rows = [table.names.index(name) for name in names]
     means = metrics if names and isinstance(metrics, dict) else {}
     for name in means.keys() & {*table.metrics}:
-        mean = means[name].get("mean") if isinstance(means[name], dict) else None
-        own = float(table.per_clip(name)[rows].mean())
-        if not isinstance(mean, (int, float)) or abs(mean - own) > 1e-9 * max(1.0, abs(own)):
-            yield f"mean {name} {mean!r:.40}, but {own:g} over the clips"
+        values = table.per_clip(name)[rows]
+        for kind, own in (("mean", values.mean()), ("median", np.median(values))):
+            stated = means[name].get(kind) if isinstance(means[name], dict) else None
+            if not isinstance(stated, (int, float)) or abs(stated - own) > 1e-9 * max(1.0, abs(own)):
+                yield f"{kind} {name} {stated!r:.40}, but {own:g} over the clips"
 
 
 def load_scores(path: str | os.PathLike[str]) -> ScoreTable:

@@ -18,17 +18,18 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import atomic_path, sha256_arrays, write_text
+from kt3dmoseg.files import atomic_path, check_writable, sha256_arrays, write_text
 from kt3dmoseg.io.npz import write_npz
 from kt3dmoseg.io.predictions import SUFFIXES, clip_labels, first_few, label_table
 from kt3dmoseg.registry import nearest
-from kt3dmoseg.types import Clip, IntArray
+from kt3dmoseg.types import Clip, IntArray, Labels
+from mseg.types import Segmentation
 
 FORMAT_VERSION = 1
 META = "meta.toml"
@@ -144,7 +145,9 @@ def write_prediction(
     InvalidValueError
         When the labels do not fit the clip, or its name cannot be a file name.
     """
-    label = clip_labels(labels, clip, f"labels of {clip.name}")
+    label = clip_labels(bare_labels(labels), clip, f"labels of {clip.name}")
+    if format not in get_args(FileFormat):
+        raise InvalidValueError("format", expected=" or ".join(get_args(FileFormat)), found=repr(format))
     path = file_of(folder, clip.name, seed, f".{format}")
     track = clip.dense.track_id[clip.evaluated]
     if format == "csv":
@@ -200,17 +203,17 @@ def write_submission(
     Path
         The folder.
     """
-    by_name = clips_by_name(clips)
+    if not isinstance(meta, SubmissionMeta):
+        raise InvalidValueError("meta", expected="a SubmissionMeta", found=type(meta).__name__)
+    check_writable(folder)
+    by_name = clips_by_name(clips.values() if isinstance(clips, Mapping) else clips)
     labels: dict[tuple[int | None, str], IntArray] = {}
     for seed, run in prediction_runs(predictions).items():
         check_names(run, by_name, "predictions")
-        labels |= {(seed, n): clip_labels(v, by_name[n], f"predictions of {n}") for n, v in run.items()}
+        for name, values in run.items():
+            labels[seed, name] = clip_labels(bare_labels(values), by_name[name], f"predictions of {name}")
     written = {file_of(folder, name, seed, "") for seed, name in labels}
-    older = [
-        p
-        for p in Path(folder).rglob("*")
-        if p.suffix in (*SUFFIXES, FAILED) and p.with_suffix("") not in written
-    ]
+    older = [path for path in prediction_files(folder) if path.with_suffix("") not in written]
     if older:
         found = f"{first_few([p.relative_to(folder).as_posix() for p in older])} of an earlier one"
         fix = "remove them, or write to another folder"
@@ -223,8 +226,24 @@ def write_submission(
     return Path(folder)
 
 
-def prediction_runs(predictions: Mapping[Any, Any]) -> dict[int | None, Mapping[str, Any]]:
+def prediction_files(folder: str | os.PathLike[str]) -> list[Path]:
+    """List the files of predictions and failures in a folder, sorted; hidden ones do not count."""
+    files = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in (*SUFFIXES, FAILED))
+    return [path for path in files if not any(p.startswith(".") for p in path.relative_to(folder).parts)]
+
+
+def bare_labels(values: Any) -> Any:  # noqa: ANN401  # as clip_labels takes them
+    """Take the vector out of a Labels or a Segmentation."""
+    if isinstance(values, Labels):
+        return values.label
+    return values.labels if isinstance(values, Segmentation) else values
+
+
+def prediction_runs(predictions: Any) -> dict[int | None, Mapping[str, Any]]:  # noqa: ANN401
     """Sort out whether predictions are of clips, one run without a seed (None), or of seeds and clips."""
+    if not isinstance(predictions, Mapping):
+        found = type(predictions).__name__
+        raise InvalidValueError("predictions", expected="a mapping of clip names to labels", found=found)
     nested = [isinstance(v, Mapping) and label_table(v, "predictions") is None for v in predictions.values()]
     if predictions and not any(nested):
         return {None: predictions}

@@ -109,28 +109,33 @@ def segment(
     UnknownNameError, InvalidValueError
         For a bad method name, parameter, number of motions, seed, clip or array.
     """
-    _check_whole("seed", seed, 0)
+    check_whole("seed", seed, 0)
     if n_motions is not None:
-        _check_whole("n_motions", n_motions, 1)
+        check_whole("n_motions", n_motions, 1)
     if not isinstance(method, str) and parameters:
         raise InvalidValueError("parameters", expected="none with a method object", found=str([*parameters]))
     hidden = _clip(clip, visible).without_labels()
     chosen = create(method, **parameters) if isinstance(method, str) else method
+    if isinstance(chosen, type) or not hasattr(chosen, "segment"):
+        expected = "the name of a method, or an object with the function segment"
+        raise InvalidValueError("method", expected=expected, found=f"{chosen!r:.60}")
     # With several BLAS threads sums are rounded in another order: one, for the same bytes anywhere.
     with threadpool_limits(limits=1, user_api="blas"):
         result = chosen.segment(hidden, n_motions=n_motions, rng=np.random.default_rng(seed))
-    if len(result.labels) != len(hidden.evaluated):
+    found = len(result.labels) if isinstance(result, Segmentation) else type(result).__name__
+    if found != len(hidden.evaluated):
         raise SegmentationError(
             f"{method} on {hidden.name}",
-            expected=f"{len(hidden.evaluated)} labels",
-            found=f"{len(result.labels)}",
+            expected=f"a Segmentation of {len(hidden.evaluated)} labels",
+            found=f"{found}",
             fix="this is a fault of the method",
         )
     notes = _notes(result, n_motions, outliers=bool(getattr(chosen, "reject_outliers", False)))
     return Segmentation(result.labels, {**result.report, "notes": notes})
 
 
-def _check_whole(name: str, value: object, least: int) -> None:
+def check_whole(name: str, value: object, least: int) -> None:
+    """Raise InvalidValueError for anything but a whole number that is at least `least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         expected = f"a whole number, at least {least}"
         raise InvalidValueError(name, expected=expected, found=f"{value!r:.60}")

@@ -16,6 +16,7 @@ import mseg
 import mseg.cli
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.types import Clip, Labels, Trajectories
+from mseg.errors import SegmentationError
 from mseg.evaluation import (
     SubmissionMeta,
     score_submission,
@@ -420,3 +421,56 @@ def test_a_run_into_a_folder_of_other_predictions_is_refused(data, tmp_path, cap
     folder = str(perfect(tmp_path / "s"))
     assert mseg.cli.main(["run", str(data), "-o", folder, "--method", "one_motion", "--quiet"]) == 2
     assert "not written by 'mseg run'" in capsys.readouterr().err
+
+
+# --- neighbours: writing and running ----------------------------------------------------------------
+
+
+def test_hidden_files_and_other_forms_of_a_clip_are_no_older_results(tmp_path):
+    (tmp_path / "._other.csv").write_text("left by macOS")
+    write_submission(tmp_path, CLIPS, truth(), SubmissionMeta("one"))
+    write_submission(tmp_path, CLIPS.values(), truth(), SubmissionMeta("two"), format="npz")
+    assert validate_submission(tmp_path, CLIPS).ok
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"predictions": [LABELS]}, "a mapping of clip names"),
+        ({"predictions": {True: {CLIP.name: LABELS}}}, "seeds"),
+        ({"meta": "m"}, "SubmissionMeta"),
+        ({"format": "tsv"}, "csv or npz or h5"),
+        ({"clips": [CLIP, CLIP]}, "own name"),
+        ({"clips": [LABELS]}, "ndarray"),
+    ],
+)
+def test_a_submission_that_cannot_be_written_writes_nothing(tmp_path, changes, word):
+    given = {"clips": [CLIP], "predictions": {CLIP.name: LABELS}, "meta": SubmissionMeta("m"), **changes}
+    with pytest.raises(InvalidValueError, match=word):
+        write_submission(tmp_path / "s", **given)
+    assert not (tmp_path / "s").exists() or not list((tmp_path / "s").iterdir())
+
+
+@pytest.mark.parametrize("seeds", [0, -1, True, 1.5, [], [0, 0], [-1], ["0"]])
+def test_seeds_are_whole_numbers_each_once(tmp_path, data, seeds):
+    with pytest.raises(InvalidValueError, match="seeds"):
+        mseg.benchmark.predict(data, tmp_path / "p", "one_motion", seeds=seeds)
+
+
+@pytest.mark.parametrize("result", [None, LABELS])
+def test_a_method_that_returns_no_segmentation_is_at_fault(result):
+    class Odd:
+        def segment(self, clip, *, n_motions, rng):
+            return result
+
+    with pytest.raises(SegmentationError, match="fault of the method"):
+        mseg.segment(CLIP, Odd(), n_motions=2)
+    with pytest.raises(InvalidValueError, match="name of a method"):
+        mseg.segment(CLIP, Odd, n_motions=2)
+
+
+def test_an_indexed_series_is_never_taken_by_position():
+    from mseg.evaluation import classification_error
+
+    with pytest.raises(InvalidValueError, match="index"):
+        classification_error(LABELS, pd.Series(LABELS)[SHUFFLED])

@@ -180,12 +180,12 @@ def better(content):
     for clip in content["clips"]:
         clip["values"]["error"] = 0.0
     for group in content["groups"].values():
-        group["metrics"]["error"]["mean"] = 0.0
+        group["metrics"]["error"].update(mean=0.0, median=0.0)
 
 
 def fewer(content):
     del content["clips"][0]
-    content["groups"] = {}
+    del content["groups"], content["coverage"]
     content["provenance"]["submission_sha256"] = "0" * 64
 
 
@@ -299,3 +299,65 @@ def test_entries_of_version_1_are_read_as_claims_and_kept(tmp_path):
     assert [e.claimed for e in old.entries()] == [1]
     old.add(scored(tmp_path, "two", 3))
     assert [(e.method, e.claimed) for e in old.entries()] == [("one", 1), ("two", 0)]
+
+
+def claims():
+    """Ways in which a file of scores cannot be true, by name."""
+
+    def first(**changes):
+        return lambda s: s["clips"][0].update(changes)
+
+    def value(**changes):
+        return lambda s: s["clips"][0]["values"].update(changes)
+
+    def summary(kind):
+        return lambda s: s["groups"]["all"]["metrics"]["error"].update({kind: 0.125})
+
+    return {
+        "seed as text": first(seed="0"),
+        "negative seed": first(seed=-1),
+        "no trajectories": first(n=0),
+        "400 digits": first(n=10**400),
+        "NaN": value(error=float("nan")),
+        "infinite": value(nmi=float("inf")),
+        "text": value(error="0.1"),
+        "missing metric": lambda s: s["clips"][0]["values"].pop("nmi"),
+        "other error than of whole trajectories": value(error=0.01),
+        "count error": value(count_error=3.0),
+        "groups found": first(n_found=7),
+        "motions": first(n_motions=5),
+        "prevalence": first(prevalence=0.111),
+        "failed without error": first(reason="too hard"),
+        "clip twice": lambda s: s["clips"].append(s["clips"][0]),
+        "one clip in one seed more": lambda s: s["clips"].append(s["clips"][0] | {"seed": 7}),
+        "unknown benchmark": lambda s: s.update(benchmark="foo"),
+        "another benchmark": lambda s: s.update(benchmark="kt3dmoseg"),
+        "a benchmark of any clips": lambda s: s.update(benchmark="hopkins155"),
+        "seeds": lambda s: s.update(seeds=[0, 1, 2]),
+        "coverage": lambda s: s.update(coverage="22 of 22 clips"),
+        "complete": lambda s: s.update(complete=False),
+        "mean": summary("mean"),
+        "median": summary("median"),
+        "hash": lambda s: s["provenance"].update(dataset_sha256="x"),
+        "no provenance": lambda s: s.pop("provenance"),
+        "no method": lambda s: s["meta"].update(method=""),
+        "negative seconds": lambda s: s["meta"].update(seconds=-1.0),
+    }
+
+
+@pytest.mark.parametrize("kind", claims())
+def test_scores_that_cannot_be_true_are_refused_in_one_line(tmp_path, kind):
+    scores = scored(tmp_path, "one", 2)
+    assert claim(scores).error == scores.error
+    with pytest.raises(FileFormatError, match="mseg score --json") as caught:
+        claim(scores, claims()[kind])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_claim_on_another_version_of_the_data_is_refused(tmp_path):
+    clip = CLIPS["example_two"]
+    named = kt3dmoseg.Clip("Seq005_Clip01", clip.dense, clip.evaluated, clip.labels)
+    folder = write_submission(tmp_path / "s", [named], {named.name: clip.labels.label}, SubmissionMeta("m"))
+    scores = score_submission(folder, [named])
+    with pytest.raises(FileFormatError, match="dataset version '2018'"):
+        claim(scores, lambda s: s["provenance"].update(dataset_version="2018"))
