@@ -137,7 +137,7 @@ def segment(
 def check_whole(name: str, value: object, least: int) -> None:
     """Raise InvalidValueError for anything but a whole number that is at least `least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        expected = f"a whole number, at least {least}"
+        expected = f"a whole number, {least} or more"
         raise InvalidValueError(name, expected=expected, found=f"{value!r:.60}")
 
 
