@@ -515,7 +515,7 @@ def test_one_bad_shape_is_skipped_and_reported(tracks):
 def test_a_plan_says_what_an_import_does():
     content = cvat(track(0, *LONG), meta=task(more=RANGE, pictures=(640, 480)))
     text = "\n".join(formats.plan("cvat", content, LIKE, NAMES).lines())
-    for word in ("1 object in 2 of 8 frames (0, 7): car 1", "640x480", "frame 40", "tracks"):
+    for word in ("1 object drawn in 2 of 8 frames (0, 7): car 1", "640x480", "frame 40", "tracks"):
         assert word in text
     plan = formats.plan("davis", masks(range(7)), LIKE, FROM_ONE)
     assert "000000.png" in plan.doubts[0]

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from annotation_scenes import zipped
 from labeller_page import CORNERS, near, stored
 
 pytestmark = pytest.mark.browser
@@ -149,6 +152,12 @@ def test_a_typed_name_belongs_to_its_object_when_the_timeline_selects_another(pa
     assert [item["name"] for item in page.objects()] == ["white van", "object 2"]
 
 
+def mask_of_box(k):
+    picture = np.zeros((200, 320), np.uint8)
+    picture[70:130, 60 + 4 * k : 140 + 4 * k] = 1
+    return cv2.imencode(".png", picture)[1].tobytes()
+
+
 def test_export_and_import_in_the_page(page, tmp_path):
     page.draw()
     page.press("6", "Control+e")
@@ -160,5 +169,31 @@ def test_export_and_import_in_the_page(page, tmp_path):
     page.tab.get_by_role("button", name="Close").click()
     page.press("Shift+Delete", "Control+e")
     page.tab.get_by_role("row", name="CVAT").locator("input").set_input_files(file)
+    page.shows("#dialog li", "1 object drawn in 1 of 6 frames (0): object 1")
+    assert page.objects() == []
+    page.tab.get_by_role("button", name="Import", exact=True).click()
     page.until("labeller.state.doc.objects.length === 1")
     assert page.objects()[0]["motion"] == 6
+
+
+def test_an_import_adds_to_what_is_drawn_or_replaces_it(page, tmp_path):
+    masks = zipped(**{f"{k:06d}.png": mask_of_box(k) for k in range(4)})  # the frames count from 1
+    (tmp_path / "masks.zip").write_bytes(masks)
+    page.draw()
+
+    def load(choice):
+        page.press("Control+e")
+        page.tab.get_by_role("row", name="DAVIS").locator("input").set_input_files(tmp_path / "masks.zip")
+        page.shows("#dialog li", "000000.png")
+        page.tab.get_by_label("frames later").fill("1")
+        page.tab.get_by_role("button", name="Read again").click()
+        page.shows("#dialog li", "numbers shifted by 1")
+        page.tab.get_by_role("button", name=choice).click()
+
+    load("Add to what is drawn")
+    page.until("labeller.state.doc.objects.length === 2")
+    assert [item["motion"] for item in page.objects()] == [1, 2]
+    load("Replace what is drawn")
+    page.until("labeller.state.doc.objects.length === 1")
+    page.press("Control+z")
+    page.until("labeller.state.doc.objects.length === 2")

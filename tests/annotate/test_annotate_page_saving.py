@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 
+import httpx
 import pytest
-from labeller_page import CORNERS, Page, Server, near, stored
+from labeller_page import CORNERS, LIMIT, Page, Server, near, stored
 
 pytestmark = pytest.mark.browser
 
@@ -117,3 +119,23 @@ def test_nothing_comes_from_elsewhere(context, shared):
     Page(context, shared.address)
     assert asked
     assert all(url.startswith((shared.address, "blob:", "data:")) for url in asked)
+
+
+def test_a_save_is_answered_next_to_a_hundred_slow_uploads(server):
+    """Uploads that never end hold no thread: the save below would wait for them until its time is up."""
+    head = (
+        "POST /api/clips/one/import/cvat HTTP/1.1\r\n"
+        f"Host: 127.0.0.1:{server.port}\r\nContent-Length: 1000000\r\n\r\n<annotations>"
+    )
+    uploads = [socket.create_connection(("127.0.0.1", server.port), timeout=LIMIT) for _ in range(100)]
+    try:
+        for upload in uploads:
+            upload.sendall(head.encode())
+        with httpx.Client(base_url=f"http://127.0.0.1:{server.port}", timeout=LIMIT) as page:
+            doc = page.get("/api/clips/one").json()["annotation"]
+            answer = page.put("/api/clips/one/annotation", json=doc, headers={"If-Match": '"0"'})
+        assert answer.json() == {"revision": 1}
+    finally:
+        for upload in uploads:
+            upload.close()
+    assert server.process.poll() is None

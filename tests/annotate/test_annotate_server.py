@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 from dataclasses import replace
@@ -17,7 +18,7 @@ from kt3dmoseg.annotate.model import from_json, to_json
 from kt3dmoseg.annotate.server import app
 from kt3dmoseg.annotate.server.app import create_app, is_loopback
 from kt3dmoseg.annotate.server.clip_session import ClipSession
-from kt3dmoseg.annotate.server.routes import Routes
+from kt3dmoseg.annotate.server.routes import _WORKERS, Routes
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.frames import find_clips
 from kt3dmoseg.io import load
@@ -381,6 +382,72 @@ def test_export_and_import(page, name):
     back = page.post(f"/api/clips/one/import/{name}", content=content).json()
     assert len(back["objects"]) == 1
     assert back["clip"] == "one"
+
+
+def test_an_import_says_what_it_does_and_takes_choices(page, tmp_path):
+    content = page.post("/api/clips/one/export/davis", json=drawn(page)).content
+    plan = page.post("/api/clips/one/import/davis", content=content).json()["plan"]
+    assert plan["doubts"] == plan["skipped"] == []
+    assert plan["lines"][0].startswith("1 object drawn in 6 of 6 frames")
+    plan = page.post("/api/clips/one/import/davis?shift=1", content=content).json()["plan"]
+    assert "000006.png" in plan["doubts"][0]
+    for query in ("shift=x", "scale=", "scale=0", "scale=nan", "shift=1e9", f"shift={'9' * 5000}"):
+        answer = page.post(f"/api/clips/one/import/davis?{query}", content=content)
+        assert answer.status_code == (200 if query == "scale=" else 400)
+        assert len(answer.json().get("error", "")) < 300
+    assert not (tmp_path / "notes" / "one.json").exists()
+
+
+def test_a_stream_that_ends_early_is_no_failure(page):
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": "/api/clips/one/import/cvat",
+        "raw_path": b"",
+        "query_string": b"",
+        "headers": [(b"host", HOST.encode())],
+    }
+    parts = iter([{"type": "http.request", "body": b"<anno", "more_body": True}, {"type": "http.disconnect"}])
+    sent = []
+
+    async def receive():
+        return next(parts)
+
+    async def send(message):
+        sent.append(message)
+
+    asyncio.run(page.app(scope, receive, send))
+    assert sent[0]["status"] == 400
+    assert page.app.held == 0
+
+
+def test_what_is_held_of_bodies_is_bounded(page, monkeypatch):
+    monkeypatch.setattr(app, "MAX_HELD", 1000)
+    monkeypatch.setattr(app, "_SMALL", 500)
+    assert page.post("/api/clips/one/import/cvat", content=b"x" * 1001).status_code == 503
+    assert page.post("/api/clips/one/import/cvat", content=b"x" * 900).status_code == 400
+    page.app.held = 10_000  # of others; what is small is always taken
+    assert page.post("/api/clips/one/import/cvat", content=b"x" * 400).status_code == 400
+
+
+def test_saves_do_not_wait_for_what_computes(clips, tmp_path):
+    """Every worker that computes is busy until the save has been answered."""
+    own, busy, release = routes(clips, tmp_path), threading.Barrier(_WORKERS + 2), threading.Event()
+    page = client(own)
+
+    def hold():
+        busy.wait()
+        release.wait()
+
+    held = [own.quick.submit(hold) for _ in range(_WORKERS)] + [own.slow.submit(hold)]
+    busy.wait()
+    asked = threading.Thread(target=page.post, args=("/api/clips/one/labels",), kwargs={"json": drawn(page)})
+    asked.start()
+    assert save(page, drawn(page), 0).status_code == 200
+    assert asked.is_alive()
+    release.set()
+    asked.join()
+    assert all(work.result() is None for work in held)
 
 
 def test_import_of_nonsense(page):

@@ -141,7 +141,7 @@ class ImportPlan:
         covered = f"{len(self.frames)} of {self.annotation.n_frames} frames ({_ranges(self.frames)})"
         names = several(item.name for item in objects) or "none"
         return [
-            f"{len(objects)} object{'s' * (len(objects) != 1)} in {covered}: {names}",
+            f"{len(objects)} object{'s' * (len(objects) != 1)} drawn in {covered}: {names}",
             *self.notes,
             *(f"skipped: {text}" for text in self.skipped),
             *(f"doubtful: {text}" for text in self.doubts),

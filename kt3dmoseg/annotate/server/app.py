@@ -23,7 +23,7 @@ from markupsafe import Markup
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -35,6 +35,8 @@ from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 
 MAX_BODY = 32 << 20
+MAX_HELD = 256 << 20  # of all bodies that are being received or worked on
+_SMALL = 4 << 20
 _HTTP = 80
 _LAST_PORT = 65_535
 _TOO_LARGE = "a body of at most {} bytes is expected"
@@ -68,13 +70,16 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
         return HTMLResponse(html, headers={"cache-control": "no-store"})
 
     table = [Route("/", page), Mount("/static", StaticFiles(directory=_STATIC)), *routes.table()]
-    app = Starlette(routes=table, exception_handlers={KT3DMoSegError: _failed, HTTPException: _failed})
+    expected = (KT3DMoSegError, HTTPException, ClientDisconnect)
+    app = Starlette(routes=table, exception_handlers=dict.fromkeys(expected, _failed))
     return Guard(app, hosts, token)
 
 
 async def _failed(_: Request, error: Exception) -> Response:
     if isinstance(error, HTTPException):
         return _refuse(error.status_code, error.detail)
+    if isinstance(error, ClientDisconnect):  # nobody is there to read this
+        return _refuse(400, "the body ended early")
     if isinstance(error, StaleRevisionError):
         return JSONResponse({"error": str(error), "annotation": to_json(error.current)}, status_code=412)
     return _refuse(500 if isinstance(error, InputFileError) else 400, str(error))
@@ -89,6 +94,7 @@ class Guard:
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str], token: str = "") -> None:
         self.app, self.hosts, self.token = app, {host.lower() for host in hosts}, token
+        self.held = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, refuse, or pass the request on with a bounded body."""
@@ -102,9 +108,12 @@ class Guard:
         async def bounded() -> Message:
             nonlocal size
             message = await receive()
-            size += len(message.get("body", b""))
+            length = len(message.get("body", b""))
+            size, self.held = size + length, self.held + length
             if size > MAX_BODY:
                 raise HTTPException(413, _TOO_LARGE.format(MAX_BODY))
+            if self.held > MAX_HELD and size > _SMALL:
+                raise HTTPException(503, "the server is receiving too much; try again later")
             return message
 
         async def with_headers(message: Message) -> None:
@@ -113,7 +122,10 @@ class Guard:
             await send(message)
 
         answer = self._refusal(Request(scope)) or self.app
-        await answer(scope, bounded, with_headers)
+        try:
+            await answer(scope, bounded, with_headers)
+        finally:
+            self.held -= size
 
     def _refusal(self, request: Request) -> Response | None:
         # Starlette's TrustedHostMiddleware ignores the port, and answers in plain text.

@@ -11,13 +11,18 @@
 ``POST /api/clips/C/proposals/P``            regions proposed by P
 ``POST /api/clips/C/compare``                the annotation in the body against the other annotator's
 ``POST /api/clips/C/export/F``               the annotation in the body as a file of format F
-``POST /api/clips/C/import/F``               a file of format F as an annotation, not saved
+``POST /api/clips/C/import/F``               a file of format F as an annotation, not saved, and under "plan"
+                                           what that does; ?shift=N&scale=X decide about frames and size
+
+Saves and frames have threads of their own; what computes waits for its turn in others.
 """
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +37,7 @@ from starlette.routing import Route
 
 from kt3dmoseg.annotate import formats, proposals
 from kt3dmoseg.annotate.agreement import agree
+from kt3dmoseg.annotate.formats.foreign import Choices
 from kt3dmoseg.annotate.labelling import LabelledTracks
 from kt3dmoseg.annotate.model import (
     KINDS,
@@ -44,6 +50,7 @@ from kt3dmoseg.annotate.model import (
 )
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_session import ClipSession, Progress, Summaries
+from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
@@ -52,6 +59,7 @@ from kt3dmoseg.types import Trajectories
 _SHOWN = {f".{kind}": f"image/{kind}" for kind in ("png", "jpeg", "webp", "bmp")} | {".jpg": "image/jpeg"}
 _MAX_PICTURE = 1 << 28
 _MOST_DIFFERENCES = 2_000
+_WORKERS = 4
 _ETAG = re.compile(r'"(\d{1,16})"')
 
 
@@ -74,6 +82,7 @@ class Routes:
         self.sessions, self.annotator = sessions, annotator
         self.other, self.masks, self.kitti = other, masks, kitti
         self.summaries = Summaries(sessions)
+        self.quick, self.slow = ThreadPoolExecutor(_WORKERS), ThreadPoolExecutor(1)
         # Computed now, not while the first page waits for it.
         self.suffixes = {name: formats.load(name).suffix for name in formats.FORMATS.names()}
         lacking = {
@@ -86,11 +95,11 @@ class Routes:
         """Return the routes for starlette, which runs plain functions in threads."""
         clip = "/api/clips/{clip}"
         edited = {
-            "/regions": self._regions,
-            "/labels": self._labels,
-            "/proposals/{proposer}": self._propose,
-            "/compare": self._compare,
-            "/export/{format}": self._export,
+            "/regions": (self._regions, self.quick),
+            "/labels": (self._labels, self.quick),
+            "/proposals/{proposer}": (self._propose, self.slow),
+            "/compare": (self._compare, self.quick),
+            "/export/{format}": (self._export, self.quick),
         }
         return [
             Route("/api/clips", self._clips),
@@ -101,8 +110,8 @@ class Routes:
             Route(clip + "/annotation", self._with_annotation(self._save), methods=["PUT"]),
             Route(clip + "/import/{format}", self._import, methods=["POST"]),
             *(
-                Route(clip + path, self._with_annotation(work), methods=["POST"])
-                for path, work in edited.items()
+                Route(clip + path, self._with_annotation(work, pool), methods=["POST"])
+                for path, (work, pool) in edited.items()
             ),
         ]
 
@@ -177,10 +186,14 @@ class Routes:
 
     async def _import(self, request: Request) -> Response:
         session, content = self._session(request), await request.body()
-        chosen = formats.load(request.path_params["format"])
-        like = (await run_in_threadpool(session.annotation)).emptied()
-        found = await run_in_threadpool(chosen.parse, content, like, session.frame_names)
-        return JSONResponse(to_json(found))
+        name, choices = request.path_params["format"], _choices(request)
+
+        def work() -> dict[str, Any]:
+            plan = formats.plan(name, content, session.annotation(), session.frame_names, choices)
+            found = {"lines": plan.lines(), "skipped": plan.skipped, "doubts": plan.doubts}
+            return to_json(plan.annotation) | {"plan": found}
+
+        return JSONResponse(await asyncio.get_running_loop().run_in_executor(self.quick, work))
 
     def _session(self, request: Request) -> ClipSession:
         session = self.sessions.get(request.path_params["clip"])
@@ -189,15 +202,34 @@ class Routes:
         return session
 
     def _with_annotation(
-        self, work: Callable[[Request, ClipSession, Annotation], Response]
+        self, work: Callable[[Request, ClipSession, Annotation], Response], pool: Executor | None = None
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Give `work` the clip of a request and the annotation in the body, which must be of that clip."""
+        """Give `work` the clip of a request and the annotation in the body, which must be of that clip.
+
+        It runs in `pool`, by default where what must not wait runs.
+        """
 
         async def endpoint(request: Request) -> Response:
             session, body = self._session(request), await request.body()
-            return await run_in_threadpool(lambda: work(request, session, _given(session, body)))
+
+            def call() -> Response:
+                return work(request, session, _given(session, body))
+
+            if pool is None:
+                return await run_in_threadpool(call)
+            return await asyncio.get_running_loop().run_in_executor(pool, call)
 
         return endpoint
+
+
+def _choices(request: Request) -> Choices:
+    shift, scale = (request.query_params.get(name) or None for name in ("shift", "scale"))
+    try:
+        numbers = None if shift is None else int(shift), None if scale is None else float(scale)
+    except ValueError:
+        found = f"shift={shift} scale={scale}"[:80]
+        raise InvalidValueError("import", expected="shift=N and scale=X", found=found) from None
+    return Choices(*numbers)
 
 
 def _given(session: ClipSession, body: bytes) -> Annotation:

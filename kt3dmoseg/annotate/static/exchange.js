@@ -112,7 +112,7 @@ export function exchange() {
     return line([NAMES[name] ?? name, button("Export", () => write(name, suffix)), choose]);
   });
   open("Files of other tools",
-    element("p", {}, faint("An import replaces what is drawn, as one edit that Ctrl+Z undoes.")),
+    element("p", {}, faint("What an import does is shown before anything changes.")),
     element("table", {}, rows), row(button("Close", close)));
 }
 
@@ -128,16 +128,43 @@ async function write(format, suffix) {
   }
 }
 
-async function read(format, file) {
+/** Ask the server what an import does; a person then decides. */
+async function read(format, file, choices = {}) {
   if (!file) return;
+  open("Import", element("p", {}, `Reading ${file.name}…`));
   try {
-    const { objects, marks } = await api.post(state.clip.name, `import/${format}`, file);
-    edit({ ...state.doc, objects, marks });
-    close();
-    set({ selected: objects[0]?.id ?? null });
+    decide(format, file, await api.post(state.clip.name, `import/${format}?${new URLSearchParams(choices)}`, file));
   } catch (error) {
-    inform("Not imported", error.message);
+    open("Not imported", element("p", {}, error.message), ...again(format, file), row(button("Close", close)));
   }
+}
+
+/** Frames and size as a person corrects them. */
+function again(format, file) {
+  const field = (name, step) => element("input", { type: "number", step, "aria-label": name, size: 6 });
+  const [shift, scale] = [field("frames later", "1"), field("scale", "any")];
+  const reread = () => read(format, file, { shift: shift.value, scale: scale.value });
+  return [row("Frames later by", shift, "coordinates times", scale, button("Read again", reread))];
+}
+
+function decide(format, file, { objects, plan }) {
+  const { doc } = state;
+  const settle = (edited) => {
+    close();
+    edit(edited);
+    set({ selected: edited.objects.at(-1)?.id ?? null });
+  };
+  const used = nextMotion(doc) - 1;
+  const ownMotion = (item) => ({ ...item, motion: item.motion >= 1 ? item.motion + used : item.motion });
+  const add = () => settle(objects.map(ownMotion).reduce(addObject, doc));
+  const replace = () => settle({ ...doc, objects, marks: [] });
+  const drawn = doc.objects.length + (doc.marks?.length ?? 0);
+  const choose = drawn
+    ? [button("Add to what is drawn", add, "primary"), button(`Replace what is drawn (${drawn})`, replace)]
+    : [button("Import", replace, "primary")];
+  open(plan.doubts.length ? "Import: please check" : "Import",
+    element("ul", { className: "scroll" }, plan.lines.map((text) => element("li", {}, text))),
+    ...again(format, file), row(...choose, button("Cancel", close), faint("One edit: Ctrl+Z undoes it.")));
 }
 
 // Two annotators
