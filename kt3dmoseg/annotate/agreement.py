@@ -1,15 +1,19 @@
-"""How far two labellings of the same trajectories agree."""
+"""How far two labellings of the same trajectories, or two annotators' regions, agree."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
 
+from kt3dmoseg.annotate.formats.masks import mask_of
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.matching import match_labels
-from kt3dmoseg.types import IntArray
+from kt3dmoseg.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,3 +90,37 @@ def agree(a: npt.ArrayLike, b: npt.ArrayLike) -> Agreement:
     for label in np.unique(mine[mine != 0]):
         renamed[mine == label] = matching.get(int(label), spare + int(label))
     return Agreement(renamed, other, matching)
+
+
+def overlaps(
+    a: Mapping[int, list[Region]], b: Mapping[int, list[Region]], image_size: tuple[int, int]
+) -> FloatArray:
+    """Return the intersection over union (len(a), len(b)) of objects, of the visible pixels of all frames."""
+
+    def masks(side: Mapping[int, list[Region]], frame: int) -> FloatArray:
+        shown = (regions[frame] for regions in side.values())
+        drawn = [mask_of(r.polygons if r.visibility == "visible" else (), image_size) for r in shown]
+        return np.array(drawn, dtype=np.float64).reshape(len(side), -1)
+
+    shared, union = np.zeros((len(a), len(b))), np.zeros((len(a), len(b)))
+    for frame in range(max((len(regions) for regions in (*a.values(), *b.values())), default=0)):
+        mine, theirs = masks(a, frame), masks(b, frame)
+        both = mine @ theirs.T
+        shared += both
+        union += mine.sum(axis=1)[:, None] + theirs.sum(axis=1) - both
+    return np.asarray(shared / np.maximum(union, 1), dtype=np.float64)
+
+
+def match_regions(
+    a: Mapping[int, list[Region]], b: Mapping[int, list[Region]], image_size: tuple[int, int]
+) -> list[tuple[int, int, float]]:
+    """Pair the objects of two annotators so that they overlap most (Kuhn 1955).
+
+    Returns ids and overlap; an object without a counterpart comes with id 0 and overlap 0.
+    """
+    overlap, ids_a, ids_b = overlaps(a, b, image_size), list(a), list(b)
+    chosen = zip(*linear_sum_assignment(overlap, maximize=True), strict=True)
+    pairs = [(ids_a[i], ids_b[j], float(overlap[i, j])) for i, j in chosen if overlap[i, j] > 0]
+    alone_a = set(ids_a) - {i for i, _, _ in pairs}
+    alone_b = set(ids_b) - {j for _, j, _ in pairs}
+    return pairs + [(i, 0, 0.0) for i in sorted(alone_a)] + [(0, j, 0.0) for j in sorted(alone_b)]

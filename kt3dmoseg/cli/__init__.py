@@ -13,6 +13,7 @@ COMMANDS = {
     "build": "kt3dmoseg.cli.clips:build",
     "track": "kt3dmoseg.cli.clips:track",
     "label": "kt3dmoseg.cli.clips:label",
+    "annotations": "kt3dmoseg.cli.annotations:notes",
     "show": "kt3dmoseg.cli.clips:show",
     "synth": "kt3dmoseg.cli.clips:synth",
     "info": "kt3dmoseg.cli.clips:info",
