@@ -19,21 +19,11 @@ Grouping: TypeAlias = tuple[IntArray, dict[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """K geometric models between pairs of frames.
+    """K geometric models between pairs of frames."""
 
-    Parameters
-    ----------
-    models : (K, 3, 3) float64
-        Homogeneous matrices.
-    pair : (K, 2) int64
-        The two frames of each model.
-    kind : {"affine", "homography", "fundamental"}
-        Type of all models.
-    """
-
-    models: FloatArray
-    pair: IntArray
-    kind: ModelKind
+    models: FloatArray  # (K, 3, 3): homogeneous matrices
+    pair: IntArray  # (K, 2): the two frames of each model
+    kind: ModelKind  # of all models
 
     def __post_init__(self) -> None:
         if self.models.shape != (len(self.pair), 3, 3) or self.pair.shape[1:] != (2,):
@@ -74,18 +64,10 @@ class Segmentation:
 
     @classmethod
     def of_part(cls, labels: IntArray, used: BoolArray, report: Mapping[str, Any]) -> Segmentation:
-        """Segmentation of a clip of which some trajectories took no part: they join the largest motion.
+        """Segmentation of n trajectories of which only the m `used` (n,) took part, with `labels` (m,).
 
-        Without evidence that is the best guess. Where all others are outliers, so are they.
-
-        Parameters
-        ----------
-        labels : (m,) int64
-            Labels of the trajectories that took part, 0 = outlier.
-        used : (n,) bool
-            Which m of the n trajectories those are.
-        report : mapping of str to object
-            See the class.
+        The others join the largest motion: without evidence that is the best guess. Where all that took part
+        are outliers, so are they.
         """
         sizes = np.bincount(labels)
         largest = int(sizes[1:].argmax()) + 1 if len(sizes) > 1 else 0
@@ -133,13 +115,7 @@ class Method(Protocol):
 
 
 def required_count(n_motions: int | None, method: object) -> int:
-    """Return the number of motions, for a method that cannot find it by itself.
-
-    Raises
-    ------
-    InvalidValueError
-        When it is None.
-    """
+    """Return the number of motions, for a method that cannot find it; InvalidValueError when it is None."""
     if n_motions is None:
         raise InvalidValueError(
             "n_motions",

@@ -28,39 +28,17 @@ def published_name(protocol: Protocol, method: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkResult:
-    """Errors and times of configurations x clips x seeds.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The benchmark.
-    configurations : tuple of Configuration
-        The rows.
-    motions : mapping of str to int
-        Clips, in order, and their true numbers of motions.
-    seeds : tuple of int
-        The seeds.
-    errors : (M, C, S) float64
-        Classification error, a fraction; 1 where the method failed.
-    seconds : (M, C, S) float64
-        CPU seconds.
-    failures : tuple of (configuration, clip, seed, reason)
-        What failed and why.
-    others : tuple of str
-        Clips that lay there and do not belong to the benchmark.
-    notes : tuple of (configuration, clip, seed, note)
-        What one must know to trust some labels, see `mseg.segment`.
-    """
+    """Errors and times of M configurations x C clips x S seeds."""
 
     protocol: Protocol
-    configurations: tuple[Configuration, ...]
-    motions: Mapping[str, int]
+    configurations: tuple[Configuration, ...]  # the rows
+    motions: Mapping[str, int]  # clips, in order, and their true numbers of motions
     seeds: tuple[int, ...]
-    errors: FloatArray
-    seconds: FloatArray
-    failures: tuple[tuple[Configuration, str, int, str], ...] = ()
-    others: tuple[str, ...] = ()
-    notes: tuple[tuple[Configuration, str, int, str], ...] = ()
+    errors: FloatArray  # (M, C, S): classification error, a fraction; 1 where the method failed
+    seconds: FloatArray  # (M, C, S): CPU seconds
+    failures: tuple[tuple[Configuration, str, int, str], ...] = ()  # configuration, clip, seed and reason
+    others: tuple[str, ...] = ()  # clips that lay there and do not belong to the benchmark
+    notes: tuple[tuple[Configuration, str, int, str], ...] = ()  # what `mseg.segment` notes, likewise
 
     @property
     def clips(self) -> list[str]:

@@ -24,17 +24,9 @@ _THIS_PROCESS = uuid4().hex
 
 @dataclass(frozen=True)
 class Configuration:
-    """A method and the parameters that differ from its defaults.
+    """A method and the parameters that differ from its defaults."""
 
-    Parameters
-    ----------
-    method : str
-        Name in `mseg.methods.METHODS`.
-    parameters : mapping of str to object
-        Options of the method.
-    """
-
-    method: str
+    method: str  # name in `mseg.methods.METHODS`
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     @property

@@ -45,14 +45,7 @@ class Comparison:
 
 
 def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Comparison:
-    """Compare submissions that were scored on the same data.
-
-    Parameters
-    ----------
-    tables : sequence of ScoreTable
-        Two or more.
-    metric : str
-        What to compare by.
+    """Compare two or more submissions that were scored on the same data, by a metric.
 
     Raises
     ------

@@ -23,26 +23,13 @@ class Contingency:
 
     Trajectories without a true label (0) are not in the table. Predicted 0 means "outlier, in no
     group": such trajectories are counted apart, in `unassigned`.
-
-    Parameters
-    ----------
-    counts : (M, G) int64
-        Trajectories of motion i in group j.
-    unassigned : (M,) int64
-        Trajectories of motion i that were predicted 0.
-    motions : (M,) int64
-        The true labels of the rows, ascending.
-    groups : (G,) int64
-        The predicted labels of the columns, ascending.
-    background : int or None
-        The row of the static scene, when the truth names it.
     """
 
-    counts: IntArray
-    unassigned: IntArray
-    motions: IntArray
-    groups: IntArray
-    background: int | None = None
+    counts: IntArray  # (M, G): trajectories of motion i in group j
+    unassigned: IntArray  # (M,): trajectories of motion i that were predicted 0
+    motions: IntArray  # (M,): the true labels of the rows, ascending
+    groups: IntArray  # (G,): the predicted labels of the columns, ascending
+    background: int | None = None  # the row of the static scene, when the truth names it
 
     @cached_property
     def assignment(self) -> IntArray:
@@ -78,19 +65,10 @@ class Contingency:
 
 
 def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | None = None) -> Contingency:
-    """Count true motions against predicted groups.
+    """Count true motions (n,) against predicted groups (n,); `background` is the label of the static scene.
 
-    Parameters
-    ----------
-    truth, pred : (n,) int
-        Labels of the same trajectories. Truth 0 = not scored; prediction 0 = outlier.
-    background : int or None
-        The true label of the static scene.
-
-    Raises
-    ------
-    InvalidValueError
-        When the vectors are no label vectors, differ in length, or no trajectory has a true label.
+    Truth 0 = not scored; prediction 0 = outlier. InvalidValueError when the vectors are no labels, differ in
+    length, or no trajectory has a true label.
 
     Examples
     --------

@@ -118,32 +118,12 @@ class Leaderboard:
     def add(
         self, scores: ScoreTable, *, claimed: bool = False, replace: int | None = None
     ) -> tuple[int, bool]:
-        """Keep scores.
+        """Keep scores; return the number of their entry, and False when they were there already.
 
-        Parameters
-        ----------
-        scores : ScoreTable
-            The scores.
-        claimed : bool
-            They were read from a file, not computed here; the tables mark them, until the submission itself
-            is scored and added.
-        replace : int or None
-            Number of the entry whose place they take.
-
-        Returns
-        -------
-        id : int
-            Number of the entry.
-        new : bool
-            False when the very same submission was there already, scored on the same data by the
-            same version of the toolkit.
-
-        Raises
-        ------
-        InvalidValueError
-            When an entry of the same submission, or of the same data if they are claimed, contradicts.
-        InputFileError
-            When there is no entry to replace.
+        They were when the entry is of the same submission, data and version of the toolkit. `claimed` scores
+        were read from a file; the tables mark them, until the submission itself is scored and added. They
+        take the place of entry `replace`. InvalidValueError when an entry of the same submission, or for
+        claimed ones of the same data, contradicts them; InputFileError when there is none to replace.
         """
         summary = scores.summary()
         row: dict[str, object] = {

@@ -22,27 +22,13 @@ _OBJECT_F = 0.75
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric with what a table must know about it.
+    """A metric with what a table must know about it."""
 
-    Parameters
-    ----------
-    function : callable
-        From a contingency table to a number; never NaN.
-    title : str
-        Head of its column.
-    better : {"lower", "higher"}
-        Which way is good.
-    worst : callable
-        The value of a failed or missing clip, from the number of its motions.
-    percent : bool
-        Whether it is a fraction that tables print in per cent.
-    """
-
-    function: Callable[[Contingency], float]
-    title: str
+    function: Callable[[Contingency], float]  # from a contingency table to a number; never NaN
+    title: str  # head of its column
     better: Literal["lower", "higher"]
-    worst: Callable[[int], float]
-    percent: bool = True
+    worst: Callable[[int], float]  # value of a failed or missing clip, from the number of its motions
+    percent: bool = True  # it is a fraction, which tables print in per cent
 
     @property
     def scale(self) -> int:

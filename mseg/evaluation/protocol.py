@@ -15,29 +15,15 @@ from kt3dmoseg.registry import unknown_name
 
 @dataclass(frozen=True)
 class Group:
-    """A part of a benchmark over which scores are averaged.
-
-    Parameters
-    ----------
-    name, title : str
-        Key and heading.
-    n_clips : int
-        Number of clips in the full benchmark, however many are present.
-    clips, pattern : tuple of str, str
-        Names of the clips where the benchmark lists them, else a regular expression for the full name.
-    n_motions : int or None
-        Number of motions that a clip must have, where that is the rule.
-    unknown : bool
-        The benchmark does not define which clips belong here: nothing can be scored.
-    """
+    """A part of a benchmark over which scores are averaged."""
 
     name: str
     title: str
-    n_clips: int
-    clips: tuple[str, ...] = ()
-    pattern: str = ".+"
-    n_motions: int | None = None
-    unknown: bool = False
+    n_clips: int  # of the full benchmark, however many are present
+    clips: tuple[str, ...] = ()  # where the benchmark lists them
+    pattern: str = ".+"  # else a regular expression for the full name
+    n_motions: int | None = None  # that a clip must have, where that is the rule
+    unknown: bool = False  # the benchmark does not define which clips belong here: nothing can be scored
 
     def holds(self, clip: str, n_motions: int | None = None) -> bool:
         """Whether a clip, with that number of motions, belongs to the group."""
@@ -48,19 +34,11 @@ class Group:
 
 @dataclass(frozen=True)
 class Axis:
-    """A property of clips by which the error is broken down.
+    """A property of clips by which the error is broken down."""
 
-    Parameters
-    ----------
-    name, title : str
-        Key in the attributes of clips (``"motions"``: their number of motions), and heading with its unit.
-    bounds : tuple of float
-        Where one bin of a figure ends and the next begins; without any, every value is a bin.
-    """
-
-    name: str
-    title: str
-    bounds: tuple[float, ...] = ()
+    name: str  # key in the attributes of clips ("motions": their number of motions)
+    title: str  # heading, with its unit
+    bounds: tuple[float, ...] = ()  # where one bin ends and the next begins; without any, each value is one
 
     def bins(self, values: Mapping[str, float | str]) -> dict[str, list[str]]:
         """Sort clips, given with their values, into bins by title; bins without clips are left out."""
@@ -86,52 +64,24 @@ class Protocol:
 
     In every protocol only the evaluated trajectories of a clip are scored, those with true label
     0 are left out, and the mean over clips weighs each clip the same.
-
-    Parameters
-    ----------
-    name, title, source : str
-        Key, heading and reference.
-    n_clips : int
-        Size of the full benchmark.
-    groups : tuple of Group
-        Its parts; the one named ``"all"`` comes last.
-    exclude : tuple of str
-        Clips that exist in the data but never count.
-    notes : tuple of str
-        What is unclear or must be known to read the figures.
-    published : mapping
-        Method -> group name -> {"mean": per cent, "median": per cent}, Table 1 of Xu et al. 2018.
-    published_dataset_version : str
-        The version of the data that the published results were made on; empty = the only one.
-    prevalence : mapping of str to float
-        Error in per cent of the one-motion baseline on clips, where known.
-    versions : mapping of str to mapping of str to str
-        Dataset version -> clip -> `mseg.evaluation.clip_checksum`, where known.
-    axes : tuple of Axis
-        Properties by which the error is broken down.
-    attributes : mapping of str to mapping
-        Clip -> axis -> its value, where the clip has one.
-    names : str
-        Regular expression by which clips of a benchmark that lists none are recognised.
-    data : str
-        Conventional name of the folder that holds the clips.
     """
 
     name: str
     title: str
-    n_clips: int
-    groups: tuple[Group, ...]
-    source: str = ""
-    exclude: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    n_clips: int  # of the full benchmark
+    groups: tuple[Group, ...]  # the one named "all" comes last
+    source: str = ""  # reference
+    exclude: tuple[str, ...] = ()  # clips that exist in the data but never count
+    notes: tuple[str, ...] = ()  # what is unclear or must be known to read the figures
+    # Method -> group name -> {"mean": per cent, "median": per cent}, Table 1 of Xu et al. 2018.
     published: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
-    published_dataset_version: str = ""
-    prevalence: Mapping[str, float] = field(default_factory=dict)
-    versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    axes: tuple[Axis, ...] = ()
-    attributes: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
-    names: str = ""
-    data: str = ""
+    published_dataset_version: str = ""  # of the data of the published results; empty = the only one
+    prevalence: Mapping[str, float] = field(default_factory=dict)  # % error of one motion per clip, if known
+    versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # -> clip -> clip_checksum
+    axes: tuple[Axis, ...] = ()  # by which the error is broken down
+    attributes: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)  # clip -> axis -> value
+    names: str = ""  # regular expression by which clips of a benchmark that lists none are recognised
+    data: str = ""  # conventional name of the folder that holds the clips
 
     def holds(self, clip: str) -> bool:
         """Whether a clip of that name counts in this benchmark."""
@@ -203,12 +153,7 @@ def list_protocols() -> list[str]:
 
 @cache
 def load_protocol(name: str) -> Protocol:
-    """Return a benchmark protocol by name.
-
-    Raises
-    ------
-    UnknownNameError
-        When there is none of that name; the message proposes the nearest.
+    """Return a benchmark protocol by name; an UnknownNameError proposes the nearest.
 
     Examples
     --------

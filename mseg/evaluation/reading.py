@@ -48,30 +48,14 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 
 @dataclass(eq=False)
 class Submission:
-    """What a submission holds, before it is compared with the data.
-
-    Parameters
-    ----------
-    meta : SubmissionMeta
-        Who, how, on which data.
-    predictions : mapping of (seed, clip) to Prediction
-        Seed 0 when the files lie in no seed folder.
-    failures : mapping of (seed, clip) to str
-        Clips on which the method failed, and why.
-    files : mapping of (seed, clip) to str
-        The file of each.
-    problems : list of Problem
-        Everything that is wrong so far.
-    sha256 : str
-        Hash over names and contents, the same for a folder and its zip.
-    """
+    """What a submission holds, before it is compared with the data; keys are (seed, clip)."""
 
     meta: SubmissionMeta
-    predictions: dict[tuple[int, str], Prediction] = field(default_factory=dict)
-    failures: dict[tuple[int, str], str] = field(default_factory=dict)
+    predictions: dict[tuple[int, str], Prediction] = field(default_factory=dict)  # seed 0 without folders
+    failures: dict[tuple[int, str], str] = field(default_factory=dict)  # where the method failed, and why
     files: dict[tuple[int, str], str] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    sha256: str = ""
+    problems: list[Problem] = field(default_factory=list)  # everything that is wrong so far
+    sha256: str = ""  # over names and contents, the same for a folder and its zip
 
     @property
     def seeds(self) -> list[int]:

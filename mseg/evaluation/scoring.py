@@ -63,35 +63,17 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class ClipScore:
-    """Scores of one clip and one seed.
-
-    Parameters
-    ----------
-    clip, seed : str, int
-        Which.
-    n_motions, n : int
-        True motions and scored trajectories.
-    values : mapping of str to float
-        Every metric by name.
-    n_found : int
-        Predicted groups among the scored trajectories.
-    prevalence : float
-        Classification error of putting every trajectory into the largest motion.
-    reason : str
-        Why there are no labels; empty when there are.
-    table : Contingency or None
-        The counts behind the values, where they are at hand.
-    """
+    """Scores of one clip and one seed."""
 
     clip: str
     seed: int
-    n_motions: int
-    n: int
-    values: Mapping[str, float]
-    n_found: int = 0
-    prevalence: float = 1.0
-    reason: str = ""
-    table: Contingency | None = None
+    n_motions: int  # true ones
+    n: int  # scored trajectories
+    values: Mapping[str, float]  # every metric by name
+    n_found: int = 0  # predicted groups among the scored trajectories
+    prevalence: float = 1.0  # classification error of putting every trajectory into the largest motion
+    reason: str = ""  # why there are no labels; empty when there are
+    table: Contingency | None = None  # the counts behind the values, where they are at hand
 
 
 _BARE, _UNKNOWN = SubmissionMeta("labels"), Provenance("", "", "", "")
@@ -99,27 +81,13 @@ _BARE, _UNKNOWN = SubmissionMeta("labels"), Provenance("", "", "", "")
 
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
-    """All scores of a submission.
+    """All scores of a submission."""
 
-    Parameters
-    ----------
-    clips : tuple of ClipScore
-        Every clip and seed; failed and missing ones included.
-    meta : SubmissionMeta
-        The meta data of the submission.
-    protocol : Protocol or None
-        The benchmark; None = the clips scored, one group.
-    provenance : Provenance
-        Versions and hashes.
-    problems : tuple of Problem
-        What was wrong but did not prevent scoring.
-    """
-
-    clips: tuple[ClipScore, ...]
+    clips: tuple[ClipScore, ...]  # every clip and seed; failed and missing ones included
     meta: SubmissionMeta = _BARE
-    protocol: Protocol | None = None
+    protocol: Protocol | None = None  # the benchmark; None = the clips scored, one group
     provenance: Provenance = _UNKNOWN
-    problems: tuple[Problem, ...] = ()
+    problems: tuple[Problem, ...] = ()  # what was wrong but did not prevent scoring
 
     def __str__(self) -> str:
         """One line per metric, the mean over clips and seeds."""
@@ -344,26 +312,11 @@ def score_submission(
     benchmark: str = "",
     force: bool = False,
 ) -> ScoreTable:
-    """Validate a submission and score it.
+    """Validate a submission, as `validate_submission` does, and score it.
 
-    A missing clip, or one on which the method failed, gets the worst score. Any other problem
-    makes the submission invalid.
-
-    Parameters
-    ----------
-    submission : path
-        Folder or zip.
-    data : path, mapping or iterable of Clip
-        The clips with their labels.
-    benchmark : str
-        Protocol; by default the submission's own.
-    force : bool
-        Score an invalid submission: clips with problems count as fully wrong.
-
-    Raises
-    ------
-    RejectedSubmissionError
-        With all problems, numbered; never when `force`, unless there is nothing to score.
+    A missing clip, or one on which the method failed, gets the worst score. Any other problem makes the
+    submission invalid: RejectedSubmissionError names all problems, unless `force` counts the clips with
+    problems as fully wrong.
     """
     return score_validated(validate_submission(submission, data, benchmark=benchmark), force=force)
 

@@ -40,52 +40,21 @@ _CLIP_NAME = re.compile(r"\w[\w .-]{0,127}")
 
 @dataclass(frozen=True)
 class SubmissionMeta:
-    """The meta data of a submission: the fields of ``meta.toml``.
+    """The meta data of a submission: the fields of ``meta.toml``."""
 
-    Parameters
-    ----------
-    method : str
-        Name of the method, as it shall appear in tables.
-    authors : tuple of str
-        Who made it.
-    dataset_version : str
-        Version of the dataset, for instance ``"2018"`` for the release of that year; may be empty
-        when there are fingerprints.
-    benchmark : str
-        Name of the protocol, see `list_protocols`; empty = the one that the clips belong to.
-    n_motions_given : bool
-        Whether the method was given the number of motions of each clip.
-    link : str
-        Paper or code.
-    hardware : str
-        What it ran on.
-    seconds : float
-        Time for all clips, of one seed.
-    outliers : bool
-        Label 0 is meant as "outlier"; otherwise 0 is refused as a sign of 0-based labels.
-    baseline : bool
-        One label for a whole clip is meant; otherwise it is refused as a sign of a mistake.
-    fingerprints : mapping of str to str
-        Clip -> `clip_checksum` of the trajectories that were segmented.
-    parameters : mapping of str to str
-        Options of the method, free.
-    notes : mapping of str to str
-        Clip -> what one must know to trust its labels, such as a method that did not converge; shown with
-        the scores.
-    """
-
-    method: str
+    method: str  # name of the method, as it shall appear in tables
     authors: tuple[str, ...] = ("unnamed",)
-    dataset_version: str = ""
-    benchmark: str = ""
-    n_motions_given: bool = True
-    link: str = ""
+    dataset_version: str = ""  # such as "2018", the release of that year; may be empty with fingerprints
+    benchmark: str = ""  # name of the protocol; empty = the one that the clips belong to
+    n_motions_given: bool = True  # whether the method was given the number of motions of each clip
+    link: str = ""  # paper or code
     hardware: str = ""
-    seconds: float = 0.0
-    outliers: bool = False
-    baseline: bool = False
-    fingerprints: Mapping[str, str] = field(default_factory=dict)
-    parameters: Mapping[str, str] = field(default_factory=dict)
+    seconds: float = 0.0  # for all clips, of one seed
+    outliers: bool = False  # label 0 is meant; otherwise it is refused as a sign of labels from 0
+    baseline: bool = False  # one label for a whole clip is meant; otherwise refused as a mistake
+    fingerprints: Mapping[str, str] = field(default_factory=dict)  # clip -> clip_checksum
+    parameters: Mapping[str, str] = field(default_factory=dict)  # options of the method, free
+    # Clip -> what one must know to trust its labels, such as a method that did not converge.
     notes: Mapping[str, str] = field(default_factory=dict)
 
 

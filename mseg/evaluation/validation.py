@@ -33,28 +33,14 @@ _ORDER = "the command line takes the data last, mseg.score(truth, pred) first"
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """What `validate_submission` found.
-
-    Parameters
-    ----------
-    submission : Submission
-        What was read.
-    protocol : Protocol
-        The benchmark against which it was checked.
-    clips : mapping of str to Clip
-        The labelled clips that must be predicted.
-    labels : dict of (seed, clip) to (n,) int64
-        Valid predictions in the order of ``clip.evaluated``.
-    problems, notes : list of Problem
-        What makes it invalid; what is worth knowing but does not.
-    """
+    """What `validate_submission` found."""
 
     submission: Submission
-    protocol: Protocol
-    clips: Mapping[str, Clip]
-    labels: dict[tuple[int, str], IntArray] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    notes: list[Problem] = field(default_factory=list)
+    protocol: Protocol  # the benchmark against which it was checked
+    clips: Mapping[str, Clip]  # the labelled clips that must be predicted
+    labels: dict[tuple[int, str], IntArray] = field(default_factory=dict)  # in the order of clip.evaluated
+    problems: list[Problem] = field(default_factory=list)  # what makes it invalid
+    notes: list[Problem] = field(default_factory=list)  # what is worth knowing but does not
 
     @cached_property
     def checksums(self) -> dict[str, str]:
