@@ -22,6 +22,8 @@ from mseg.evaluation.scoring import ScoreTable, from_json, to_json
 
 _VERSION = 2
 _WAIT_SECONDS = 60.0
+# The first also when a column is missing, or holds a text that is not UTF-8.
+_DAMAGE = (sqlite3.SQLITE_ERROR, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 # What makes two submissions the same.
 _SAME = ("benchmark", "dataset_sha256", "submission_sha256", "toolkit_version")
 _TYPES = {"str": "TEXT NOT NULL", "int": "INTEGER NOT NULL", "float": "REAL NOT NULL"}
@@ -215,10 +217,6 @@ class Leaderboard:
         keyed = groupby(wanted, key=lambda e: (e.benchmark, e.dataset_sha256))
         return [_board(list(each)) for _, each in keyed]
 
-    def ranked(self, benchmark: str = "") -> list[ResultsTable]:
-        """Lay out `boards`."""
-        return [board.table() for board in self.boards(benchmark)]
-
     def listing(self) -> ResultsTable:
         """Lay out `entries`, with their provenance."""
         rows = []
@@ -251,8 +249,8 @@ class Leaderboard:
 
 
 def _failure(path: Path, error: sqlite3.Error | OSError) -> KT3DMoSegError:
-    code = (getattr(error, "sqlite_errorcode", None) or 0) & 0xFF  # without the details
-    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB) or isinstance(error, sqlite3.DataError):
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # without the details
+    if isinstance(error, sqlite3.Error) and code in _DAMAGE:
         return _damaged(path, str(error))
     fix = "check the permissions of the folder and the space on the disk"
     return InputFileError(f"{path}: cannot write or read", found=str(error), fix=fix)
@@ -330,8 +328,6 @@ def _board(entries: list[Entry]) -> Board:
     own = [e for e in entries if not e.claimed] or entries
     full = max(e.clips for e in own)
     ordered = sorted(entries, key=lambda e: (e.failed > 0 or e.clips != full, e.shown, e.id))
-    ranks = [
-        e.shown for e in ordered if not e.failed and e.clips == full
-    ]  # of equal ones, all have the first
-    ranked = [(None if e.failed or e.clips != full else 1 + ranks.index(e.shown), e) for e in ordered]
+    shown = [e.shown for e in ordered]  # of equal ones, all have the rank of the first
+    ranked = [(None if e.failed or e.clips != full else 1 + shown.index(e.shown), e) for e in ordered]
     return Board(name, about, ranked)

@@ -253,13 +253,26 @@ def another_number(path):
     path.write_bytes(content.replace(b'"error": 0.05', b'"error": 0.00', 1))
 
 
+def no_text(path):
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"one", b"\xff\xfe\xfd", 1))
+
+
+def no_column(path):
+    with sqlite3.connect(path) as connection:
+        connection.execute("ALTER TABLE entries DROP COLUMN median")
+    connection.close()
+
+
 def another_type(path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE entries SET mean = 'best'")
     connection.close()
 
 
-@pytest.mark.parametrize("damage", [truncated, zeroed, headless, another_number, another_type])
+@pytest.mark.parametrize(
+    "damage", [truncated, zeroed, headless, another_number, another_type, no_text, no_column]
+)
 def test_a_damaged_leaderboard_is_called_damaged(board, tmp_path, damage):
     board.add(scored(tmp_path, "one", 2))
     before = board.path.read_bytes()
