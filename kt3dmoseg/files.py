@@ -110,13 +110,8 @@ def check_target(path: str | os.PathLike[str]) -> None:
         return
     folder = target.parent.resolve()  # /dev/stdout may lead to a regular file, but is a device's name
     if not stat.S_ISREG(mode) or folder == Path("/dev") or folder.parts[1:2] == ("proc",):
-        found = _KINDS.get(stat.S_IFMT(mode), "a device")
-        raise InputFileError(
-            f"{target}: cannot write",
-            expected="a regular file or a new name",
-            found=found,
-            fix="give another",
-        )
+        found, expected = _KINDS.get(stat.S_IFMT(mode), "a device"), "a regular file or a new name"
+        raise InputFileError(f"{target}: cannot write", expected=expected, found=found)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

@@ -21,12 +21,12 @@ from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
 from kt3dmoseg.io.images import (
-    IMAGE_SUFFIXES,
     Colour,
     frame_number,
     frame_paths,
     gray,
     has_pictures,
+    is_clip,
     numbered_pictures,
     picture_size,
     read_frames,
@@ -213,16 +213,15 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
         return [VideoFile(root)]
     if not root.is_dir():
         raise InputFileError(f"{root}", expected="frames, a video or a KITTI raw root", found="no such path")
-    if _is_clip(root):
-        return [FrameFolder(root)]
-    inside = listed(root)
-    found: list[FrameSource] = []
-    _check_level(root)
     if any(root.glob(_DRIVE_FOLDERS)):
-        found += located_sources(root) or kitti_sources(root)
-    else:
-        found += [FrameFolder(path) for path in inside if path.is_dir()]
-        found += [VideoFile(path) for path in inside if path.suffix.lower() in VIDEO_SUFFIXES]
+        found = located_sources(root) or kitti_sources(root)
+        return sorted(found, key=lambda source: source.name)
+    if is_clip(root):
+        return [FrameFolder(root)]
+    _check_level(root)
+    inside = listed(root)
+    found = [FrameFolder(path) for path in inside if path.is_dir()]
+    found += [VideoFile(path) for path in inside if path.suffix.lower() in VIDEO_SUFFIXES]
     if not found:
         raise InputFileError(
             f"{root}",
@@ -231,22 +230,6 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
             fix="give the folder that holds them",
         )
     return sorted(found, key=lambda source: source.name)
-
-
-def _is_clip(folder: Path) -> bool:
-    """Whether a folder's own pictures are the frames of a clip; InputFileError when others lie below it."""
-    if not has_pictures(folder):
-        return False
-    below = [path for path in listed(folder) if has_pictures(path)] or list(folder.glob(_DRIVE_FOLDERS))
-    if below:
-        stray = next(path for path in listed(folder) if path.suffix.lower() in IMAGE_SUFFIXES)
-        raise InputFileError(
-            f"{folder}",
-            expected="the frames of one clip, or one folder of frames per clip",
-            found=f"both: {stray.name} and {below[0].relative_to(folder)}",
-            fix="give the folder of one clip, or move one of them elsewhere",
-        )
-    return True
 
 
 def _check_level(folder: Path) -> None:
@@ -478,7 +461,7 @@ def find_clips(
 
 
 def _picture_folders(path: Path) -> dict[str, Path]:
-    if _is_clip(path):
+    if is_clip(path):
         return {path.resolve().name: path}
     inside = listed(path) if path.is_dir() else []
     return {folder.name: folder for folder in inside if has_pictures(folder)}

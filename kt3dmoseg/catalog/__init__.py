@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import parse_toml, read_bytes, sha256_arrays, write_text
+from kt3dmoseg.files import check_target, parse_toml, read_bytes, sha256_arrays, write_text
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.types import ByteArray
 
@@ -284,6 +284,7 @@ def save(path: str | os.PathLike[str], clips: Iterable[Entry], *, comment: str =
 def add(path: str | os.PathLike[str], entry: Entry) -> None:
     """Add a clip to a user's catalog, which is made when missing; InvalidValueError for a taken name."""
     target = Path(path)
+    check_target(target)
     present = load(target, built_in=False) if target.exists() else {}
     if entry.name in present or entry.name in load():
         raise InvalidValueError(f"{target}: {entry.name}", expected="a new name", found="one that is taken")

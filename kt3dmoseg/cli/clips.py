@@ -220,7 +220,7 @@ def track(
 
     Writes every trajectory, unlabelled, in the format that the suffix of FILE names (.h5, .mat, .npz, .dat).
     """
-    from kt3dmoseg.files import check_writable
+    from kt3dmoseg.files import check_target, check_writable
     from kt3dmoseg.flow import create
     from kt3dmoseg.io import save
     from kt3dmoseg.io.formats import written_as
@@ -229,6 +229,7 @@ def track(
 
     backend = create(flow, **parse_assignments(parameter))
     written_as(output)
+    check_target(output)
     check_writable(output.parent)
     with progress_bar("frame") as progress:
         clip = track_clip(frames, backend, colour=colour, cache=cache, progress=progress, **options)

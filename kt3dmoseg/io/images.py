@@ -73,6 +73,18 @@ def has_pictures(folder: Path) -> bool:
     return folder.is_dir() and any(path.suffix.lower() in IMAGE_SUFFIXES for path in listed(folder))
 
 
+def is_clip(folder: Path) -> bool:
+    """Whether a folder's own pictures are the frames of a clip; InputFileError when others lie below it."""
+    if not has_pictures(folder):
+        return False
+    if below := next((path for path in listed(folder) if has_pictures(path)), None):
+        stray = next(path for path in listed(folder) if path.suffix.lower() in IMAGE_SUFFIXES)
+        expected, found = "frames, or one folder of frames per clip", f"both: {stray.name} and {below.name}"
+        fix = "give the folder of one clip, or move one of them elsewhere"
+        raise InputFileError(f"{folder}", expected=expected, found=found, fix=fix)
+    return True
+
+
 def numbered_pictures(folder: Path) -> dict[int, Path]:
     """Return the pictures of a folder by number, in order; there may be gaps, but no number twice."""
     out: dict[int, Path] = {}

@@ -14,7 +14,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import listed, read_bytes
 from kt3dmoseg.io.flow_files import read_flow
 from kt3dmoseg.io.formats import check_regular, clip_files, dataset_paths, load, recognise
-from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures
+from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures, is_clip
 from kt3dmoseg.io.npz import npz_shapes
 from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.tables import text_table
@@ -115,7 +115,7 @@ def _tracks(tracks: Trajectories) -> dict[str, Any]:
 
 
 def _folder(folder: Path) -> dict[str, Any]:
-    if has_pictures(folder):
+    if is_clip(folder):
         return {"kind": "frames", "folders": [_frames(folder, check=True)]}
     subfolders = [sub for sub in listed(folder) if has_pictures(sub)]
     if clip_files(folder) or not subfolders:

@@ -17,9 +17,9 @@ from defusedxml import ElementTree
 from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.kitti.remote_zip import LARGEST_FILE
 from kt3dmoseg.types import FloatArray, IntArray
 
+_LARGEST, _MOST_TAGS = 16 << 20, 700_000  # KITTI's have up to some MB; a tag takes 300 bytes of memory
 _NEAREST = 0.1
 _LAST_FRAME = 10**10 - 1
 # Corners in units of (length, width, height), and the pairs of them that differ in one coordinate.
@@ -106,8 +106,12 @@ class TrackletBox:
 
 
 def read_tracklets(path: Path) -> list[Tracklet]:
-    """Read a ``tracklet_labels.xml`` of at most 64 MiB; FileFormatError for others and for XML entities."""
-    content = read_bytes(path, LARGEST_FILE)
+    """Read a ``tracklet_labels.xml`` of at most 16 MiB; FileFormatError for others and for XML entities."""
+    content = read_bytes(path, _LARGEST)
+    if (tags := content.count(b"<")) > _MOST_TAGS:
+        raise FileFormatError(
+            f"{path}", expected=f"KITTI tracklets, at most {_MOST_TAGS} tags", found=f"{tags}"
+        )
     try:
         found = ElementTree.fromstring(content).find("tracklets")  # refuses entities
         if found is None:

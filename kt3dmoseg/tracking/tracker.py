@@ -61,8 +61,9 @@ def track(
     Parameters
     ----------
     frames : path-like, or iterable of arrays or of path-likes
-        A folder of images; or gray frames (H, W) uint8, or the paths of images. An iterator is
-        consumed one frame at a time, so a clip of any length needs only the memory of two frames,
+        A folder of images; or gray frames (H, W) uint8, as an array (F, H, W) has, or the paths of images.
+        An array whose last dimension is by far the shortest is taken for (H, W, F) and refused. An iterator
+        is consumed one frame at a time, so a clip of any length needs only the memory of two frames,
         one pair of flow fields, and its trajectories.
     flow : str or Flow
         A name of `kt3dmoseg.flow.list`, or a backend.
@@ -91,6 +92,11 @@ def track(
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
     items = frame_paths(frames) if isinstance(frames, (str, os.PathLike)) else frames
+    if isinstance(frames, np.ndarray) and frames.ndim == 3:
+        rows, columns, last = frames.shape
+        if last < min(rows, columns / 2):
+            fix = "of (H, W, F) give np.moveaxis(frames, -1, 0); of such narrow frames list(frames)"
+            raise InvalidValueError("frames", expected="(F, H, W)", found=f"{frames.shape}", fix=fix)
     total = len(items) if isinstance(items, Sized) else None
     run = _Run(settings, None if seeds is None else _checked(seeds))
     before: ByteArray | None = None

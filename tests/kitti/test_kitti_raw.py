@@ -12,6 +12,7 @@ import pytest
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.kitti import RawDrive
+from kt3dmoseg.kitti.tracklets import read_tracklets
 
 NUMBERS = [*range(4, 9), 12]
 
@@ -216,3 +217,9 @@ def test_damaged_tracklets_are_one_error(root: Path, drive: RawDrive, text: str)
 def test_reading_does_not_change_what_opencv_decodes(drive: RawDrive) -> None:
     path = drive.frame_path(8)
     np.testing.assert_array_equal(drive.frame(8), cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+
+
+def test_tracklets_with_more_tags_than_memory_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "tracklet_labels.xml").write_bytes(b"<a>" * 700_001)
+    with pytest.raises(FileFormatError, match="at most 700000 tags, found 700001"):
+        read_tracklets(tmp_path / "tracklet_labels.xml")

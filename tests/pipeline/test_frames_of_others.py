@@ -20,6 +20,7 @@ from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.frames import find_clips, find_sources
 from kt3dmoseg.io import load
 from kt3dmoseg.io.images import frame_paths, read_frame
+from kt3dmoseg.io.info import info
 from kt3dmoseg.pipeline import build_dataset
 
 
@@ -99,7 +100,7 @@ def test_stray_pictures_next_to_clips_hide_none_of_them(frames):
     for name in ("overview1.png", "overview2.png"):
         cv2.imwrite(str(frames / name), np.zeros((9, 9), np.uint8))
     found = r"one folder of frames per clip, found both: overview1\.png and clip; give"
-    for find in (find_sources, lambda path: find_clips(path, annotations=path)):
+    for find in (find_sources, info, lambda path: find_clips(path, annotations=path)):
         with pytest.raises(InputFileError, match=found):
             find(frames)
 
@@ -312,3 +313,15 @@ def test_show_is_a_function_with_the_options_of_the_command(frames, built, tmp_p
     os.mkfifo(tmp_path / "c.png")
     with pytest.raises(InputFileError, match="found a FIFO"):
         kt3dmoseg.show(built, output=tmp_path / "c.png")
+
+
+def test_commands_refuse_a_pipe_before_the_work(frames, tmp_path, capsys):
+    os.mkfifo(tmp_path / "clip.h5")
+    os.mkfifo(tmp_path / "mine.toml")
+    where = ("--catalog", tmp_path / "mine.toml", "--date", "2011_09_26", "--drive", "5", "--numbers", "1-9")
+    for command in (
+        ("track", frames / "nothing", "-o", tmp_path / "clip.h5"),
+        ("catalog", "add", "A", *where),
+    ):
+        assert run(*command) == 2
+        assert "expected a regular file or a new name, found a FIFO" in capsys.readouterr().err

@@ -127,6 +127,14 @@ def test_every_way_to_give_frames_is_the_same(tmp_path):
         ([frames(1)[0], np.zeros((64, 96, 3), np.uint8)], "frame 1: expected a gray frame"),
         ([frames(1)[0], frames(1)[0].astype(float)], "frame 1: expected a gray frame"),
         ([np.zeros((20, 96), np.uint8)] * 2, "at least 32 pixels"),
+        (
+            np.zeros((64, 96, 40), np.uint8),
+            r"expected \(F, H, W\), found \(64, 96, 40\); of \(H, W, F\) give",
+        ),
+        (
+            np.zeros((8, 3, 64, 96), np.uint8),
+            r"frame 0: expected a gray frame, .* found uint8 of shape \(3, 64",
+        ),
     ],
 )
 def test_bad_frames(source, message):
