@@ -95,7 +95,8 @@ def build(
         sources = kitti_sources(frames, date=date, drive=drive, camera=camera, frames=range_, name=name)
     else:
         sources = find_sources(frames)
-    if annotations is None and any((_ANNOTATIONS / f"{source.name}.json").is_file() for source in sources):
+    names = {source.name.lower() for source in sources}  # one of another case is refused, not passed over
+    if annotations is None and any(path.stem.lower() in names for path in _ANNOTATIONS.glob("*.json")):
         annotations = _ANNOTATIONS
     with _outcomes(len(sources)) as (progress, report):
         outcomes = build_dataset(
@@ -112,8 +113,8 @@ def build(
             **options,
         )
     _warn_of_empty(outcomes, options.get("min_length", TrackOptions.min_length))
-    if annotations != Path("none") and (annotations or masks or _ANNOTATIONS.is_dir()):
-        _warn_of_unlabelled(outcomes, annotations or masks or _ANNOTATIONS)
+    if annotations != Path("none") and (given := annotations or masks):
+        _warn_of_unlabelled(outcomes, given)
     return _sum_up(outcomes, output)
 
 

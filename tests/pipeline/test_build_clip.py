@@ -92,8 +92,10 @@ def test_the_seed_draws_the_background(folder, tmp_path):
     assert rows[0] == rows[1] != rows[2]
 
 
-def test_a_folder_without_the_clips_annotation_leaves_it_unlabelled(folder, tmp_path):
-    assert build_clip(folder, annotation=tmp_path).n_motions == 0
+def test_a_folder_without_the_clips_annotation_is_refused(folder, tmp_path):
+    (tmp_path / "annotations").mkdir()
+    with pytest.raises(InputFileError, match=r"annotations: expected \w+\.json, found no annotation; give"):
+        build_clip(folder, annotation=tmp_path / "annotations")
 
 
 @pytest.mark.parametrize(

@@ -221,7 +221,11 @@ def test_clips_without_an_annotation_among_others_are_listed(frames, tmp_path, c
     assert {outcome.name: outcome.labels for outcome in outcomes} == {"clip": "annotation", "other": ""}
     monkeypatch.chdir(tmp_path)  # where annotations/ is the default
     assert run("build", frames / "other", "-o", tmp_path / "out3") == 0
-    assert "warning: nothing in annotations labels other" in capsys.readouterr().err
+    assert run("build", frames / "clip", "-o", tmp_path / "out4") == 0
+    assert capsys.readouterr().err == ""
+    (tmp_path / "annotations" / "clip.json").rename(tmp_path / "annotations" / "CLIP.json")
+    assert run("build", frames / "clip", "-o", tmp_path / "out5") == 2
+    assert "found CLIP.json; rename it" in capsys.readouterr().err
 
 
 # --- what was built --------------------------------------------------------------------------------
