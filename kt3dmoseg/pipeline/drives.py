@@ -13,7 +13,7 @@ import numpy as np
 from kt3dmoseg import synthetic
 from kt3dmoseg.frames import FrameInfo
 from kt3dmoseg.synthetic import DrivePlan, Scene, make_drive, measure_drive, plan_drives
-from kt3dmoseg.synthetic.drives import Part
+from kt3dmoseg.synthetic.drives import SAMPLES, Part
 from kt3dmoseg.synthetic.scene import BACKGROUND
 from kt3dmoseg.types import ByteArray, Labels, Trajectories
 
@@ -30,7 +30,6 @@ class SyntheticDrive:
     """A drive of the synthetic benchmark as a source of frames that knows its labels."""
 
     plan: DrivePlan
-    samples: int = 1
 
     @property
     def name(self) -> str:
@@ -45,11 +44,11 @@ class SyntheticDrive:
     @cached_property
     def scene(self) -> Scene:
         """The scene, made on first use."""
-        return make_drive(self.plan, samples=self.samples)
+        return make_drive(self.plan)
 
     def inspect(self) -> FrameInfo:
         """Describe the drive: what its bytes depend on."""
-        description = asdict(self.plan) | {"samples": self.samples, "version": synthetic.ALGORITHM_VERSION}
+        description = asdict(self.plan) | {"samples": SAMPLES, "version": synthetic.ALGORITHM_VERSION}
         return FrameInfo(None, {"kind": "synthetic"} | description)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
@@ -84,7 +83,6 @@ def build_synthetic(
     part: Part | None = None,
     seed: int = 0,
     first: int | None = None,
-    samples: int = 1,
     **options: Any,  # noqa: ANN401
 ) -> list[Outcome]:
     """Make the synthetic benchmark: render, track and label its drives, one clip file each.
@@ -101,8 +99,6 @@ def build_synthetic(
         0 is the benchmark; other seeds give other drives, under other names.
     first : int, optional
         Only so many drives of each half.
-    samples : int
-        Rays per pixel: the square of this.
     **options
         Keywords of `build_dataset` apart from annotations and masks.
 
@@ -114,5 +110,4 @@ def build_synthetic(
     from kt3dmoseg.pipeline.dataset import build_dataset
 
     plans = [p for p in plan_drives(seed) if part in (None, p.part) and (first is None or p.number <= first)]
-    sources = [SyntheticDrive(plan, samples) for plan in plans]
-    return build_dataset(sources, output, **{"smallest": SMALLEST} | options)
+    return build_dataset([SyntheticDrive(plan) for plan in plans], output, **{"smallest": SMALLEST} | options)

@@ -92,7 +92,7 @@ def test_a_trajectory_that_slides_from_one_object_to_another_has_no_label():
 
 def test_the_benchmark_is_built_once_and_keeps_what_was_measured(tmp_path, monkeypatch):
     scene = filmed(Drive(0.0, 5.0, speed=3.0), Drive(0.5, 14.0, yaw=0.3, speed=5.0), frames=6)
-    monkeypatch.setattr("kt3dmoseg.pipeline.drives.make_drive", lambda plan, samples: scene)
+    monkeypatch.setattr("kt3dmoseg.pipeline.drives.make_drive", lambda plan: scene)
     wanted = {"part": "public", "first": 1, "workers": 1}
     (made,) = build_synthetic(tmp_path, **wanted)
     assert (made.name, made.status) == ("synth_p001", "built")
