@@ -100,8 +100,10 @@ def make_drive(plan: DrivePlan) -> Scene:
         layout = _draw_layout(plan, (frames - 1) / FRAMES_PER_SECOND, rng)
         if layout is not None:
             scene = Scene(SceneOptions(frames=frames, seed=textures, noise=noise, samples=SAMPLES), layout)
-            if _in_view(scene) and measure_drive(scene).get("motion", np.inf) >= _LEAST_MOTION:
-                return scene
+            if _in_view(scene):
+                moved = measure_drive(scene).get("motion", _LEAST_MOTION)
+                if _LEAST_MOTION <= moved < np.inf:
+                    return scene
     raise KT3DMoSegError(f"{plan.name}: no such drive in {_TRIES} tries")
 
 

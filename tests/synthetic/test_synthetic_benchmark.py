@@ -106,6 +106,20 @@ def test_the_benchmark_is_built_once_and_keeps_what_was_measured(tmp_path, monke
     assert SyntheticDrive(PUBLIC[0]).inspect().description != before
 
 
+def test_a_cluster_builds_the_same_clips(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    scene = filmed(Drive(0.0, 5.0, speed=3.0), Drive(0.5, 14.0, yaw=0.3, speed=5.0), frames=6)
+    monkeypatch.setattr("kt3dmoseg.pipeline.drives.make_drive", lambda plan: scene)
+    wanted = {"part": "public", "first": 1}
+    (here,) = build_synthetic(tmp_path / "here", workers=1, **wanted)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        (there,) = build_synthetic(tmp_path / "there", dask=cluster.scheduler_address, **wanted)
+    assert (there.status, there.reason) == ("built", "new")
+    assert there.path.read_bytes() == here.path.read_bytes()
+
+
 def test_the_protocol_knows_what_the_drives_are():
     protocol = load_protocol("synth")
     plans = {plan.name: plan for plan in (*PUBLIC, *TEST)}
