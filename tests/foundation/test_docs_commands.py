@@ -32,7 +32,9 @@ def test_printed_command_exists_with_its_flags(page, program, command, rest, cap
     cli = import_module(f"{program}.cli")
     assert command in cli.COMMANDS, page
     words = rest.split()
-    nested = [word for word in words[:1] if command in ("annotations", "catalog", "leaderboard") and word[0] != "-"]
+    nested = [
+        word for word in words[:1] if command in ("annotations", "catalog", "leaderboard") and word[0] != "-"
+    ]
     assert cli.main([command, *nested, "--help-all"]) == 0
     text = capsys.readouterr().out
     for flag in re.findall(r"(?<!\S)--?[a-z][a-z-]*", rest):

@@ -165,7 +165,7 @@ def _outlines(shape: Mapping[str, Any], image: _Image, into: Import) -> list[Pol
         raise InvalidValueError("segmentation.size", expected="a smaller mask", found=f"{width}x{height}")
     counts = found["counts"]
     runs = [int(run) for run in counts] if isinstance(counts, list) else str(counts)
-    into.count_pixels(width * height // 4)  # decoding is cheap
+    into.count_pixels(width * height // 8)  # decoding is cheap
     mask = decode_rle(runs, height, width, "segmentation")
     if (width, height) != (columns, rows):
         resized = cv2.resize(mask.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT)

@@ -190,11 +190,12 @@ class Import:
 
     def match(self, files: Iterable[str], what: str) -> dict[str, int]:
         """Find the frame of each file, as `match_frames` does; raises FileFormatError when none has one."""
-        match = match_frames(files, self.names, clip=self.like.clip, shift=self.choices.shift)
-        if not match.frames and match.unmatched:
+        given = list(files)
+        match = match_frames(given, self.names, clip=self.like.clip, shift=self.choices.shift)
+        if given and not match.frames:
             expected = f"names or numbers of the frames, {self.names[0]} to {self.names[-1]}"
             fix = f"shift the numbers{_proposed(match, self.names)}"
-            raise FileFormatError(what, expected=expected, found=several(match.unmatched), fix=fix)
+            raise FileFormatError(what, expected=expected, found=several(given), fix=fix)
         if doubt := match.doubt(self.like.n_frames):
             self.doubts.append(f"{doubt}{_proposed(match, self.names)}")
         elif match.unmatched:

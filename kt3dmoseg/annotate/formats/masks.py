@@ -50,8 +50,8 @@ Regions = Mapping[int, list[Region]]
 # For each heading (right, down, left, up) the step (y, x) from a pixel to the neighbour that is not in the
 # mask, and where on the pixel (x, y) the edge between begins: clockwise around it.
 _EDGES = (((-1, 0), (0, 0)), ((0, 1), (1, 0)), ((1, 0), (1, 1)), ((0, -1), (0, 1)))
-# pycocotools reads and writes beyond the end of a text that stops in the middle of a number.
 _RUNS = re.compile("[0-o]*[0-O]")
+_MORE, _SIGN, _MOST_DIGITS = 32, 16, 6
 _DAVIS_VOID = 254
 _BLOCK = 1 << 20
 # Pixel edges around one region; a car that fills a large picture has 10,000.
@@ -140,12 +140,13 @@ def _loops(part: BoolArray) -> list[FloatArray]:
 
     The first is the outer one; the others are those of the holes.
     """
-    columns = part.shape[1] + 1
-    padded = np.pad(part, 1)
+    height, width = part.shape
+    columns, padded = width + 1, np.pad(part, 1)
     starts, headings = [], []
     for number, ((dy, dx), (right, down)) in enumerate(_EDGES):
-        y, x = np.nonzero(padded & ~np.roll(padded, (-dy, -dx), axis=(0, 1)))
-        starts.append((y - 1 + down) * columns + x - 1 + right)
+        beyond = padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
+        y, x = np.divmod(np.flatnonzero(part & ~beyond), width)
+        starts.append((y + down) * columns + x + right)
         headings.append(np.full(len(y), number))
     start, heading = np.concatenate(starts), np.concatenate(headings)
     if len(start) > _MOST_EDGES:
@@ -206,26 +207,34 @@ def decode_rle(runs: str | Sequence[int], height: int, width: int, where: str = 
     problem = FileFormatError(
         where, expected=f"runs that fill {width}x{height} pixels", found=f"{runs[:40]!r}"
     )
-    if not isinstance(runs, str):
-        if min(runs, default=0) < 0 or sum(runs) != size:
-            raise problem
-        flat = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
-        return flat.reshape((height, width), order="F")
-    if not _RUNS.fullmatch(runs):
+    counts = _decoded(runs) if isinstance(runs, str) else runs
+    if counts is None or min(counts, default=-1) < 0 or sum(counts) != size:
         raise problem
-    mask = _decoded(runs, height, width)
-    # pycocotools refuses runs that are too long; where they are too short, it leaves memory as it was.
-    if mask is None or _decoded(runs, size - 1, 1) is not None:
-        raise problem
-    return mask
+    flat = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
+    return flat.reshape((height, width), order="F")
 
 
-def _decoded(runs: str, height: int, width: int) -> BoolArray | None:
-    try:
-        found = _pycocotools().decode({"size": [height, width], "counts": runs.encode()})
-    except ValueError:
+def _decoded(text: str) -> list[int] | None:
+    """Return compressed run lengths as numbers, None when they are damaged.
+
+    A character holds 5 bits, the lowest first, and whether more follow; the highest bit of the last one is
+    the sign. From the fourth run on, the difference from the one before the last is stored. pycocotools reads
+    beyond damaged texts, and keeps the memory of each that it refuses.
+    """
+    if not _RUNS.fullmatch(text):
         return None
-    return np.asarray(found, dtype=np.bool_)
+    codes = np.frombuffer(text.encode(), dtype=np.uint8).astype(np.int64) - ord("0")
+    ends = np.flatnonzero(codes < _MORE)
+    starts = np.append(0, ends[:-1] + 1)
+    lengths = ends - starts + 1
+    if lengths.max() > _MOST_DIGITS:
+        return None
+    place = np.arange(len(codes)) - np.repeat(starts, lengths)
+    runs = np.add.reduceat((codes & (_MORE - 1)) << (5 * place), starts)
+    runs -= np.where(codes[ends] & _SIGN, 1 << (5 * lengths), 0)
+    runs[1::2], runs[2::2] = np.cumsum(runs[1::2]), np.cumsum(runs[2::2])
+    numbers: list[int] = runs.tolist()
+    return numbers
 
 
 def _pycocotools() -> ModuleType:
@@ -322,7 +331,7 @@ def _read_mots_text(content: bytes, into: Import) -> None:
     for number, value, text, where in found:
         with into.skipping(where):
             if (frame := frames.get(str(number))) is not None:
-                into.count_pixels(width * height // 4)  # decoding is cheap
+                into.count_pixels(width * height // 8)  # decoding is cheap
                 if outlines := outlines_of(decode_rle(text, height, width, "rle"), into):
                     into.object(value).add(frame, outlines)
     _name_mots(into)
