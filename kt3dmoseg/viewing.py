@@ -17,6 +17,7 @@ from kt3dmoseg.flow import create
 from kt3dmoseg.frames import check_frames, find_clips, frames_of
 from kt3dmoseg.io import load
 from kt3dmoseg.io.fields import check_name
+from kt3dmoseg.io.formats import recognise
 from kt3dmoseg.io.images import read_frames
 from kt3dmoseg.io.predictions import read_prediction
 from kt3dmoseg.io.video import MOVING_SUFFIXES, write_moving, write_png
@@ -186,6 +187,8 @@ def label(
         from kt3dmoseg.annotate.server.clip_session import ClipSession
         from kt3dmoseg.annotate.server.routes import Routes
     except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn"):
+            raise
         what, fix = f"labelling needs the package {error.name}", "pip install 'kt3dmoseg[label]'"
         raise MissingDependencyError(what, fix=fix) from None
     create(flow)
@@ -221,16 +224,18 @@ def label(
 
 def _check_sources(sessions: Mapping[str, ClipSession]) -> None:
     """Check that trajectories are of the frames; of the only clip, that everything can be read, too."""
+    alone = len(sessions) == 1
     for name, session in sessions.items():
         source = session.source
         try:
-            if len(sessions) == 1:
+            if alone:
                 deque(read_frames(source.frames, "luma"), maxlen=0)
                 session.annotation()
-            if source.tracks is not None:
+            # The other formats keep no sha256; reading all of a release would delay the page.
+            if source.tracks and (alone or recognise(source.tracks).name in ("hdf5", "npz")):
                 check_frames(load(source.tracks).provenance, name, source.frames)
         except KT3DMoSegError as error:
-            if len(sessions) == 1:
+            if alone:
                 raise
             print(f"kt3dmoseg: warning: {name}: {error}", file=sys.stderr)
 

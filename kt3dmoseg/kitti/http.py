@@ -275,13 +275,16 @@ class Client:
 
     def _send(self, url: str, headers: dict[str, str]) -> requests.Response:
         from requests import Request
+        from requests.cookies import extract_cookies_to_jar
 
         session = self._session
         request = session.prepare_request(Request("GET", url, headers))
         settings = session.merge_environment_settings(url, {}, True, None, None)
         # Not by session.send: it reads the bodies of redirects, of any length, even where it follows none.
         adapter, timeout = session.get_adapter(url), self._options.timeout
-        return adapter.send(request, timeout=timeout, **settings)  # type: ignore[arg-type]  # verify: never None
+        answer = adapter.send(request, timeout=timeout, **settings)  # type: ignore[arg-type]  # verify is not None
+        extract_cookies_to_jar(session.cookies, request, answer.raw)  # type: ignore[no-untyped-call]
+        return answer
 
     def _body(self, response: requests.Response) -> Iterator[bytes]:
         """Yield what arrives as it arrives; give up on a trickle that the socket's timeout cannot see."""

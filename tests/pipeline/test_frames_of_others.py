@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -305,6 +307,28 @@ def test_label_warns_of_what_does_not_fit_several_clips(frames, built, tmp_path,
     assert "warning: clip: " in shown.err
     assert "expected the frames that clip was made from" in shown.err
     assert "Clip.json is of none of the clips by its case" in shown.err
+
+
+def test_label_without_its_extra_names_it(frames, tmp_path):
+    (tmp_path / "path" / "starlette").mkdir(parents=True)
+    missing = "raise ModuleNotFoundError(\"No module named 'starlette'\", name='starlette')"
+    (tmp_path / "path" / "starlette" / "__init__.py").write_text(missing)
+    code = "import sys; from kt3dmoseg.cli import main; sys.exit(main())"
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "label",
+        str(frames),
+        "--no-browser",
+        "--annotations",
+        str(tmp_path),
+    ]
+    paths = os.pathsep.join([str(tmp_path / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"PYTHONPATH": paths}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    wanted = "kt3dmoseg: labelling needs the package starlette; pip install 'kt3dmoseg[label]'\n"
+    assert (done.returncode, done.stderr) == (2, wanted)
 
 
 def test_show_is_a_function_with_the_options_of_the_command(frames, built, tmp_path):
