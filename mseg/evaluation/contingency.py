@@ -53,7 +53,8 @@ class Contingency:
 
     def shared(self, assignment: IntArray) -> tuple[IntArray, IntArray]:
         """Trajectories that each motion shares with its group, and those of the group, (M,); 0 for -1."""
-        padded = np.pad(self.counts, ((0, 0), (0, 1)))  # the last column, which -1 picks, is no group
+        none = np.zeros(len(self.counts), dtype=np.int64)  # the last column, which -1 picks, is no group
+        padded = np.column_stack([self.counts, none])
         return padded[np.arange(len(padded)), assignment], padded.sum(axis=0)[assignment]
 
     @cached_property
