@@ -186,7 +186,6 @@ def compare(
     metric : str
         What to compare by.
     """
-    from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.comparison import compare, comparison_table, pairs_table
     from mseg.evaluation.scoring import load_scores, score_submission
     from mseg.evaluation.validation import load_clips
@@ -194,10 +193,6 @@ def compare(
     paths = [first, *others]
     if data is None and not all(map(_is_scores, paths)):
         data = paths.pop()
-    if data is not None and (_is_scores(data) or (data / "meta.toml").exists()):
-        expected, fix = "the data (a folder of clips)", "give the data last"
-        wrong = "scores" if _is_scores(data) else "a submission"
-        raise InvalidValueError(f"{data}", expected=expected, found=wrong, fix=fix)
     clips = load_clips(data) if data is not None else {}
     tables = [
         load_scores(path) if _is_scores(path) else score_submission(path, clips, benchmark=benchmark)

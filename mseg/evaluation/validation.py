@@ -28,7 +28,7 @@ from mseg.evaluation.submission import META, SubmissionMeta, clip_checksum, clip
 # With these a submission is invalid but can be scored: a missing clip counts as fully wrong, a clip
 # with one label as what it is. Anything else forbids scoring.
 _SCORABLE = frozenset({"missing-clip", "one-label"})
-_ORDER = "the command line takes the data last, mseg.score(truth, pred) first"
+_ORDER = "on the command line give the data last, to mseg.score(truth, pred) first"
 
 
 @dataclass(frozen=True, eq=False)

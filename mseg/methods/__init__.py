@@ -99,8 +99,8 @@ def segment(
     -------
     Segmentation
         One label per (evaluated) trajectory. ``report["notes"]`` has one sentence each on another number
-        of groups than asked for, outliers that were not asked for, a method that did not converge, and
-        whatever the method has in ``report["warnings"]``.
+        of groups than asked for, outliers that were not asked for, a method that did not converge, parts of
+        the clip that no trajectory links, and whatever the method has in ``report["warnings"]``.
 
     Raises
     ------
@@ -130,7 +130,8 @@ def segment(
             found=f"{found}",
             fix="this is a fault of the method",
         )
-    notes = _notes(result, n_motions, outliers=bool(getattr(chosen, "reject_outliers", False)))
+    outliers, visible = bool(getattr(chosen, "reject_outliers", False)), hidden.evaluated_trajectories.visible
+    notes = _notes(result, n_motions, outliers=outliers, parts=_parts(visible))
     return Segmentation(result.labels, {**result.report, "notes": notes})
 
 
@@ -172,7 +173,21 @@ def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  
     return Trajectories(xy, seen)
 
 
-def _notes(result: Segmentation, n_motions: int | None, *, outliers: bool) -> tuple[str, ...]:
+def _parts(visible: BoolArray) -> int:
+    """Count the parts of a clip (n, F) that no trajectory links: none is in two frames in a row of both."""
+    steps = (visible[:, :-1] & visible[:, 1:]).astype(np.float32)
+    linked = steps.T @ steps > 0
+    left, parts = {*np.flatnonzero(linked.diagonal()).tolist()}, 0
+    while left:
+        parts, reached = parts + 1, [left.pop()]
+        while reached:
+            near = left.intersection(np.flatnonzero(linked[reached.pop()]).tolist())
+            left -= near
+            reached += near
+    return parts
+
+
+def _notes(result: Segmentation, n_motions: int | None, *, outliers: bool, parts: int) -> tuple[str, ...]:
     """Say what one must know to trust the labels."""
     found, none = len(np.unique(result.labels[result.labels > 0])), int((result.labels == 0).sum())
     converged = [value for key, value in result.report.items() if key.endswith("converged")]
@@ -180,6 +195,9 @@ def _notes(result: Segmentation, n_motions: int | None, *, outliers: bool) -> tu
         f"groups found: {found}, asked for: {n_motions}": n_motions not in (None, found),
         f"{none} trajectories are outliers (label 0), which was not asked for": none and not outliers,
         "the method did not converge": not all(converged),
+        f"{parts} parts of the clip have no trajectory in common; none of their motions were seen together": (
+            parts > 1
+        ),
         **dict.fromkeys(result.report.get("warnings", ()), True),
     }
     return tuple(note for note, applies in notes.items() if applies)

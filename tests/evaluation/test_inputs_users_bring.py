@@ -388,6 +388,16 @@ NOTES = (
 )
 
 
+def test_motions_that_were_never_seen_together_are_reported():
+    seen = np.zeros((40, 9), dtype=bool)
+    seen[:20, :4], seen[20:, 4:] = True, True
+    xy = np.random.default_rng(0).uniform(0, 100, (40, 9, 2))
+    [note] = mseg.segment(xy, "one_motion", visible=seen).report["notes"]
+    assert note.startswith("2 parts of the clip have no trajectory in common")
+    seen[0] = True
+    assert mseg.segment(xy, "one_motion", visible=seen).report["notes"] == ()
+
+
 def test_what_a_method_did_otherwise_than_asked_is_reported(data, tmp_path, monkeypatch, capsys):
     found = mseg.segment(CLIP, Careless(), n_motions=2)
     assert found.report["notes"] == NOTES
