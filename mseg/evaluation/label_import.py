@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,14 +14,14 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.io.predictions import first_few, is_zero_based, label_vector
+from kt3dmoseg.io.predictions import MAX_FILE_BYTES, first_few, is_zero_based, label_vector
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.protocol import count
 
 Zero: TypeAlias = Literal["", "first", "outlier"]
 CELLS = "ClusterIdx"
-_LIMIT = 256 << 20
-_MAX_DIGITS = 18  # these fit into 64 bits
+_MAX_LABELS = 1_000_000
+_WHOLE = re.compile(r"[+-]?[0-9]{1,18}")  # so many digits fit into 64 bits
 _FORMATS = (
     f"a .mat with the cell array {CELLS} (one label vector per sequence, as the authors' scripts save), "
     "or a folder of <clip>.txt (one label per line), <clip>.mat or <clip>.dat (Brox)"
@@ -113,9 +114,12 @@ def read_cluster_idx(path: Path) -> list[npt.NDArray[Any]]:
 
 def read_label_text(path: Path) -> IntArray:
     """Read one label per line; empty lines and lines that start with # are skipped."""
-    lines = read_bytes(path, _LIMIT).decode("utf-8-sig", "replace").splitlines()
+    content = read_bytes(path, MAX_FILE_BYTES)
+    if content.count(b"\n") > _MAX_LABELS:
+        raise FileFormatError(f"{path}", expected=f"at most {_MAX_LABELS} labels", found="more lines")
+    lines = content.decode("utf-8-sig", "replace").replace("\r", "\n").split("\n")
     cells = [line.strip().rstrip(",;") for line in lines if line.strip() and not line.startswith("#")]
-    wrong = next((c for c in cells if not c.lstrip("+-").isdecimal() or len(c) > _MAX_DIGITS), None)
+    wrong = next((cell for cell in cells if not _WHOLE.fullmatch(cell)), None)
     if wrong is not None:
         raise FileFormatError(f"{path}", expected="one whole number per line", found=repr(wrong[:40]))
     return np.array(cells, dtype=np.str_).astype(np.int64)

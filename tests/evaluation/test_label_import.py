@@ -93,7 +93,15 @@ def test_brox_file_as_the_toolkit_writes_it(tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "word"),
-    [("1\nx\n", "'x'"), ("1\n2.5\n", "2.5"), ("1 2 3\n", "one whole number"), ("nan\n", "nan")],
+    [
+        ("1\nx\n", "'x'"),
+        ("1\n2.5\n", "2.5"),
+        ("1 2 3\n", "one whole number"),
+        ("nan\n", "nan"),
+        ("+-1\n", "one whole"),
+        ("9" * 400, "999"),
+        ("1\n" * 1_000_002, "at most"),
+    ],
 )
 def test_text_that_is_no_labels(tmp_path, content, word):
     (tmp_path / "a.txt").write_text(content)
