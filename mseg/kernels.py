@@ -19,6 +19,8 @@ GUARD = 0.1
 """The authors' guard against division by zero, part of the values that alpha is applied to."""
 
 _Array = npt.NDArray[Any]
+# Powers of the close and the wide neighbourhood; weight of all ties of the wide one over the close one's.
+_CLOSE, _WIDE, _TIES = 9.0, 3.0, 0.1
 # How often a degenerate sample is drawn.
 _TRIES = 12
 # Standard deviation of the distance of near points over the largest distance.
@@ -228,33 +230,45 @@ def _preferences(residuals: _Array, count: int) -> BoolArray:
     return chosen
 
 
-def sparsify(kernel: _Array, alpha: float) -> _Array:
+def sparsify(kernel: _Array, alpha: float | None = None) -> _Array:
     """Keep the neighbours of an entropy-based neighbourhood of every point.
 
     With B = K^alpha, the distances s_ij = max_j B_ij - B_ij of row i are read as a distribution
     P_ij = s_ij / sum_j s_ij, and those neighbours stay whose log P_ij lies below its mean under P,
     the negative entropy of the row. A constant row distinguishes no neighbours and keeps none.
 
+    No power suits all clips: a high one cuts the kernels of long complete tracks to pieces, a low one ties
+    motions together where depths differ. Without `alpha`, close neighbours (power 9) make the graph, and weak
+    ties to wide ones (power 3) join its pieces: together they weigh a tenth of the close neighbours,
+    whatever the sizes of the two neighbourhoods in the clip.
+
     Parameters
     ----------
     kernel : (N, N) float
         Symmetric affinity in 0..1.
-    alpha : float
-        Power that sharpens the affinity first; larger keeps fewer neighbours.
+    alpha : float, optional
+        A single power that sharpens the affinity first; larger keeps fewer neighbours.
 
     Returns
     -------
     (N, N) float of the kernel's dtype
-        The kernel where both points keep each other, half of it where one of them does, else 0.
+        The kernel where both points keep each other, half of it where one of them does, else 0; without
+        `alpha` the sum of two such, one of them scaled.
 
     References
     ----------
     Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR 2018,
-    section 4 (the neighbourhood of the authors' released code).
+    section 4 (the neighbourhood of the authors' released code). The weak ties are ours.
     """
-    out: _Array = _neighbourhood_mask(kernel, alpha)
-    out *= kernel
-    return out
+    close: _Array = _neighbourhood_mask(kernel, _CLOSE if alpha is None else alpha)
+    close *= kernel
+    if alpha is None:
+        wide = _neighbourhood_mask(kernel, _WIDE)
+        wide *= kernel
+        total = float(wide.sum())
+        wide *= kernel.dtype.type(_TIES * float(close.sum()) / total if total > 0 else 0.0)
+        close += wide
+    return close
 
 
 def _neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:

@@ -26,6 +26,8 @@ _WIDTH = 8
 _EXPANSIONS = 4
 _MAX_RESTARTS = 150
 _START_SEED = 20180618
+# From this share of entries on, a full matrix multiplies faster than a sparse one, up to a size.
+_FULL, _LARGEST_FULL = 0.15, 2000
 # Keeps eigenvalues that are zero but for rounding from deciding.
 _EIGENVALUE_FLOOR = 0.01
 
@@ -97,19 +99,23 @@ class GraphLaplacian:
         """(N,) float64, square roots of the row sums, the uniform part included; 0 without weight."""
         scale = np.zeros(len(degree))
         np.divide(1.0, self.root_degree, out=scale, where=degree > 0)
-        self._adjacency = diags_array(scale) @ weights @ diags_array(scale)
+        self._adjacency: Any = diags_array(scale) @ weights @ diags_array(scale)
+        if len(degree) <= _LARGEST_FULL and weights.nnz > _FULL * len(degree) ** 2:
+            self._adjacency = self._adjacency.toarray()
         self._uniform = (np.sqrt(weight) * scale)[:, None]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
         """Write the matrix out, (N, N) float64."""
-        out: FloatArray = -self._adjacency.toarray()
+        sparse = not isinstance(self._adjacency, np.ndarray)
+        out: FloatArray = -(self._adjacency.toarray() if sparse else self._adjacency)
         out -= self._uniform @ self._uniform.T
         out.flat[:: len(out) + 1] += 1.0
         return out
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
         """Multiply with (N, b)."""
-        out: FloatArray = vectors - self._adjacency @ vectors
+        # By rows: a symmetric full matrix is read in one pass.
+        out: FloatArray = vectors - (vectors.T @ self._adjacency).T
         out -= self._uniform @ (self._uniform.T @ vectors)
         return out
 

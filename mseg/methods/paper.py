@@ -5,7 +5,8 @@ of a clip (affine maps, homographies, fundamental matrices between frames), alon
 
 1. Hypotheses: models through random minimal samples of the points of every frame pair.
 2. Ordered residual kernel: how often two trajectories prefer the same hypotheses.
-3. Sparsification: every trajectory keeps the neighbours of an entropy-based neighbourhood.
+3. Sparsification: every trajectory keeps the neighbours of an entropy-based neighbourhood, and weak ties to
+   those of a wider one (ours; a number for `alpha` gives the paper's single neighbourhood).
 4. Embedding of each view's graph, or one that the views agree on.
 5. Read-out: k-means on the embedding.
 
@@ -33,7 +34,6 @@ from scipy.sparse import csr_array
 from kt3dmoseg.options import option
 from kt3dmoseg.types import Clip, Float32Array, FloatArray, Trajectories
 from mseg.clustering import (
-    Cut,
     Fusion,
     GraphLaplacian,
     WeightedSum,
@@ -51,6 +51,8 @@ from mseg.methods.kernel_cache import current_cache
 from mseg.types import Grouping, ModelKind, Segmentation, required_count
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")
+# Cuts that differ by less say nothing about which partition is better; seeds move them as far.
+_MARGIN = 1.1
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,9 @@ class ViewMethod(ABC):
     kinds: ClassVar[tuple[ModelKind, ...]] = KINDS
     """The views that the method uses."""
 
-    alpha: float = option(8.0, "power of the kernel before neighbours are chosen", low=0)
+    alpha: float | None = option(
+        None, "power of the kernel before neighbours are chosen; none = close neighbours and weak ties", low=0
+    )
     hypotheses: int = option(500, "hypotheses per frame pair and view", low=1)
     gap: int = option(1, "frames from the first to the second of a pair", low=1)
     sample_from: Literal["evaluated", "all"] = option(
@@ -234,7 +238,7 @@ class FusedViews(ViewMethod):
     view: Literal["least_cut", "joint", "affine", "homography", "fundamental"] = option(
         "least_cut",
         "embedding that k-means sees: joint = all views side by side, as in the paper; one view after "
-        "fusion; least_cut = each of these four, then the partition of least normalised cuts",
+        "fusion; least_cut = joint, unless the partition of another cuts less by a tenth",
     )
 
     def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
@@ -253,13 +257,17 @@ class FusedViews(ViewMethod):
             return labels, report | inertia
         # Every embedding proposes a partition and lowers its cuts; they share the restarts.
         restarts = -(-self.restarts // len(embeddings))
-        cuts: dict[str, Cut] = {}
-        for name, embedding in embeddings.items():
-            proposed = kmeans(embedding, n_motions, rng, n_restarts=restarts).labels
-            cuts[name] = lower_cut(graphs, proposed, n_motions)
+        proposed = {
+            name: kmeans(embedding, n_motions, rng, n_restarts=restarts).labels
+            for name, embedding in embeddings.items()
+        }
+        cuts = {name: lower_cut(graphs, labels, n_motions) for name, labels in proposed.items()}
         chosen = min(cuts, key=lambda name: cuts[name].value)
+        labels = cuts[chosen].labels
+        if cuts["joint"].value <= _MARGIN * cuts[chosen].value:
+            chosen, labels = "joint", proposed["joint"]
         report |= {"chosen": chosen, "cuts": {name: cut.value for name, cut in cuts.items()}}
-        return cuts[chosen].labels + 1, report
+        return labels + 1, report
 
     @abstractmethod
     def fuse(self, graphs: Sequence[GraphLaplacian], n_motions: int) -> Fusion:

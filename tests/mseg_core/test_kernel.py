@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse.csgraph import connected_components
 
 from kt3dmoseg.types import Trajectories
 from mseg.geometry import MODELS, change_frame, hartley
@@ -163,6 +164,21 @@ def test_neighbourhoods_of_five_points():
     assert_allclose(sparsify(FIVE, 2), FIVE * expected)
 
 
+def test_weak_ties_join_the_pieces_of_a_motion_and_no_two_motions(rng):
+    """Two motions of two pieces: 0.7 inside a piece, 0.53 between those of a motion, 0.03 between motions."""
+    motion, piece = np.repeat([0, 1], 40), np.repeat([0, 1, 2, 3], 20)
+    kernel = np.where(piece[:, None] == piece, 0.7, np.where(motion[:, None] == motion, 0.53, 0.03))
+    noise = rng.uniform(0.95, 1.05, size=kernel.shape)
+    kernel *= (noise + noise.T) / 2
+    np.fill_diagonal(kernel, 0.95)
+    assert connected_components(sparsify(kernel, 8))[0] == 4
+    joined = sparsify(kernel)
+    count, component = connected_components(joined)
+    assert count == 2
+    assert len(set(zip(component.tolist(), motion.tolist(), strict=True))) == 2
+    assert_allclose(joined.sum(), 1.1 * sparsify(kernel, 9).sum())
+
+
 def test_sparsification_in_single_precision_is_that_in_double(make_clip):
     trajectories = make_clip(points=60).evaluated_trajectories
     kernel = view_kernel(trajectories, sample_hypotheses(trajectories, "affine", np.random.default_rng(0)))
@@ -172,6 +188,7 @@ def test_sparsification_in_single_precision_is_that_in_double(make_clip):
 def test_constant_rows_keep_nothing():
     assert not _neighbourhood_mask(np.zeros((3, 3)), 2).any()
     assert not _neighbourhood_mask(np.ones((3, 3)), 2).any()
+    assert not sparsify(np.ones((3, 3))).any()
 
 
 @pytest.mark.parametrize("alpha", [0.5, 1.0, 2.0, 3.0, 7.0, 8.0, 10.0, 2.5])
