@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg.blas import ssyrk
+from scipy.sparse import block_array, csr_array
+from scipy.sparse.csgraph import connected_components
 
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, IntArray, Trajectories
 from mseg.geometry import MODELS, Distance, change_frame, frame_pair, hartley
@@ -208,6 +210,17 @@ def covisible_frames(trajectories: Trajectories) -> Float32Array:
     seen = trajectories.visible.astype(np.float32)
     together: Float32Array = seen @ seen.T
     return together
+
+
+def unconnected_parts(trajectories: Trajectories, gap: int) -> list[str]:
+    """Warn of trajectories in parts that no pair of frames sees together, or no frame (gap 0)."""
+    visible = trajectories.visible
+    pairs = (visible[:, : visible.shape[1] - gap] & visible[:, gap:]).astype(np.int64)
+    pairs = pairs[pairs.any(axis=1)][:, pairs.any(axis=0)]
+    parts = connected_components(block_array([[None, csr_array(pairs)], [csr_array(pairs.T), None]]))[0]
+    what = "pair of frames" if gap else "frame"
+    warning = f"{parts} parts of the trajectories share no {what}: nothing shows which move together"
+    return [warning] if parts > 1 else []
 
 
 def _top_count(n_hypotheses: int, fraction: float) -> int:

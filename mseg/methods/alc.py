@@ -48,13 +48,14 @@ class ALC(CompleteDataMethod):
 
     dimension: int = option(0, "dimension d of the projection; 0 = sparsity-preserving", low=0)
     distortions: int = option(101, "number of distortions, evenly in their logarithm", low=1)
-    smallest_distortion: float = option(1e-5, "least distortion, pixels", low=1e-12)
-    largest_distortion: float = option(1e3, "greatest distortion, pixels", low=1e-12)
+    smallest_distortion: float = option(1e-5, "least distortion, pixels of a 640 x 480 image", low=1e-12)
+    largest_distortion: float = option(1e3, "greatest distortion, pixels of a 640 x 480 image", low=1e-12)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points = project(data.pixels, self.dimension or _sparsity_preserving_dimension(len(data.pixels)))
+        points /= data.unit
         grid = np.geomspace(self.smallest_distortion, self.largest_distortion, self.distortions)
         found = [_compress(points, float(distortion)) for distortion in grid]
         labels, report = _elect(points, grid, found, n_motions)

@@ -20,13 +20,16 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
+from mseg.kernels import unconnected_parts
 from mseg.types import Grouping, Segmentation, required_count
 
 _FEWEST_FRAMES = 2
+# Of 640 x 480 pixels, the images of most Hopkins155 sequences, where thresholds were chosen.
+_DIAGONAL = 800.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +40,9 @@ class CompleteData:
     ----------
     pixels : (2F', n') float64
         Trajectory matrix in pixels, rows x1, y1, x2, y2, ...
+    unit : float
+        Pixels per unit of thresholds: an image with a diagonal of 800 pixels (640 x 480) has 1. Where the
+        image size is unknown, the range of the positions takes its place.
     normalised : (2F', n') float64
         The same in normalised coordinates, see `mseg.geometry.subspaces.normalising_matrix`.
     used : (n,) bool
@@ -46,6 +52,7 @@ class CompleteData:
     """
 
     pixels: FloatArray
+    unit: float
     normalised: FloatArray
     used: BoolArray
     report: Mapping[str, Any] = field(default_factory=dict)
@@ -109,8 +116,17 @@ def complete_data(
         "trajectories_left_out": int((~used).sum()),
         **filled.convergence.report("completion_"),
     }
+    warnings = unconnected_parts(kept, 0)
     xy = normalised(pixels.T.reshape(len(kept), -1, 2), normalising_matrix(trajectories, clip.camera))
-    return CompleteData(pixels, trajectory_matrix(xy), used, report if gaps or completion == "rpca" else {})
+    report = report if gaps or completion == "rpca" else {}
+    return CompleteData(pixels, _unit(kept), trajectory_matrix(xy), used, report | {"warnings": warnings})
+
+
+def _unit(trajectories: Trajectories) -> float:
+    """Pixels per unit of `CompleteData.unit`."""
+    seen = trajectories.xy[trajectories.visible]
+    extent = np.ptp(seen, axis=0) if trajectories.image_size is None else trajectories.image_size
+    return float(np.hypot(*extent)) / _DIAGONAL or 1.0
 
 
 def _filled(matrix: FloatArray, completion: str, rank: int) -> Completion:

@@ -46,7 +46,7 @@ from mseg.clustering import (
 )
 from mseg.errors import TooFewPointsError
 from mseg.geometry import MODELS
-from mseg.kernels import sample_hypotheses, sparsify, view_kernel
+from mseg.kernels import sample_hypotheses, sparsify, unconnected_parts, view_kernel
 from mseg.methods.kernel_cache import current_cache
 from mseg.types import Grouping, ModelKind, Segmentation, required_count
 
@@ -102,7 +102,8 @@ class ViewMethod(ABC):
         if not used.all():
             views = [view[used][:, used] for view in views]
         labels, report = self.group(views, count, kmeans_rng)
-        report["trajectories_left_out"] = int((~used).sum())
+        report |= {"n_motions": count, "trajectories_left_out": int((~used).sum())}
+        report["warnings"] = unconnected_parts(points.select(used), self.gap)
         return Segmentation.of_part(labels, used, report)
 
     def _kernel(

@@ -41,7 +41,7 @@ class RPA(CompleteDataMethod):
     request. Cost: O(N^2 M) for M = 6 N flats, about 30 iterations of O(N^3); O(N M) memory.
     """
 
-    sigma: float = option(0.5, "noise scale, root mean square pixels per frame", low=1e-9)
+    sigma: float = option(0.5, "noise scale, rms pixels per frame of 640 x 480", low=1e-9)
     dimension: int = option(5, "dimension of the projection", low=1)
     samples: int = option(6, "flats per trajectory", low=1)
     restarts: int = option(20, "restarts of k-means", low=1)
@@ -50,7 +50,7 @@ class RPA(CompleteDataMethod):
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
         assert n_motions is not None
-        points, residuals = flat_residuals(data.pixels, self.dimension, self.samples, rng)
+        points, residuals = flat_residuals(data.pixels / data.unit, self.dimension, self.samples, rng)
         preferences = 1 / (1 + (residuals / (_INLIER * self.sigma)) ** 2)
         clean = robust_pca(np.exp(-(tanimoto_distance(preferences) ** 2)), tolerance=1e-6)
         kernel = np.maximum((clean.low_rank + clean.low_rank.T) / 2, 0)

@@ -30,7 +30,7 @@ class TLinkage(CompleteDataMethod):
     """Random flats through trajectories; those who prefer the same flats are linked.
 
     1. Trajectories become points of R^5: centred, the leading principal components, divided by sqrt(F), so
-       that distances are root mean square pixels per frame.
+       that distances are root mean square pixels per frame, scaled to an image of 640 x 480 pixels.
     2. 6 N flats of dimension three through four neighbours each.
     3. Preferences ``exp(-5 r / epsilon)`` of residuals r < epsilon, else 0.
     4. The two clusters of least Tanimoto distance merge, preferences by minimum, until all are orthogonal.
@@ -57,7 +57,7 @@ class TLinkage(CompleteDataMethod):
 
     finds_n_motions: ClassVar[bool] = True
 
-    epsilon: float = option(2.0, "inlier threshold, root mean square pixels per frame", low=1e-9)
+    epsilon: float = option(2.0, "inlier threshold, rms pixels per frame of 640 x 480", low=1e-9)
     dimension: int = option(5, "dimension of the projection", low=1)
     samples: int = option(6, "flats per trajectory", low=1)
     choose_epsilon: bool = option(True, "choose epsilon by code length, where the number of motions is known")
@@ -65,7 +65,7 @@ class TLinkage(CompleteDataMethod):
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
-        points, residuals = flat_residuals(data.pixels, self.dimension, self.samples, rng)
+        points, residuals = flat_residuals(data.pixels / data.unit, self.dimension, self.samples, rng)
         several = self.choose_epsilon and n_motions is not None
         found = [
             self._segmented(points, residuals, self.epsilon * scale, n_motions)
@@ -75,6 +75,8 @@ class TLinkage(CompleteDataMethod):
         labels, clusters, epsilon, reassigned = min(
             found, key=lambda one: ((one[0] == 0).sum(), _code_length(points, one[0], FLAT_DIMENSION))
         )
+        # Groups too small to receive anyone leave the others without a label.
+        labels = np.where(labels == 0, np.bincount(labels)[1:].argmax() + 1, labels)
         sizes = np.bincount(clusters)[1:]
         if self.reject_outliers:
             labels = np.where(clusters > _count_large(sizes), 0, labels)

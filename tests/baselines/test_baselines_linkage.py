@@ -258,3 +258,9 @@ def test_completion_by_robust_pca_repairs_gross_errors(make_scene, rng):
 def test_tlinkage_does_not_prefer_a_threshold_that_groups_nothing(make_scene):
     clip = make_scene(np.random.default_rng(4), (30, 30), noise=6.0)
     assert (methods.segment(clip, "tlinkage", n_motions=2).labels > 0).all()
+
+
+def test_no_label_0_where_all_clusters_are_too_small(make_scene):
+    clip = make_scene(np.random.default_rng(0), (9, 7), noise=0.2)
+    labels = methods.segment(clip, "tlinkage", n_motions=2, epsilon=1e-9, choose_epsilon=False).labels
+    assert set(labels.tolist()) == {1, 2}

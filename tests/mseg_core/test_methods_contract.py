@@ -16,6 +16,7 @@ from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.options import describe
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.errors import SegmentationError
+from mseg.evaluation import classification_error
 from mseg.methods import METHODS
 
 pytestmark = pytest.mark.parametrize("method", METHODS.names())
@@ -43,6 +44,31 @@ def test_labels_every_evaluated_trajectory(method, tiny):
     assert result.labels.shape == (len(tiny.evaluated),)
     assert result.labels.dtype == np.int64
     assert set(result.labels.tolist()) <= {0, 1, 2}
+
+
+@pytest.fixture(scope="module")
+def scaled(make_clip) -> Callable[[float], Clip]:
+    """A clip in an image of 2000 x 1000 pixels, and the same in other units."""
+    xy = np.array(make_clip(points=40, frames=12).dense.xy) * 3
+
+    def scale(factor: float) -> Clip:
+        size = (round(2000 * factor), round(1000 * factor))
+        trajectories = Trajectories(xy * factor, np.isfinite(xy[..., 0]), image_size=size)
+        return Clip("scaled", trajectories, np.arange(len(xy)), Labels(np.ones(len(xy), dtype=np.int64)))
+
+    return scale
+
+
+@pytest.mark.parametrize("factor", [0.001, 10.0])
+def test_the_unit_of_coordinates_does_not_matter(method, factor, scaled):
+    pixels, other = (mseg.segment(scaled(by), method, n_motions=2).labels for by in (1.0, factor))
+    assert classification_error(pixels + 1, other + 1) <= 0.03
+
+
+def test_no_outliers_where_none_are_asked_for(method, tiny):
+    if method == "alc":
+        pytest.skip("outliers are part of ALC")
+    assert mseg.segment(tiny, method, n_motions=2).labels.min() >= 1
 
 
 def test_same_seed_same_labels_and_the_truth_is_not_looked_at(method, tiny):

@@ -94,6 +94,15 @@ def test_report_of_a_fusion(make_clip):
     assert len(report["objectives"]) == report["sweeps"]
 
 
+@pytest.mark.parametrize("method", ["affine", "subset", "lrr"])
+def test_parts_that_no_frames_show_together_are_reported(method, make_clip, clip_of):
+    xy = np.array(make_clip(points=30, frames=12).dense.xy)
+    assert not mseg.segment(clip_of(xy), method, n_motions=2).report["warnings"]
+    xy[:30, :6], xy[30:, 6:] = np.nan, np.nan
+    (note,) = mseg.segment(clip_of(xy), method, n_motions=2).report["warnings"]
+    assert note.startswith("2 parts of the trajectories share no")
+
+
 @pytest.mark.parametrize("view", ["joint", "affine", "homography", "fundamental"])
 def test_views_after_fusion(view, make_clip):
     clip = make_clip(points=40)
