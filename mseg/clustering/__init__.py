@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mseg.clustering.counting import Count, Criterion, count_clusters
 from mseg.clustering.fusion import Cut, Fusion, WeightedSum, constrain_subsets, coregularise, lower_cut
 from mseg.clustering.kmeans import KMeans, kmeans
 from mseg.clustering.spectral import (
@@ -16,6 +17,8 @@ from mseg.clustering.spectral import (
 )
 
 __all__ = [
+    "Count",
+    "Criterion",
     "Cut",
     "Fusion",
     "GraphLaplacian",
@@ -24,6 +27,7 @@ __all__ = [
     "constrain_subsets",
     "coregularise",
     "count_by_eigengap",
+    "count_clusters",
     "kmeans",
     "lower_cut",
     "normalised_laplacian",

@@ -29,7 +29,7 @@ _START_SEED = 20180618
 # From this share of entries on, a full matrix multiplies faster than a sparse one, up to a size.
 _FULL, _LARGEST_FULL = 0.15, 2000
 # Keeps eigenvalues that are zero but for rounding from deciding.
-_EIGENVALUE_FLOOR = 0.01
+EIGENVALUE_FLOOR = 0.01
 
 
 def normalised_laplacian(affinity: _Array) -> _Array:
@@ -265,7 +265,7 @@ def relative_eigengaps(affinity: FloatArray, largest: int) -> FloatArray:
         return np.zeros(0)
     laplacian = normalised_laplacian(affinity)
     values = eigvalsh(laplacian, subset_by_index=(0, largest), check_finite=False)
-    return np.asarray(np.diff(values) / (np.maximum(values[:-1], 0) + _EIGENVALUE_FLOOR))
+    return np.asarray(np.diff(values) / (np.maximum(values[:-1], 0) + EIGENVALUE_FLOOR))
 
 
 def count_by_eigengap(affinity: FloatArray) -> int:

@@ -45,8 +45,8 @@ class ConsistentMoSeg(ViewMethod):
     affinity is left unsymmetric by the last step and goes into spectral clustering as such; here it is
     averaged with its transpose, and a small uniform weight is added as in the paper's views. The affinity
     itself equals that of their code (docs/baselines.md).
-    Input: gaps allowed. Number of motions: given. Outliers: not handled. Cost: that of the three views and
-    up to 500 sweeps of O(N^2 K); O(N^2) memory.
+    Input: gaps allowed. Number of motions: given or found. Outliers: not handled. Cost: that of the three
+    views and up to 500 sweeps of O(N^2 K); O(N^2) memory.
     """
 
     alpha: float = option(3.0, "power of the kernel before neighbours are chosen", low=0)

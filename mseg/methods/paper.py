@@ -34,11 +34,13 @@ from scipy.sparse import csr_array
 from kt3dmoseg.options import option
 from kt3dmoseg.types import Clip, Float32Array, FloatArray, Trajectories
 from mseg.clustering import (
+    Count,
     Fusion,
     GraphLaplacian,
     WeightedSum,
     constrain_subsets,
     coregularise,
+    count_clusters,
     kmeans,
     lower_cut,
     smallest_eigenvectors,
@@ -48,7 +50,7 @@ from mseg.errors import TooFewPointsError
 from mseg.geometry import MODELS
 from mseg.kernels import sample_hypotheses, sparsify, unconnected_parts, view_kernel
 from mseg.methods.kernel_cache import current_cache
-from mseg.types import Grouping, ModelKind, Segmentation, required_count
+from mseg.types import Grouping, ModelKind, Segmentation
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")
 # Cuts that differ by less say nothing about which partition is better; seeds move them as far.
@@ -80,13 +82,15 @@ class ViewMethod(ABC):
         0.003, "weight spread over all pairs of points, as a fraction of the mean degree", low=0
     )
     restarts: int = option(100, "restarts of k-means", low=1)
+    count: Literal["eigengap", "self_tuning", "vote"] = option(
+        "eigengap", "how the number of motions is found when none is given: mseg.clustering.count_clusters"
+    )
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`.
 
         Each view draws from a stream of its own, so with one seed a view has the same kernel in every method.
         """
-        count = required_count(n_motions, self)
         *streams, kmeans_rng = rng.spawn(len(KINDS) + 1)
         points = clip.evaluated_trajectories
         # One view after the other, so that only one dense kernel is held at a time.
@@ -95,14 +99,18 @@ class ViewMethod(ABC):
             kernel = self.rescale(self._kernel(clip, points, kind, streams[KINDS.index(kind)]), points)
             views.append(csr_array(sparsify(kernel, self.alpha)))
         used = np.logical_or.reduce([view.diagonal() > 0 for view in views])
-        if used.sum() < count:
+        fewest = n_motions or 1
+        if used.sum() < fewest:
             raise TooFewPointsError(
-                clip.name, expected=f"at least {count} usable trajectories", found=str(int(used.sum()))
+                clip.name, expected=f"at least {fewest} usable trajectories", found=str(int(used.sum()))
             )
         if not used.all():
             views = [view[used][:, used] for view in views]
-        labels, report = self.group(views, count, kmeans_rng)
-        report |= {"n_motions": count, "trajectories_left_out": int((~used).sum())}
+        counted = self.count_motions(views, kmeans_rng) if n_motions is None else Count(n_motions, {})
+        labels, report = self.group(views, counted.number, kmeans_rng)
+        report |= {"n_motions": counted.number, "trajectories_left_out": int((~used).sum())}
+        if n_motions is None:
+            report |= {"count_scores": dict(counted.scores), "runners_up": counted.runners_up}
         report["warnings"] = unconnected_parts(points.select(used), self.gap)
         return Segmentation.of_part(labels, used, report)
 
@@ -141,6 +149,11 @@ class ViewMethod(ABC):
         del points
         return kernel
 
+    def count_motions(self, views: Sequence[csr_array], rng: np.random.Generator) -> Count:
+        """Find the number of motions in the mean of the Laplacians of the views."""
+        mean = WeightedSum(*((1 / len(views), self.laplacian(view)) for view in views))
+        return count_clusters(mean, self.count, rng)
+
     @abstractmethod
     def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
         """Return labels (m,), 1..K, of the trajectories that take part, and what there is to report.
@@ -173,7 +186,7 @@ class Affine(SingleView):
     """Affine maps between frames: the motion of planes and distant or shallow objects.
 
     Source: Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR
-    2018, section 3.1 (row "A view"). Input: gaps allowed. Number of motions: given. Cost: O(F N^2 M)
+    2018, section 3.1 (row "A view"). Input: gaps allowed. Number of motions: given or found. Cost: O(F N^2 M)
     for M hypotheses per pair, O(N^2) memory.
     """
 
@@ -185,7 +198,7 @@ class Homography(SingleView):
     """Homographies between frames: planes under perspective, and the virtual planar slices of a scene.
 
     Source: Xu, Cheong, Li, CVPR 2018, section 3.1 (row "H view"). Input: gaps allowed. Number of
-    motions: given. Cost: O(F N^2 M) for M hypotheses per pair, O(N^2) memory.
+    motions: given or found. Cost: O(F N^2 M) for M hypotheses per pair, O(N^2) memory.
     """
 
     kinds = ("homography",)
@@ -196,7 +209,7 @@ class Fundamental(SingleView):
     """Fundamental matrices between frames: any rigid motion with translation and depth.
 
     Source: Xu, Cheong, Li, CVPR 2018, section 3.1 (row "F view"). Input: gaps allowed. Number of
-    motions: given. Cost: O(F N^2 M) for M hypotheses per pair, O(N^2) memory.
+    motions: given or found. Cost: O(F N^2 M) for M hypotheses per pair, O(N^2) memory.
     """
 
     kinds = ("fundamental",)
@@ -209,7 +222,7 @@ class KerAdd(ViewMethod):
     Source: Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR
     2018, section 3.2 (row "KerAdd"). The equation there adds normalised Laplacians, the released code
     adds kernels and normalises the sum; the latter made the published figures and is the default.
-    Input: gaps allowed. Number of motions: given. Cost: that of the three views.
+    Input: gaps allowed. Number of motions: given or found. Cost: that of the three views.
     """
 
     add: Literal["kernels", "laplacians"] = option("kernels", "what is summed over the views")
@@ -281,7 +294,7 @@ class CoReg(FusedViews):
 
     Source: Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR
     2018, section 3.2 (row "CoReg"), after Kumar, Rai, Daume, NIPS 2011; lambda = 0.01. Input: gaps
-    allowed. Number of motions: given. Cost: the three views and up to 16 sweeps of three
+    allowed. Number of motions: given or found. Cost: the three views and up to 16 sweeps of three
     eigenproblems.
     """
 
@@ -301,7 +314,7 @@ class Subset(FusedViews):
     """Spectral embeddings of the three views that respect the nesting of their models.
 
     Source: Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR
-    2018, section 3.2 (row "Subset"); gamma = 0.01. Input: gaps allowed. Number of motions: given.
+    2018, section 3.2 (row "Subset"); gamma = 0.01. Input: gaps allowed. Number of motions: given or found.
     Cost: the three views and up to 21 sweeps of three eigenproblems.
     """
 

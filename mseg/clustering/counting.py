@@ -1,0 +1,191 @@
+"""How many clusters an embedding shows: published criteria, to compare with and to replace in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from kt3dmoseg.types import FloatArray, IntArray
+from mseg.clustering.kmeans import kmeans
+from mseg.clustering.spectral import EIGENVALUE_FLOOR, Symmetric, smallest_eigenvectors, unit_rows
+
+Criterion: TypeAlias = Literal["eigengap", "self_tuning", "vote"]
+MOST_CLUSTERS = 8
+# Angles tried for one plane of rotation, most sweeps over the planes, a lower cost that counts as lower.
+_ANGLES = np.linspace(-np.pi / 4, np.pi / 4, 33)
+_SWEEPS, _PROGRESS = 20, 1e-4
+# Costs of alignment that count as equal: the largest number of them is taken.
+_EQUAL_COST = 1e-3
+# Silhouettes compare all pairs of at most so many points.
+_SILHOUETTE_POINTS = 1500
+_RESTARTS = 10
+
+
+@dataclass(frozen=True)
+class Count:
+    """A number of clusters.
+
+    Parameters
+    ----------
+    number : int
+        The number found.
+    scores : mapping of int to float
+        Score of every number that was compared, the higher the better.
+    """
+
+    number: int
+    scores: Mapping[int, float]
+
+    @property
+    def runners_up(self) -> list[int]:
+        """The other numbers, the best first."""
+        others = (k for k in self.scores if k != self.number)
+        return sorted(others, key=lambda k: -self.scores[k])
+
+
+def count_clusters(laplacian: Symmetric, criterion: Criterion, rng: np.random.Generator) -> Count:
+    """Count the clusters of a graph, at least two and at most eight.
+
+    Parameters
+    ----------
+    laplacian : (N, N)
+        Normalised Laplacian, array or anything that multiplies (N, b) float64.
+    criterion : {"eigengap", "self_tuning", "vote"}
+        Widest relative gap ``(lambda_{k+1} - lambda_k) / (lambda_k + 0.01)`` of the eigenvalues; the rotation
+        of k eigenvectors that comes nearest to one entry per row; or the majority of eigengap, silhouette,
+        Davies-Bouldin and Calinski-Harabasz on k-means of k eigenvectors, the eigengap deciding a tie.
+    rng : numpy.random.Generator
+        Randomness of k-means and of the points whose silhouette is taken.
+
+    Returns
+    -------
+    Count
+        A graph of fewer than three vertices counts 1.
+
+    References
+    ----------
+    von Luxburg, "A tutorial on spectral clustering", 2007, section 8.3; Zelnik-Manor and Perona, "Self-tuning
+    spectral clustering", NIPS 2004; Rousseeuw, J. Comput. Appl. Math. 1987; Davies and Bouldin, PAMI 1979;
+    Calinski and Harabasz, Communications in Statistics 1974.
+    """
+    most = min(MOST_CLUSTERS, laplacian.shape[0] - 1)
+    if most < 2:
+        return Count(1, {1: 0.0})
+    vectors = smallest_eigenvectors(laplacian, most + 1)
+    values = np.maximum(np.einsum("nk,nk->k", vectors, laplacian @ vectors), 0)
+    gaps = np.diff(values) / (values[:-1] + EIGENVALUE_FLOOR)
+    numbers = range(2, most + 1)
+    if criterion == "eigengap":
+        return _best({k: float(gaps[k - 1]) for k in numbers})
+    if criterion == "self_tuning":
+        cost = _alignment_costs(vectors[:, :most])
+        least = min(cost.values())
+        return Count(max(k for k in cost if cost[k] <= least + _EQUAL_COST), {k: -cost[k] for k in cost})
+    embeddings = {k: unit_rows(vectors[:, :k]) for k in numbers}
+    labels = {k: kmeans(points, k, rng, n_restarts=_RESTARTS).labels for k, points in embeddings.items()}
+    some = rng.permutation(len(vectors))[:_SILHOUETTE_POINTS]
+    ballots = [
+        {k: float(gaps[k - 1]) for k in numbers},
+        {k: silhouette(embeddings[k][some], labels[k][some]) for k in numbers},
+        {k: -davies_bouldin(embeddings[k], labels[k]) for k in numbers},
+        {k: calinski_harabasz(embeddings[k], labels[k]) for k in numbers},
+    ]
+    votes = [_best(ballot).number for ballot in ballots]
+    # Half a vote less than one decides ties.
+    return _best({k: votes.count(k) + 0.5 * (k == votes[0]) for k in numbers})
+
+
+def _best(scores: Mapping[int, float]) -> Count:
+    return Count(max(scores, key=lambda k: scores[k]), dict(scores))
+
+
+def _alignment_costs(vectors: FloatArray) -> dict[int, float]:
+    """Cost per point of the best rotation of the first k columns, k = 2, 3, ...; 1 is the least possible.
+
+    Each number starts from the rotation found for the one before, as in the paper; angles are found plane by
+    plane among fixed ones instead of by gradient descent.
+    """
+    costs = {}
+    rotated = vectors[:, :1]
+    for k in range(2, vectors.shape[1] + 1):
+        rotated, costs[k] = _align(np.column_stack([rotated, vectors[:, k - 1]]))
+    return costs
+
+
+def _align(points: FloatArray) -> tuple[FloatArray, float]:
+    """Rotate points (N, k) so that ``mean_i sum_j z_ij^2 / max_j z_ij^2`` is low; the rotation, the cost."""
+    squares = np.maximum((points**2).sum(axis=1), np.finfo(np.float64).tiny)
+    cosine, sine = np.cos(_ANGLES)[:, None], np.sin(_ANGLES)[:, None]
+    cost = np.inf
+    for _ in range(_SWEEPS):
+        before = cost
+        for i, j in combinations(range(points.shape[1]), 2):
+            others = np.delete(points, (i, j), axis=1)
+            largest = (others**2).max(axis=1, initial=0.0)
+            first = cosine * points[:, i] - sine * points[:, j]
+            second = sine * points[:, i] + cosine * points[:, j]
+            tops = np.maximum(np.maximum(first**2, second**2), largest)
+            values = (squares / np.maximum(tops, np.finfo(np.float64).tiny)).mean(axis=1)
+            best = int(values.argmin())
+            if values[best] < cost:
+                cost = float(values[best])
+                points = points.copy()
+                points[:, i], points[:, j] = first[best], second[best]
+        if before - cost < _PROGRESS:
+            break
+    return points, cost
+
+
+def silhouette(points: FloatArray, labels: IntArray) -> float:
+    """Mean silhouette of points (N, D): (b - a) / max(a, b), a to the own cluster, b to the nearest other."""
+    squares = (points**2).sum(axis=1)
+    distance = np.sqrt(np.maximum(squares[:, None] + squares - 2 * points @ points.T, 0))
+    names, own = np.unique(labels, return_inverse=True)
+    if len(names) < 2:
+        return -1.0
+    inside = (own[:, None] == np.arange(len(names))).astype(np.float64)
+    size = inside.sum(axis=0)
+    sums = distance @ inside
+    rows = np.arange(len(points))
+    a = sums[rows, own] / np.maximum(size[own] - 1, 1)
+    means = sums / size
+    means[rows, own] = np.inf
+    b = means.min(axis=1)
+    widest = np.maximum(a, b)
+    value = np.divide(b - a, widest, out=np.zeros_like(a), where=(widest > 0) & (size[own] > 1))
+    return float(value.mean())
+
+
+def davies_bouldin(points: FloatArray, labels: IntArray) -> float:
+    """Mean over clusters of the largest (s_i + s_j) / d_ij, s the mean distance to the centre."""
+    centres, spread = _centres(points, labels)
+    if len(centres) < 2:
+        return float("inf")
+    apart = np.linalg.norm(centres[:, None] - centres, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    both = spread[:, None] + spread
+    return float(np.divide(both, apart, out=np.full_like(both, np.inf), where=apart > 0).max(axis=1).mean())
+
+
+def calinski_harabasz(points: FloatArray, labels: IntArray) -> float:
+    """Variance between over variance within the clusters, each over its degrees of freedom."""
+    names, own = np.unique(labels, return_inverse=True)
+    centres, _ = _centres(points, labels)
+    within = float(((points - centres[own]) ** 2).sum())
+    between = float(((points - points.mean(axis=0)) ** 2).sum()) - within
+    n, k = len(points), len(names)
+    if k < 2 or k >= n:
+        return 0.0
+    return between / (k - 1) / max(within / (n - k), np.finfo(np.float64).tiny)
+
+
+def _centres(points: FloatArray, labels: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Centres (K, D) of the clusters, and mean distances (K,) to them."""
+    groups = [points[labels == k] for k in np.unique(labels)]
+    centres = np.array([group.mean(axis=0) for group in groups])
+    spread = [np.linalg.norm(g - c, axis=1).mean() for g, c in zip(groups, centres, strict=True)]
+    return centres, np.array(spread)

@@ -1,0 +1,67 @@
+"""Counting clusters: scores against scikit-learn's, criteria on plain graphs, methods without a number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from sklearn.metrics import calinski_harabasz_score, davies_bouldin_score, silhouette_score
+
+import mseg
+from mseg.clustering import count_clusters, normalised_laplacian
+from mseg.clustering.counting import _align, calinski_harabasz, davies_bouldin, silhouette
+
+CRITERIA = ("eigengap", "self_tuning", "vote")
+
+
+def test_scores_are_those_of_scikit_learn(rng):
+    points, labels = rng.normal(size=(60, 3)), rng.integers(0, 4, size=60)
+    labels[labels == 3] = 5
+    labels[0] = 9  # a cluster of one point
+    assert_allclose(silhouette(points, labels), silhouette_score(points, labels))
+    assert_allclose(davies_bouldin(points, labels), davies_bouldin_score(points, labels))
+    assert_allclose(calinski_harabasz(points, labels), calinski_harabasz_score(points, labels))
+
+
+def test_scores_of_one_cluster_are_the_worst(rng):
+    points, one = rng.normal(size=(9, 2)), np.ones(9, dtype=int)
+    assert silhouette(points, one) == -1
+    assert davies_bouldin(points, one) == np.inf
+    assert calinski_harabasz(points, one) == 0
+
+
+def blocks(sizes: list[int], rng: np.random.Generator) -> np.ndarray:
+    group = np.repeat(np.arange(len(sizes)), sizes)
+    weights = np.where(group[:, None] == group, 1.0, 0.02) * rng.uniform(0.8, 1.2, size=(len(group),) * 2)
+    return (weights + weights.T) / 2
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("sizes", [[30, 30], [40, 25, 10], [20, 20, 20, 20, 20]])
+def test_plain_blocks_are_counted(criterion, sizes, rng):
+    count = count_clusters(normalised_laplacian(blocks(sizes, rng)), criterion, rng)
+    assert count.number == len(sizes)
+    assert sorted([count.number, *count.runners_up]) == list(count.scores)
+
+
+def test_a_rotated_indicator_is_turned_back(rng):
+    indicator = np.eye(3)[np.repeat([0, 1, 2], 20)] / np.sqrt(20)
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    _, cost = _align(indicator @ rotation)
+    assert cost < 1.02
+
+
+@pytest.mark.parametrize("method", ["affine", "homography", "keradd", "coreg", "subset", "consistent"])
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_methods_of_the_paper_find_the_number(method, criterion, make_clip):
+    clip = make_clip(points=40, motions=2, frames=12)
+    found = mseg.segment(clip, method, count=criterion)
+    assert found.report["n_motions"] == 2 == len(set(found.labels.tolist()))
+    assert sorted([2, *found.report["runners_up"]]) == list(found.report["count_scores"])
+    given = mseg.segment(clip, method, n_motions=2)
+    assert "runners_up" not in given.report
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_two_points_are_one_cluster(criterion, rng):
+    assert count_clusters(np.eye(2), criterion, rng).number == 1
