@@ -83,7 +83,7 @@ class ViewMethod(ABC):
     )
     restarts: int = option(100, "restarts of k-means", low=1)
     count: Literal["eigengap", "self_tuning", "vote"] = option(
-        "eigengap", "how the number of motions is found when none is given: mseg.clustering.count_clusters"
+        "self_tuning", "how the number of motions is found when none is given: mseg.clustering.count_clusters"
     )
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
