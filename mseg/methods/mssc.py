@@ -31,8 +31,8 @@ class MSSC(SingleView):
     left out. The power is that of Jiang et al., AAAI 2021, for the same kernel and rule: without it (alpha =
     1) rows keep so many neighbours that a small motion has most of its weight in others, and the largest
     motion is cut in two instead.
-    Input: gaps allowed. Number of motions: given. Outliers: not handled. Cost: O(F N^2 M) for M hypotheses
-    per pair, O(N^2) memory.
+    Input: gaps allowed. Number of motions: given, or found as in the paper's methods. Outliers: not handled.
+    Cost: O(F N^2 M) for M hypotheses per pair, O(N^2) memory.
     """
 
     kinds = ("homography",)

@@ -47,7 +47,7 @@ def test_tlinkage_finds_the_number_of_motions_and_lowers_the_threshold(make_scen
     assert coarse.report["epsilon"] < 300
 
 
-@pytest.mark.parametrize("name", ["alc", "rpa", "mssc", "consistent"])
+@pytest.mark.parametrize("name", ["alc", "rpa"])
 def test_a_number_of_motions_is_asked_for(make_scene, name):
     clip = make_scene(np.random.default_rng(3), (10, 10))
     with pytest.raises(methods.InvalidValueError, match="n_motions"):
