@@ -283,13 +283,15 @@ def test_predictions_resume_and_do_not_mix(data, tmp_path):
         predict(data, tmp_path / "zero", "affine", n_motions=0)
 
 
-def test_unlabelled_clips_need_a_number(make_clip, tmp_path):
+def test_unlabelled_clips_need_a_number_or_a_method_that_finds_it(make_clip, tmp_path):
     clip = make_clip(points=14)
     bare = Clip("bare", clip.dense, clip.evaluated, Labels(np.zeros(len(clip.evaluated), int)))
     save(bare, tmp_path / "bare.h5")
     predict(tmp_path / "bare.h5", tmp_path / "given", "affine", n_motions=2)
     assert (tmp_path / "given" / "bare.csv").is_file()
-    predict(tmp_path / "bare.h5", tmp_path / "unknown", "affine")
+    predict(tmp_path / "bare.h5", tmp_path / "found", "affine")
+    assert (tmp_path / "found" / "bare.csv").is_file()
+    predict(tmp_path / "bare.h5", tmp_path / "unknown", "lsa")
     assert "cannot find it" in (tmp_path / "unknown" / "bare.failed").read_text()
 
 
