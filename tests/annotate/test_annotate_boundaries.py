@@ -8,9 +8,11 @@ from kt3dmoseg.annotate import (
     Annotation,
     KeyFrame,
     Mark,
+    geometry,
     label_tracks,
     label_tracks_detailed,
 )
+from kt3dmoseg.annotate.geometry import signed_distance
 from kt3dmoseg.types import Trajectories
 
 FRAMES = 6
@@ -77,3 +79,14 @@ def test_a_mark_overrules_the_motion(scene):
     lasso = Mark(frame=0, polygon=((58, 34), (61, 34), (61, 38), (58, 38)), motion=0)
     marked = Annotation(base.clip, base.image_size, base.n_frames, base.objects, (lasso,))
     assert label_tracks_detailed(trajectories, marked).labels.label[-2] == 1
+
+
+def test_distances_to_an_outline_of_many_corners_are_the_same(monkeypatch):
+    rng = np.random.default_rng(0)
+    angle = np.sort(rng.uniform(0, 2 * np.pi, 300))
+    ring = (60 + 40 * np.stack([np.cos(angle), np.sin(angle)], axis=1)) * rng.uniform(0.9, 1.1, (300, 1))
+    points = rng.uniform(0, 120, (500, 2))
+    fast = signed_distance(points, [ring], reach=8.0)
+    monkeypatch.setattr(geometry, "_MANY", 1000)
+    assert np.allclose(fast, signed_distance(points, [ring], reach=8.0), atol=1e-3)
+    assert 50 < np.isfinite(fast).sum() < 500
