@@ -29,7 +29,8 @@ import matplotlib.pyplot as plt
 ORDER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 PUBLISHED = {"keradd": "KerAdd", "coreg": "CoReg", "subset": "Subset"}
 COLOURS = dict(zip(ORDER, ("#999999", "#777777", "#555555", "#1b6ca8", "#d97a27", "#3a8f4d"), strict=True))
-SWEPT = {"alpha": 8.0, "lam": 0.01, "gamma": 0.01}
+# With their defaults; that of alpha is no power.
+SWEPT = {"alpha": None, "lam": 0.01, "gamma": 0.01}
 NAMES = {"alpha": "alpha", "lam": "lambda (CoReg)", "gamma": "gamma (Subset)"}
 
 
@@ -129,7 +130,8 @@ def sensitivity_figure(results: dict[str, Any], sweeps: list[dict[str, Any]]) ->
             axes.plot(values, mean, "o-", color=COLOURS[method], label=method, markersize=3)
             axes.fill_between(values, low, high, color=COLOURS[method], alpha=0.15, linewidth=0)
             default = SWEPT[parameter]
-            axes.plot(default, points[default].mean(), "D", color=COLOURS[method], markersize=6)
+            if default is not None:
+                axes.plot(default, points[default].mean(), "D", color=COLOURS[method], markersize=6)
         axes.set_xlabel(NAMES[parameter])
         if parameter != "alpha":
             axes.set_xscale("log")
@@ -153,9 +155,11 @@ def _swept(
             if list(method["parameters"]) == [parameter]:
                 errors = 100 * np.array(sweep["errors"][row])
                 out[method["method"]][float(method["parameters"][parameter])] = errors
+    if (default := SWEPT[parameter]) is None:
+        return out
     for method, points in out.items():
         seeds = next(iter(points.values())).shape[1]
-        points.setdefault(SWEPT[parameter], errors_of(results, method)[:, :seeds])
+        points.setdefault(default, errors_of(results, method)[:, :seeds])
     return out
 
 

@@ -95,7 +95,7 @@ def count_clusters(laplacian: Symmetric, criterion: Criterion, rng: np.random.Ge
         {k: calinski_harabasz(embeddings[k], labels[k]) for k in numbers},
     ]
     votes = [_best(ballot).number for ballot in ballots]
-    # Half a vote less than one decides ties.
+    # Half a vote for the eigengap decides ties.
     return _best({k: votes.count(k) + 0.5 * (k == votes[0]) for k in numbers})
 
 
