@@ -9,12 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 Float32Array: TypeAlias = npt.NDArray[np.float32]
@@ -99,6 +103,18 @@ class Trajectories(_Value):
         """Show the counts only; the arrays would fill the screen."""
         return f"Trajectories({len(self)} over {self.n_frames} frames)"
 
+    def _repr_html_(self) -> str:
+        from kt3dmoseg.draw.display import html_table
+
+        lengths, size = self.lengths, self.image_size
+        facts = [
+            ("frames", str(self.n_frames)),
+            ("image size", f"{size[0]} x {size[1]} pixels" if size else "unknown"),
+            ("median length", f"{np.median(lengths):g} frames" if len(lengths) else ""),
+            ("visible in every frame", str(int((lengths == self.n_frames).sum()))),
+        ]
+        return html_table(repr(self), ("", ""), facts)
+
     def __len__(self) -> int:
         """Return the number of trajectories."""
         return len(self.xy)
@@ -131,6 +147,44 @@ class Trajectories(_Value):
         """Return the trajectories at `rows` (indices or boolean mask), ids kept."""
         index = np.asarray(rows)
         return Trajectories(self.xy[index], self.visible[index], self.track_id[index], self.image_size)
+
+    def plot(
+        self, frame: int | None = None, *, picture: npt.ArrayLike | None = None, ax: Axes | None = None
+    ) -> Axes:
+        """Plot the trajectories with matplotlib, coloured by the number of frames they live.
+
+        Parameters
+        ----------
+        frame : int or None
+            Index of a frame, shown with trails of 8 frames; None = the whole trajectories.
+        picture : (H, W) or (H, W, 3) array, optional
+            Drawn below.
+        ax : matplotlib.axes.Axes, optional
+            Where to plot; by default a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        InvalidValueError
+            When there is no such frame, or the picture has another size than the frames.
+        MissingDependencyError
+            Without matplotlib, the extra ``plot``.
+        """
+        from kt3dmoseg.draw.display import plot_painting
+        from kt3dmoseg.draw.painting import by_length
+
+        return plot_painting(by_length(self), frame, picture=picture, ax=ax)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give one row per visible position: `track` (its id), `frame` (index), `x` and `y` in pixels."""
+        import pandas as pd
+
+        row, frame = np.nonzero(self.visible)
+        x, y = self.xy[row, frame].T
+        return pd.DataFrame({"track": self.track_id[row], "frame": frame, "x": x, "y": y})
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +233,24 @@ class Labels(_Value):
     def n_motions(self) -> int:
         """Number of distinct labels other than 0."""
         return len(self.motions)
+
+    def _repr_html_(self) -> str:
+        from kt3dmoseg.draw.display import labels_html
+
+        return labels_html(repr(self), self)
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Plot the number of trajectories of every motion with matplotlib; see `Trajectories.plot`."""
+        from kt3dmoseg.draw.display import plot_labels
+
+        return plot_labels(self, ax=ax)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give one row per label, in order: `label` and `name`, empty where the motion has none."""
+        import pandas as pd
+
+        names = [self.names.get(label, "") for label in self.label.tolist()]
+        return pd.DataFrame({"label": self.label, "name": pd.Series(names, dtype=object)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,6 +359,32 @@ class Clip(_Value):
     def without_labels(self) -> Clip:
         """Return the same clip as a method may see it: every label 0."""
         return replace(self, labels=Labels(np.zeros(len(self.evaluated), dtype=np.int64)))
+
+    def _repr_html_(self) -> str:
+        from kt3dmoseg.draw.display import clip_html
+
+        return clip_html(self)
+
+    def plot(
+        self, frame: int | None = None, *, picture: npt.ArrayLike | None = None, ax: Axes | None = None
+    ) -> Axes:
+        """Plot the evaluated trajectories, coloured by their labels; see `Trajectories.plot`."""
+        from kt3dmoseg.draw.display import plot_painting
+        from kt3dmoseg.draw.painting import by_label
+
+        painting = by_label(self, self.labels.label, self.labels.names)
+        return plot_painting(painting, frame, title=self.name, picture=picture, ax=ax)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give one row per visible position of the evaluated trajectories.
+
+        The columns are those of `Trajectories.to_dataframe`, then `frame_number`, and `label` and `name` of
+        the motion.
+        """
+        table = self.evaluated_trajectories.to_dataframe()
+        motions = self.labels.to_dataframe().set_index(self.dense.track_id[self.evaluated])
+        table["frame_number"] = self.frame_numbers[table["frame"]]
+        return table.join(motions, on="track")
 
 
 def _image_size(size: npt.ArrayLike) -> tuple[int, int]:

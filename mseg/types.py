@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
 
 ModelKind: TypeAlias = Literal["affine", "homography", "fundamental"]
 Grouping: TypeAlias = tuple[IntArray, dict[str, Any]]
@@ -85,6 +90,51 @@ class Segmentation:
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild through the constructor: a read-only mapping view does not pickle."""
         return Segmentation, (self.labels, dict(self.report))
+
+    def _repr_html_(self) -> str:
+        from kt3dmoseg.draw.display import group_labels, html_table, labels_html
+
+        table = labels_html(f"Segmentation of {len(self.labels)} trajectories", group_labels(self.labels))
+        plain = [(k, f"{v:g}") for k, v in self.report.items() if isinstance(v, (int, float))]
+        return table + html_table("", ("", ""), plain, self.report.get("notes", ()))
+
+    def plot(
+        self,
+        clip: Clip | None = None,
+        frame: int | None = None,
+        *,
+        picture: npt.ArrayLike | None = None,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Plot the trajectories of `clip` in the colours of these motions; without one, their sizes.
+
+        Of a labelled clip, a predicted motion has the colour of the labelled one that it shares most with,
+        and the trajectories that are then labelled otherwise are ringed. See `kt3dmoseg.Trajectories.plot`.
+        """
+        from kt3dmoseg.draw.display import group_labels, plot_labels, plot_painting
+        from kt3dmoseg.draw.painting import by_prediction
+
+        if clip is not None:
+            painting = by_prediction(clip, self._checked_labels(clip))
+            return plot_painting(painting, frame, title=clip.name, picture=picture, ax=ax)
+        if frame is not None or picture is not None:
+            raise InvalidValueError("clip", expected="the clip whose trajectories to plot", found="none")
+        return plot_labels(group_labels(self.labels), ax=ax)
+
+    def to_dataframe(self, clip: Clip | None = None) -> pd.DataFrame:
+        """Give one row per trajectory: `label`; with `clip` also `track`, by which `mseg.score` joins."""
+        import pandas as pd
+
+        if clip is None:
+            return pd.DataFrame({"label": self.labels})
+        labels = self._checked_labels(clip)
+        return pd.DataFrame({"track": clip.dense.track_id[clip.evaluated], "label": labels})
+
+    def _checked_labels(self, clip: Clip) -> IntArray:
+        if len(clip.evaluated) != len(self.labels):
+            expected, found = f"{len(self.labels)} evaluated trajectories", f"{len(clip.evaluated)}"
+            raise InvalidValueError(f"clip {clip.name}", expected=expected, found=found)
+        return self.labels
 
 
 class Method(Protocol):

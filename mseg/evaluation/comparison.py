@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +13,13 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 from mseg.evaluation.metrics import Metric, all_metrics
 from mseg.evaluation.protocol import count
-from mseg.evaluation.results import ResultsTable, clip_table, failure_notes
+from mseg.evaluation.results import ResultsTable, clip_table, failure_notes, plot_metric
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
 
 _SIGNIFICANT = 0.05
 _NOISE = 2.0
@@ -42,6 +47,27 @@ class Comparison:
     names: list[str]
     tables: Sequence[ScoreTable]
     pairs: list[Pair]
+
+    def __repr__(self) -> str:
+        """Name what is compared; the scores would fill the screen."""
+        return f"Comparison({self.metric} of {', '.join(self.names)})"
+
+    def _repr_html_(self) -> str:
+        sentences = replace(pairs_table(self), notes=[pair.sentence for pair in self.pairs])
+        return comparison_table(self).html() + sentences.html()
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Plot the metric of every clip and submission with matplotlib; see `ScoreTable.plot`."""
+        return plot_metric(dict(zip(self.names, self.tables, strict=True)), self.metric, ax=ax)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give one row per submission, clip and seed: `method` and what `ScoreTable.to_dataframe` gives."""
+        import pandas as pd
+
+        frames = [table.to_dataframe() for table in self.tables]
+        return (
+            pd.concat(frames, keys=self.names, names=["method"]).reset_index("method").reset_index(drop=True)
+        )
 
 
 def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Comparison:

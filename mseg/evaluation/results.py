@@ -21,6 +21,7 @@ from mseg.evaluation.statistics import standard_deviation
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
 MAIN_METRICS = ("error", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f")
 ABSENT = "-"
@@ -54,6 +55,14 @@ class ResultsTable:
         lines = ["| " + " | ".join(row) + " |" for row in (rows[0], rule, *rows[1:])]
         notes = [f"- {note}" for note in self.notes]
         return "\n".join([f"**{self.title}**", "", *lines, "", *notes]).rstrip()
+
+    def html(self) -> str:
+        """Lay out as HTML."""
+        from kt3dmoseg.draw.display import html_table
+
+        return html_table(self.title, self.columns, self.rows, self.notes)
+
+    _repr_html_ = html
 
     def latex(self) -> str:
         """Lay out as a LaTeX table for the package booktabs."""
@@ -158,6 +167,19 @@ def clip_table(
     several = any(v.shape[1] > 1 for v in values.values())
     spread = ["mean over seeds ± standard deviation over seeds"] if several else []
     return ResultsTable(title, ["clip", "motions", *values], rows, [*spread, *notes])
+
+
+def plot_metric(scores: Mapping[str, ScoreTable], metric: str, *, ax: Axes | None = None) -> Axes:
+    """Plot a metric per clip of submissions, by name, that were scored on the same clips."""
+    from kt3dmoseg.draw.display import plot_clip_values
+
+    first = next(iter(scores.values()))
+    values = {name: table.matrix(metric) for name, table in scores.items()}  # reports an unknown metric
+    spec = all_metrics()[metric]
+    axis = f"{spec.title}{', %' if spec.percent else ''} ({spec.better} is better)"
+    scaled = {name: spec.scale * value for name, value in values.items()}
+    title = f"{first.benchmark.title}, {first.benchmark.coverage(first.names)}"
+    return plot_clip_values(scaled, first.names, axis=axis, title=title, ax=ax)
 
 
 def headline_notes(scores: ScoreTable) -> list[str]:

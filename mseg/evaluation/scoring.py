@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -45,6 +45,10 @@ from mseg.evaluation.statistics import Summary, summarise
 from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs
 from mseg.evaluation.validation import Validation, choose_protocol, load_clips, validate_submission
 from mseg.types import Segmentation
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
 
 FORMAT = "mseg-scores"
 VERSION = 1
@@ -94,6 +98,33 @@ class ScoreTable:
         width = max(map(len, self.metrics))
         counts = f"mean over {count(len(self.names), 'clip')} and {count(len(self.seeds), 'seed')}"
         return "\n".join([counts, *(f"{name:<{width}}  {self[name]:.4f}" for name in self.metrics)])
+
+    def _repr_html_(self) -> str:
+        from mseg.evaluation.results import headline, per_clip
+
+        return headline(self).html() + per_clip(self).html()
+
+    def plot(self, metric: str = "error", *, ax: Axes | None = None) -> Axes:
+        """Plot a metric of every clip with matplotlib (the extra ``plot``): mean, least and most over seeds.
+
+        Raises
+        ------
+        UnknownNameError
+            When there is no such metric.
+        MissingDependencyError
+            Without matplotlib.
+        """
+        from mseg.evaluation.results import plot_metric
+
+        return plot_metric({self.meta.method: self}, metric, ax=ax)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give one row per clip and seed: counts, `prevalence`, `reason`, and every metric (no per cent)."""
+        import pandas as pd
+
+        names = ("clip", "seed", "n", "n_motions", "n_found", "prevalence", "reason")
+        rows = [{name: getattr(c, name) for name in names} | dict(c.values) for c in self.clips]
+        return pd.DataFrame(rows)
 
     def __getitem__(self, metric: str) -> float:
         """Mean of a metric over clips and seeds; UnknownNameError when there is no such metric."""
