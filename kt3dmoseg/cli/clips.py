@@ -153,8 +153,8 @@ def synth(
 ) -> int:
     """Make the synthetic benchmark: 200 drives, rendered, tracked, labelled exactly; nothing is downloaded.
 
-    Takes a quarter of an hour on two cores. Drives that are up to date are skipped; an interrupted run is finished by
-    the same command. 'mseg benchmark synth --data FOLDER' runs methods on it.
+    Takes a quarter of an hour on two cores. Drives that are up to date are skipped; an interrupted run is
+    finished by the same command. 'mseg benchmark synth --data FOLDER' runs methods on it.
     """
     from kt3dmoseg.pipeline import build_synthetic
     from kt3dmoseg.synthetic.drives import PER_PART
