@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from kt3dmoseg.io.predictions import first_few
-from kt3dmoseg.types import FloatArray
+from kt3dmoseg.types import FloatArray, IntArray
 from mseg.benchmark.tasks import Configuration
 from mseg.evaluation import Group, Protocol
 from mseg.evaluation.protocol import count, share
 from mseg.evaluation.results import ResultsTable, axis_table, clip_table, error_table
+from mseg.evaluation.scoring import Provenance
 
 _LISTED = 12  # clips named in a note
 
@@ -39,6 +40,11 @@ class BenchmarkResult:
     failures: tuple[tuple[Configuration, str, int, str], ...] = ()  # configuration, clip, seed and reason
     others: tuple[str, ...] = ()  # clips that lay there and do not belong to the benchmark
     notes: tuple[tuple[Configuration, str, int, str], ...] = ()  # what `mseg.segment` notes, likewise
+    found: IntArray | None = None  # (M, C, S): predicted groups; 0 where the method failed
+    scored: Mapping[str, int] = field(
+        default_factory=dict
+    )  # clips and their numbers of labelled trajectories
+    provenance: Provenance | None = None  # of the clips
 
     @property
     def clips(self) -> list[str]:

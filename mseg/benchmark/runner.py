@@ -12,7 +12,7 @@ import numpy as np
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.parallel import Cache, run_tasks
-from kt3dmoseg.types import Clip
+from kt3dmoseg.types import Clip, Labels
 from mseg.benchmark.results import BenchmarkResult
 from mseg.benchmark.tasks import (
     Configuration,
@@ -24,7 +24,8 @@ from mseg.benchmark.tasks import (
     run_task,
     seed_numbers,
 )
-from mseg.evaluation import Protocol, classification_error, load_protocol
+from mseg.evaluation import Protocol, classification_error, clip_checksum, load_protocol
+from mseg.evaluation.scoring import provenance_of
 from mseg.methods import create
 
 VARIABLE = "KT3DMOSEG_DATA"
@@ -112,16 +113,21 @@ def run(
         if progress:
             progress(done, len(tasks), task.name)
     errors, seconds, failures, notes = np.ones(shape), np.full(shape, np.nan), [], []
+    found = np.zeros(shape, dtype=np.int64)
     for (m, i, s), key in keys.items():
         outcome = outcomes[key]
         seconds[m, i, s] = outcome.seconds
         if outcome.labels is None:
             failures.append((configurations[m], clips[i].name, wanted[s], outcome.reason))
         else:
-            errors[m, i, s] = classification_error(clips[i].labels.label, outcome.labels)
+            truth = clips[i].labels.label
+            errors[m, i, s] = classification_error(truth, outcome.labels)
+            found[m, i, s] = Labels(outcome.labels[truth > 0]).n_motions
         if outcome.notes:
             notes.append((configurations[m], clips[i].name, wanted[s], outcome.notes))
-    motions = {name: clip.n_motions for name, clip in zip(paths, clips, strict=True)}
+    named = dict(zip(paths, clips, strict=True))
+    motions = {name: clip.n_motions for name, clip in named.items()}
+    checksums = {name: clip_checksum(clip) for name, clip in named.items()}
     return BenchmarkResult(
         protocol,
         configurations,
@@ -132,6 +138,9 @@ def run(
         tuple(failures),
         tuple(others),
         tuple(notes),
+        found,
+        {name: int((clip.labels.label > 0).sum()) for name, clip in named.items()},
+        provenance_of(named, checksums, protocol.version_of(checksums)),
     )
 
 

@@ -137,6 +137,7 @@ def benchmark(
     kernels: Folder | None = None,
     json: Annotated[list[str] | None, Parameter(metavar="FILE", consume_multiple=(0, 1))] = None,
     markdown: Flag = False,
+    publish: Folder | None = None,
     seeds: Positive = 1,
     parameter: Settings = (),
     workers: Workers = 1,
@@ -167,6 +168,8 @@ def benchmark(
         Everything as JSON: written to FILE in addition to the tables, or printed in their place.
     markdown : bool
         Print Markdown tables.
+    publish : path
+        Write the scores there, one file per method and dataset version: BENCHMARK/VERSION/METHOD.json.
     seeds : int
         Number of seeds, counted from 0.
     """
@@ -187,12 +190,16 @@ def benchmark(
             kernels=kernels,
             progress=progress,
         )
-    if json is not None:
-        everything = json_.dumps(result.as_dict(), indent=1)
-        if json in ([], ["-"]):
-            print(everything)
-            return int(result.errors.size == len(result.failures))
-        write_text(json[0], everything + "\n")
-    tables = [table for table in (result.per_clip(), result.by_axis(), result.summary()) if table]
-    print("\n\n".join(t.markdown() if markdown else t.text() for t in tables))
+    if json in ([], ["-"]):
+        print(json_.dumps(result.as_dict(), indent=1))
+    else:
+        if json:
+            write_text(json[0], json_.dumps(result.as_dict(), indent=1) + "\n")
+        tables = [table for table in (result.per_clip(), result.by_axis(), result.summary()) if table]
+        print("\n\n".join(t.markdown() if markdown else t.text() for t in tables))
+    if publish:
+        from mseg.benchmark.publishing import publish as write
+
+        for path in write(result, publish):
+            print(f"wrote {path}", file=sys.stderr)
     return int(result.errors.size == len(result.failures))

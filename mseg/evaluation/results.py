@@ -54,7 +54,8 @@ class ResultsTable:
         rows = [[cell.replace("|", "\\|") for cell in row] for row in (self.columns, *self.rows)]
         lines = ["| " + " | ".join(row) + " |" for row in (rows[0], rule, *rows[1:])]
         notes = [f"- {note}" for note in self.notes]
-        return "\n".join([f"**{self.title}**", "", *lines, "", *notes]).rstrip()
+        head = [f"**{self.title}**", ""] if self.title else []
+        return "\n".join([*head, *lines, "", *notes]).rstrip()
 
     def html(self) -> str:
         """Lay out as HTML."""

@@ -276,7 +276,7 @@ def score(
     foreign = [name for name in truths if protocol and not protocol.holds(name)]
     if foreign:
         raise InvalidValueError("truth", expected=f"clips of {benchmark}", found=first_few(foreign))
-    return ScoreTable(tuple(clips), protocol=protocol, provenance=_provenance(truths))
+    return ScoreTable(tuple(clips), protocol=protocol, provenance=provenance_of(truths))
 
 
 def _truths(truth: Any) -> dict[str, Clip | Labels]:  # noqa: ANN401  # checked
@@ -369,16 +369,17 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
                 clips.append(score_clip(name, seed, table))
     meta, problems = checked.submission.meta, tuple(checked.problems)
     version = checked.protocol.version_of(checked.checksums) or meta.dataset_version or "unnamed"
-    source = _provenance(checked.clips, checked.checksums, version, checked.submission.sha256)
+    source = provenance_of(checked.clips, checked.checksums, version, checked.submission.sha256)
     return ScoreTable(tuple(clips), meta, checked.protocol, source, problems)
 
 
-def _provenance(
+def provenance_of(
     truths: Mapping[str, Clip | Labels],
     checksums: Mapping[str, str] = MappingProxyType({}),
     version: str = "",
     submission: str = "",
 ) -> Provenance:
+    """Describe the data that is scored, by names, checksums and labels."""
     labels = {name: each.labels if isinstance(each, Clip) else each for name, each in truths.items()}
     hashes = {name: hashlib.sha256(each.label.tobytes()).hexdigest() for name, each in labels.items()}
     text = "\n".join(f"{name} {checksums.get(name, '')} {hashes[name]}" for name in sorted(hashes))

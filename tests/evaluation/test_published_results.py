@@ -1,0 +1,250 @@
+"""Results as data: what is in results/ is right and complete, and the pages show it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from mseg.benchmark import BenchmarkResult, Configuration
+from mseg.benchmark.publishing import (
+    SCHEMA,
+    PublishedResult,
+    json_schema,
+    per_clip,
+    publish,
+    read_result,
+    read_results,
+    summary,
+)
+from mseg.cli import main
+from mseg.evaluation import load_protocol
+from mseg.evaluation.scoring import Provenance
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = read_results(ROOT / "results")
+FILES = sorted((ROOT / "results").glob("*/*/*.json"))
+PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
+SUBSET = Configuration("subset", {"alpha": 8})
+
+
+@pytest.fixture(scope="module")
+def tool():
+    spec = importlib.util.spec_from_file_location("make_tables", ROOT / "tools" / "make_tables.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run() -> BenchmarkResult:
+    """Two methods on two clips with two seeds; the second failed once."""
+    return BenchmarkResult(
+        load_protocol("kt3dmoseg"),
+        (Configuration("one_motion"), SUBSET),
+        {"Seq005_Clip01": 3, "Seq013_Clip01": 2},
+        (0, 4),
+        np.array([[[0.5, 0.5], [0.2, 0.2]], [[1 / 3, 0.0], [1.0, 0.1]]]),
+        np.full((2, 2, 2), 0.125),
+        ((SUBSET, "Seq013_Clip01", 0, "no reason"),),
+        found=np.array([[[1, 1], [1, 1]], [[3, 3], [0, 2]]]),
+        scored={"Seq005_Clip01": 6, "Seq013_Clip01": 10},
+        provenance=Provenance("2018", "a" * 64, "", "0.1.0"),
+    )
+
+
+def test_the_schema_is_that_of_the_files():
+    schema = json.loads((ROOT / "results" / SCHEMA).read_text())
+    assert schema == json_schema()
+    check = jsonschema.Draft202012Validator(schema)
+    for path in FILES:
+        check.validate(json.loads(path.read_text()))
+
+
+def test_every_file_is_read():
+    assert sum(map(len, RESULTS.values())) == len(FILES) > 0
+    assert {path.relative_to(ROOT / "results") for path in FILES} == {
+        r.path for g in RESULTS.values() for r in g
+    }
+
+
+@pytest.mark.parametrize("key", RESULTS, ids="/".join)
+def test_every_dataset_has_the_methods_of_the_paper_with_enough_seeds(key):
+    assert {each.title for each in RESULTS[key]} >= PAPER | {"one_motion"}
+    for each in RESULTS[key]:
+        assert len(each.seeds) >= (10 if key == ("kt3dmoseg", "2018") else 3)
+
+
+def test_the_release_is_complete_and_agrees_with_the_known_prevalence():
+    protocol = load_protocol("kt3dmoseg")
+    [baseline] = [each for each in RESULTS["kt3dmoseg", "2018"] if each.method == "one_motion"]
+    assert set(baseline.clips) == set(protocol.versions["2018"])
+    errors = dict(zip(baseline.clips, 100 * baseline.errors[:, 0], strict=True))
+    assert errors == pytest.approx(protocol.prevalence, abs=0.005)
+
+
+def test_the_pages_show_the_figures_of_the_files(tool):
+    for path, text in tool.files().items():
+        assert path.read_text() == text, f"{path.name}: run python tools/make_tables.py"
+
+
+def test_every_published_dataset_is_on_the_page():
+    shown = re.findall(r"<!-- table: ([\w-]+) (\S+) (\S+) -->", (ROOT / "docs" / "results.md").read_text())
+    assert {(kind, *key) for key in RESULTS for kind in ("summary", "per-clip")} <= set(shown)
+
+
+def test_the_reproduction_quotes_the_same_figures():
+    page = (ROOT / "docs" / "reproduction.md").read_text()
+    for each in RESULTS["kt3dmoseg", "2018"]:
+        if each.title in PAPER:
+            cells = re.search(rf"^\| {each.title} \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", page, re.MULTILINE)
+            errors = 100 * each.errors
+            seeds, clips = errors.mean(axis=0), errors.mean(axis=1)
+            own = (errors.mean(), seeds.std(ddof=1), np.median(clips))
+            assert cells.groups() == tuple(f"{value:.2f}" for value in own), each.title
+
+
+def test_a_changed_figure_changes_the_table(tool):
+    text = "<!-- table: summary kt3dmoseg 2018 -->\nold\n<!-- end of table -->\nrest"
+    made = tool.filled(text, RESULTS)
+    assert "old" not in made
+    assert made.endswith("<!-- end of table -->\nrest")
+    first = RESULTS["kt3dmoseg", "2018"][0]
+    clips = {
+        name: clip.model_copy(update={"wrong": [0] * len(clip.wrong)}) for name, clip in first.clips.items()
+    }
+    changed = {("kt3dmoseg", "2018"): [first.model_copy(update={"clips": clips})]}
+    assert "| 0.00 ±0.00 | 0.00 |" in tool.filled(text, changed)
+    with pytest.raises(SystemExit, match="no table 'summary' of results/kt3dmoseg/2"):
+        tool.filled(text.replace("2018", "2"), RESULTS)
+
+
+def test_what_is_published_is_what_was_measured(run, tmp_path):
+    paths = publish(run, tmp_path)
+    assert [path.relative_to(tmp_path).as_posix() for path in paths] == [
+        "kt3dmoseg/2018/one_motion.json",
+        "kt3dmoseg/2018/subset-alpha=8.json",
+    ]
+    read = read_result(paths[1])
+    assert read.errors.tolist() == run.errors[1].tolist()
+    assert read.motions == run.motions
+    assert read.seeds == [0, 4]
+    assert read.parameters["alpha"] == "8.0"
+    assert read.clips["Seq013_Clip01"].failures == {"0": "no reason"}
+    assert read.seconds == pytest.approx(0.24)
+    rows = {row[0]: row[1:] for row in summary([read]).rows}
+    assert rows["subset alpha=8"] == ["35.83 ±43.60", "35.83", "2", "75", "0.2", "1"]
+    assert [row[-1] for row in per_clip([read]).rows] == [
+        "16.67 ±23.57",
+        "55.00 ±63.64",
+        "35.83 ±43.60",
+        "35.83",
+    ]
+
+
+def test_publishing_again_writes_the_same_bytes_and_loses_nothing(run, tmp_path):
+    [path, _] = publish(run, tmp_path)
+    before = path.read_bytes()
+    publish(run, tmp_path)
+    assert path.read_bytes() == before
+    one = replace(
+        run,
+        seeds=(0,),
+        errors=run.errors[..., :1],
+        seconds=run.seconds[..., :1],
+        found=run.found[..., :1],
+    )
+    with pytest.raises(InvalidValueError, match="4 there only; run all of them, or remove the file"):
+        publish(one, tmp_path)
+    assert path.read_bytes() == before
+
+
+def test_a_run_whose_worker_died_is_not_published(run, tmp_path):
+    run.seconds[1, 0, 0] = np.nan
+    with pytest.raises(
+        InvalidValueError, match=r"subset alpha=8: expected every run, found workers that died"
+    ):
+        publish(run, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"scored": 6', '"scored": 1', "clips.Seq005_Clip01.wrong: expected at most 1, found 3"),
+        ('"wrong": [3, 3]', '"wrong": [3]', "Seq005_Clip01: expected 2 figures, one per seed"),
+        ('"wrong": [3, 3]', '"wrong": [3, -1]', "clips.Seq005_Clip01.wrong.1"),
+        ('"wrong": [3, 3]', '"wrong": [3, 2.5]', "clips.Seq005_Clip01.wrong.1"),
+        ("Seq005_Clip01", "Seq006_Clip01", "Seq006_Clip01: expected a clip of KT3DMoSeg"),
+        ('"benchmark": "kt3dmoseg"', '"benchmark": "kt3d"', "benchmark: expected"),
+        ('"dataset_version": "2018"', '"dataset_version": "../2018"', "dataset_version"),
+        ('"seeds"', '"seed"', "seed"),
+        ("mseg-result", "mseg-scores", "format"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_its_field(run, tmp_path, old, new, message):
+    path = publish(run, tmp_path)[0]
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(FileFormatError, match=message) as error:
+        read_results(tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_results_of_other_data_are_not_mixed(run, tmp_path):
+    publish(run, tmp_path)
+    path = tmp_path / "kt3dmoseg" / "2018" / "subset-alpha=8.json"
+    text = path.read_text()
+    path.write_text(text.replace("a" * 64, "b" * 64))
+    with pytest.raises(FileFormatError, match=r"expected the clips of kt3dmoseg/2018/one_motion\.json"):
+        read_results(tmp_path)
+    path.write_text(text)
+    path.rename(path.with_name("coreg.json"))
+    with pytest.raises(FileFormatError, match=r"expected the name kt3dmoseg/2018/subset-alpha=8\.json"):
+        read_results(tmp_path)
+    with pytest.raises(InputFileError, match="expected results"):
+        read_results(tmp_path / "nothing")
+
+
+def test_the_command_publishes(data_of_two_clips, tmp_path, capsys):
+    line = [
+        "benchmark",
+        "kt3dmoseg",
+        "--data",
+        str(data_of_two_clips),
+        "--methods",
+        "one_motion",
+        "--no-cache",
+    ]
+    assert main([*line, "--quiet", "--publish", str(tmp_path)]) == 0
+    assert "wrote " in capsys.readouterr().err
+    [(key, [result])] = read_results(tmp_path).items()
+    assert key[0] == "kt3dmoseg"
+    assert re.fullmatch("data-[0-9a-f]{8}", key[1])  # of no known version
+    assert isinstance(result, PublishedResult)
+    assert {name: (clip.scored, clip.wrong, clip.found) for name, clip in result.clips.items()} == {
+        "Seq005_Clip01": (4, [1], [1]),
+        "Seq013_Clip01": (4, [1], [1]),
+    }
+
+
+@pytest.fixture
+def data_of_two_clips(tmp_path_factory):
+    """Each with five evaluated trajectories, one of them unlabelled."""
+    from kt3dmoseg.io import save
+    from kt3dmoseg.types import Clip, Labels, Trajectories
+
+    folder = tmp_path_factory.mktemp("data")
+    for name in ("Seq005_Clip01", "Seq013_Clip01"):
+        xy = np.random.default_rng(0).uniform(0, 50, size=(5, 3, 2))
+        tracks = Trajectories(xy, np.ones((5, 3), dtype=bool))
+        save(Clip(name, tracks, np.arange(5), Labels(np.array([1, 1, 1, 2, 0]))), folder / f"{name}.h5")
+    return folder
