@@ -7,16 +7,23 @@ from typing import TypeAlias
 Colour: TypeAlias = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
 
-# After Okabe and Ito (2008), distinct also with a colour vision deficiency; the blue is lighter, to be read
-# on dark frames and below dark text. Label 1 comes first; vermillion, near the red of errors, comes last.
+# Optimized for the largest CIELAB distance of the closest two, the grays below included, under normal vision,
+# protanopia, deuteranopia and tritanopia as Machado, Oliveira and Fernandes (2009) simulate them: 15 or more.
+# Light enough for dark text and dark frames. Sky blue and orange are those of Okabe and Ito (2008); of the
+# others, each is the one farthest from all before it.
 PALETTE: tuple[Colour, ...] = (
     (86, 180, 233),  # sky blue
     (230, 159, 0),  # orange
-    (0, 158, 115),  # bluish green
-    (240, 228, 66),  # yellow
-    (204, 121, 167),  # reddish purple
-    (0, 136, 204),  # blue
-    (213, 94, 0),  # vermillion
+    (225, 240, 180),  # cream
+    (0, 255, 255),  # cyan
+    (255, 225, 15),  # yellow
+    (240, 30, 255),  # magenta
+    (195, 255, 135),  # lime
+    (60, 165, 90),  # green
+    (225, 105, 30),  # vermillion
+    (165, 255, 225),  # mint
+    (135, 210, 165),  # sage
+    (90, 225, 75),  # bright green
 )
 BACKGROUND: Colour = (154, 167, 184)
 UNLABELLED: Colour = (107, 114, 128)
@@ -29,7 +36,7 @@ def label_colour(label: int, background: int | None = None) -> Colour:
     Parameters
     ----------
     label : int
-        0 (unlabelled) is dark gray; colours repeat after seven labels.
+        0 (unlabelled) is dark gray; colours repeat after twelve labels.
     background : int, optional
         The label of the static scene, which is light gray.
     """

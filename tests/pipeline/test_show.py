@@ -103,6 +103,43 @@ def test_colours_repeat_only_after_the_palette_ends():
     assert label_colour(1 + len(PALETTE)) == label_colour(1)
 
 
+# Machado, Oliveira and Fernandes (2009), severity 1, for linear RGB.
+_VISION = {
+    "normal": np.eye(3),
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "tritanopia": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+
+
+def _seen_in_lab(colours, vision):
+    linear = np.array(colours) / 255
+    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.array(_VISION[vision]).T, 0, 1)
+    srgb = np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
+    return cv2.cvtColor(srgb[None].astype(np.float32), cv2.COLOR_RGB2Lab)[0]
+
+
+@pytest.mark.parametrize("vision", _VISION)
+def test_twelve_labels_are_distinct_from_each_other_and_from_gray_in_every_colour_vision(vision):
+    assert len(PALETTE) >= 9
+    lab = _seen_in_lab([*PALETTE, label_colour(1, background=1), label_colour(0)], vision)
+    apart = np.linalg.norm(lab[:, None] - lab[None], axis=2)[np.triu_indices(len(lab), 1)]
+    assert apart.min() > 12
+
+
 def test_the_background_is_gray_where_the_labels_are_the_clips_own(clip):
     own = by_label(clip, clip.labels.label, clip.labels.names).colours
     assert tuple(own[0]) == label_colour(1, background=1)

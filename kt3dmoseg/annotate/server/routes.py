@@ -125,6 +125,7 @@ class Routes:
                 "name": session.source.name,
                 "image_size": session.image_size,
                 "n_frames": len(session.source.frames),
+                "frame_names": session.frame_names,
                 "annotation": to_json(session.annotation()),
                 "annotator": self.annotator,
                 "kinds": KINDS,

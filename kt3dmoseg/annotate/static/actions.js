@@ -2,7 +2,7 @@
 
 import * as annotation from "./annotation.js";
 import { clamp, distance, inside, rounded, simplify } from "./geometry.js";
-import { chosen, edit, cancel, notify, select, selectedObject, set, state } from "./state.js";
+import { cancel, edit, editable, notify, select, selectedObject, set, state } from "./state.js";
 import { rowsWhere } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
@@ -29,7 +29,9 @@ const withKey = (doc, frame, ...region) => annotation.setKey(doc, state.selected
 export const draw = (polygons, visibility) => edit(withKey(state.doc, state.frame, polygons, visibility));
 
 /** Change an object's properties. */
-export const update = (item, fields) => edit(annotation.update(state.doc, item.id, fields));
+export function update(item, fields) {
+  if (editable()) edit(annotation.update(state.doc, item.id, fields));
+}
 
 // Drawing
 
@@ -38,7 +40,7 @@ export function setTool(tool, mode = "object") {
   set({ tool, pending, lassoed: null, vertex: null, cross: state.keyboard ? state.cross : null });
 }
 
-export const redraw = (mode) => chosen() && setTool("draw", mode);
+export const redraw = (mode) => editable() && setTool("draw", mode);
 
 /** End the outline being drawn: a new object, the region of one, or a lasso. */
 export function finish() {
@@ -104,6 +106,7 @@ export function cycleObject(by) {
 
 export function objectUnder(point) {
   return [...state.doc.objects].reverse().find((item) => {
+    if (state.unseen.has(item.id) || state.locked.has(item.id)) return false;
     const region = regionOf(item, state.frame);
     return region.visibility !== "outside" && region.polygons.some((polygon) => inside(point, polygon));
   });
@@ -119,7 +122,7 @@ export function setMotion(motion) {
     notify(`${lassoed.rows.length} trajectories marked`);
     return;
   }
-  const item = chosen();
+  const item = editable();
   if (item && item.motion !== motion) update(item, { motion });
 }
 
@@ -130,7 +133,7 @@ export function removeMarksHere() {
 }
 
 export function copyToNext() {
-  const item = chosen();
+  const item = editable();
   const next = state.frame + 1;
   if (!item || next >= state.clip.n_frames) return;
   if (!state.regions) notify("No trajectories yet: copied without motion");
@@ -141,7 +144,7 @@ export function copyToNext() {
 }
 
 export function setVisibility(visibility) {
-  const item = chosen();
+  const item = editable();
   if (!item) return;
   let { polygons } = regionHere();
   if (!polygons.length) polygons = nearestPolygons(item);
@@ -150,7 +153,7 @@ export function setVisibility(visibility) {
 }
 
 export function toggleVisibility(visibility) {
-  if (chosen()) setVisibility(regionHere().visibility === visibility ? "visible" : visibility);
+  if (editable()) setVisibility(regionHere().visibility === visibility ? "visible" : visibility);
 }
 
 function nearestPolygons(item) {
@@ -161,7 +164,7 @@ function nearestPolygons(item) {
 
 /** The object enters in this frame: drawn here, outside in the frame before. */
 export function enterHere() {
-  if (!chosen()) return;
+  if (!editable()) return;
   const { doc, frame } = state;
   const { polygons, visibility } = regionHere();
   if (visibility !== "visible") return notify("It is not visible here");
@@ -170,7 +173,7 @@ export function enterHere() {
 }
 
 export function deleteHere() {
-  const item = chosen();
+  const item = editable();
   if (!item) return;
   const { doc, frame, clip } = state;
   // Outside here, and back in the next frame as it is there.
@@ -181,7 +184,7 @@ export function deleteHere() {
 }
 
 export function deleteObject() {
-  const item = chosen();
+  const item = editable();
   if (!item) return;
   edit({ ...state.doc, objects: state.doc.objects.filter((other) => other !== item) });
   set({ selected: null, vertex: null });
@@ -189,7 +192,7 @@ export function deleteObject() {
 }
 
 export function forgetKey() {
-  const item = chosen();
+  const item = editable();
   if (!item || !annotation.keyAt(item, state.frame)) return;
   if (item.key_frames.length === 1) return notify("This is its only key frame; Shift+Delete deletes the object");
   update(item, { key_frames: item.key_frames.filter((key) => key.frame !== state.frame) });
@@ -198,7 +201,7 @@ export function forgetKey() {
 // Points
 
 export function cycleVertex(by) {
-  if (!chosen()) return;
+  if (!editable()) return;
   const all = regionHere().polygons.flatMap((polygon, part) => polygon.map((_, index) => ({ part, index })));
   if (!all.length) return;
   const { vertex } = state;
@@ -210,6 +213,7 @@ export function cycleVertex(by) {
 export function nudge(dx, dy) {
   const { vertex, cross } = state;
   if (vertex && selectedObject()) {
+    if (!editable()) return undefined;
     const { polygons } = regionHere();
     const [x, y] = polygons[vertex.part][vertex.index];
     return draw(annotation.replacePoint(polygons, vertex.part, vertex.index, [x + dx, y + dy]));
@@ -221,7 +225,7 @@ export function nudge(dx, dy) {
 
 export function insertVertex() {
   const { vertex } = state;
-  if (!chosen() || !vertex) return notify("Choose a point first: press V");
+  if (!editable() || !vertex) return notify("Choose a point first: press V");
   const { part, index } = vertex;
   const { polygons } = regionHere();
   const [a, b] = [polygons[part][index], polygons[part][(index + 1) % polygons[part].length]];
@@ -231,7 +235,7 @@ export function insertVertex() {
 }
 
 export function deleteVertex(which = state.vertex) {
-  if (!chosen() || !which) return notify("Choose a point first: press V");
+  if (!editable() || !which) return notify("Choose a point first: press V");
   const changed = annotation.removePoint(regionHere().polygons, which.part, which.index);
   if (!changed.length) return notify("An outline needs three points; Delete takes the object out of this frame");
   draw(changed);

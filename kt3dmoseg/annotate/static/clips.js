@@ -5,7 +5,7 @@ import { button, byId, close, element, faint, fill, open, row, table } from "./d
 import { flush, saver, startFrom } from "./saving.js";
 import { begin, on, notify, set, state } from "./state.js";
 import { loadTracks } from "./tracks.js";
-import { fit, stop } from "./view.js";
+import { fit, numbersOf, stop } from "./view.js";
 
 const POLL = 500;
 const HEADS = ["clip", "frames", "objects", "motions", "labelled", "", "saved", "by"];
@@ -27,6 +27,7 @@ async function show(name, pushHistory) {
   if (pushHistory) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
   stop();
   saver.base = undefined;
+  clip.numbers = numbersOf(clip.frame_names);
   begin(clip, { doc: clip.annotation, view: fit(clip.image_size) });
   byId("stage").focus({ preventScroll: true });
   await startFrom(name, clip.annotation);

@@ -5,7 +5,7 @@ import { clips, openNext } from "./clips.js";
 import { button, close, element, open, row } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
-import { attempt, redo, state, undo } from "./state.js";
+import { attempt, redo, state, toggleObject, undo } from "./state.js";
 import { nextProblem } from "./tracks.js";
 import * as view from "./view.js";
 
@@ -43,16 +43,16 @@ export const KEYS = {
     key("n", "N", "outline a new object", () => actions.setTool("draw")),
     key("r", "R", "outline it again in this frame", () => actions.redraw("region")),
     key("p", "P", "outline another part of it", () => actions.redraw("part")),
-    key("]", "]", "next object", () => actions.cycleObject(1)),
-    key("[", "[", "previous object", () => actions.cycleObject(-1)),
+    key("] a", "]", "next object (or A)", () => actions.cycleObject(1)),
+    key("[ Shift+A", "[", "previous object (or Shift+A)", () => actions.cycleObject(-1)),
     key("c", "C", "copy to the next frame by motion", actions.copyToNext),
     key("o", "O", "occluded from here on", () => actions.toggleVisibility("occluded")),
     key("e", "E", "leaves: outside from here on", () => actions.toggleVisibility("outside")),
     key("Shift+E", "Shift+E", "enters here: outside before", actions.enterHere),
     key("Backspace", "Backspace", "forget this key frame (while drawing: last point)",
       () => (state.pending ? actions.takeBackPoint() : actions.forgetKey())),
-    key("Delete", "Delete", "not in this frame", actions.deleteHere),
-    key("Shift+Delete", "Shift+Delete", "delete the object from the clip", actions.deleteObject),
+    key("Delete Ctrl+Backspace", "Delete", "not in this frame (or Ctrl+Backspace)", actions.deleteHere),
+    key("Shift+Delete Ctrl+Shift+Backspace", "Shift+Delete", "delete the object from the clip", actions.deleteObject),
   ],
   "Points": [
     key("v Shift+V", "V", "next point (Shift: previous)", (name) => actions.cycleVertex(name === "v" ? 1 : -1)),
@@ -64,17 +64,19 @@ export const KEYS = {
     key("d", "D", "delete the point (or right click)", () => actions.deleteVertex()),
   ],
   "View": [
-    key("+ = Shift++", "+", "zoom in at the cursor (wheel)", () => view.zoom(1.4)),
+    key("+ = Shift++", "+", "zoom in at the cursor (pinch, Ctrl with wheel)", () => view.zoom(1.4)),
     key("-", "−", "zoom out", () => view.zoom(1 / 1.4)),
     key("z", "Z", "zoom to the object", view.fitObject),
     key("Shift+Z", "Shift+Z", "whole frame", view.fitAll),
-    key("Ctrl+ArrowLeft Ctrl+ArrowRight Ctrl+ArrowUp Ctrl+ArrowDown", "Ctrl+arrows", "pan (drag the background)",
+    key("Ctrl+ArrowLeft Ctrl+ArrowRight Ctrl+ArrowUp Ctrl+ArrowDown", "Ctrl+arrows", "pan (two fingers, wheel, drag)",
       (name) => view.pan(...DIRECTIONS[name])),
     key("t", "T", "trails", () => view.toggle("trails")),
     key("y", "Y", "colour by label, by length, none", view.cycleColouring),
     key("u", "U", "only unlabelled and conflicts", () => view.toggle("problems")),
     key("g", "G", "go to the next of them", nextProblem),
     key("h", "H", "hide the regions", () => view.toggle("hidden")),
+    key("Shift+H", "Shift+H", "hide the object", () => toggleObject("unseen")),
+    key("Shift+R", "Shift+R", "lock the object", () => toggleObject("locked")),
     key("b", "B", "brighter picture", view.brighten),
   ],
   "Work": [
@@ -87,17 +89,28 @@ export const KEYS = {
     key("Ctrl+e", "Ctrl+E", "import and export", exchange),
     key("PageDown", "PageDown", "next clip", () => openNext(1)),
     key("PageUp", "PageUp", "previous clip", () => openNext(-1)),
-    key("F2", "F2", "all clips and their progress", clips),
+    key("F2 Shift+C", "F2", "all clips and their state (or Shift+C)", clips),
     key("? Shift+?", "?", "these keys", help),
   ],
 };
 
 const TABLE = new Map(Object.values(KEYS).flat().flatMap((entry) => entry.names.map((name) => [name, entry])));
 
+const MAC = /Mac|iP(hone|ad)/.test(navigator.platform);
+
+/** A key as this computer's keyboard names it. */
+const here = (shown) => (MAC ? shown.replace("Ctrl+", "⌘") : shown);
+
+/** What a key does, as the tooltip of the button that does the same. */
+export function describe(name) {
+  const { shown, text } = TABLE.get(name);
+  return `${text[0].toUpperCase()}${text.slice(1)} (${here(shown)})`;
+}
+
 function help() {
   const sections = Object.entries(KEYS).map(([title, lines]) => element("section", {}, element("h3", {}, title),
     element("dl", {}, lines.flatMap(({ shown, text }) =>
-      [element("dt", {}, element("kbd", {}, shown)), element("dd", {}, text)]))));
+      [element("dt", {}, element("kbd", {}, here(shown))), element("dd", {}, text)]))));
   const mouse = "Mouse: click a region to select it, drag its points, edges or inside; double click an edge to add a "
     + "point, right click a point to delete it; while drawing, click points or draw freehand, and click the first "
     + "point to close.";
@@ -110,7 +123,9 @@ function nameOf(event) {
   // Of other signs, Shift is part of the sign.
   const shifted = event.shiftKey && (pressed.length > 1 || /[+\p{L}]/u.test(pressed));
   const letter = pressed.length > 1 ? pressed : shifted ? pressed.toUpperCase() : pressed.toLowerCase();
-  return `${event.ctrlKey || event.metaKey ? "Ctrl+" : ""}${shifted ? "Shift+" : ""}${letter}`;
+  // Some keyboards make brackets with Option (Mac) or AltGr, which browsers report as Ctrl and Alt.
+  const ctrl = (event.ctrlKey || event.metaKey) && !event.altKey;
+  return `${ctrl ? "Ctrl+" : ""}${shifted ? "Shift+" : ""}${letter}`;
 }
 
 /** Run the action of a key; true when it has one. */
@@ -130,5 +145,5 @@ addEventListener("keydown", (event) => {
     target.blur();
   }
   if (target.matches("button") && (event.key === "Enter" || event.key === " ")) return;
-  if (!event.altKey && press(nameOf(event))) event.preventDefault();
+  if ((!event.altKey || "[]".includes(event.key)) && press(nameOf(event))) event.preventDefault();
 });

@@ -4,8 +4,8 @@ import { deleteHere, deleteObject, forgetKey, regionOf, setMotion, setVisibility
 import {
   BACKGROUND, PROBLEM, REJECTED, begin, byId, chip, colourOfMotion, element, faint, fill, row,
 } from "./dom.js";
-import { on, select, selectedObject, set, state } from "./state.js";
-import { fitObject, goTo } from "./view.js";
+import { on, select, selectedObject, set, state, toggleObject } from "./state.js";
+import { fitObject, goTo, numberOf } from "./view.js";
 
 const HEAD = 26;
 const ROW = 26;
@@ -35,12 +35,20 @@ function drawList() {
 
 function objectButton(item) {
   const chosen = item.id === state.selected;
-  return element("button", {
-    className: chosen ? "object on" : "object", title: item.note ?? "", "aria-pressed": String(chosen),
+  const made = element("button", {
+    className: "object", title: item.note ?? "", "aria-pressed": String(chosen),
     onclick: () => select(item.id), ondblclick: fitObject,
   }, chip(item.motion === "reject" ? "x" : String(item.motion), colourOfMotion(item.motion)),
   element("span", { className: "name" }, item.name), faint(item.kind));
+  return element("div", { className: chosen ? "entry on" : "entry" }, made,
+    toggleButton(item, "unseen", "H", "Hide (Shift+H)"), toggleButton(item, "locked", "L", "Lock (Shift+R)"));
 }
+
+// Not on the way of Tab, which goes from object to object: both have keys.
+const toggleButton = (item, kind, text, title) => element("button", {
+  className: "switch", title, tabIndex: -1, "aria-label": `${title} ${item.name}`,
+  "aria-pressed": String(state[kind].has(item.id)), onclick: () => toggleObject(kind, item.id),
+}, text);
 
 /** One row per object, one column per frame. */
 function drawTimeline() {
@@ -61,11 +69,12 @@ function drawHead(column, width) {
   context.fillRect(state.frame * column, 0, Math.max(2, column), HEAD);
   context.font = "11px ui-monospace, monospace";
   context.textAlign = "center";
-  const every = Math.max(1, Math.ceil(28 / column));
+  const widest = 8 + 7 * numberOf(state.clip.n_frames - 1).length;
+  const every = Math.max(1, Math.ceil(widest / column));
   for (let frame = 0; frame < state.clip.n_frames; frame++) {
     if (frame % every && frame !== state.frame) continue;
     context.fillStyle = frame === state.frame ? "#ffffff" : "#a9b1bf";
-    context.fillText(String(frame), (frame + 0.5) * column, 17);
+    context.fillText(numberOf(frame), (frame + 0.5) * column, 17);
   }
 }
 
@@ -192,7 +201,8 @@ function counts() {
 
 canvas.addEventListener("pointerdown", click);
 canvas.addEventListener("pointermove", (event) => event.buttons & 1 && click(event));
+canvas.addEventListener("wheel", (event) => (list.scrollTop += event.deltaY), { passive: true });
 list.addEventListener("scroll", () => set({ scrolled: list.scrollTop }));
-on(["doc", "selected", "clip"], drawList);
+on(["doc", "selected", "clip", "unseen", "locked"], drawList);
 on(["doc", "frame", "selected", "clip", "regions", "scrolled", "resized"], drawTimeline);
 on(["doc", "selected", "frame", "labels", "regions", "dragging", "clip"], drawProperties);

@@ -3,12 +3,16 @@
 import * as actions from "./actions.js";
 import { insertPoint, replacePoint, setKey, shift } from "./annotation.js";
 import { byId } from "./dom.js";
-import { distance, nearestEdge, nearestVertex } from "./geometry.js";
-import { cancel, edit, preview, select, selectedObject, set, state } from "./state.js";
+import { clamp, distance, nearestEdge, nearestVertex } from "./geometry.js";
+import { cancel, edit, editable, preview, select, selectedObject, set, state } from "./state.js";
 import { pan, toImage, toScreen, zoom } from "./view.js";
 
 const REACH = 8;
 const FREEHAND = 4;
+// Pixels of a line of a wheel; the most that one notch counts while zooming; zoom for a pixel of pinching.
+const LINE = 16;
+const NOTCH = 25;
+const PINCH = 0.01;
 
 const stage = byId("stage");
 let drag = null;
@@ -25,6 +29,7 @@ function down(event) {
   set({ keyboard: false, cross: null });
   stage.focus({ preventScroll: true });
   stage.setPointerCapture(event.pointerId);
+  if (pinch(event)) return;
   const { screen, point } = at(event);
   if (event.button === 1) drag = panning(screen);
   else if (event.button === 2) removeVertex(point);
@@ -35,7 +40,8 @@ function down(event) {
 /** What is under the pointer: a point, an edge or the inside of the selected region, or nothing. */
 function grab(point, screen) {
   const reach = REACH / state.view.scale;
-  const item = state.hidden ? null : selectedObject();
+  const own = selectedObject();
+  const item = state.hidden || !own || state.unseen.has(own.id) || state.locked.has(own.id) ? null : own;
   const region = item && actions.regionHere();
   const vertex = item && nearestVertex(point, region.polygons, reach);
   if (vertex) {
@@ -111,7 +117,7 @@ function drawing(from, start) {
 }
 
 function move(event) {
-  if (!state.view) return;
+  if (!state.view || (fingers.has(event.pointerId) && pinch(event))) return;
   const { screen, point } = at(event);
   if (drag) drag.move(screen, point);
   else if (state.pending) set({ pointer: point });
@@ -119,6 +125,7 @@ function move(event) {
 }
 
 function up(event) {
+  fingers.delete(event.pointerId);
   const ended = drag;
   release();
   ended?.up(at(event).point);
@@ -129,7 +136,7 @@ function doubleClick(event) {
     if (state.pending.points.length >= 3) actions.finish();
     return;
   }
-  if (!selectedObject()) return;
+  if (!editable()) return;
   const { point } = at(event);
   const region = actions.regionHere();
   const edge = nearestEdge(point, region.polygons, REACH / state.view.scale);
@@ -146,9 +153,38 @@ function removeVertex(point) {
 function wheel(event) {
   event.preventDefault();
   if (!state.view) return;
-  if (event.shiftKey) pan(-event.deltaY, 0);
-  else zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), at(event).screen);
+  const unit = [1, LINE, stage.clientHeight][event.deltaMode];
+  const [dx, dy] = [event.deltaX * unit, event.deltaY * unit];
+  // Browsers report a pinch on a trackpad as many small turns of the wheel with Ctrl.
+  if (event.ctrlKey || event.metaKey) zoom(Math.exp(-clamp(dy, -NOTCH, NOTCH) * PINCH), at(event).screen);
+  else if (event.shiftKey && !dx) pan(-dy, 0);
+  else pan(-dx, -dy);
 }
+
+// Two fingers: their middle pans, their distance zooms.
+const fingers = new Map();
+
+/** Keep where a finger is; true while two or more are down, which draw and drag nothing. */
+function pinch(event) {
+  if (event.pointerType !== "touch") return false;
+  const before = [...fingers.values()];
+  fingers.set(event.pointerId, at(event).screen);
+  const now = [...fingers.values()];
+  if (now.length < 2) return false;
+  if (drag) {
+    if (state.pending?.freehand) set({ pending: { ...state.pending, points: [], freehand: false } });
+    release();
+    cancel();
+  }
+  if (before.length > 1 && event.type === "pointermove") {
+    const [from, to] = [centre(before), centre(now)];
+    pan(to[0] - from[0], to[1] - from[1]);
+    zoom(distance(now[0], now[1]) / Math.max(1, distance(before[0], before[1])), to);
+  }
+  return true;
+}
+
+const centre = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
 
 function release() {
   drag = null;
@@ -158,7 +194,7 @@ function release() {
 stage.addEventListener("pointerdown", down);
 stage.addEventListener("pointermove", move);
 stage.addEventListener("pointerup", up);
-stage.addEventListener("pointercancel", () => (release(), cancel()));
+stage.addEventListener("pointercancel", (event) => (fingers.delete(event.pointerId), release(), cancel()));
 stage.addEventListener("dblclick", doubleClick);
 stage.addEventListener("contextmenu", (event) => event.preventDefault());
 stage.addEventListener("wheel", wheel, { passive: false });

@@ -18,7 +18,7 @@ export function drawRegions() {
   if (!state.doc || !state.view) return;
   const frame = state.flickered ?? state.frame;
   if (!state.hidden) {
-    for (const item of state.doc.objects) drawObject(item, frame);
+    for (const item of state.doc.objects) if (!state.unseen.has(item.id)) drawObject(item, frame);
     for (const mark of state.doc.marks ?? []) {
       if (mark.frame === frame) outline(mark.polygon, colourOfMotion(mark.motion), [2, 3]);
     }
@@ -43,7 +43,7 @@ function drawObject(item, frame) {
     context.fill();
     context.globalAlpha = 1;
   }
-  if (chosen && !state.pending) drawHandles(editableRegion(item, frame), colour);
+  if (chosen && !state.pending && !state.locked.has(item.id)) drawHandles(editableRegion(item, frame), colour);
   drawName(item, region, colour, chosen);
 }
 
@@ -141,4 +141,4 @@ function drawCross(cross) {
 }
 
 on(["frame", "view", "doc", "regions", "selected", "vertex", "pending", "pointer", "cross", "lassoed", "hidden",
-  "flickered", "hovered", "tool", "proposals", "review", "compared"], drawRegions);
+  "flickered", "hovered", "tool", "unseen", "locked", "proposals", "review", "compared"], drawRegions);

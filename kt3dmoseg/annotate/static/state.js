@@ -7,7 +7,7 @@ const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
   pointer: null, hovered: null, tracks: null, labels: null, regions: null, view: null, conflict: null,
   computing: "loading", proposals: null, review: null, compared: null, dragging: false, flickered: null,
-  playing: false, hint: "", scrolled: 0,
+  playing: false, hint: "", scrolled: 0, undoable: 0, redoable: 0, unseen: new Set(), locked: new Set(),
 };
 
 export const state = {
@@ -65,7 +65,7 @@ export function edit(doc) {
     done.push(before);
     undone.length = 0;
   }
-  set({ doc, dragging: false });
+  set({ doc, dragging: false, undoable: done.length, redoable: undone.length });
 }
 
 /** Show a document while something is being dragged; `edit` or `cancel` ends it. */
@@ -86,7 +86,7 @@ export const redo = () => travel(undone, done, "Nothing to redo");
 function travel(source, target, nothing) {
   if (source.length && !state.dragging) {
     target.push(state.doc);
-    set({ doc: source.pop() });
+    set({ doc: source.pop(), undoable: done.length, redoable: undone.length });
   } else notify(nothing);
   set({ vertex: null });
   if (!selectedObject()) set({ selected: null });
@@ -116,6 +116,22 @@ export function chosen() {
   const item = selectedObject();
   if (!item) notify("Select an object first: click it, or press ]");
   return item;
+}
+
+/** The selected object where it may be changed, or a hint why not. */
+export function editable() {
+  const item = chosen();
+  if (!item || !state.locked.has(item.id)) return item;
+  notify(`${item.name} is locked: Shift+R unlocks it`);
+  return null;
+}
+
+/** Hide the selected object, lock it, or take that back; `kind` is "unseen" or "locked". */
+export function toggleObject(kind, id = chosen()?.id) {
+  if (id === undefined) return;
+  const changed = new Set(state[kind]);
+  if (!changed.delete(id)) changed.add(id);
+  set({ [kind]: changed });
 }
 
 export function select(id) {

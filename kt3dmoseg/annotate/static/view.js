@@ -21,6 +21,15 @@ export function goTo(frame) {
   set({ frame: clamp(frame, 0, state.clip.n_frames - 1), vertex: null, lassoed: null });
 }
 
+/** The number of a frame: that in the name of its file, where each has its own. */
+export const numberOf = (frame) => state.clip.numbers[frame];
+
+export function numbersOf(names) {
+  const found = names.map((name) => /(\d+)\D*$/.exec(name.replace(/\.[^.]*$/, ""))?.[1]);
+  const distinct = found.every(Boolean) && new Set(found.map(Number)).size === names.length;
+  return names.map((_, frame) => String(distinct ? Number(found[frame]) : frame));
+}
+
 export const step = (by) => goTo(state.frame + by);
 
 let timer = 0;

@@ -1,0 +1,194 @@
+"""The labelling page's panels, its small screens, trackpads, keyboards of other countries, hidden objects."""
+
+from __future__ import annotations
+
+import pytest
+from labeller_page import CORNERS
+
+pytestmark = pytest.mark.browser
+
+TRIANGLE = [[200, 20], [260, 20], [260, 50]]
+
+
+def many(page, count=30):
+    """Give the clip so many objects at once."""
+    page.draw()
+    page.value(
+        "import('/static/state.js').then(({ edit, state }) => edit({ ...state.doc, objects: "
+        f"Array.from({{ length: {count} }}, (_, k) => "
+        "({ ...state.doc.objects[0], id: k + 1, name: `object ${k + 1}`, motion: k + 1 })) }))"
+    )
+    page.until(f"document.querySelectorAll('.object').length === {count}")
+
+
+def box(page, selector):
+    return page.tab.locator(selector).bounding_box()
+
+
+def wheel(page, dx, dy, **more):
+    """Turn the wheel over an image position, as a mouse, or with ctrlKey as a pinch on a trackpad does."""
+    x, y = page.at((100, 100))
+    init = {
+        "deltaX": dx,
+        "deltaY": dy,
+        "clientX": x,
+        "clientY": y,
+        "bubbles": True,
+        "cancelable": True,
+    } | more
+    page.tab.evaluate(
+        "(init) => document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', init))", init
+    )
+    return page.value("labeller.state.view")
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (1440, 900), (1920, 1080)])
+def test_the_bar_stays_and_the_list_scrolls_to_any_object(page, size):
+    page.tab.set_viewport_size({"width": size[0], "height": size[1]})
+    many(page)
+    page.press("Escape", "[")
+    page.until("labeller.state.selected === 30")
+    page.until("document.querySelector('.entry.on .object')?.textContent.includes('object 30')")
+    assert box(page, "#bar")["y"] == 0
+    assert page.value("document.scrollingElement.scrollTop + document.body.scrollTop") == 0
+    shown, listed = box(page, ".entry.on"), box(page, "#objects")
+    assert (
+        listed["y"] <= shown["y"] < shown["y"] + shown["height"] <= listed["y"] + listed["height"] <= size[1]
+    )
+    page.until("labeller.state.scrolled > 0")
+    page.tab.locator("#timeline").hover()
+    page.tab.mouse.wheel(0, -2000)
+    page.until("labeller.state.scrolled === 0")
+
+
+def test_the_panel_is_resized_by_its_edges_and_stays_so(page):
+    height, width = box(page, "#panel")["height"], box(page, "#objects")["width"]
+    edge = box(page, "#panel-edge")
+    page.tab.mouse.move(600, edge["y"] + 3)
+    page.tab.mouse.down()
+    page.tab.mouse.move(600, edge["y"] - 97, steps=3)
+    page.tab.mouse.up()
+    assert box(page, "#panel")["height"] == pytest.approx(height + 100, abs=5)
+    page.tab.get_by_role("separator", name="Width of the list").focus()
+    page.press("ArrowRight", "ArrowRight")
+    assert box(page, "#objects")["width"] == pytest.approx(width + 48, abs=2)
+    assert page.value("labeller.state.frame") == 0
+    page.until(
+        "document.getElementById('timeline').width === document.getElementById('timeline').clientWidth"
+    )
+    page.tab.reload()
+    page.ready()
+    assert box(page, "#panel")["height"] == pytest.approx(height + 100, abs=5)
+    assert box(page, "#bar")["y"] == 0
+
+
+def test_a_phone_says_what_it_cannot_do(page):
+    assert not page.tab.locator("#small").is_visible()
+    page.tab.set_viewport_size({"width": 390, "height": 844})
+    page.shows("#small", "too small to draw outlines")
+    assert page.value("document.documentElement.scrollWidth") == 390
+    for part in ("#bar", "#stage", "#panel"):
+        found = box(page, part)
+        assert found["height"] > 80
+        assert 0 <= found["y"] < found["y"] + found["height"] <= 844.5
+
+
+def test_two_fingers_pan_and_a_pinch_zooms_where_it_is(page):
+    before = page.value("labeller.state.view")
+    panned = wheel(page, 30, 20)
+    assert panned["scale"] == before["scale"]
+    assert (panned["x"] - before["x"]) * before["scale"] == pytest.approx(30)
+    assert (panned["y"] - before["y"]) * before["scale"] == pytest.approx(20)
+    where = page.at((100, 100))
+    pinched = wheel(page, 0, -10, ctrlKey=True)
+    assert 1.05 < pinched["scale"] / panned["scale"] < 1.2
+    assert page.at((100, 100)) == pytest.approx(where, abs=1)
+    notch = wheel(page, 0, -120, ctrlKey=True)
+    assert 1.15 < notch["scale"] / pinched["scale"] < 1.5
+    lines = wheel(page, 0, 3, deltaMode=1)
+    assert (lines["y"] - notch["y"]) * notch["scale"] == pytest.approx(48)
+
+
+def test_two_fingers_on_a_screen_zoom_and_draw_nothing(page):
+    page.press("n")
+    session = page.tab.context.new_cdp_session(page.tab)
+    x, y = page.at((100, 100))
+
+    def touch(kind, *points):
+        fingers = [{"x": px, "y": py, "id": k} for k, (px, py) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
+
+    before = page.value("labeller.state.view.scale")
+    touch("touchStart", (x - 40, y))
+    touch("touchMove", (x - 48, y))
+    touch("touchStart", (x - 48, y), (x + 48, y))
+    touch("touchMove", (x - 96, y), (x + 96, y))
+    page.until(f"labeller.state.view.scale > {1.8 * before}")
+    touch("touchEnd")
+    assert page.value("labeller.state.pending.points") == []
+    assert page.at((100, 100)) == pytest.approx((x, y), abs=3)
+
+
+def test_tooltips_name_the_keys_that_work(page):
+    buttons = "[...document.querySelectorAll('[data-key]')]"
+    shown = "Object.values(KEYS).flat().find((key) => key.names.includes(b.dataset.key)).shown"
+    titles = page.value(
+        f"import('/static/keys.js').then(({{ KEYS }}) => {buttons}.map((b) => [b.title, {shown}]))"
+    )
+    assert len(titles) >= 9
+    assert [title for title, shown in titles if not title.endswith(f"({shown})")] == []
+    assert page.tab.get_by_role("button", name="Files").get_attribute("title") == "Import and export (Ctrl+E)"
+
+
+@pytest.mark.parametrize("held", [{"altKey": True}, {"altKey": True, "ctrlKey": True}])
+def test_brackets_made_with_option_or_altgr_choose_objects(page, held):
+    many(page, 3)
+    page.press("Escape")
+    for key, selected in (("]", 1), ("]", 2), ("[", 1)):
+        page.tab.evaluate(
+            "(init) => document.getElementById('stage').dispatchEvent(new KeyboardEvent('keydown', init))",
+            {"key": key, "bubbles": True} | held,
+        )
+        assert page.value("labeller.state.selected") == selected
+    page.press("a", "Shift+A", "Control+Backspace")
+    page.until("labeller.state.doc.objects[0].key_frames[0].visibility === 'outside'")
+
+
+def test_frames_have_the_numbers_of_their_files(page):
+    page.press("ArrowRight")
+    page.shows("#frame-badge", "000002.png · 2 of 6")
+    numbers = "import('/static/view.js').then((view) => view.numbersOf({}))"
+    assert page.value("labeller.state.clip.numbers") == ["1", "2", "3", "4", "5", "6"]
+    names = '["a_3_10.png", "a_3_11.png"]', '["left.png", "right.png"]', '["x1.png", "y1.png"]'
+    assert [page.value(numbers.format(name)) for name in names] == [["10", "11"], ["0", "1"], ["0", "1"]]
+
+
+def test_undo_and_redo_have_buttons_and_the_zoom_is_shown(page):
+    undo, redo = page.tab.locator("#undo"), page.tab.locator("#redo")
+    assert undo.is_disabled()
+    page.draw()
+    undo.click()
+    assert page.objects() == []
+    redo.click()
+    page.until("labeller.state.doc.objects.length === 1")
+    page.until("document.getElementById('redo').disabled")
+    page.shows("#frame-badge", f"{round(100 * page.value('labeller.state.view.scale'))} %")
+
+
+def test_a_hidden_object_is_not_seen_and_a_locked_one_not_changed(page):
+    page.draw()
+    before = page.objects()
+    page.press("Shift+R")
+    page.drag((100, 100), (120, 100))
+    page.press("3", "Delete", "Shift+Delete", "o")
+    page.shows("#hint", "locked")
+    assert page.objects() == before
+    page.press("Escape", "]")
+    page.tab.get_by_role("button", name="Lock (Shift+R) object 1").click()
+    page.press("3")
+    assert page.objects()[0]["motion"] == 3
+    page.press("Shift+H", "Escape", "Escape")
+    page.click(CORNERS[0])
+    page.click((100, 100))
+    assert page.value("labeller.state.selected") is None
+    assert page.saved() >= 1
