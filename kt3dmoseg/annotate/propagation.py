@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,12 @@ _NOISE = 0.3
 _PRIOR = 100.0
 # Changes of the model below this no longer matter.
 _STILL = 1e-5
+# What makes a carried region doubtful: see `weak_frames`. A match this many pixels away moves otherwise.
+_FEW = 8
+_OTHERWISE = 3.0
+_MAJORITY = 0.6
+_LARGE_ERROR = 1.0
+_JUMP = 1.2
 _TINY = 1e-12
 
 
@@ -89,6 +95,42 @@ def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion 
         end = after.frame if after else n_frames
         regions += [Region(key.visibility, tuple(polygons)) for polygons in _between(key, after, end, motion)]
     return regions
+
+
+def weak_frames(regions: Sequence[Region], motion: ImageMotion) -> list[str]:
+    """Return, per frame, why the region carried to it is in doubt, or "" where it is not.
+
+    In doubt is a visible region between key frames that follows fewer than 8 trajectories, or less than 60 %
+    of those inside it, or with a median error over 1 px; or whose area changes by a fifth in one frame.
+    """
+    out, carried = [], False
+    for frame, region in enumerate(regions):
+        carried |= region.key
+        other = frame - 1 if carried else frame + 1
+        weak = region.visibility == "visible" and not region.key and region.polygons
+        out.append(_doubt(regions[other], region, motion.matches, other, frame) if weak else "")
+    return out
+
+
+def _doubt(before: Region, here: Region, matches: Callable[..., Any], i: int, j: int) -> str:
+    if not before.polygons:
+        return "nothing to follow"
+    x1, x2 = matches(before.polygons, i, j)
+    if len(x1) < _FEW:
+        return f"follows {len(x1)} trajectories"
+    (model,), _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
+    error = np.hypot(*(apply(model, x1) - x2).T)
+    inliers = error < _OTHERWISE
+    if inliers.mean() < _MAJORITY:
+        return f"{len(x1) - inliers.sum()} of {len(x1)} trajectories move otherwise"
+    if np.median(error[inliers]) > _LARGE_ERROR:
+        return f"error {np.median(error[inliers]):.1f} px"
+    growth = sum(map(_size, here.polygons)) / max(1.0, sum(map(_size, before.polygons)))
+    return "" if 1 / _JUMP < growth < _JUMP else f"area changes by {abs(growth - 1):.0%}"
+
+
+def _size(polygon: FloatArray) -> float:
+    return abs(area(polygon))
 
 
 class ImageMotion(Protocol):

@@ -97,10 +97,10 @@ def test_tab_goes_through_the_page_from_left_to_right_and_down(page):
     assert behind[17:21] == ["note", "Forget key", "Delete here", "Delete object"]
     before = []
     page.tab.locator("#stage").focus()
-    for _ in range(13):
+    for _ in range(14):
         page.press("Shift+Tab")
         before.append(focused(page))
-    order = ["clips", "select", "draw", "lasso", "undo", "ArrowLeft", "play", "ArrowRight", "flicker"]
+    order = ["clips", "state", "select", "draw", "lasso", "undo", "ArrowLeft", "play", "ArrowRight", "flicker"]
     assert before[::-1] == [*order, "s", "Ctrl+e", "compare", "?"]
 
 

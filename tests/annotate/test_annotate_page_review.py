@@ -114,23 +114,92 @@ def test_escape_ends_the_review_and_keeps_nothing(reviewer):
     assert reviewer.objects() == []
 
 
-def test_progress_of_all_clips_is_right_from_the_start(context, equipped):
+def test_the_state_of_a_clip_is_what_its_annotator_sets(context, equipped):
     shutil.rmtree(equipped.notes, ignore_errors=True)
     draw_by_hand(equipped.notes, "two", 3, CORNERS)
     page = Page(context, equipped.address)
-    page.until("labeller.state.summaries?.every(clip => !clip.counting)")
-    page.until("document.getElementById('progress').textContent.includes('11.1 %')")  # 50 of 450
+    state = page.tab.get_by_label("State of this clip")
+    assert state.input_value() == "not started"
+    page.draw()
+    page.saved()
+    page.until("document.getElementById('state').value === 'in work'")
+    state.select_option("done")
+    page.tab.get_by_label("your name").fill("Ada")
+    page.press("Enter")
+    page.until("labeller.state.work.state === 'done'")
+    page.until("document.getElementById('state').title.startsWith('by Ada, ')")
     page.press("F2")
-    page.shows("dialog p", "1 of 2 clips annotated. 11.1 % of 450")
-    rows = page.tab.locator("dialog tr").all_inner_texts()
-    assert rows[1].split("\t")[0] == "one"
-    assert "to do" in rows[1]
-    assert "100.0 %, 0 open" in rows[2]
-    page.press("ArrowDown", "Enter")
+    page.until("labeller.state.summaries?.every(clip => !clip.counting)")
+    page.shows("dialog p", "2 clips: 0 not started, 1 in work, 1 done, 0 reviewed.")
+    page.shows("dialog td", "by Ada")
+    page.press("Escape", "2")
+    page.saved()
+    page.until("document.getElementById('state').value === 'in work'")
+    page.until("document.getElementById('state').title.startsWith('changed since done by Ada')")
+    state.select_option("reviewed")
+    page.until("document.getElementById('state').value === 'reviewed'")
+    page.tab.reload()
+    page.ready()
+    assert state.input_value() == "reviewed"
+    page.press("PageDown")
     page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
-    page.press("Shift+Delete", "]", "Shift+Delete")
-    page.until("labeller.state.summaries[1].objects === 0")
+    assert state.input_value() == "in work"
     assert page.errors == []
+
+
+def test_motion_that_no_outline_explains_is_counted_and_found(page):
+    page.shows("#progress", "1 motion unexplained")
+    page.press("Shift+U")
+    page.shows("#hint", "move by themselves here (1 of 1)")
+    x, y = page.value("labeller.state.cross")
+    assert 60 < x < 165
+    assert 70 < y < 130
+    page.press("Shift+Z", "Home")
+    page.draw()
+    page.shows("#progress", "no motion unexplained")
+    page.press("Shift+U")
+    page.shows("#hint", "No motion is left unexplained")
+
+
+def test_weak_frames_are_hatched_counted_and_visited(page):
+    page.draw()
+    page.until("labeller.state.weak?.[1]")
+    assert page.value("labeller.state.weak[1].some(Boolean)") is False
+    page.draw([(200, 20), (206, 20), (206, 26), (200, 26)])
+    page.until("labeller.state.weak?.[2]")
+    assert page.value("labeller.state.weak[2].map(Boolean)") == [False, *[True] * 5]
+    page.shows(".entry .weak", "5 weak")
+    bright = (
+        "(() => { const canvas = document.getElementById('timeline'); const box = [FRAME + 0.1, FRAME + 0.4]"
+        ".map((at) => Math.round(at * canvas.width / 6)); const top = 26 + 26 * ROW + 3; "
+        "return Math.max(...canvas.getContext('2d').getImageData(box[0], top, box[1] - box[0], 4).data"
+        ".filter((_, k) => k % 4 !== 3)) > 150; })()"
+    )
+    page.until(bright.replace("FRAME", "3").replace("ROW", "1"))
+    assert not page.value(bright.replace("FRAME", "3").replace("ROW", "0"))
+    page.press("Home", "Escape", "Escape", "Shift+W")
+    page.until("labeller.state.selected === 2 && labeller.state.frame === 1")
+    page.shows("#hint", "object 2: follows")
+    page.press("Shift+W")
+    page.until("labeller.state.frame === 2")
+    page.press("Shift+Delete")
+    page.press("Shift+W")
+    page.until("labeller.state.hint === 'No frame is in doubt'")
+
+
+def test_long_work_shows_its_time_and_can_be_cancelled(reviewer):
+    go = []
+    reviewer.tab.route("**/proposals/masks", lambda route: go.append(route))
+    reviewer.press("s")
+    button(reviewer, "masks").click()
+    reviewer.shows("dialog p", "Asking masks… 1 s")
+    button(reviewer, "Cancel").click()
+    reviewer.draw()
+    for route in go:
+        route.fulfill(json={"objects": []})
+    reviewer.saved()
+    assert reviewer.value("document.querySelector('dialog[open]')") is None
+    assert len(reviewer.objects()) == 1
 
 
 def test_differences_of_two_annotators_are_visited_one_by_one(reviewer, equipped):

@@ -10,6 +10,8 @@ import httpx
 import pytest
 from labeller_page import CORNERS, LIMIT, Page, Server, near, stored
 
+from kt3dmoseg.annotate import load_annotation
+
 pytestmark = pytest.mark.browser
 
 
@@ -72,6 +74,36 @@ def test_a_folder_that_cannot_be_written_is_reported_and_tried_again(page, share
     shared.notes.unlink()
     assert page.saved() == 1
     assert len(stored(shared).objects) == 1
+
+
+def test_a_dead_server_is_noticed_without_an_edit_and_the_banner_shows_what_is_kept(
+    context, clips, server, tmp_path
+):
+    page = Page(context, server.address)
+    page.draw()
+    page.saved()
+    assert not page.tab.locator("#banner").is_visible()
+    server.process.send_signal(signal.SIGSTOP)
+    page.shows("#banner", "The server does not answer. Everything before is saved")
+    assert page.tab.locator("#banner").bounding_box()["width"] == 1280
+    page.draw([(200, 20), (260, 20), (260, 50)])
+    page.shows("#banner", "Not saved, kept in this browser: object 2.")
+    with page.tab.expect_download() as download:
+        page.tab.get_by_role("button", name="Download the annotation").click()
+    download.value.save_as(tmp_path / "kept.json")
+    assert len(load_annotation(tmp_path / "kept.json").objects) == 2
+    server.process.send_signal(signal.SIGCONT)
+    page.tab.locator("#banner").wait_for(state="hidden")
+    page.saved()
+    assert len(stored(server).objects) == 2
+    assert page.errors == []
+
+
+def test_a_folder_that_cannot_be_written_is_noticed_before_the_first_edit(page, shared):
+    shared.notes.write_text("a file where the folder should be")
+    page.shows("#banner", "expected a folder")
+    shared.notes.unlink()
+    page.tab.locator("#banner").wait_for(state="hidden")
 
 
 def test_edits_survive_closing_the_tab_while_the_server_is_away(context, clips, server, tmp_path):

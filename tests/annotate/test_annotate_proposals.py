@@ -14,7 +14,7 @@ import pytest
 from kt3dmoseg import synthetic
 from kt3dmoseg.annotate import Annotation, label_tracks, proposals
 from kt3dmoseg.annotate.formats.masks import encode_rle, mask_of
-from kt3dmoseg.annotate.proposals import outline, tracklets
+from kt3dmoseg.annotate.proposals import outline, residual, tracklets
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.types import Labels, Trajectories
@@ -58,6 +58,13 @@ def test_residual_finds_what_moves_by_itself():
 def test_residual_finds_nothing_where_nothing_moves():
     trajectories, moving = tracks()
     assert proposals.propose("residual", request(trajectories.select(~moving))) == []
+
+
+def test_residual_finds_what_moves_before_a_camera_at_rest():
+    xy = np.random.default_rng(0).uniform((5, 5), (395, 195), (300, 1, 2)) + np.zeros((1, FRAMES, 1))
+    xy[:40] = xy[:40] * 0.1 + (100, 100) + np.arange(FRAMES)[:, None] * (2.0, 0.0)
+    still = Trajectories(xy, np.ones(xy.shape[:2], bool), image_size=SIZE)
+    assert (residual.moving_groups(still) > 1).tolist() == [True] * 40 + [False] * 260
 
 
 def test_residual_needs_trajectories():

@@ -7,7 +7,7 @@ import pytest
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, FlowMotion, KeyFrame, TrackMotion, propagate
 from kt3dmoseg.annotate.geometry import area, blend, inside, resample, signed_distance
-from kt3dmoseg.annotate.propagation import apply, fit_similarities
+from kt3dmoseg.annotate.propagation import Region, apply, fit_similarities, weak_frames
 from kt3dmoseg.types import Trajectories
 
 FRAMES = 9
@@ -43,6 +43,45 @@ def test_between_key_frames_the_region_follows_the_motion_not_a_line():
         assert np.abs(regions[frame].polygons[0] - SQUARE - path(frame)).max() < 1.0
     line = propagate(drawn)[1][4].polygons[0]
     assert np.abs(line - SQUARE - path(4)).max() > 20
+
+
+def doubts(trajectories, *keys):
+    motion = TrackMotion(trajectories)
+    return weak_frames(propagate(annotation(*keys), motion)[1], motion)
+
+
+def test_a_region_that_follows_its_trajectories_is_not_in_doubt():
+    assert doubts(tracks(), KeyFrame(4, polygons=(at(4),))) == [""] * FRAMES
+
+
+def test_frames_with_few_trajectories_are_in_doubt():
+    few = doubts(tracks(5).select(np.arange(5)), KeyFrame(4, polygons=(at(4),)))
+    assert few == ["follows 5 trajectories"] * 4 + [""] + ["follows 5 trajectories"] * 4
+
+
+def test_frames_where_something_else_moves_through_are_in_doubt():
+    both = tracks(80)
+    xy = both.xy.copy()
+    xy[40:80, 5:] += np.arange(1, 5)[:, None] * (0.0, 9.0)
+    found = doubts(Trajectories(xy, both.visible), KeyFrame(0, polygons=(at(0),)))
+    assert found[1:5] == [""] * 4
+    assert "of" in found[5]
+    assert "move otherwise" in found[5]
+
+
+def test_noisy_trajectories_and_a_jump_of_the_area_are_in_doubt():
+    shaken = tracks()
+    noise = np.random.default_rng(1).normal(0, 1.5, shaken.xy.shape)
+    found = doubts(Trajectories(shaken.xy + noise, shaken.visible), KeyFrame(0, polygons=(at(0),)))
+    assert all("px" in why or "otherwise" in why for why in found[1:])
+    big = tuple((2 * x - 50.0, 2 * y - 50.0) for x, y in at(0))
+    grown = [Region("visible", (np.array(at(0)),), key=True), Region("visible", (np.array(big),))]
+    assert weak_frames(grown, TrackMotion(tracks())) == ["", "area changes by 300%"]
+
+
+def test_what_a_person_drew_or_nobody_sees_is_not_in_doubt():
+    keys = [KeyFrame(0, polygons=(at(0),)), KeyFrame(1, "occluded", (at(1),)), KeyFrame(5, "outside")]
+    assert doubts(tracks(4), *keys) == [""] * FRAMES
 
 
 def test_before_the_first_and_after_the_last_key_frame():

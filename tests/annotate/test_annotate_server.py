@@ -6,6 +6,7 @@ import asyncio
 import json
 import threading
 from dataclasses import replace
+from datetime import datetime
 
 import cv2
 import numpy as np
@@ -124,6 +125,69 @@ def test_progress_computes_no_trajectories(clips, tmp_path):
     one, two = counted(page)
     assert (one["objects"], "trajectories" in one, "counts" in one) == (1, False, False)
     assert "objects" not in two
+
+
+def set_state(page, state="done", by="Ada"):
+    return page.put("/api/clips/one/state", json={"state": state, "by": by})
+
+
+def test_the_state_of_a_clip_is_kept_next_to_its_annotation_with_name_time_and_revision(
+    page, clips, tmp_path
+):
+    assert page.get("/api/clips/one").json()["work"] == {"state": "not started"}
+    save(page, drawn(page), 0)
+    assert page.get("/api/clips/one").json()["work"] == {"state": "in work"}
+    work = set_state(page).json()["work"]
+    assert (work["state"], work["by"], work["revision"]) == ("done", "Ada", 1)
+    assert datetime.fromisoformat(work["time"]).tzinfo is not None
+    set_state(page, "reviewed", " Bob ")
+    fresh = client(routes(clips, tmp_path))
+    assert [
+        clip["work"]["by"] for clip in fresh.get("/api/clips").json()["clips"] if "by" in clip["work"]
+    ] == ["Bob"]
+    states = (tmp_path / "notes" / "one.states.jsonl").read_text().splitlines()
+    assert [json.loads(line)["state"] for line in states] == ["done", "reviewed"]
+    assert load_annotation(tmp_path / "notes" / "one.json").revision == 1
+
+
+@pytest.mark.parametrize(
+    ("state", "by", "field"),
+    [
+        ("finished", "Ada", "state"),
+        (["done"], "Ada", "state"),
+        ("done", " ", "by"),
+        ("done", 3, "by"),
+        ("done", "x" * 200, "by"),
+    ],
+)
+def test_a_state_of_no_name_or_by_nobody_is_refused(page, tmp_path, state, by, field):
+    answer = set_state(page, state, by)
+    assert answer.status_code == 400
+    assert answer.json()["error"].startswith(field)
+    assert not (tmp_path / "notes" / "one.states.jsonl").exists()
+
+
+def test_a_damaged_file_of_states_is_reported_with_its_name(page, tmp_path):
+    set_state(page)
+    (tmp_path / "notes" / "one.states.jsonl").write_text('{"state": "fine"}\n')
+    assert "one.states.jsonl: expected a state" in page.get("/api/clips").json()["clips"][0]["error"]
+    assert "one.states.jsonl" in page.get("/api/clips/one").json()["error"]
+
+
+def test_the_annotator_of_the_command_line_sets_the_state(clips, tmp_path):
+    page = client(routes(clips, tmp_path, annotator="Eve"))
+    assert set_state(page).json()["work"]["by"] == "Eve"
+
+
+def test_motion_that_is_explained_counts_no_more(page):
+    groups = page.get("/api/clips/one/moving").json()["groups"]
+    assert 15 < sum(group > 1 for group in groups) < 60
+    assert page.get("/api/clips/two/moving").json()["groups"] is None
+    doc = drawn(page)
+    empty = doc | {"objects": []}
+    for revision, (given, left) in enumerate([(empty, 1), (doc, 0)]):
+        save(page, given, revision)
+        assert counted(page)[0]["unexplained"] == left
 
 
 def test_clip(page):

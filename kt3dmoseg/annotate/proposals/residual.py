@@ -21,6 +21,7 @@ _GAP = 4
 _FEWEST = 8
 # Pixels off the epipolar line, over `_GAP` frames, that the tracker's error does not explain.
 _TOLERANCE = 1.2
+_AT_REST = 0.3
 _SHARE = 0.6
 # Trajectories of one object have neighbours on it within this many pixels, and differ in their steps over
 # `_ALIKE_GAP` frames by less than one pixel and this share.
@@ -32,7 +33,14 @@ _SMALLEST_GROUP = 12
 
 def propose(request: Request) -> Labels:
     """Label groups of trajectories that move by themselves; see `kt3dmoseg.annotate.proposals`."""
-    tracks = request.trajectories
+    return Labels(moving_groups(request.trajectories), background=1)
+
+
+def moving_groups(tracks: Trajectories) -> IntArray:
+    """Labels (N,): 1 for what moves as the scene does, 2, 3, ... for groups that do not.
+
+    InvalidValueError when there are too few trajectories to know the scene's motion.
+    """
     votes = np.zeros(len(tracks))
     seen = np.zeros(len(tracks))
     gap = min(_GAP, tracks.n_frames - 1)
@@ -45,10 +53,13 @@ def propose(request: Request) -> Labels:
         expected = f"{2 * _FEWEST} trajectories over {gap} frames"
         raise InvalidValueError("residual", expected=expected, found="fewer")
     moving = (seen > 0) & (votes > _SHARE * np.maximum(seen, 1))
-    return Labels(_grouped(tracks, moving), background=1)
+    return _grouped(tracks, moving)
 
 
 def _independent(x1: FloatArray, x2: FloatArray) -> BoolArray:
+    moved = np.hypot(*(x2 - x1).T)
+    if np.median(moved) < _AT_REST:  # a camera at rest has no epipolar geometry
+        return np.asarray(moved > _TOLERANCE)
     fundamental, _ = cv2.findFundamentalMat(x1, x2, cv2.USAC_MAGSAC, 0.5, 0.999, 2000)
     if fundamental is None or np.shape(fundamental) != (3, 3):
         return np.zeros(len(x1), dtype=np.bool_)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,17 +15,24 @@ from typing import Any, TypeAlias
 from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
 from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation
-from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate_keys
-from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate_keys, weak_frames
+from kt3dmoseg.annotate.proposals.residual import moving_groups
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import hold_folder, parse_json, read_bytes, write_text
 from kt3dmoseg.frames import ClipFiles
 from kt3dmoseg.io.images import read_frame
-from kt3dmoseg.types import ByteArray, Trajectories
+from kt3dmoseg.types import ByteArray, IntArray, Trajectories
 
 Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]
 """Computes trajectories from frames, reporting (frames done, frames in all)."""
 
 _KEPT_LABELLINGS = 4
 _KEPT_OBJECTS = 256
+_MAX_STATES = 1 << 20
+_LONGEST_NAME = 100
+_MOSTLY = 0.5
+
+WORK_STATES = ("not started", "in work", "done", "reviewed")
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,7 @@ class ClipSession:
         self._trajectories: Trajectories | None = None
         self._labelled = lru_cache(_KEPT_LABELLINGS)(self._label)
         self._carried = lru_cache(_KEPT_OBJECTS)(self._carry)
+        self._doubted = lru_cache(_KEPT_OBJECTS)(self._doubt)
 
     @cached_property
     def image_size(self) -> tuple[int, int]:
@@ -102,6 +113,58 @@ class ClipSession:
         """Return every object's region in every frame; computed only for objects that were edited."""
         return {item.id: self._carried(item.key_frames) for item in annotation.objects}
 
+    def weak(self, annotation: Annotation) -> dict[int, list[str]]:
+        """Return why each object's region is in doubt in each frame; see `weak_frames`."""
+        return {item.id: self._doubted(item.key_frames) for item in annotation.objects}
+
+    @cached_property
+    def moving(self) -> IntArray | None:
+        """Group (N,) of each trajectory: 1 moves as the scene, 2, 3, ... by themselves; None when unknown."""
+        return _moving(self.wait())
+
+    def work_state(self) -> dict[str, Any]:
+        """Return the last state that an annotator set, as `set_work_state` wrote it.
+
+        Without one a clip is "in work" when it has an annotation, else "not started".
+        """
+        path = self._states_file
+        if not path.exists():
+            return {"state": WORK_STATES[self.source.annotation.exists()]}
+        *_, last = read_bytes(path, _MAX_STATES).splitlines() or [b""]
+        found = parse_json(last, os.fspath(path))
+        if not isinstance(found, dict) or found.get("state") not in WORK_STATES:
+            raise FileFormatError(os.fspath(path), expected="a state of the clip", found=repr(found)[:80])
+        return found
+
+    def set_work_state(self, state: object, by: object) -> dict[str, Any]:
+        """Add state, name, time and revision to ``<clip>.states.jsonl`` in the annotation's folder."""
+        if state not in WORK_STATES:
+            expected = f"one of {', '.join(WORK_STATES)}"
+            raise InvalidValueError("state", expected=expected, found=repr(state)[:80])
+        if not isinstance(by, str) or not by.strip() or len(by) > _LONGEST_NAME:
+            expected = f"the annotator's name, of at most {_LONGEST_NAME} characters"
+            raise InvalidValueError("by", expected=expected, found=repr(by)[:80])
+        path = self._states_file
+        with hold_folder(path.parent):
+            before = read_bytes(path, _MAX_STATES).decode() if path.exists() else ""
+            time = datetime.now(UTC).isoformat(timespec="seconds")
+            entry = {"state": state, "by": by.strip(), "time": time, "revision": self.annotation().revision}
+            write_text(path, f"{before}{json.dumps(entry, ensure_ascii=False)}\n")
+        return entry
+
+    @property
+    def _states_file(self) -> Path:
+        return self.source.annotation.with_suffix(".states.jsonl")
+
+    def trouble(self) -> str:
+        """Return why the annotation cannot be saved as things are; "" when it can."""
+        folder = self.source.annotation.parent
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        if not folder.is_dir():
+            return f"{folder}: expected a folder, found a file"
+        return "" if os.access(folder, os.W_OK) else f"{folder}: cannot write there"
+
     def summary(self) -> dict[str, Any]:
         """Count how far the clip is, JSON-able; trajectories that no file holds are not computed for it."""
         found = self._trajectories
@@ -122,7 +185,9 @@ class ClipSession:
             return out
         # A clip that nobody opened is labelled without keeping anything of it.
         labelled = self.labelled(annotation) if ready else label_tracks_detailed(found, annotation)
-        return out | {"counts": labelled.counts()}
+        groups = self.moving if ready else _moving(found)
+        left = None if groups is None else unexplained(groups, labelled)
+        return out | {"counts": labelled.counts(), "unexplained": left}
 
     def state(self) -> tuple[object, ...]:
         """Return what `summary` depends on: the state of the files, or whether trajectories were computed."""
@@ -134,6 +199,9 @@ class ClipSession:
 
     def _carry(self, keys: tuple[KeyFrame, ...]) -> list[Region]:
         return propagate_keys(keys, len(self.source.frames), TrackMotion(self.wait()))
+
+    def _doubt(self, keys: tuple[KeyFrame, ...]) -> list[str]:
+        return weak_frames(self._carried(keys), TrackMotion(self.wait()))
 
     def _work(self) -> None:
         try:
@@ -157,6 +225,19 @@ class ClipSession:
     def _report(self, done: int, error: str = "") -> None:
         with self._lock:
             self._progress = Progress(done, len(self.source.frames), error)
+
+
+def unexplained(groups: IntArray, labelled: LabelledTracks) -> int:
+    """Count the groups that move by themselves but are mostly labelled as background."""
+    background = labelled.labels.label == 1
+    return sum(bool(background[groups == k].mean() > _MOSTLY) for k in range(2, groups.max(initial=1) + 1))
+
+
+def _moving(tracks: Trajectories) -> IntArray | None:
+    try:
+        return moving_groups(tracks)
+    except InvalidValueError:
+        return None
 
 
 class Summaries:
@@ -185,7 +266,7 @@ class Summaries:
     def _summary(self, session: ClipSession) -> dict[str, Any]:
         state, counted = self._known.get(session.source.name, (None, {}))
         general = {"name": session.source.name, "n_frames": len(session.source.frames)}
-        return general | counted | {"counting": state != session.state()}
+        return general | counted | _work_state(session) | {"counting": state != session.state()}
 
     def _work(self) -> None:
         while True:
@@ -201,6 +282,13 @@ class Summaries:
                 counted = {"error": str(error)}
             with self._lock:
                 self._known[session.source.name] = state, counted
+
+
+def _work_state(session: ClipSession) -> dict[str, Any]:
+    try:
+        return {"work": session.work_state()}
+    except KT3DMoSegError as error:
+        return {"error": str(error)}
 
 
 def _file_state(path: Path) -> tuple[int, ...]:

@@ -4,9 +4,12 @@
 ``GET  /api/clips/C``                        size, annotation, names of kinds, formats, proposers
 ``GET  /api/clips/C/frames/K``               one frame as a picture
 ``GET  /api/clips/C/tracks``                 trajectories as float32 (N, F, 2); 202 while they are computed
+``GET  /api/clips/C/moving``                 the group of each trajectory that moves by itself, else 1
+``GET  /api/clips/C/trouble``                why saving would fail, or ""
+``PUT  /api/clips/C/state``                  how far its annotator is: {"state", "by"}
 ``GET  /api/clips/C/annotation``             the saved annotation, its revision as ETag
 ``PUT  /api/clips/C/annotation``             save; If-Match names the revision it was made from
-``POST /api/clips/C/regions``                the regions of every frame, of the annotation in the body
+``POST /api/clips/C/regions``                where the objects of the body are in each frame, and why in doubt
 ``POST /api/clips/C/labels``                 label the trajectories by the annotation in the body
 ``POST /api/clips/C/proposals/P``            regions proposed by P
 ``POST /api/clips/C/compare``                the annotation in the body against the other annotator's
@@ -49,7 +52,7 @@ from kt3dmoseg.annotate.model import (
     to_json,
 )
 from kt3dmoseg.annotate.propagation import Region
-from kt3dmoseg.annotate.server.clip_session import ClipSession, Progress, Summaries
+from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, Progress, Summaries
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
@@ -106,6 +109,9 @@ class Routes:
             Route(clip, self._clip),
             Route(clip + "/frames/{frame:int}", self._frame),
             Route(clip + "/tracks", self._tracks),
+            Route(clip + "/moving", self._moving),
+            Route(clip + "/trouble", self._trouble),
+            Route(clip + "/state", self._set_state, methods=["PUT"]),
             Route(clip + "/annotation", self._annotation),
             Route(clip + "/annotation", self._with_annotation(self._save), methods=["PUT"]),
             Route(clip + "/import/{format}", self._import, methods=["POST"]),
@@ -128,6 +134,8 @@ class Routes:
                 "frame_names": session.frame_names,
                 "annotation": to_json(session.annotation()),
                 "annotator": self.annotator,
+                "work": session.work_state(),
+                "states": WORK_STATES,
                 "kinds": KINDS,
                 "formats": self.suffixes,
                 "proposers": self.proposers,
@@ -150,6 +158,21 @@ class Routes:
         shape = {"x-shape": f"{len(found)},{found.n_frames}"}
         return Response(content, media_type="application/octet-stream", headers=shape)
 
+    def _moving(self, request: Request) -> Response:
+        groups = self._session(request).moving
+        return JSONResponse({"groups": None if groups is None else groups.tolist()})
+
+    def _trouble(self, request: Request) -> Response:
+        return JSONResponse({"trouble": self._session(request).trouble()})
+
+    async def _set_state(self, request: Request) -> Response:
+        session, given = self._session(request), parse_document(await request.body(), "body")
+        if not isinstance(given, dict):
+            raise InvalidValueError("body", expected="state and by", found=repr(given)[:80])
+        by = self.annotator or given.get("by")
+        entry = await run_in_threadpool(session.set_work_state, given.get("state"), by)
+        return JSONResponse({"work": entry})
+
     def _annotation(self, request: Request) -> Response:
         found = self._session(request).annotation()
         return JSONResponse(to_json(found), headers=_etag(found))
@@ -160,7 +183,10 @@ class Routes:
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
     def _regions(self, _: Request, session: ClipSession, given: Annotation) -> Response:
-        return _once_tracked(session, lambda: {"regions": _shown(session.regions(given))})
+        def found() -> dict[str, Any]:
+            return {"regions": _shown(session.regions(given)), "weak": session.weak(given)}
+
+        return _once_tracked(session, found)
 
     def _labels(self, _: Request, session: ClipSession, given: Annotation) -> Response:
         return _once_tracked(session, lambda: _outcome(session.labelled(given)))

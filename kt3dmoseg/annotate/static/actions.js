@@ -198,6 +198,23 @@ export function forgetKey() {
   update(item, { key_frames: item.key_frames.filter((key) => key.frame !== state.frame) });
 }
 
+/** Frames that an object was carried to with doubt: [frame, why]. */
+export const weakFrames = (item) => [...(state.weak?.[item.id] ?? []).entries()].filter(([, why]) => why);
+
+/** Go to the next of them, of this object or the next one. */
+export function nextWeak() {
+  const all = state.doc.objects.flatMap((item) => weakFrames(item).map(([frame, why]) => ({ item, frame, why })));
+  if (!all.length) return notify("No frame is in doubt");
+  const order = state.doc.objects.map((item) => item.id);
+  const own = order.indexOf(state.selected);
+  const after = all.findIndex(({ item, frame }) =>
+    order.indexOf(item.id) > own || (item.id === state.selected && frame > state.frame));
+  const { item, frame, why } = all[Math.max(0, after)];
+  select(item.id);
+  goTo(frame);
+  return notify(`${item.name}: ${why} (${Math.max(0, after) + 1} of ${all.length} weak frames)`);
+}
+
 // Points
 
 export function cycleVertex(by) {

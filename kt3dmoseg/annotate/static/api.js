@@ -9,7 +9,7 @@ async function request(path, options = {}) {
     response = await fetch(path, options);
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw failure("the server does not answer", 0, null);
+    throw failure("The server does not answer", 0, null);
   }
   if (response.ok) return response;
   const body = await response.json().catch(() => ({}));
@@ -25,6 +25,10 @@ const send = (body, { headers = {}, ...extra } = {}) => ({
   ...extra,
 });
 
+export const getTrouble = (name, signal) => json(`${clip(name)}/trouble`, { signal }).then((answer) => answer.trouble);
+export const getMoving = (name) => json(`${clip(name)}/moving`).then((answer) => answer.groups);
+export const setWorkState = (name, state, by) =>
+  json(`${clip(name)}/state`, send({ state, by }, { method: "PUT" })).then((answer) => answer.work);
 export const listClips = () => json("/api/clips").then((answer) => answer.clips);
 export const getClip = (name) => json(clip(name));
 export const frameAddress = (name, frame) => `${clip(name)}/frames/${frame}`;

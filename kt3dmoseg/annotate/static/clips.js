@@ -3,12 +3,12 @@
 import * as api from "./api.js";
 import { button, byId, close, element, faint, fill, open, row, table } from "./dom.js";
 import { flush, saver, startFrom } from "./saving.js";
-import { begin, on, notify, set, state } from "./state.js";
-import { loadTracks } from "./tracks.js";
+import { attempt, begin, on, notify, set, state } from "./state.js";
+import { loadTracks, unexplained } from "./tracks.js";
 import { fit, numbersOf, stop } from "./view.js";
 
 const POLL = 500;
-const HEADS = ["clip", "frames", "objects", "motions", "labelled", "", "saved", "by"];
+const HEADS = ["clip", "frames", "objects", "motions", "state", "", "left", "saved"];
 
 /** Open a clip, or report why it cannot be opened. */
 export async function openClip(name, pushHistory = true) {
@@ -28,7 +28,7 @@ async function show(name, pushHistory) {
   stop();
   saver.base = undefined;
   clip.numbers = numbersOf(clip.frame_names);
-  begin(clip, { doc: clip.annotation, view: fit(clip.image_size) });
+  begin(clip, { work: clip.work, doc: clip.annotation, view: fit(clip.image_size) });
   byId("stage").focus({ preventScroll: true });
   await startFrom(name, clip.annotation);
   await loadTracks(clip);
@@ -41,38 +41,44 @@ export async function openNext(by) {
   else notify(by > 0 ? "This is the last clip" : "This is the first clip");
 }
 
-// Progress
+// Progress: the state that an annotator set, and what the trajectories leave to explain
 
-/** Trajectories of a clip that have their label or were rejected, of how many; null where none are known. */
-function shareOf({ counts, trajectories }) {
-  if (counts) {
-    const left = counts.short + counts.conflict;
-    const decided = counts.labelled + counts.rejected;
-    return { decided, left, total: decided + left };
-  }
-  return trajectories === undefined ? null : { decided: 0, left: trajectories, total: trajectories };
+/** The state of a clip as it counts now: what was changed after it was done is in work again. */
+function stateOf({ work, revision }) {
+  if (!work?.by) return { state: revision ? "in work" : "not started", detail: "" };
+  const detail = `${work.by}, ${new Date(work.time).toLocaleString()}`;
+  const changed = ["done", "reviewed"].includes(work.state) && revision !== undefined && revision !== work.revision;
+  return changed ? { state: "in work", detail: `changed since ${work.state} by ${detail}` }
+    : { state: work.state, detail: `by ${detail}` };
 }
 
-/** The same over all clips, with the number of clips that are annotated and of those that cannot be counted. */
-function overall(summaries) {
-  const out = { decided: 0, left: 0, total: 0, annotated: 0, clips: summaries.length, unknown: 0, counting: 0 };
-  for (const summary of summaries) {
-    const share = shareOf(summary);
-    for (const key of ["decided", "left", "total"]) out[key] += share?.[key] ?? 0;
-    out.annotated += summary.objects !== undefined;
-    out.unknown += !share && !summary.counting;
-    out.counting += summary.counting;
-  }
-  return out;
+const left = (count) => (count ? `${count} motion${count > 1 ? "s" : ""} unexplained` : "no motion unexplained");
+
+async function setState(wanted) {
+  await flush();
+  const { clip, doc } = state;
+  const by = clip.annotator || localStorage.getItem("annotator") || doc.annotator || await askName();
+  if (!by) return drawProgress();
+  const work = await api.setWorkState(clip.name, wanted, by);
+  if (clip === state.clip) set({ work });
+  return refresh();
 }
 
-// Rounded down: 100 % means all.
-const percent = ({ decided, total }) => `${(Math.floor((1000 * decided) / (total || 1)) / 10).toFixed(1)} %`;
-
-function meter({ decided, total }) {
-  const full = element("i");
-  full.style.width = `${(100 * decided) / (total || 1)}%`;
-  return element("span", { className: "meter" }, full);
+/** Who sets the state; this browser keeps the answer. */
+function askName() {
+  return new Promise((done) => {
+    const name = element("input", { "aria-label": "your name", maxLength: 100 });
+    const keep = () => {
+      const given = name.value.trim();
+      if (given) localStorage.setItem("annotator", given);
+      close();
+    };
+    name.addEventListener("keydown", (event) => event.key === "Enter" && keep());
+    open("Who are you?", element("p", {}, "The state is kept with your name and the time."), name,
+      row(button("Keep", keep, "primary"), button("Cancel", close)));
+    name.focus();
+    byId("dialog").addEventListener("close", () => done(localStorage.getItem("annotator")), { once: true });
+  });
 }
 
 let timer = 0;
@@ -88,16 +94,17 @@ async function refresh() {
 }
 
 function drawProgress() {
-  const { labels, summaries, clip, doc } = state;
-  const started = doc.objects.length || doc.revision;
-  const here = labels && started ? shareOf(labels) : null;
-  const all = overall(summaries ?? []);
-  const parts = [element("span", {}, here ? percent(here) : started ? "…" : "to do")];
-  if (all.clips > 1) parts.push(faint(`all ${all.clips}:`), all.counting ? faint("counting…") : percent(all));
-  fill(byId("progress"), parts);
-  byId("clips").title = `${here ? `${clip.name}: ${here.decided} of ${here.total} trajectories labelled. ` : ""}`
-    + `${all.annotated} of ${all.clips} clips annotated, ${all.decided} of ${all.total} trajectories labelled (F2)`;
+  const { summaries, clip, work } = state;
+  const open = unexplained();
+  byId("progress").textContent = open ? left(open.length) : "…";
+  byId("clips").title = `${done(summaries ?? []).length} of ${summaries?.length ?? 0} clips are done. Unexplained: groups of `
+    + "trajectories that move by themselves and lie in no outline (Shift+U). F2 lists the clips";
+  const { state: now, detail } = stateOf({ work, revision: saver.revision });
+  fill(byId("state"), clip.states.map((name) => element("option", { selected: name === now }, name)));
+  byId("state").title = detail || "Set how far this clip is";
 }
+
+const done = (summaries) => summaries.filter((s) => ["done", "reviewed"].includes(stateOf(s).state));
 
 // The list
 
@@ -118,36 +125,33 @@ function drawClips() {
   }
   const focused = document.activeElement?.dataset?.clip;
   const top = body.querySelector(".scroll")?.scrollTop ?? 0;
-  fill(body, total(overall(summaries)), table(HEADS, summaries.map(cells)));
+  fill(body, total(summaries), table(HEADS, summaries.map(cells)));
   body.querySelector(".scroll").scrollTop = top;
   if (focused) body.querySelector(`[data-clip="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
 }
 
-function total(all) {
-  const text = [`${all.annotated} of ${all.clips} clips annotated.`];
-  if (all.total) text.push(`${percent(all)} of ${all.total} trajectories labelled, ${all.left} open.`);
-  if (all.counting) text.push(`Counting ${all.counting} more…`);
-  if (all.unknown) text.push(`Without trajectories yet: ${all.unknown}; open them, or start with --tracks.`);
-  return element("p", { role: "status" }, meter(all), ` ${text.join(" ")}`);
+function total(summaries) {
+  const number = (wanted) => summaries.filter((summary) => stateOf(summary).state === wanted).length;
+  const counting = summaries.filter((summary) => summary.counting).length;
+  const states = state.clip.states.map((name) => `${number(name)} ${name}`).join(", ");
+  return element("p", { role: "status" }, `${summaries.length} clips: ${states}.`
+    + (counting ? ` Counting ${counting} more…` : ""));
 }
 
 function cells(summary) {
-  const { name, n_frames, objects, motions, revision, annotator } = summary;
+  const { name, n_frames, objects, motions, revision, counts, unexplained: open, error } = summary;
   const go = button(name, () => (close(), openClip(name)), name === state.clip?.name ? "on" : "");
   go.dataset.clip = name;
-  const saved = objects === undefined ? "" : `rev ${revision}`;
-  return [go, n_frames, objects ?? "", motions ?? "", ...progressCells(summary), saved, annotator ?? ""];
-}
-
-function progressCells(summary) {
-  if (summary.error) return [element("span", { className: "bad" }, summary.error), ""];
-  const share = shareOf(summary);
-  const untouched = summary.objects === undefined;
-  if (!share) return [faint(summary.counting ? "counting…" : untouched ? "to do" : "no trajectories yet"), ""];
-  return [meter(share), untouched ? "to do" : `${percent(share)}, ${share.left} open`];
+  const { state: now, detail } = stateOf(summary);
+  const doubt = counts ? `${counts.conflict + counts.short} open` : "";
+  const hint = error ? element("span", { className: "bad" }, error) : [Number.isInteger(open) ? left(open) : "", doubt]
+    .filter(Boolean).join(", ");
+  return [go, n_frames, objects ?? "", motions ?? "", now, faint(detail), summary.counting ? faint("counting…") : hint,
+    objects === undefined ? "" : `rev ${revision}`];
 }
 
 // The clip at hand comes first: the others are counted when its labels are there.
 on(["saving", "labels", "clip"], () => state.labels && state.saving.kind === "saved" && refresh());
-on(["labels", "summaries", "clip"], () => state.clip && drawProgress());
+on(["labels", "summaries", "clip", "moving", "work", "saving"], () => state.clip && drawProgress());
 on(["summaries"], drawClips);
+byId("state").addEventListener("change", (event) => attempt(() => setState(event.target.value)).then(drawProgress));

@@ -104,4 +104,23 @@ export function ask(title, ...content) {
   dialog.oncancel = (event) => event.preventDefault();
 }
 
+/** Show what takes long, for how long, with a way to cancel; undefined when cancelled. */
+export async function working(title, text, run) {
+  const controller = new AbortController();
+  const seconds = element("span");
+  const begun = performance.now();
+  const timer = setInterval(() => (seconds.textContent = ` ${Math.round((performance.now() - begun) / 1000)} s`), 500);
+  open(title, element("p", { role: "status" }, text, seconds), row(button("Cancel", close)));
+  dialog.onclose = () => (controller.abort(), byId("stage").focus());
+  try {
+    const found = await run(controller.signal);
+    return controller.signal.aborted ? undefined : found;
+  } catch (error) {
+    if (controller.signal.aborted) return undefined;
+    throw error;
+  } finally {
+    clearInterval(timer);
+  }
+}
+
 export const inform = (title, text) => open(title, element("p", {}, text), row(button("Close", close)));

@@ -2,7 +2,7 @@
 
 import { addObject, nextMotion } from "./annotation.js";
 import * as api from "./api.js";
-import { button, byId, close, element, faint, inform, line, open, row, strip, table } from "./dom.js";
+import { button, byId, close, element, faint, inform, line, open, row, strip, table, working } from "./dom.js";
 import { boundsOf } from "./geometry.js";
 import { edit, on, set, state } from "./state.js";
 import { showTrack } from "./tracks.js";
@@ -31,9 +31,11 @@ export function propose() {
 }
 
 async function request(proposer) {
-  open("Propose regions", element("p", {}, `Asking ${proposer}…`));
   try {
-    const { objects } = await api.post(state.clip.name, `proposals/${proposer}`, state.doc);
+    const found = await working("Propose regions", `Asking ${proposer}…`,
+      (signal) => api.post(state.clip.name, `proposals/${proposer}`, state.doc, signal));
+    if (!found) return undefined;
+    const { objects } = found;
     if (!objects.length) return inform("Propose regions", `${proposer} found nothing that moves.`);
     set({ proposals: objects, compared: null });
     review(0);
@@ -131,9 +133,10 @@ async function write(format, suffix) {
 /** Ask the server what an import does; a person then decides. */
 async function read(format, file, choices = {}) {
   if (!file) return;
-  open("Import", element("p", {}, `Reading ${file.name}…`));
   try {
-    decide(format, file, await api.post(state.clip.name, `import/${format}?${new URLSearchParams(choices)}`, file));
+    const found = await working("Import", `Reading ${file.name}…`, (signal) =>
+      api.post(state.clip.name, `import/${format}?${new URLSearchParams(choices)}`, file, signal));
+    if (found) decide(format, file, found);
   } catch (error) {
     open("Not imported", element("p", {}, error.message), ...again(format, file), row(button("Close", close)));
   }
@@ -176,9 +179,10 @@ export async function compare() {
   if (!state.clip.compare) {
     return inform("Compare", "Start kt3dmoseg label with --compare FOLDER, the folder of the other annotator's files.");
   }
-  open("Two annotators", element("p", {}, "Comparing…"));
   try {
-    const found = await api.post(state.clip.name, "compare", state.doc);
+    const found = await working("Two annotators", "Comparing…",
+      (signal) => api.post(state.clip.name, "compare", state.doc, signal));
+    if (!found) return undefined;
     set({ compared: { ...found, at: null }, proposals: null, review: null });
     list();
   } catch (error) {

@@ -6,7 +6,7 @@ import { button, close, element, open, row } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
 import { attempt, redo, state, toggleObject, undo } from "./state.js";
-import { nextProblem } from "./tracks.js";
+import { nextProblem, nextUnexplained } from "./tracks.js";
 import * as view from "./view.js";
 
 const STEPS = { ArrowLeft: -1, "Shift+ArrowLeft": -5, ArrowRight: 1, "Shift+ArrowRight": 5 };
@@ -74,6 +74,8 @@ export const KEYS = {
     key("y", "Y", "colour by label, by length, none", view.cycleColouring),
     key("u", "U", "only unlabelled and conflicts", () => view.toggle("problems")),
     key("g", "G", "go to the next of them", nextProblem),
+    key("Shift+U", "Shift+U", "go to the next motion that no object explains", nextUnexplained),
+    key("Shift+W", "Shift+W", "go to the next weak frame (hatched)", actions.nextWeak),
     key("h", "H", "hide the regions", () => view.toggle("hidden")),
     key("Shift+H", "Shift+H", "hide the object", () => toggleObject("unseen")),
     key("Shift+R", "Shift+R", "lock the object", () => toggleObject("locked")),

@@ -1,6 +1,8 @@
 // The panel below the frame: the objects, their key frames over time, and the properties of the selected one.
 
-import { deleteHere, deleteObject, forgetKey, regionOf, setMotion, setVisibility, update } from "./actions.js";
+import {
+  deleteHere, deleteObject, forgetKey, regionOf, setMotion, setVisibility, update, weakFrames,
+} from "./actions.js";
 import {
   BACKGROUND, PROBLEM, REJECTED, begin, byId, chip, colourOfMotion, element, faint, fill, row,
 } from "./dom.js";
@@ -35,11 +37,13 @@ function drawList() {
 
 function objectButton(item) {
   const chosen = item.id === state.selected;
+  const weak = weakFrames(item).length;
   const made = element("button", {
     className: "object", title: item.note ?? "", "aria-pressed": String(chosen),
     onclick: () => select(item.id), ondblclick: fitObject,
   }, chip(item.motion === "reject" ? "x" : String(item.motion), colourOfMotion(item.motion)),
-  element("span", { className: "name" }, item.name), faint(item.kind));
+  element("span", { className: "name" }, item.name), weak ? element("span", { className: "weak" }, `${weak} weak`)
+    : faint(item.kind));
   return element("div", { className: chosen ? "entry on" : "entry" }, made,
     toggleButton(item, "unseen", "H", "Hide (Shift+H)"), toggleButton(item, "locked", "L", "Lock (Shift+R)"));
 }
@@ -94,8 +98,25 @@ function drawRow(item, top, column, width) {
       context.fillRect(left, middle - 3, column + 0.5, 6);
       context.globalAlpha = 1;
     }
+    if (state.weak?.[item.id]?.[frame]) hatch(left, top + 3, column, ROW - 6);
     if (key) drawKey(left + column / 2, middle, visibility === "visible", colour);
   }
+}
+
+function hatch(left, top, width, height) {
+  context.save();
+  context.beginPath();
+  context.rect(left, top, width, height);
+  context.clip();
+  context.beginPath();
+  for (let x = left - height; x < left + width; x += 5) {
+    context.moveTo(x, top + height);
+    context.lineTo(x + height, top);
+  }
+  context.strokeStyle = "#eceff4";
+  context.lineWidth = 1.2;
+  context.stroke();
+  context.restore();
 }
 
 function drawKey(x, y, seen, colour) {
@@ -203,6 +224,6 @@ canvas.addEventListener("pointerdown", click);
 canvas.addEventListener("pointermove", (event) => event.buttons & 1 && click(event));
 canvas.addEventListener("wheel", (event) => (list.scrollTop += event.deltaY), { passive: true });
 list.addEventListener("scroll", () => set({ scrolled: list.scrollTop }));
-on(["doc", "selected", "clip", "unseen", "locked"], drawList);
-on(["doc", "frame", "selected", "clip", "regions", "scrolled", "resized"], drawTimeline);
+on(["doc", "selected", "clip", "unseen", "locked", "weak"], drawList);
+on(["doc", "frame", "selected", "clip", "regions", "weak", "scrolled", "resized"], drawTimeline);
 on(["doc", "selected", "frame", "labels", "regions", "dragging", "clip"], drawProperties);

@@ -2,10 +2,14 @@
 
 import * as api from "./api.js";
 import { merge } from "./annotation.js";
-import { ask, button, byId, close, element, faint, line, row } from "./dom.js";
+import { ask, button, byId, close, element, faint, fill, line, row } from "./dom.js";
 import { edit, now, on, notify, set, state } from "./state.js";
 
 const SOON = 350;
+// The server is asked this often whether it is there and can save, and given this long to answer.
+const PULSE = 2000;
+const PATIENCE = 3000;
+const OFFLINE = "The server does not answer";
 const RETRY = [1000, 2000, 4000, 8000];
 const TEXT = {
   saved: ({ revision }) => (revision ? `✓ saved · rev ${revision}` : "no edits yet · rev 0"),
@@ -29,6 +33,7 @@ export const saver = {
 let timer = 0;
 let sending = null;
 let failures = 0;
+let draftKept = true;
 
 /** Start from what the server has, and restore edits that did not reach it before the page was closed. */
 export async function startFrom(clip, doc) {
@@ -124,6 +129,44 @@ function settleConflict() {
   first.focus();
 }
 
+// The banner: what is wrong with the server or its folder, noticed also while nothing is edited
+
+async function watch() {
+  if (saver.clip) {
+    const trouble = await api.getTrouble(saver.clip, AbortSignal.timeout(PATIENCE)).catch((error) => error.message);
+    if (state.trouble && !trouble) flush();
+    set({ trouble });
+  }
+  setTimeout(watch, PULSE);
+}
+
+/** Names of the objects whose edits the server does not have. */
+function unsaved() {
+  if (!saver.pending) return [];
+  const names = (from, to) => from.objects.filter((item) => !to.objects.includes(item)).map((item) => item.name);
+  return [...new Set([...names(state.doc, saver.base), ...names(saver.base, state.doc)])];
+}
+
+function download() {
+  const content = new Blob([JSON.stringify(state.doc)], { type: "application/json" });
+  const link = element("a", { href: URL.createObjectURL(content), download: `${saver.clip}.json` });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+function drawBanner() {
+  const { saving, trouble } = state;
+  const problem = ["offline", "failed"].includes(saving.kind) ? saving.message || trouble || OFFLINE : trouble;
+  const names = unsaved();
+  byId("banner").hidden = !problem;
+  if (!problem) return;
+  const kept = saver.pending ? `Not saved, kept in this ${draftKept ? "browser" : "page only, do not close it"}: `
+    + `${names.slice(0, 6).join(", ") || "lassos"}${names.length > 6 ? ` and ${names.length - 6} more` : ""}.`
+    : "Everything before is saved; what you edit now is kept in this browser.";
+  fill(byId("banner"), element("span", {}, `${problem}. ${kept}`), button("Try now", flush),
+    button("Download the annotation", download));
+}
+
 // Drafts: edits that the server does not have yet, so that closing the browser loses nothing. Each tab has
 // its own draft, and holds a lock while it lives, so that others leave its draft alone.
 
@@ -135,8 +178,9 @@ navigator.locks?.request(`tab:${tab}`, { ifAvailable: true }, () => new Promise(
 function keepDraft(clip, base, doc) {
   try {
     localStorage.setItem(keyOf(clip, tab), JSON.stringify({ base, doc }));
+    draftKept = true;
   } catch {
-    // The browser's storage is full or forbidden: the edits stay in the page.
+    draftKept = false; // The browser's storage is full or forbidden: the edits stay in the page.
   }
 }
 
@@ -159,10 +203,12 @@ async function recover(clip) {
 
 now(["doc", "dragging"], documentChanged);
 on(["conflict"], settleConflict);
+on(["saving", "trouble", "doc"], drawBanner);
 on(["saving"], () => {
   const { kind, message } = state.saving;
   Object.assign(byId("saved"), { textContent: TEXT[kind](state.saving), className: kind, title: message ?? "" });
 });
+watch();
 addEventListener("online", flush);
 addEventListener("beforeunload", (event) => {
   if (saver.pending) event.preventDefault();

@@ -5,14 +5,14 @@ import { objectOf } from "./annotation.js";
 // What every clip begins with.
 const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
-  pointer: null, hovered: null, tracks: null, labels: null, regions: null, view: null, conflict: null,
+  pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null, conflict: null,
   computing: "loading", proposals: null, review: null, compared: null, dragging: false, flickered: null,
   playing: false, hint: "", scrolled: 0, undoable: 0, redoable: 0, unseen: new Set(), locked: new Set(),
 };
 
 export const state = {
   ...FRESH, clip: null, saving: { kind: "saved", revision: 0 }, trails: true, hidden: false, problems: false,
-  colouring: "label", brightness: 0, keyboard: false, resized: 0, summaries: null,
+  colouring: "label", brightness: 0, keyboard: false, resized: 0, summaries: null, trouble: "",
 };
 
 const listeners = [];

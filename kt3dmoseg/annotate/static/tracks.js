@@ -4,7 +4,7 @@
 import * as api from "./api.js";
 import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
 import { clamp } from "./geometry.js";
-import { now, on, notify, set, state } from "./state.js";
+import { attempt, now, on, notify, set, state } from "./state.js";
 import { goTo, showPoint, toScreen } from "./view.js";
 
 const SOON = 40;
@@ -19,7 +19,13 @@ export async function loadTracks(clip) {
   while (wait && clip === state.clip) {
     const answer = await api.getTracks(clip.name).catch((error) => ({ error }));
     if (clip !== state.clip) return;
-    if (answer.xy) set({ tracks: answer, computing: null });
+    if (answer.xy) {
+      set({ tracks: answer, computing: null });
+      attempt(async () => {
+        const moving = await api.getMoving(clip.name);
+        if (clip === state.clip) set({ moving });
+      });
+    }
     else set({ computing: progressText(answer) });
     wait = !answer.xy && (!answer.error || answer.error.offline);
     if (wait) await new Promise((resolve) => setTimeout(resolve, POLL));
@@ -48,8 +54,8 @@ async function label() {
   const current = () => clip === state.clip && own === controller;
   try {
     // Regions first: they take a fraction of the time, and the next frame waits for them.
-    const { regions } = await api.post(clip.name, "regions", doc, own.signal);
-    if (current() && regions) set({ regions });
+    const { regions, weak } = await api.post(clip.name, "regions", doc, own.signal);
+    if (current() && regions) set({ regions, weak });
     const labels = await api.post(clip.name, "labels", doc, own.signal);
     if (current() && labels.label) set({ labels });
   } catch {
@@ -93,6 +99,29 @@ export function nextProblem() {
   showTrack(row, frames[Math.floor(frames.length / 2)]);
   const reason = labels.reason[row] === 3 ? "in conflict" : "too short to label";
   notify(`trajectory ${row} is ${reason} (${problem + 1} of ${rows.length}); lasso it with Q`);
+}
+
+/** Groups that move by themselves but are mostly labelled as background: their rows; null while not known. */
+export function unexplained() {
+  const { moving, labels } = state;
+  if (!moving || !labels) return null;
+  const groups = Map.groupBy(rowsOf(state.tracks).filter((row) => moving[row] > 1), (row) => moving[row]);
+  const open = (rows) => rows.filter((row) => labels.label[row] === 1).length > rows.length / 2;
+  return [...groups.values()].filter(open);
+}
+
+let place = -1;
+
+/** Go to the next motion that no object explains. */
+export function nextUnexplained() {
+  const found = unexplained();
+  if (!found?.length) return notify(found ? "No motion is left unexplained" : "The scene's motion is not known");
+  place = (place + 1) % found.length;
+  const rows = found[place];
+  const row = rows[Math.floor(rows.length / 2)];
+  const frames = framesOf(row);
+  showTrack(row, frames[Math.floor(frames.length / 2)]);
+  return notify(`${rows.length} trajectories move by themselves here (${place + 1} of ${found.length})`);
 }
 
 const canvas = byId("tracks");
