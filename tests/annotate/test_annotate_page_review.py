@@ -148,17 +148,17 @@ def test_the_state_of_a_clip_is_what_its_annotator_sets(context, equipped):
 
 
 def test_motion_that_no_outline_explains_is_counted_and_found(page):
-    page.shows("#progress", "1 motion unexplained")
+    page.shows("#progress", "1 motion to check")
     page.press("Shift+U")
-    page.shows("#hint", "move by themselves here (1 of 1)")
+    page.shows("#hint", "seem to move by themselves here (1 of 1)")
     x, y = page.value("labeller.state.cross")
     assert 60 < x < 165
     assert 70 < y < 130
     page.press("Shift+Z", "Home")
     page.draw()
-    page.shows("#progress", "no motion unexplained")
+    page.shows("#progress", "no motion to check")
     page.press("Shift+U")
-    page.shows("#hint", "No motion is left unexplained")
+    page.shows("#hint", "No motion is left to check")
 
 
 def test_weak_frames_are_hatched_counted_and_visited(page):

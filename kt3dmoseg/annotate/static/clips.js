@@ -52,7 +52,7 @@ function stateOf({ work, revision }) {
     : { state: work.state, detail: `by ${detail}` };
 }
 
-const left = (count) => (count ? `${count} motion${count > 1 ? "s" : ""} unexplained` : "no motion unexplained");
+const left = (count) => (count ? `${count} motion${count > 1 ? "s" : ""} to check` : "no motion to check");
 
 async function setState(wanted) {
   await flush();
@@ -97,8 +97,8 @@ function drawProgress() {
   const { summaries, clip, work } = state;
   const open = unexplained();
   byId("progress").textContent = open ? left(open.length) : "…";
-  byId("clips").title = `${done(summaries ?? []).length} of ${summaries?.length ?? 0} clips are done. Unexplained: groups of `
-    + "trajectories that move by themselves and lie in no outline (Shift+U). F2 lists the clips";
+  byId("clips").title = `${done(summaries ?? []).length} of ${summaries?.length ?? 0} clips are done. To check: groups of `
+    + "trajectories that seem to move by themselves and lie in no outline (Shift+U). F2 lists the clips";
   const { state: now, detail } = stateOf({ work, revision: saver.revision });
   fill(byId("state"), clip.states.map((name) => element("option", { selected: name === now }, name)));
   byId("state").title = detail || "Set how far this clip is";

@@ -115,13 +115,13 @@ let place = -1;
 /** Go to the next motion that no object explains. */
 export function nextUnexplained() {
   const found = unexplained();
-  if (!found?.length) return notify(found ? "No motion is left unexplained" : "The scene's motion is not known");
+  if (!found?.length) return notify(found ? "No motion is left to check" : "The scene's motion is not known");
   place = (place + 1) % found.length;
   const rows = found[place];
   const row = rows[Math.floor(rows.length / 2)];
   const frames = framesOf(row);
   showTrack(row, frames[Math.floor(frames.length / 2)]);
-  return notify(`${rows.length} trajectories move by themselves here (${place + 1} of ${found.length})`);
+  return notify(`${rows.length} trajectories seem to move by themselves here (${place + 1} of ${found.length})`);
 }
 
 const canvas = byId("tracks");
