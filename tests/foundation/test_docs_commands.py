@@ -16,7 +16,9 @@ LINE = re.compile(r"^\s*(?:\$ )?(kt3dmoseg|mseg) ([a-z][a-z-]*)\b(.*)$")
 def printed() -> list[tuple[str, str, str, str]]:
     found = []
     for page in PAGES:
-        blocks = re.findall(r"^```[a-z]*\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+        text = page.read_text()
+        blocks = re.findall(r"^```[a-z]*\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+        blocks += re.findall(r"(?<!`)`((?:kt3dmoseg|mseg) [a-z][^`]*)`", text)  # in sentences and tables
         for line in "\n".join(blocks).splitlines():
             if match := LINE.match(line.split("#")[0]):
                 found.append((page.name, *match.groups()))
