@@ -214,7 +214,6 @@ def _section(
     first = next((run for run in runs if run.table is not None), None)
     drawn = {run.seed: labels for run in runs if (labels := _drawn(checked, clip, run))}
     width, height = _size(clip, pictures)
-    motions, background = clip.labels.motions.tolist(), clip.labels.background
     scale = min(10.0, 32000 / max(width, height))
     section = {
         "name": name,
@@ -229,11 +228,11 @@ def _section(
             "width": width,
             "height": height,
             "n_frames": clip.n_frames,
-            "background": motions.index(background) + 1 if background in motions else 0,
+            "background": clip.labels.background or 0,
             "scale": scale,
             "numbers": clip.frame_numbers.tolist(),
             "xy": _packed_positions(clip, scale),
-            "truth": _packed(_ranks(clip.labels.label)),
+            "truth": _packed(clip.labels.label),
             "runs": list(drawn.values()),
             "frames": [_jpeg(picture) for picture in pictures],
         },
@@ -256,10 +255,11 @@ def _section(
 
 def _group_colours(table: Contingency) -> dict[int, int]:
     """Give an assigned group the colour number of its motion, the others, by size, numbers of their own."""
-    colours = {int(j): i for i, j in enumerate(table.assignment, 1) if j >= 0}
+    motions = table.motions.tolist()
+    colours = {int(j): m for m, j in zip(motions, table.assignment, strict=True) if j >= 0}
     free = [j for j in range(len(table.groups)) if j not in colours]
     free.sort(key=lambda j: -int(table.counts[:, j].sum()))
-    return colours | {j: i for i, j in enumerate(free, len(table.motions) + 1)}
+    return colours | {j: i for i, j in enumerate(free, max(motions, default=0) + 1)}
 
 
 # --- the overlay: positions, labels and frames packed for the page's script -------------------------
@@ -273,14 +273,8 @@ def _drawn(checked: Validation, clip: Clip, run: ClipScore) -> dict[str, str] | 
     colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
     for j, value in _group_colours(table).items():
         colour[table.groups[j]] = value
-    shown, truth = colour[labels], _ranks(clip.labels.label)
+    shown, truth = colour[labels], clip.labels.label
     return {"shown": _packed(shown), "wrong": _packed(((truth > 0) & (shown != truth)).astype(np.int64))}
-
-
-def _ranks(label: IntArray) -> IntArray:
-    """Renumber the motions 1..M in ascending order; 0 stays 0."""
-    motions = np.unique(label[label > 0])
-    return np.where(label > 0, np.searchsorted(motions, label) + 1, 0)
 
 
 def _packed(values: IntArray) -> str:

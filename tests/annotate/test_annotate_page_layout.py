@@ -175,6 +175,21 @@ def test_undo_and_redo_have_buttons_and_the_zoom_is_shown(page):
     page.shows("#frame-badge", f"{round(100 * page.value('labeller.state.view.scale'))} %")
 
 
+def test_regions_are_filled_strongly_or_not_at_all(page):
+    page.draw()
+    x, y = (round(v) for v in page.at((120, 120)))
+    top = box(page, "#stage")["y"]
+    alpha = f"document.getElementById('regions').getContext('2d').getImageData({x}, {y - top}, 1, 1).data[3]"
+    usual = page.value(alpha)
+    assert usual > 0
+    page.press("Shift+B")
+    page.until(f"{alpha} > {2 * usual}")
+    page.press("Shift+B")
+    page.until(f"{alpha} === 0")
+    page.press("Shift+B")
+    page.until(f"{alpha} === {usual}")
+
+
 def test_a_hidden_object_is_not_seen_and_a_locked_one_not_changed(page):
     page.draw()
     before = page.objects()

@@ -202,6 +202,22 @@ def test_long_work_shows_its_time_and_can_be_cancelled(reviewer):
     assert len(reviewer.objects()) == 1
 
 
+def test_an_import_that_was_left_does_not_come_back_over_what_is_drawn_meanwhile(page, tmp_path):
+    held = []
+    page.tab.route("**/import/coco*", lambda route: held.append(route))
+    (tmp_path / "file.json").write_text("{}")
+    page.press("Control+e")
+    page.tab.get_by_role("row", name="COCO").locator("input").set_input_files(tmp_path / "file.json")
+    page.shows("dialog p", "Reading file.json")
+    page.press("Escape")
+    page.draw()
+    for route in held:
+        route.fulfill(json={"objects": [], "plan": {"lines": [], "skipped": [], "doubts": []}})
+    page.saved()
+    assert page.value("document.querySelector('dialog[open]')") is None
+    assert len(page.objects()) == 1
+
+
 def test_differences_of_two_annotators_are_visited_one_by_one(reviewer, equipped):
     reviewer.draw()
     reviewer.saved()

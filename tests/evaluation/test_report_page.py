@@ -1,3 +1,4 @@
+import base64
 import csv
 import json
 import re
@@ -180,6 +181,20 @@ def test_layouts_escape():
     assert table.csv() == 'a_b,x|y\n50 %,"c,d"\n'
     assert table.text().splitlines() == ["T", "", "a_b   x|y", "50 %  c,d", "note"]
     assert ResultsTable("T", ["a", "b"], []).text().splitlines() == ["T", "", "a  b"]
+
+
+def test_a_label_has_its_own_colour_number_also_where_labels_between_are_missing(tmp_path):
+    name, clip = next(iter(CLIPS.items()))
+    label = np.where(clip.labels.label > 1, clip.labels.label + 4, clip.labels.label)
+    sparse = {name: replace(clip, labels=Labels(label, background=1))}
+    folder = write_submission(tmp_path / "s", sparse.values(), {name: label}, META)
+    (path,) = write_report(folder, sparse, tmp_path / "r.html")
+    (payload,) = payloads(path.read_text())
+    coloured = set(base64.b64decode(payload["truth"])) | set(base64.b64decode(payload["runs"][0]["shown"]))
+    assert coloured == set(label.tolist())
+    assert payload["background"] == 1
+    numbers = {int(n) for n in re.findall(r"data-colour='(\d+)'", path.read_text())}
+    assert numbers == set(label[label > 0].tolist())
 
 
 def test_background_unknown_and_few_labels(tmp_path):

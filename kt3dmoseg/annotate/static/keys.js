@@ -79,7 +79,8 @@ export const KEYS = {
     key("h", "H", "hide the regions", () => view.toggle("hidden")),
     key("Shift+H", "Shift+H", "hide the object", () => toggleObject("unseen")),
     key("Shift+R", "Shift+R", "lock the object", () => toggleObject("locked")),
-    key("b", "B", "brighter picture", view.brighten),
+    key("b", "B", "brighter picture, more contrast", view.brighten),
+    key("Shift+B", "Shift+B", "fill regions strongly, not at all, as usual", view.cycleOpacity),
   ],
   "Work": [
     key("Ctrl+z", "Ctrl+Z", "undo, without limit", undo),

@@ -193,7 +193,7 @@ function kinds(item) {
 
 function motionButton(item, motion) {
   const chosen = item.motion === motion;
-  const made = choice(motion === "reject" ? "x" : String(motion), MEANING[motion] ?? `motion ${motion}`,
+  const made = choice(motion === "reject" ? "x" : String(motion), MEANING[motion] ?? `motion ${motion}, label ${motion + 1} in files`,
     () => setMotion(motion), { className: chosen ? "on" : "", "aria-pressed": String(chosen) });
   made.style.background = colourOfMotion(motion);
   return made;
@@ -209,8 +209,8 @@ function counts() {
   const names = new Map(doc.objects.map((item) => [item.motion, item.name]));
   const numbers = Object.keys(motions).map((label) => label - 1).filter((motion) => motion >= 1);
   const rows = [
-    ["background", BACKGROUND, motions[1] ?? 0],
-    ...numbers.map((motion) => [names.get(motion) ?? `motion ${motion}`, colourOfMotion(motion), motions[motion + 1]]),
+    ["background (label 1)", BACKGROUND, motions[1] ?? 0],
+    ...numbers.map((motion) => [`${names.get(motion) ?? `motion ${motion}`} (label ${motion + 1})`, colourOfMotion(motion), motions[motion + 1]]),
     ["rejected", REJECTED, rejected],
     ["too short to label", PROBLEM, short],
     ["in conflict", PROBLEM, conflict],

@@ -38,7 +38,7 @@ function drawObject(item, frame) {
   const dash = region.visibility === "occluded" ? [6, 5] : region.key ? [] : [10, 3];
   for (const polygon of region.polygons) {
     outline(polygon, colour, dash, chosen ? 2.5 : 1.5);
-    context.globalAlpha = chosen ? 0.16 : item.id === state.hovered ? 0.14 : 0.07;
+    context.globalAlpha = state.opacity * (chosen ? 0.16 : item.id === state.hovered ? 0.14 : 0.07);
     context.fillStyle = colour;
     context.fill();
     context.globalAlpha = 1;
@@ -141,4 +141,4 @@ function drawCross(cross) {
 }
 
 on(["frame", "view", "doc", "regions", "selected", "vertex", "pending", "pointer", "cross", "lassoed", "hidden",
-  "flickered", "hovered", "tool", "unseen", "locked", "proposals", "review", "compared"], drawRegions);
+  "flickered", "hovered", "tool", "unseen", "locked", "opacity", "proposals", "review", "compared"], drawRegions);

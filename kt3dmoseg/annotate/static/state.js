@@ -12,7 +12,7 @@ const FRESH = {
 
 export const state = {
   ...FRESH, clip: null, saving: { kind: "saved", revision: 0 }, trails: true, hidden: false, problems: false,
-  colouring: "label", brightness: 0, keyboard: false, resized: 0, summaries: null, trouble: "",
+  colouring: "label", brightness: 0, opacity: 1, keyboard: false, resized: 0, summaries: null, trouble: "",
 };
 
 const listeners = [];

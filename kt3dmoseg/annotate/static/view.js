@@ -134,6 +134,9 @@ export const toggle = (name) => set({ [name]: !state[name] });
 
 export const brighten = () => set({ brightness: (state.brightness + 1) % 3 });
 
+/** Regions are filled as usual, strongly, or not at all. */
+export const cycleOpacity = () => set({ opacity: { 1: 3, 3: 0, 0: 1 }[state.opacity] });
+
 export function cycleColouring() {
   const order = ["label", "length", "none"];
   const colouring = order[(order.indexOf(state.colouring) + 1) % order.length];

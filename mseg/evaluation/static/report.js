@@ -1,6 +1,6 @@
 "use strict";
 // Draws the trajectories of a clip, true and predicted, on its frames. Data sit in the page.
-// Colours come from the one palette, kt3dmoseg/draw/palette.py; motions are numbered from 1.
+// Colours come from the one palette, kt3dmoseg/draw/palette.py; a label has the number and colour that it has in files and pictures.
 const colourOf = (i, background) => {
   if (i === 0) return PALETTE.unlabelled;
   return i === background ? PALETTE.background : PALETTE.labels[(i - 1) % PALETTE.labels.length];
