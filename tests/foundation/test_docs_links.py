@@ -11,11 +11,11 @@ from kt3dmoseg import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
-    ROOT / "README.md",
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted(ROOT.glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "annotations").glob("*.md")),
 ]
-PLACES = "kt3dmoseg|mseg|tools|docs|tests|benchmarks|examples|annotations"
+PLACES = "kt3dmoseg|mseg|tools|docs|tests|benchmarks|examples|annotations|results"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -29,14 +29,14 @@ def test_links_and_paths_lead_somewhere(page):
 
 
 def test_every_page_is_linked_from_another():
-    pages = sorted((ROOT / "docs").glob("*.md"))
+    pages = set((ROOT / "docs").rglob("*.md"))
     linked = {
-        link
+        (page.parent / link).resolve()
         for page in pages
-        for link in re.findall(r"\]\(([\w-]+\.md)", page.read_text())
-        if link != page.name
+        for link in re.findall(r"\]\(([\w./-]+\.md)", page.read_text())
+        if (page.parent / link).resolve() != page
     }
-    assert {page.name for page in pages} - {"index.md"} <= linked
+    assert pages - {ROOT / "docs" / "index.md"} <= linked
 
 
 def test_version_is_the_same_everywhere():
