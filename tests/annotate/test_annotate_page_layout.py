@@ -61,6 +61,16 @@ def test_the_bar_stays_and_the_list_scrolls_to_any_object(page, size):
     page.until("labeller.state.scrolled === 0")
 
 
+def test_the_list_keeps_the_focus_when_it_is_drawn_again(page):
+    many(page, 3)
+    page.tab.get_by_role("button", name="object 2, car, motion 2", exact=True).focus()
+    page.press("4")
+    page.value("new Promise(requestAnimationFrame)")
+    page.tab.locator("#objects :focus").wait_for()
+    page.press("Enter")
+    page.until("labeller.state.selected === 2")
+
+
 def test_the_panel_is_resized_by_its_edges_and_stays_so(page):
     height, width = box(page, "#panel")["height"], box(page, "#objects")["width"]
     edge = box(page, "#panel-edge")

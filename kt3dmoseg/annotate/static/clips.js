@@ -56,18 +56,20 @@ const left = (count) => (count ? `${count} motion${count > 1 ? "s" : ""} to chec
 
 async function setState(wanted) {
   await flush();
-  const { clip, doc } = state;
-  const by = clip.annotator || localStorage.getItem("annotator") || doc.annotator || await askName();
+  const { clip } = state;
+  const by = yourName() || await askName();
   if (!by) return drawProgress();
   const work = await api.setWorkState(clip.name, wanted, by);
   if (clip === state.clip) set({ work });
   return refresh();
 }
 
-/** Who sets the state; this browser keeps the answer. */
+/** Who sets the state: not who drew last, for a reviewer is somebody else. This browser keeps the answer. */
+const yourName = () => state.clip.annotator || localStorage.getItem("annotator");
+
 function askName() {
   return new Promise((done) => {
-    const name = element("input", { "aria-label": "your name", maxLength: 100 });
+    const name = element("input", { "aria-label": "your name", maxLength: 100, value: yourName() ?? "" });
     const keep = () => {
       const given = name.value.trim();
       if (given) localStorage.setItem("annotator", given);
@@ -111,7 +113,10 @@ const done = (summaries) => summaries.filter((s) => ["done", "reviewed"].include
 const body = element("div");
 
 export function clips() {
-  open("Clips", body, row(button("Close", close)));
+  const rename = button(`You: ${yourName() ?? "?"}`, askName);
+  rename.title = "Whose name is kept with the states that you set";
+  rename.disabled = Boolean(state.clip.annotator);
+  open("Clips", body, row(button("Close", close), rename));
   drawClips();
   body.querySelector("button.on")?.focus();
 }

@@ -104,6 +104,13 @@ export function ask(title, ...content) {
   dialog.oncancel = (event) => event.preventDefault();
 }
 
+/** Save a blob as a file of this computer. */
+export function download(content, name) {
+  const link = element("a", { href: URL.createObjectURL(content), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
 /** Show what takes long, for how long, with a way to cancel; undefined when cancelled. */
 export async function working(title, text, run) {
   const controller = new AbortController();

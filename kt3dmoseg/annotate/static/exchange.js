@@ -2,7 +2,7 @@
 
 import { addObject, nextMotion } from "./annotation.js";
 import * as api from "./api.js";
-import { button, byId, close, element, faint, inform, line, open, row, strip, table, working } from "./dom.js";
+import { button, byId, close, download, element, faint, inform, line, open, row, strip, table, working } from "./dom.js";
 import { boundsOf } from "./geometry.js";
 import { edit, on, set, state } from "./state.js";
 import { showTrack } from "./tracks.js";
@@ -121,10 +121,7 @@ export function exchange() {
 async function write(format, suffix) {
   try {
     const content = await api.exportAs(state.clip.name, format, state.doc);
-    const name = `${state.clip.name}_${format}${suffix}`;
-    const link = element("a", { href: URL.createObjectURL(content), download: name });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    download(content, `${state.clip.name}_${format}${suffix}`);
   } catch (error) {
     inform("Not exported", error.message);
   }

@@ -73,15 +73,19 @@ for (const [name, { size, most, larger, smaller }] of Object.entries(EDGES)) {
     edge.setAttribute("aria-valuenow", pixels);
     localStorage.setItem(`size:${name}`, pixels);
   };
+  const present = () => {
+    const box = edge.getBoundingClientRect();
+    return Math.round(size(box.x + box.width / 2, box.y + box.height / 2));
+  };
   const kept = Number(localStorage.getItem(`size:${name}`));
   if (kept) place(kept);
+  else edge.setAttribute("aria-valuenow", present());
   edge.addEventListener("pointerdown", (event) => edge.setPointerCapture(event.pointerId));
   edge.addEventListener("pointermove", (event) => event.buttons & 1 && place(size(event.clientX, event.clientY)));
   edge.addEventListener("keydown", (event) => {
     const by = { [larger]: STEP, [smaller]: -STEP }[event.key];
     if (!by) return;
-    const box = edge.getBoundingClientRect();
-    place(size(box.x + box.width / 2, box.y + box.height / 2) + by);
+    place(present() + by);
     event.preventDefault();
     event.stopPropagation();
   });

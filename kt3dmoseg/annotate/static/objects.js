@@ -30,8 +30,10 @@ const context = canvas.getContext("2d");
 function drawList() {
   if (!state.doc) return;
   const { objects } = state.doc;
+  const focused = list.contains(document.activeElement) && document.activeElement.closest(".entry").dataset.id;
   fill(list, objects.length ? objects.map(objectButton)
     : element("ol", { className: "empty" }, FIRST_STEPS.map((step) => element("li", {}, step))));
+  if (focused) list.querySelector(`[data-id="${focused}"] .object`)?.focus();
   list.querySelector(".on")?.scrollIntoView({ block: "nearest" });
 }
 
@@ -39,12 +41,12 @@ function objectButton(item) {
   const chosen = item.id === state.selected;
   const weak = weakFrames(item).length;
   const made = element("button", {
-    className: "object", title: item.note ?? "", "aria-pressed": String(chosen),
+    className: "object", title: item.note ?? "", "aria-label": `${item.name}, ${item.kind}, motion ${item.motion}${weak ? `, ${weak} weak frames` : ""}`, "aria-pressed": String(chosen),
     onclick: () => select(item.id), ondblclick: fitObject,
   }, chip(item.motion === "reject" ? "x" : String(item.motion), colourOfMotion(item.motion)),
   element("span", { className: "name" }, item.name), weak ? element("span", { className: "weak" }, `${weak} weak`)
     : faint(item.kind));
-  return element("div", { className: chosen ? "entry on" : "entry" }, made,
+  return element("div", { className: chosen ? "entry on" : "entry", "data-id": item.id }, made,
     toggleButton(item, "unseen", "H", "Hide (Shift+H)"), toggleButton(item, "locked", "L", "Lock (Shift+R)"));
 }
 

@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { merge } from "./annotation.js";
-import { ask, button, byId, close, element, faint, fill, line, row } from "./dom.js";
+import { ask, button, byId, close, download, element, faint, fill, line, row } from "./dom.js";
 import { edit, now, on, notify, set, state } from "./state.js";
 
 const SOON = 350;
@@ -147,12 +147,8 @@ function unsaved() {
   return [...new Set([...names(state.doc, saver.base), ...names(saver.base, state.doc)])];
 }
 
-function download() {
-  const content = new Blob([JSON.stringify(state.doc)], { type: "application/json" });
-  const link = element("a", { href: URL.createObjectURL(content), download: `${saver.clip}.json` });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-}
+const downloadDocument = () =>
+  download(new Blob([JSON.stringify(state.doc)], { type: "application/json" }), `${saver.clip}.json`);
 
 function drawBanner() {
   const { saving, trouble } = state;
@@ -164,7 +160,7 @@ function drawBanner() {
     + `${names.slice(0, 6).join(", ") || "lassos"}${names.length > 6 ? ` and ${names.length - 6} more` : ""}.`
     : "Everything before is saved; what you edit now is kept in this browser.";
   fill(byId("banner"), element("span", {}, `${problem}. ${kept}`), button("Try now", flush),
-    button("Download the annotation", download));
+    button("Download the annotation", downloadDocument));
 }
 
 // Drafts: edits that the server does not have yet, so that closing the browser loses nothing. Each tab has
