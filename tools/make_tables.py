@@ -44,7 +44,7 @@ def short(results: list[PublishedResult]) -> ResultsTable:
     """Make the table for newcomers: the methods of the paper, one line each."""
     first = results[0]
     rows = []
-    for each in (each for each in results if each.title in ABOUT):
+    for each in (r for r in results if r.title in ABOUT and r.n_motions == "given"):
         errors = 100 * each.errors
         spread = f" ±{errors.mean(axis=0).std(ddof=1):.2f}" if len(each.seeds) > 1 else ""
         name = published_name(each.protocol, each.method)

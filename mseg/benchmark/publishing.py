@@ -159,7 +159,7 @@ def published_results(result: BenchmarkResult) -> Iterator[PublishedResult]:
             benchmark=result.protocol.name,
             dataset_version=source.dataset_version or f"data-{source.dataset_sha256[:8]}",
             dataset_sha256=source.dataset_sha256,
-            n_motions="given",
+            n_motions=result.number,
             versions={
                 "kt3dmoseg": source.toolkit_version,
                 "algorithm": algorithm_version(type(method)) or "",
@@ -238,10 +238,10 @@ def read_results(folder: str | os.PathLike[str]) -> dict[tuple[str, str], list[P
     return {key: sorted(group, key=_order) for key, group in sorted(found.items())}
 
 
-def _order(result: PublishedResult) -> tuple[int, str]:
+def _order(result: PublishedResult) -> tuple[bool, int, str]:
     rows = [name.lower().replace("-", "") for name in result.protocol.published]
     name = "prevalence" if result.method == "one_motion" else result.method
-    return rows.index(name) if name in rows else len(rows), result.title
+    return result.n_motions == "found", rows.index(name) if name in rows else len(rows), result.title
 
 
 def summary(results: Sequence[PublishedResult]) -> ResultsTable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.types import FloatArray, IntArray
@@ -45,6 +45,7 @@ class BenchmarkResult:
         default_factory=dict
     )  # clips and their numbers of labelled trajectories
     provenance: Provenance | None = None  # of the clips
+    number: Literal["given", "found"] = "given"  # whether the methods were given the number of motions
 
     @property
     def clips(self) -> list[str]:
@@ -88,6 +89,7 @@ class BenchmarkResult:
         return {
             "benchmark": self.protocol.name,
             "coverage": self.protocol.coverage(self.clips),
+            "number": self.number,
             "seeds": list(self.seeds),
             "clips": dict(self.motions),
             "methods": [{"method": c.method, "parameters": dict(c.parameters)} for c in self.configurations],
@@ -111,7 +113,8 @@ class BenchmarkResult:
 
     def _heading(self) -> str:
         seeds = count(len(self.seeds), "seed")
-        return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {seeds}"
+        known = ", number of motions found" if self.number == "found" else ""
+        return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {seeds}{known}"
 
     def _notes(self) -> list[str]:
         notes = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,6 +44,7 @@ def run(
     data: Sequence[str | os.PathLike[str]] = (),
     seeds: int | Sequence[int] = 1,
     parameters: Mapping[str, Any] | None = None,
+    number: Literal["given", "found"] = "given",
     workers: int = 1,
     dask: str = "",
     cache: str | os.PathLike[str] | None = None,
@@ -52,8 +53,7 @@ def run(
 ) -> BenchmarkResult:
     """Run methods on every clip of a benchmark that is found, and score them.
 
-    The number of motions of each clip is given to the methods. A clip on which a method fails
-    counts as fully wrong.
+    A clip on which a method fails counts as fully wrong.
 
     Parameters
     ----------
@@ -67,6 +67,8 @@ def run(
         Number of seeds, counted from 0, or the seeds.
     parameters : mapping, optional
         Parameters for those of the methods that have them.
+    number : {"given", "found"}
+        Whether the methods are given the number of motions of each clip, or find it. One that cannot fails.
     workers : int
         Processes on this machine.
     dask : str
@@ -96,14 +98,15 @@ def run(
         raise InvalidValueError("benchmark", expected="at least one method", found="none")
     paths, others = find_clips(protocol, data)
     clips = [load(path) for path in paths.values()]
+    numbers = [_given(clip, number) for clip in clips]
     shape = (len(configurations), len(clips), len(wanted))
     keys = {
-        (m, i, s): outcome_key(configurations[m], clips[i], clips[i].n_motions, wanted[s])
+        (m, i, s): outcome_key(configurations[m], clips[i], numbers[i], wanted[s])
         for m, i, s in np.ndindex(shape)
     }
     store = Cache(cache)
     outcomes = {key: outcome for key in keys.values() if (outcome := read_outcome(store, key))}
-    tasks = _tasks(configurations, clips, wanted, keys, set(outcomes), str(kernels or ""))
+    tasks = _tasks(configurations, clips, numbers, wanted, keys, set(outcomes), str(kernels or ""))
     for done, (task, made) in enumerate(
         run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask), 1
     ):
@@ -141,6 +144,7 @@ def run(
         found,
         {name: int((clip.labels.label > 0).sum()) for name, clip in named.items()},
         provenance_of(named, checksums, protocol.version_of(checksums)),
+        number,
     )
 
 
@@ -220,9 +224,16 @@ def _named(root: Path, name: str) -> Path:
     return root / name if (root / name).is_dir() or not alike else alike[0]
 
 
+def _given(clip: Clip, number: str) -> int | None:
+    if number not in ("given", "found"):
+        raise InvalidValueError("number", expected="given or found", found=f"{number!r:.40}")
+    return clip.n_motions if number == "given" else None
+
+
 def _tasks(
     configurations: Sequence[Configuration],
     clips: Sequence[Clip],
+    numbers: Sequence[int | None],
     seeds: Sequence[int],
     keys: Mapping[tuple[int, int, int], str],
     claimed: set[str],
@@ -236,5 +247,5 @@ def _tasks(
             todo = tuple((key, configuration) for key, configuration in work if key not in claimed)
             claimed.update(key for key, _ in todo)
             if todo:
-                tasks.append(Task(clips[i].without_labels(), clips[i].n_motions, seed, todo, kernels))
+                tasks.append(Task(clips[i].without_labels(), numbers[i], seed, todo, kernels))
     return tasks

@@ -6,7 +6,7 @@ import inspect
 import json as json_
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -138,6 +138,7 @@ def benchmark(
     json: Annotated[list[str] | None, Parameter(metavar="FILE", consume_multiple=(0, 1))] = None,
     markdown: Flag = False,
     publish: Folder | None = None,
+    number: Literal["given", "found"] = "given",
     seeds: Positive = 1,
     parameter: Settings = (),
     workers: Workers = 1,
@@ -170,6 +171,8 @@ def benchmark(
         Print Markdown tables.
     publish : path
         Write the scores there, one file per method and dataset version: BENCHMARK/VERSION/METHOD.json.
+    number : str
+        Give the methods the number of motions of each clip, or let them find it.
     seeds : int
         Number of seeds, counted from 0.
     """
@@ -184,6 +187,7 @@ def benchmark(
             data=data,
             seeds=seeds,
             parameters=parse_assignments(parameter),
+            number=number,
             workers=workers,
             dask=dask,
             cache=None if no_cache else cache,

@@ -295,6 +295,19 @@ def test_unlabelled_clips_need_a_number_or_a_method_that_finds_it(make_clip, tmp
     assert "cannot find it" in (tmp_path / "unknown" / "bare.failed").read_text()
 
 
+def test_methods_find_the_number_of_motions_on_request(data, tmp_path):
+    methods, cache = ["affine", "lsa"], tmp_path / "cache"
+    given = run("kt3dmoseg", methods, data=[data], cache=cache)
+    found = run("kt3dmoseg", methods, data=[data], cache=cache, number="found")
+    assert not given.failures
+    assert {(c.method, clip) for c, clip, *_ in found.failures} == {("lsa", name) for name in CLIPS}
+    assert all("cannot find it" in reason for *_, reason in found.failures)
+    assert found.number == found.as_dict()["number"] == "found"
+    assert "number of motions found" in found.summary().title
+    with pytest.raises(KT3DMoSegError, match="number: expected given or found, found 'known'"):
+        run("kt3dmoseg", methods, data=[data], number="known")
+
+
 def test_command_line(data, tmp_path, capsys):
     out = tmp_path / "predictions"
     assert main(["run", "--method", "subset", str(data), "-o", str(out), "-p", "alpha=10", "--quiet"]) == 0
