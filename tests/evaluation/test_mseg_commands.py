@@ -102,10 +102,10 @@ def test_a_leaderboard_that_cannot_be_written_is_one_line(data, tmp_path, capsys
     assert "board: cannot write" in printed
 
 
-def test_clips_without_labels_need_a_number_of_motions(tmp_path, capsys):
+def test_clips_without_labels_need_a_number_for_a_method_that_cannot_find_it(tmp_path, capsys):
     name, clip = next(iter(CLIPS.items()))
     kt3dmoseg.save(clip.without_labels(), tmp_path / "data" / f"{name}.h5")
-    command = ["run", str(tmp_path / "data"), "-o", str(tmp_path / "p"), "--method", "affine"]
+    command = ["run", str(tmp_path / "data"), "-o", str(tmp_path / "p"), "--method", "lsa"]
     assert mseg.cli.main(command) == 1
     assert "give --n-motions N" in capsys.readouterr().err
     assert mseg.cli.main([*command[:3], str(tmp_path / "q"), *command[4:], "--n-motions", "2"]) == 0
