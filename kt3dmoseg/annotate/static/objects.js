@@ -30,7 +30,7 @@ const context = canvas.getContext("2d");
 function drawList() {
   if (!state.doc) return;
   const { objects } = state.doc;
-  const focused = list.contains(document.activeElement) && document.activeElement.closest(".entry").dataset.id;
+  const focused = list.contains(document.activeElement) && document.activeElement.closest(".entry")?.dataset.id;
   fill(list, objects.length ? objects.map(objectButton)
     : element("ol", { className: "empty" }, FIRST_STEPS.map((step) => element("li", {}, step))));
   if (focused) list.querySelector(`[data-id="${focused}"] .object`)?.focus();
@@ -41,7 +41,8 @@ function objectButton(item) {
   const chosen = item.id === state.selected;
   const weak = weakFrames(item).length;
   const made = element("button", {
-    className: "object", title: item.note ?? "", "aria-label": `${item.name}, ${item.kind}, motion ${item.motion}${weak ? `, ${weak} weak frames` : ""}`, "aria-pressed": String(chosen),
+    className: "object", title: item.note ?? "", "aria-pressed": String(chosen),
+    "aria-label": `${item.name}, ${item.kind}, motion ${item.motion}${weak ? `, ${weak} weak frames` : ""}`,
     onclick: () => select(item.id), ondblclick: fitObject,
   }, chip(item.motion === "reject" ? "x" : String(item.motion), colourOfMotion(item.motion)),
   element("span", { className: "name" }, item.name), weak ? element("span", { className: "weak" }, `${weak} weak`)
