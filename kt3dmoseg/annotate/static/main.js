@@ -71,12 +71,14 @@ for (const [name, { size, most, larger, smaller }] of Object.entries(EDGES)) {
     const pixels = Math.round(clamp(wanted, LEAST, Math.max(LEAST, most())));
     byId("panel").style.setProperty(`--${name}`, `${pixels}px`);
     edge.setAttribute("aria-valuenow", pixels);
+    edge.setAttribute("aria-valuemax", Math.round(most()));
     localStorage.setItem(`size:${name}`, pixels);
   };
   const present = () => {
     const box = edge.getBoundingClientRect();
     return Math.round(size(box.x + box.width / 2, box.y + box.height / 2));
   };
+  edge.setAttribute("aria-valuemin", LEAST);
   const kept = Number(localStorage.getItem(`size:${name}`));
   if (kept) place(kept);
   else edge.setAttribute("aria-valuenow", present());

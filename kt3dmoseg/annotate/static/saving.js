@@ -131,13 +131,17 @@ function settleConflict() {
 
 // The banner: what is wrong with the server or its folder, noticed also while nothing is edited
 
+let pulse = 0;
+
 async function watch() {
+  clearTimeout(pulse);
   if (saver.clip) {
     const trouble = await api.getTrouble(saver.clip, AbortSignal.timeout(PATIENCE)).catch((error) => error.message);
     if (state.trouble && !trouble) flush();
     set({ trouble });
   }
-  setTimeout(watch, PULSE);
+  clearTimeout(pulse); // of another call that ended meanwhile
+  pulse = setTimeout(watch, PULSE);
 }
 
 /** Names of the objects whose edits the server does not have. */
@@ -159,7 +163,7 @@ function drawBanner() {
   const kept = saver.pending ? `Not saved, kept in this ${draftKept ? "browser" : "page only, do not close it"}: `
     + `${names.slice(0, 6).join(", ") || "lassos"}${names.length > 6 ? ` and ${names.length - 6} more` : ""}.`
     : "Everything before is saved; what you edit now is kept in this browser.";
-  fill(byId("banner"), element("span", {}, `${problem}. ${kept}`), button("Try now", flush),
+  fill(byId("banner"), element("span", {}, `${problem}. ${kept}`), button("Try now", () => (flush(), watch())),
     button("Download the annotation", downloadDocument));
 }
 
