@@ -13,6 +13,7 @@ from matplotlib import pyplot
 import kt3dmoseg
 from kt3dmoseg.cli import COMMANDS as DATA_COMMANDS
 from mseg.cli import COMMANDS as METHOD_COMMANDS
+from mseg.cli import main as mseg_main
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
@@ -40,6 +41,21 @@ def test_the_lines_of_python_run(tmp_path, monkeypatch, capsys):
     exec(block, {})
     pyplot.close("all")
     assert re.search(r"^error +0\.\d+$", capsys.readouterr().out, re.MULTILINE)
+
+
+def test_a_newcomer_gets_a_scored_submission_and_a_report_in_ten_commands(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    kt3dmoseg.save(two_motions(), "data/kt3dmoseg/release/Seq005_Clip01.h5")  # what fetch-release downloads
+    commands = re.findall(r"`mseg ([^`]*data/kt3dmoseg/release[^`]*)`", README)
+    names = [command.split()[0] for command in commands]
+    assert names[:5] == ["run", "example-submission", "validate", "score", "compare"]
+    before = 4  # clone, two lines of installation, fetch-release
+    assert before + len(commands[: names.index("report") + 1]) <= 10
+    for command in commands:
+        assert mseg_main(command.split()) == 0, command
+    printed = capsys.readouterr().out
+    assert "classification error in %" in printed
+    assert "<html" in Path("report.html").read_text()
 
 
 def test_the_extra_that_is_installed_exists():
