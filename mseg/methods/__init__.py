@@ -44,6 +44,7 @@ METHODS = Registry(
         "rpa": "mseg.methods.rpa:RPA",
         "lrssc": "mseg.methods.lrssc:LRSSC",
         "consistent": "mseg.methods.consistent:ConsistentMoSeg",
+        "multibody": "mseg.methods.multibody:MultiBody",
     },
     group="mseg.methods",
 )

@@ -32,7 +32,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Clip, Float32Array, FloatArray, Trajectories
+from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, Trajectories
 from mseg.clustering import (
     Count,
     Fusion,
@@ -92,6 +92,19 @@ class ViewMethod(ABC):
         Each view draws from a stream of its own, so with one seed a view has the same kernel in every method.
         """
         *streams, kmeans_rng = rng.spawn(len(KINDS) + 1)
+        views, used = self.views(clip, streams, n_motions or 1)
+        counted = self.count_motions(views, kmeans_rng) if n_motions is None else Count(n_motions, {})
+        labels, report = self.group(views, counted.number, kmeans_rng)
+        report |= {"n_motions": counted.number, "trajectories_left_out": int((~used).sum())}
+        if n_motions is None:
+            report |= {"count_scores": dict(counted.scores), "runners_up": counted.runners_up}
+        report["warnings"] = unconnected_parts(clip.evaluated_trajectories.select(used), self.gap)
+        return Segmentation.of_part(labels, used, report)
+
+    def views(
+        self, clip: Clip, streams: Sequence[np.random.Generator], least: int
+    ) -> tuple[list[csr_array], BoolArray]:
+        """Sparsified kernels (m, m) of the m >= `least` trajectories that take part, and which (n,) those are."""
         points = clip.evaluated_trajectories
         # One view after the other, so that only one dense kernel is held at a time.
         views = []
@@ -99,20 +112,11 @@ class ViewMethod(ABC):
             kernel = self.rescale(self._kernel(clip, points, kind, streams[KINDS.index(kind)]), points)
             views.append(csr_array(sparsify(kernel, self.alpha)))
         used = np.logical_or.reduce([view.diagonal() > 0 for view in views])
-        fewest = n_motions or 1
-        if used.sum() < fewest:
+        if used.sum() < least:
             raise TooFewPointsError(
-                clip.name, expected=f"at least {fewest} usable trajectories", found=str(int(used.sum()))
+                clip.name, expected=f"at least {least} usable trajectories", found=str(int(used.sum()))
             )
-        if not used.all():
-            views = [view[used][:, used] for view in views]
-        counted = self.count_motions(views, kmeans_rng) if n_motions is None else Count(n_motions, {})
-        labels, report = self.group(views, counted.number, kmeans_rng)
-        report |= {"n_motions": counted.number, "trajectories_left_out": int((~used).sum())}
-        if n_motions is None:
-            report |= {"count_scores": dict(counted.scores), "runners_up": counted.runners_up}
-        report["warnings"] = unconnected_parts(points.select(used), self.gap)
-        return Segmentation.of_part(labels, used, report)
+        return [view[used][:, used] for view in views], used
 
     def _kernel(
         self, clip: Clip, points: Trajectories, kind: ModelKind, rng: np.random.Generator

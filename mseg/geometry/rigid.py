@@ -1,0 +1,278 @@
+"""Rigid bodies over many frames: cameras by robust bundle adjustment, points by triangulation.
+
+A point of a body is (x, y, rho): it lies on the ray (x, y, 1) of the reference frame's camera at inverse depth
+rho, and appears in frame f where R_f (x, y, 1)^T + rho t_f points. Every moving body has cameras of its own, so
+static scene and moving objects are treated alike. Several bodies are adjusted at once, as one array program.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+
+# Standard deviation over noise and steps of each stage: far to near, since all points of a body are outliers of
+# cameras that have not moved yet.
+_STAGES = ((100.0, 5), (27.0, 5), (7.0, 5), (1.0, 10))
+# Residual, in standard deviations, at which a trajectory loses half of its weight.
+_HALF_WEIGHT = 2.0
+# A stage ends when no body gains more than this part of its cost.
+_GAIN = 1e-3
+# Depth below which a point is taken to be at this depth: behind a camera the image is meaningless.
+_NEAREST = 0.05
+# Inverse depths at the start, in units of their median.
+_DEPTHS = (0.3, 1.7)
+_DAMPING = 1e-3
+_TINY = 1e-12
+
+
+class Cameras(NamedTuple):
+    """Cameras of B bodies in F frames: rotation (B, F, 3, 3) and translation (B, F, 3) float64."""
+
+    rotation: FloatArray
+    translation: FloatArray
+
+
+class _State(NamedTuple):
+    """Cameras, points (B, n, 3) and what follows from them.
+
+    `rotated` (B, F, 3, n) are the rays in the cameras' axes, `image` (2, B, F, n) where they appear, `inverse`
+    (B, F, n) one over the depth, `error` (2, B, F, n) the residuals, zero where unseen, `square` (B, n) their
+    mean square over noise, and `cost` (B,) the sum of ``m log(1 + square / 4)``, m the number of frames.
+    """
+
+    cameras: Cameras
+    points: FloatArray
+    rotated: FloatArray
+    image: FloatArray
+    inverse: FloatArray
+    error: FloatArray
+    square: FloatArray
+    cost: FloatArray
+
+
+def adjust(
+    image: FloatArray, visible: BoolArray, rng: np.random.Generator, *, noise: float
+) -> tuple[Cameras, FloatArray]:
+    """Find the cameras of bodies from the images of their points, some of which may belong elsewhere.
+
+    Levenberg and Marquardt's method with the points eliminated (Schur complement), from cameras that do not
+    move and random inverse depths. A trajectory is an outlier as a whole: its weight falls with its
+    mean squared residual as Cauchy's does, on a scale that narrows in four stages.
+
+    Parameters
+    ----------
+    image : (B, F, n, 2) float64
+        Normalised image coordinates of n points of each of B bodies, anything where not visible.
+    visible : (B, F, n) bool
+        Where points are seen; a point may be seen nowhere.
+    rng : numpy.random.Generator
+        Draws the inverse depths at the start.
+    noise : float
+        Standard deviation of image coordinates.
+
+    Returns
+    -------
+    cameras : Cameras
+        Their scale is free: the median inverse depth is 1.
+    cost : (B,) float64
+        Sum over the trajectories of ``m log(1 + r^2 / 4)``, m the number of their frames and r^2 their mean squared
+        residual over `noise` squared.
+
+    References
+    ----------
+    Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment: a modern synthesis", 1999. Random inverse depths
+    and cameras that do not move as a start: Yu, Gallup, "3D reconstruction from accidental motion", CVPR 2014.
+    """
+    n_bodies, n_frames, n_points = visible.shape
+    reference = visible.sum(axis=2).argmax(axis=1)
+    points = np.empty((n_bodies, n_points, 3))
+    points[..., :2] = _nearest_image(image, visible, reference)
+    points[..., 2] = rng.uniform(*_DEPTHS, (n_bodies, n_points))
+    cameras = Cameras(np.tile(np.eye(3), (n_bodies, n_frames, 1, 1)), np.zeros((n_bodies, n_frames, 3)))
+    fixed = np.zeros((n_bodies, n_frames), dtype=np.bool_)
+    fixed[np.arange(n_bodies), reference] = True
+    planes = np.moveaxis(image, -1, 0)
+    for scale, steps in _STAGES:
+        state = _evaluate(cameras, points, planes, visible, scale * noise)
+        damping = np.full(n_bodies, _DAMPING)
+        for _ in range(steps):
+            tried = _evaluate(*_step(state, visible, fixed, damping, scale * noise), planes, visible, scale * noise)
+            better = tried.cost < state.cost
+            gain = np.where(better, (state.cost - tried.cost) / np.maximum(state.cost, _TINY), np.inf)
+            state = _choose(better, tried, state)
+            damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-9, 1e6)
+            if (gain < _GAIN).all():
+                break
+        depth = np.median(np.abs(state.points[..., 2]), axis=1)
+        depth = np.where(depth > _TINY, depth, 1.0)
+        points = state.points / np.stack([np.ones_like(depth), np.ones_like(depth), depth], axis=1)[:, None]
+        cameras = Cameras(state.cameras.rotation, state.cameras.translation * depth[:, None, None])
+    return cameras, state.cost
+
+
+def triangulate(
+    cameras: Cameras, image: FloatArray, visible: BoolArray, *, passes: int = 3
+) -> tuple[FloatArray, FloatArray]:
+    """Find the points of trajectories, as if they belonged to each of the bodies, and what that leaves.
+
+    The equations (x, y, rho) -> R_f (x, y, 1)^T + rho t_f are linear up to the depth, by which they are weighted,
+    each pass with the depths of the one before (Hartley and Sturm, "Triangulation", CVIU 1997, section 4.2).
+
+    Parameters
+    ----------
+    cameras : Cameras
+        Of B bodies in F frames.
+    image : (F, N, 2) float64
+        Normalised image coordinates, anything where not visible.
+    visible : (F, N) bool
+        Where trajectories are seen.
+    passes : int
+        Number of solutions.
+
+    Returns
+    -------
+    points : (B, N, 3) float64
+        (x, y, rho), see the module.
+    residual : (B, N) float64
+        Sum of squared image residuals of each trajectory under each body.
+    """
+    rotation, translation = cameras
+    seen = visible.astype(np.float64)[None]
+    columns = np.concatenate([rotation[..., :2], translation[..., None]], axis=-1)
+    rows = []
+    for axis in (0, 1):
+        at = image[None, ..., axis]
+        forms = [columns[:, :, axis, k, None] - at * columns[:, :, 2, k, None] for k in range(3)]
+        rows.append((forms, at * rotation[:, :, 2, 2, None] - rotation[:, :, axis, 2, None]))
+    weight = seen
+    for _ in range(passes):
+        normal = np.empty((len(rotation), image.shape[1], 3, 3))
+        right = np.zeros((len(rotation), image.shape[1], 3))
+        normal[:] = np.diag([1e-9, 1e-9, 1e-7])
+        for forms, target in rows:
+            for i in range(3):
+                weighted = weight * forms[i]
+                right[..., i] += (weighted * target).sum(axis=1)
+                for j in range(i, 3):
+                    normal[..., i, j] += (weighted * forms[j]).sum(axis=1)
+        for i, j in ((1, 0), (2, 0), (2, 1)):
+            normal[..., i, j] = normal[..., j, i]
+        points = np.linalg.solve(normal, right[..., None])[..., 0]
+        _, projected, inverse = _project(cameras, points)
+        weight = seen * inverse**2
+    error = (projected - np.moveaxis(image, -1, 0)[:, None]) * seen
+    return points, np.einsum("abfn,abfn->bn", error, error)
+
+
+def _nearest_image(image: FloatArray, visible: BoolArray, reference: IntArray) -> FloatArray:
+    """Where each point is seen in the frame nearest the body's reference, (B, n, 2)."""
+    away = np.abs(np.arange(visible.shape[1]) - reference[:, None])[:, :, None]
+    nearest = np.where(visible, away, visible.shape[1]).argmin(axis=1)
+    return np.take_along_axis(image, nearest[:, None, :, None], axis=1)[:, 0]
+
+
+def _project(cameras: Cameras, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rays in the cameras' axes, images and inverse depths; see `_State`."""
+    rays = np.stack([points[..., 0], points[..., 1], np.ones(points.shape[:-1])], axis=-2)
+    rotated = cameras.rotation @ rays[:, None]
+    seen = rotated + cameras.translation[..., None] * points[:, None, None, :, 2]
+    inverse = 1 / np.maximum(seen[:, :, 2], _NEAREST)
+    return rotated, np.moveaxis(seen[:, :, :2], 2, 0) * inverse, inverse
+
+
+def _evaluate(
+    cameras: Cameras, points: FloatArray, image: FloatArray, visible: BoolArray, noise: float
+) -> _State:
+    rotated, projected, inverse = _project(cameras, points)
+    error = (projected - image) * visible
+    frames = visible.sum(axis=1)
+    square = np.einsum("abfn,abfn->bn", error, error) / np.maximum(frames, 1) / noise**2
+    cost = (frames * np.log1p(square / _HALF_WEIGHT**2)).sum(axis=1)
+    return _State(cameras, points, rotated, projected, inverse, error, square, cost)
+
+
+def _choose(better: BoolArray, new: _State, old: _State) -> _State:
+    """Take the bodies of one state where it is better, else those of the other."""
+
+    def pick(a: FloatArray, b: FloatArray, axis: int = 0) -> FloatArray:
+        shape = [1] * a.ndim
+        shape[axis] = len(better)
+        return np.where(better.reshape(shape), a, b)
+
+    return _State(
+        Cameras(*(pick(a, b) for a, b in zip(new.cameras, old.cameras, strict=True))),
+        pick(new.points, old.points),
+        pick(new.rotated, old.rotated),
+        pick(new.image, old.image, 1),
+        pick(new.inverse, old.inverse),
+        pick(new.error, old.error, 1),
+        pick(new.square, old.square),
+        pick(new.cost, old.cost),
+    )
+
+
+def _step(
+    state: _State, visible: BoolArray, fixed: BoolArray, damping: FloatArray, noise: float
+) -> tuple[Cameras, FloatArray]:
+    """Solve the damped normal equations of cameras and points, and apply the solution."""
+    (rotation, translation), points = state.cameras, state.points
+    n_bodies, n_frames, n_points = visible.shape
+    size = 6 * n_frames
+    weight = visible * np.sqrt(1 / (1 + state.square / _HALF_WEIGHT**2))[:, None] / noise
+    x, y, z = (state.rotated[:, :, axis] for axis in range(3))
+    rho = points[:, None, :, 2]
+    columns = np.concatenate([rotation[..., :2], translation[..., None]], axis=-1)[:, :, None]
+    # A row of the Jacobian is the gradient g of an image coordinate by the point in the camera's axes, times the
+    # derivative of that: (Rp x) by a small rotation, rho by the translation, the columns of R and t by the point.
+    g = state.inverse * weight
+    by_camera = np.empty((2, n_bodies, n_frames, n_points, 6))
+    by_point = np.empty((2, n_bodies, n_frames, n_points, 3))
+    for axis in (0, 1):
+        gz = -state.image[axis] * g
+        gx, gy = (g, 0.0) if axis == 0 else (0.0, g)
+        parts = (gz * y - gy * z, gx * z - gz * x, gy * x - gx * y, rho * gx, rho * gy, rho * gz)
+        for k, part in enumerate(parts):
+            by_camera[axis, ..., k] = part
+        by_point[axis] = g[..., None] * columns[..., axis, :] + gz[..., None] * columns[..., 2, :]
+    by_camera *= ~fixed[:, :, None, None]
+    error = (state.error * weight)[..., None]
+    cameras_normal = (by_camera.swapaxes(-1, -2) @ by_camera).sum(axis=0)
+    cameras_right = -(by_camera.swapaxes(-1, -2) @ error).sum(axis=0).reshape(n_bodies, size)
+    points_normal = np.einsum("abfni,abfnj->bnij", by_point, by_point)
+    points_right = -np.einsum("abfni,abfnk->bni", by_point, error)
+    coupling = by_camera[0, ..., None] * by_point[0, ..., None, :]
+    coupling += by_camera[1, ..., None] * by_point[1, ..., None, :]
+    coupling = coupling.transpose(0, 1, 3, 2, 4).reshape(n_bodies, size, n_points, 3)
+
+    grow = damping[:, None, None, None]
+    trace = np.einsum("bnii->bn", points_normal)[..., None, None]
+    inverse = np.linalg.inv(points_normal + grow * np.eye(3) * (trace + 1e-6))
+    reduced = np.einsum("bmni,bnij->bmnj", coupling, inverse).reshape(n_bodies, size, 3 * n_points)
+    flat = coupling.reshape(n_bodies, size, 3 * n_points)
+    system = -(reduced @ flat.swapaxes(1, 2)) + _TINY * np.eye(size)
+    diagonal = np.einsum("bfkk->bfk", cameras_normal)[..., None] + 1e-6 * n_points
+    blocks = cameras_normal + np.eye(6) * (grow * diagonal + fixed[:, :, None, None])
+    frames = np.arange(n_frames)
+    view = system.reshape(n_bodies, n_frames, 6, n_frames, 6)
+    view[:, frames, :, frames, :] += blocks.swapaxes(0, 1)
+    right = cameras_right - (reduced @ points_right.reshape(n_bodies, -1, 1))[..., 0]
+    move = np.linalg.solve(system, right[..., None])
+    back = points_right - (flat.swapaxes(1, 2) @ move)[..., 0].reshape(n_bodies, n_points, 3)
+    turn = move.reshape(n_bodies, n_frames, 6)
+    return (
+        Cameras(_rotations(turn[..., :3]) @ rotation, translation + turn[..., 3:]),
+        points + np.einsum("bnij,bnj->bni", inverse, back),
+    )
+
+
+def _rotations(vectors: FloatArray) -> FloatArray:
+    """Rotation matrices of axis-angle vectors (..., 3), by Rodrigues' formula."""
+    angle = np.sqrt((vectors**2).sum(axis=-1))[..., None, None] + _TINY
+    cross = np.zeros((*vectors.shape[:-1], 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        cross[..., k, j], cross[..., j, k] = vectors[..., i], -vectors[..., i]
+    out: FloatArray = np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * (cross @ cross)
+    return out

@@ -1,0 +1,293 @@
+"""Motions found as rigid bodies: over-segment, reconstruct, choose the fewest bodies that explain the clip.
+
+1. Atoms: k-means with more clusters than there are motions, on the fused embedding of the paper's three views. An
+   atom hardly ever holds two motions; the difficulty is which atoms belong together.
+2. Bodies: bundle adjustment of atoms and of unions of similar ones gives cameras of candidate bodies
+   (`mseg.geometry.rigid`). A rigid body explains all coordinates of a trajectory in all frames by three
+   numbers, so that motion along an epipolar line, which no two views reveal, stands out over many frames.
+3. Choice: the grouping of atoms of least cost, for each number of motions, and by the price of a motion the number.
+4. Refinement: the bodies of the best groupings are adjusted again and compete in another choice; last, each
+   trajectory joins the body that explains it and its neighbours best.
+
+The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price * motions``:
+``c = log(1 + q / (4 s^2)) + log(s^2 / s_0^2) / 2`` for a mean squared residual q of trajectory i under a
+body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals; w_i grows with the
+length of the trajectory; the cut counts the edges of the three views' graphs, at unit weight per trajectory,
+between motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.cluster.hierarchy import linkage
+from scipy.sparse import csr_array, diags_array
+from scipy.spatial.distance import squareform
+
+from kt3dmoseg.options import option
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
+from mseg.clustering import kmeans
+from mseg.geometry import rigid
+from mseg.methods.paper import KINDS, Subset
+from mseg.types import Segmentation
+
+# Noise of tracked points, as a fraction of the width of the image: the scale on which bodies are adjusted.
+_NOISE = 2.5e-4
+# Focal lengths tried where none is known, in widths of the image.
+_FOCAL = (0.6, 1.2, 2.4)
+# Frames and trajectories of a body that bundle adjustment sees, bodies that it adjusts at once, starts of a refit.
+_FRAMES = 10
+_SAMPLE = 48
+_BATCH = 24
+_STARTS = 2
+# Residual, in standard deviations of a body, at which a trajectory begins to be unexplained; largest noise of a
+# body in noises of the clip.
+_UNEXPLAINED = 2.0
+_NOISIEST = 10.0
+# A trajectory of this many frames weighs 1, the heaviest one 1.5.
+_USUAL_LENGTH = 10
+_HEAVIEST = 1.5
+# Sets that share this part of their trajectories give the same body.
+_SAME = 0.9
+_SMALLEST = 6
+_SWEEPS = 10
+
+
+@dataclass(frozen=True)
+class MultiBody(Subset):
+    """Rigid bodies, each reconstructed over all frames; finds the number of motions itself, or takes it.
+
+    Source: ours. Atoms from Xu, Cheong, Li, CVPR 2018; bodies by robust bundle adjustment; the choice minimises
+    a cost of residuals, a cut and a price per motion. Input: gaps allowed. Number of motions: found, or
+    given. Cost: that of "subset" once, and about 60 small bundle adjustments.
+    """
+
+    atoms: int = option(20, "clusters of the over-segmentation", low=2)
+    price: float = option(30.0, "cost of a motion", low=0)
+    coherence: float = option(9.0, "cost of an edge between motions, per unit of degree", low=0)
+    most: int = option(7, "largest number of motions that is looked for", low=1)
+
+    def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
+        """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`.
+
+        The report holds the number found, the cost of each number of motions and the margin to the next best.
+        """
+        *streams, body_rng = rng.spawn(len(KINDS) + 1)
+        views, used = self.views(clip, streams, n_motions or 1)
+        count = min(max(self.atoms, 2 * (n_motions or 1)), int(used.sum()))
+        graphs = [self.laplacian(view) for view in views]
+        fusion = self.fuse(graphs, count)
+        atoms = kmeans(fusion.joint(), count, body_rng, n_restarts=self.restarts // 2 + 1).labels
+        scene = _Scene(clip.evaluated_trajectories.select(used), _edges(views, self.coherence), atoms, body_rng)
+        found = scene.groupings(max(self.most, n_motions or 1), self.price)
+        costs = {number: cost for number, (cost, _) in found.items()}
+        best = min(costs, key=costs.__getitem__) if n_motions is None else n_motions
+        others = [cost for number, cost in costs.items() if number != best]
+        report: dict[str, Any] = {
+            "views": [*KINDS],
+            "motions": best,
+            "costs": costs,
+            "margin": min(others) - costs[best] if others else None,
+            "noise": scene.noise,
+            "focal": scene.focal,
+            "converged": fusion.converged,
+            "trajectories_left_out": int((~used).sum()),
+        }
+        return Segmentation.of_part(found[best][1] + 1, used, report)
+
+
+def _edges(views: Sequence[csr_array], weight: float) -> csr_array:
+    """Mean of the views' graphs, each with unit degrees, times a weight."""
+    total = csr_array(views[0].shape)
+    for view in views:
+        root = diags_array(1 / np.sqrt(np.maximum(view.sum(axis=1), np.finfo(np.float32).tiny)))
+        total = total + root @ view @ root
+    return csr_array(total * (weight / len(views)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A candidate: mean squared residual (N,) of all trajectories, and that of its own."""
+
+    square: FloatArray
+    own: float
+
+
+class _Scene:
+    """A clip's trajectories and atoms, and the search among groupings of the atoms into bodies."""
+
+    def __init__(
+        self, points: Trajectories, edges: csr_array, atoms: IntArray, rng: np.random.Generator
+    ) -> None:
+        seen = points.xy[points.visible]
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        self.width = float(points.image_size[0]) if points.image_size else float(max(high - low)) + 1
+        centre = (np.array(points.image_size) - 1) / 2 if points.image_size else (low + high) / 2
+        frames = np.unique(np.linspace(0, points.n_frames - 1, _FRAMES).round().astype(np.int64))
+        visible = points.visible[:, frames]
+        self.visible = visible.T
+        self.image = (np.where(visible[..., None], points.xy[:, frames] - centre, 0.0) / self.width).swapaxes(0, 1)
+        self.freedom = np.maximum(2 * visible.sum(axis=1) - 3, 1)
+        self.weight = np.minimum(points.lengths / _USUAL_LENGTH, _HEAVIEST)
+        self.edges, self.rng = edges, rng
+        _, self.atom = np.unique(atoms, return_inverse=True)
+        self.member = self.atom == np.arange(self.atom.max() + 1)[:, None]
+        indicator = self.member.astype(np.float64)
+        self.atom_edges = indicator @ (edges @ indicator.T)
+        self.focal, self.noise = 1.0, _NOISE
+
+    def groupings(self, most: int, price: float) -> dict[int, tuple[float, IntArray]]:
+        """Cost and labels (N,), 0..M-1, of the best grouping into M motions, for each M."""
+        sets = self._unions()
+        self.focal = self._focal(sets)
+        bodies = self._bodies(sets)
+        self._measure_noise(bodies)
+        grown = self._distinct([self._explained(body) for body in bodies], sets)
+        bodies += self._bodies(grown)
+        choices = self._choose(bodies, most, price)
+        for _ in range(2):
+            groups = [group == k for chosen, group in choices.values() for k in range(len(chosen))]
+            bodies += self._bodies(self._distinct(groups, [], same=1.0), starts=_STARTS)
+            choices = self._choose(bodies, most, price)
+        costs = self._costs(bodies)
+        return {number: self._refine(costs[chosen], group, price) for number, (chosen, group) in choices.items()}
+
+    def _unions(self) -> list[BoolArray]:
+        """Masks (A,) of the atoms, and of the unions that average linkage makes of them."""
+        size = self.member.sum(axis=1)
+        sets = [mask for mask in np.eye(len(size), dtype=np.bool_)]
+        if len(size) > 1:
+            similar = self.atom_edges / (size[:, None] * size)
+            distance = similar.max() - similar
+            np.fill_diagonal(distance, 0)
+            for first, second, _, _ in linkage(squareform(distance, checks=False), "average"):
+                sets.append(sets[int(first)] | sets[int(second)])
+        return self._distinct(sets, [])
+
+    def _distinct(self, sets: list[BoolArray], known: list[BoolArray], same: float = _SAME) -> list[BoolArray]:
+        """Those of the sets of atoms that are large enough and unlike the ones before."""
+        size = self.member.sum(axis=1)
+        kept: list[BoolArray] = []
+        for atoms in sets:
+            repeated = any(size[atoms & other].sum() >= same * size[atoms | other].sum() for other in known + kept)
+            if size[atoms].sum() >= _SMALLEST and not repeated:
+                kept.append(atoms)
+        return kept
+
+    def _sample(self, sets: list[BoolArray]) -> tuple[FloatArray, BoolArray]:
+        """Images (B, F, n, 2) and visibility (B, F, n) of some trajectories of each set, long ones preferred."""
+        length = self.visible.sum(axis=0)
+        rows = [np.flatnonzero(self.member[atoms].any(axis=0) & (length > 0)) for atoms in sets]
+        n = min(_SAMPLE, max(map(len, rows)))
+        image = np.zeros((len(sets), len(self.visible), n, 2))
+        visible = np.zeros((len(sets), len(self.visible), n), dtype=np.bool_)
+        for b, of in enumerate(rows):
+            share = length[of] / length[of].sum()
+            drawn = of if len(of) <= n else self.rng.choice(of, n, replace=False, p=share)
+            image[b, :, : len(drawn)], visible[b, :, : len(drawn)] = self.image[:, drawn], self.visible[:, drawn]
+        return image, visible
+
+    def _focal(self, sets: list[BoolArray]) -> float:
+        """Focal length, in widths, that lets the largest sets be rigid best."""
+        size = self.member.sum(axis=1)
+        image, visible = self._sample(sorted(sets, key=lambda atoms: -int(size[atoms].sum()))[:6])
+        costs = [rigid.adjust(image / f, visible, self.rng, noise=_NOISE / f)[1].sum() for f in _FOCAL]
+        return _FOCAL[int(np.argmin(costs))]
+
+    def _bodies(self, sets: list[BoolArray], starts: int = 1) -> list[_Body]:
+        """Adjust a body to each set of atoms, the best of several starts."""
+        bodies = []
+        for first in range(0, len(sets), _BATCH):
+            part = sets[first : first + _BATCH]
+            image, visible = self._sample(part)
+            best, cost = rigid.adjust(image / self.focal, visible, self.rng, noise=_NOISE / self.focal)
+            for _ in range(starts - 1):
+                other, lower = rigid.adjust(image / self.focal, visible, self.rng, noise=_NOISE / self.focal)
+                better = (lower < cost)[:, None, None]
+                cost = np.minimum(lower, cost)
+                best = rigid.Cameras(
+                    np.where(better[..., None], other.rotation, best.rotation),
+                    np.where(better, other.translation, best.translation),
+                )
+            _, residual = rigid.triangulate(best, self.image / self.focal, self.visible)
+            square = residual * self.focal**2 / self.freedom
+            bodies += [
+                _Body(row, float(np.median(row[self.member[atoms].any(axis=0)])))
+                for row, atoms in zip(square, part, strict=True)
+            ]
+        return bodies
+
+    def _measure_noise(self, bodies: list[_Body]) -> None:
+        least = np.min([body.square for body in bodies], axis=0)
+        self.noise = max(float(np.sqrt(np.median(least))), 1e-3 * _NOISE)
+
+    def _scale(self, body: _Body) -> float:
+        """Variance of a body's residuals, within what noise can be."""
+        return float(np.clip(body.own, self.noise**2, (_NOISIEST * self.noise) ** 2))
+
+    def _explained(self, body: _Body) -> BoolArray:
+        """Atoms that a body explains."""
+        limit = _UNEXPLAINED**2 * self._scale(body)
+        return np.array([np.median(body.square[member]) < limit for member in self.member])
+
+    def _costs(self, bodies: list[_Body]) -> FloatArray:
+        """Cost (B, N) of trajectories under bodies; see the module."""
+        scale = np.array([self._scale(body) for body in bodies])[:, None]
+        square = np.stack([body.square for body in bodies])
+        return self.weight * (np.log1p(square / (_UNEXPLAINED**2 * scale)) + np.log(scale / self.noise**2) / 2)
+
+    def _choose(self, bodies: list[_Body], most: int, price: float) -> dict[int, tuple[IntArray, IntArray]]:
+        """Choose M bodies and the one (A,) that each atom follows, for each M: add the best, then swap."""
+        table = self._costs(bodies) @ self.member.T
+
+        def values(sets: IntArray) -> tuple[FloatArray, IntArray]:
+            """Costs of many choices (C, M), infinite where a body has no atom, and their groups (C, A)."""
+            group = table[sets].argmin(axis=1)
+            data = np.take_along_axis(table[sets], group[:, None], axis=1)[:, 0].sum(axis=1)
+            cut = (self.atom_edges * (group[:, :, None] != group[:, None])).sum(axis=(1, 2)) / 2
+            idle = (group[:, None] != np.arange(sets.shape[1])[:, None]).all(axis=2).any(axis=1)
+            return np.where(idle, np.inf, data + cut + price * sets.shape[1]), group
+
+        every = np.arange(len(bodies))[:, None]
+        chosen = np.empty(0, dtype=np.int64)
+        choices: dict[int, tuple[IntArray, IntArray]] = {}
+        for number in range(1, min(most, len(bodies), len(self.member)) + 1):
+            options = np.concatenate([np.tile(chosen, (len(bodies), 1)), every], axis=1)
+            cost, group = values(options)
+            at = int(cost.argmin())
+            if not np.isfinite(cost[at]):
+                break
+            chosen, value = options[at], cost[at]
+            choices[number] = chosen, group[at]
+            while number > 1:
+                options = np.tile(chosen, (number, len(bodies), 1))
+                options[np.arange(number), :, np.arange(number)] = every[:, 0]
+                options = options.reshape(-1, number)
+                cost, group = values(options)
+                at = int(cost.argmin())
+                if cost[at] >= value - 1e-9:
+                    break
+                chosen, value = options[at], cost[at]
+                choices[number] = chosen, group[at]
+        return choices
+
+    def _refine(self, costs: FloatArray, group: IntArray, price: float) -> tuple[float, IntArray]:
+        """Let single trajectories change their motion (iterated conditional modes); cost and labels (N,)."""
+        number = len(costs)
+        labels = start = group[self.atom]
+        for _ in range(_SWEEPS):
+            support = self.edges @ (labels[:, None] == np.arange(number)).astype(np.float64)
+            wanted = (costs.T - support).argmin(axis=1)
+            change = wanted != labels
+            if not change.any():
+                break
+            # Half of them at a time: neighbours that change together undo each other.
+            labels = np.where(change & (self.rng.random(len(labels)) < 0.5), wanted, labels)
+        if len(np.unique(labels)) < number:
+            labels = start
+        rows, columns = self.edges.nonzero()
+        cut = self.edges.data[labels[rows] != labels[columns]].sum() / 2
+        return float(costs[labels, np.arange(len(labels))].sum() + cut + price * number), labels
