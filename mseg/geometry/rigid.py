@@ -1,28 +1,30 @@
 """Rigid bodies over many frames: cameras by robust bundle adjustment, points by triangulation.
 
-A point of a body is (x, y, rho): it lies on the ray (x, y, 1) of the reference frame's camera at inverse depth
-rho, and appears in frame f where R_f (x, y, 1)^T + rho t_f points. Every moving body has cameras of its own, so
-static scene and moving objects are treated alike. Several bodies are adjusted at once, as one array program.
+A point of a body is (x, y, rho): it lies on the ray (x, y, 1) of the reference frame's camera at inverse
+depth rho, and appears in frame f where R_f (x, y, 1)^T + rho t_f points. Every moving body has cameras of its
+own, so static scene and moving objects are treated alike. Several bodies are adjusted at once, as arrays.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
-# Standard deviation over noise and steps of each stage: far to near, since all points of a body are outliers of
-# cameras that have not moved yet.
-_STAGES = ((100.0, 5), (27.0, 5), (7.0, 5), (1.0, 10))
+# Stages of a descent: standard deviation over noise, and steps. From far to near where all points would be
+# outliers of cameras that have not moved, as in a deep scene; at once where motion is small or depth shallow.
+_GRADUAL = ((100.0, 5), (27.0, 5), (7.0, 5), (1.0, 10))
+_DIRECT = ((1.0, 25),)
 # Residual, in standard deviations, at which a trajectory loses half of its weight.
 _HALF_WEIGHT = 2.0
 # A stage ends when no body gains more than this part of its cost.
 _GAIN = 1e-3
 # Depth below which a point is taken to be at this depth: behind a camera the image is meaningless.
 _NEAREST = 0.05
-# Inverse depths at the start, in units of their median.
+# Random inverse depths at the start of the gradual descent, in units of their median.
 _DEPTHS = (0.3, 1.7)
 _DAMPING = 1e-3
 _TINY = 1e-12
@@ -38,9 +40,9 @@ class Cameras(NamedTuple):
 class _State(NamedTuple):
     """Cameras, points (B, n, 3) and what follows from them.
 
-    `rotated` (B, F, 3, n) are the rays in the cameras' axes, `image` (2, B, F, n) where they appear, `inverse`
-    (B, F, n) one over the depth, `error` (2, B, F, n) the residuals, zero where unseen, `square` (B, n) their
-    mean square over noise, and `cost` (B,) the sum of ``m log(1 + square / 4)``, m the number of frames.
+    `rotated` (B, F, 3, n) are the rays in the cameras' axes, `image` (2, B, F, n) where they appear,
+    `inverse` (B, F, n) one over the depth, `error` (2, B, F, n) the residuals, zero where unseen, `square`
+    (B, n) their mean square over noise, and `cost` (B,) as `adjust` returns it.
     """
 
     cameras: Cameras
@@ -58,9 +60,10 @@ def adjust(
 ) -> tuple[Cameras, FloatArray]:
     """Find the cameras of bodies from the images of their points, some of which may belong elsewhere.
 
-    Levenberg and Marquardt's method with the points eliminated (Schur complement), from cameras that do not
-    move and random inverse depths. A trajectory is an outlier as a whole: its weight falls with its
-    mean squared residual as Cauchy's does, on a scale that narrows in four stages.
+    Levenberg and Marquardt's method with the points eliminated (Schur complement). A trajectory is an outlier
+    as a whole: its weight falls with its mean squared residual as Cauchy's does. Cameras start where they do
+    not move, once with random depths and a scale of outliers that narrows, once with equal depths; of
+    the two descents each body keeps the better.
 
     Parameters
     ----------
@@ -69,7 +72,7 @@ def adjust(
     visible : (B, F, n) bool
         Where points are seen; a point may be seen nowhere.
     rng : numpy.random.Generator
-        Draws the inverse depths at the start.
+        Draws the random depths.
     noise : float
         Standard deviation of image coordinates.
 
@@ -78,28 +81,42 @@ def adjust(
     cameras : Cameras
         Their scale is free: the median inverse depth is 1.
     cost : (B,) float64
-        Sum over the trajectories of ``m log(1 + r^2 / 4)``, m the number of their frames and r^2 their mean squared
-        residual over `noise` squared.
+        Sum over the trajectories of ``m log(1 + r^2 / 4)``, m the number of their frames and r^2 their mean
+        squared residual over `noise` squared.
 
     References
     ----------
-    Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment: a modern synthesis", 1999. Random inverse depths
-    and cameras that do not move as a start: Yu, Gallup, "3D reconstruction from accidental motion", CVPR 2014.
+    Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment: a modern synthesis", 1999. The start: Yu,
+    Gallup, "3D reconstruction from accidental motion", CVPR 2014.
     """
-    n_bodies, n_frames, n_points = visible.shape
+    deep = rng.uniform(*_DEPTHS, (visible.shape[0], visible.shape[2]))
+    first, cost = _descend(image, visible, deep, _GRADUAL, noise)
+    second, other = _descend(image, visible, np.ones_like(deep), _DIRECT, noise)
+    return Cameras(*(_pick(other < cost, b, a) for a, b in zip(first, second, strict=True))), np.minimum(
+        cost, other
+    )
+
+
+def _descend(
+    image: FloatArray,
+    visible: BoolArray,
+    depths: FloatArray,
+    stages: Sequence[tuple[float, int]],
+    noise: float,
+) -> tuple[Cameras, FloatArray]:
+    n_bodies, n_frames, _ = visible.shape
     reference = visible.sum(axis=2).argmax(axis=1)
-    points = np.empty((n_bodies, n_points, 3))
-    points[..., :2] = _nearest_image(image, visible, reference)
-    points[..., 2] = rng.uniform(*_DEPTHS, (n_bodies, n_points))
+    points = np.concatenate([_nearest_image(image, visible, reference), depths[..., None]], axis=2)
     cameras = Cameras(np.tile(np.eye(3), (n_bodies, n_frames, 1, 1)), np.zeros((n_bodies, n_frames, 3)))
     fixed = np.zeros((n_bodies, n_frames), dtype=np.bool_)
     fixed[np.arange(n_bodies), reference] = True
     planes = np.moveaxis(image, -1, 0)
-    for scale, steps in _STAGES:
-        state = _evaluate(cameras, points, planes, visible, scale * noise)
+    for scale, steps in stages:
+        sigma = scale * noise
+        state = _evaluate(cameras, points, planes, visible, sigma)
         damping = np.full(n_bodies, _DAMPING)
         for _ in range(steps):
-            tried = _evaluate(*_step(state, visible, fixed, damping, scale * noise), planes, visible, scale * noise)
+            tried = _evaluate(*_step(state, visible, fixed, damping, sigma), planes, visible, sigma)
             better = tried.cost < state.cost
             gain = np.where(better, (state.cost - tried.cost) / np.maximum(state.cost, _TINY), np.inf)
             state = _choose(better, tried, state)
@@ -118,8 +135,8 @@ def triangulate(
 ) -> tuple[FloatArray, FloatArray]:
     """Find the points of trajectories, as if they belonged to each of the bodies, and what that leaves.
 
-    The equations (x, y, rho) -> R_f (x, y, 1)^T + rho t_f are linear up to the depth, by which they are weighted,
-    each pass with the depths of the one before (Hartley and Sturm, "Triangulation", CVIU 1997, section 4.2).
+    The equations (x, y, rho) -> R_f (x, y, 1)^T + rho t_f are linear up to the depth, by which they are
+    weighted, each pass with the depths of the one before (Hartley and Sturm, "Triangulation", CVIU 1997).
 
     Parameters
     ----------
@@ -160,7 +177,7 @@ def triangulate(
                     normal[..., i, j] += (weighted * forms[j]).sum(axis=1)
         for i, j in ((1, 0), (2, 0), (2, 1)):
             normal[..., i, j] = normal[..., j, i]
-        points = np.linalg.solve(normal, right[..., None])[..., 0]
+        points = np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], dtype=np.float64)
         _, projected, inverse = _project(cameras, points)
         weight = seen * inverse**2
     error = (projected - np.moveaxis(image, -1, 0)[:, None]) * seen
@@ -194,24 +211,19 @@ def _evaluate(
     return _State(cameras, points, rotated, projected, inverse, error, square, cost)
 
 
+def _pick(chosen: BoolArray, a: FloatArray, b: FloatArray, axis: int = 0) -> FloatArray:
+    """Take the chosen bodies, along an axis, from `a` and the others from `b`."""
+    shape = [1] * a.ndim
+    shape[axis] = len(chosen)
+    return np.where(chosen.reshape(shape), a, b)
+
+
 def _choose(better: BoolArray, new: _State, old: _State) -> _State:
     """Take the bodies of one state where it is better, else those of the other."""
-
-    def pick(a: FloatArray, b: FloatArray, axis: int = 0) -> FloatArray:
-        shape = [1] * a.ndim
-        shape[axis] = len(better)
-        return np.where(better.reshape(shape), a, b)
-
-    return _State(
-        Cameras(*(pick(a, b) for a, b in zip(new.cameras, old.cameras, strict=True))),
-        pick(new.points, old.points),
-        pick(new.rotated, old.rotated),
-        pick(new.image, old.image, 1),
-        pick(new.inverse, old.inverse),
-        pick(new.error, old.error, 1),
-        pick(new.square, old.square),
-        pick(new.cost, old.cost),
-    )
+    cameras = Cameras(*(_pick(better, a, b) for a, b in zip(new.cameras, old.cameras, strict=True)))
+    axes = {"image": 1, "error": 1}
+    fields = _State._fields[1:]
+    return _State(cameras, *(_pick(better, getattr(new, f), getattr(old, f), axes.get(f, 0)) for f in fields))
 
 
 def _step(
@@ -225,8 +237,8 @@ def _step(
     x, y, z = (state.rotated[:, :, axis] for axis in range(3))
     rho = points[:, None, :, 2]
     columns = np.concatenate([rotation[..., :2], translation[..., None]], axis=-1)[:, :, None]
-    # A row of the Jacobian is the gradient g of an image coordinate by the point in the camera's axes, times the
-    # derivative of that: (Rp x) by a small rotation, rho by the translation, the columns of R and t by the point.
+    # A row of the Jacobian is the gradient g of an image coordinate by the point in the camera's axes, times
+    # the derivative of that: (Rp x) by a rotation, rho by the translation, columns of R and t by the point.
     g = state.inverse * weight
     by_camera = np.empty((2, n_bodies, n_frames, n_points, 6))
     by_point = np.empty((2, n_bodies, n_frames, n_points, 3))
@@ -274,5 +286,5 @@ def _rotations(vectors: FloatArray) -> FloatArray:
     cross = np.zeros((*vectors.shape[:-1], 3, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         cross[..., k, j], cross[..., j, k] = vectors[..., i], -vectors[..., i]
-    out: FloatArray = np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * (cross @ cross)
-    return out
+    second = (1 - np.cos(angle)) / angle**2 * (cross @ cross)
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * cross + second, dtype=np.float64)

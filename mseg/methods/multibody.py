@@ -1,19 +1,20 @@
 """Motions found as rigid bodies: over-segment, reconstruct, choose the fewest bodies that explain the clip.
 
-1. Atoms: k-means with more clusters than there are motions, on the fused embedding of the paper's three views. An
-   atom hardly ever holds two motions; the difficulty is which atoms belong together.
+1. Atoms: k-means with more clusters than there are motions, on the fused embedding of the paper's views.
+   An atom hardly ever holds two motions; the difficulty is which atoms belong together.
 2. Bodies: bundle adjustment of atoms and of unions of similar ones gives cameras of candidate bodies
    (`mseg.geometry.rigid`). A rigid body explains all coordinates of a trajectory in all frames by three
    numbers, so that motion along an epipolar line, which no two views reveal, stands out over many frames.
-3. Choice: the grouping of atoms of least cost, for each number of motions, and by the price of a motion the number.
+3. Choice: the grouping of atoms of least cost for each number of motions, and, by a price per motion, the
+   number.
 4. Refinement: the bodies of the best groupings are adjusted again and compete in another choice; last, each
    trajectory joins the body that explains it and its neighbours best.
 
 The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price * motions``:
-``c = log(1 + q / (4 s^2)) + log(s^2 / s_0^2) / 2`` for a mean squared residual q of trajectory i under a
-body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals; w_i grows with the
-length of the trajectory; the cut counts the edges of the three views' graphs, at unit weight per trajectory,
-between motions.
+``c = log(1 + q / (9 s^2)) + log(s^2 / s_0^2) / 2`` for a mean squared residual q of trajectory i under a
+body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals; w_i grows
+with the length of the trajectory; the cut is the weight of edges between motions in the mean of the views'
+graphs, each with unit degrees.
 """
 
 from __future__ import annotations
@@ -38,14 +39,13 @@ from mseg.types import Segmentation
 _NOISE = 2.5e-4
 # Focal lengths tried where none is known, in widths of the image.
 _FOCAL = (0.6, 1.2, 2.4)
-# Frames and trajectories of a body that bundle adjustment sees, bodies that it adjusts at once, starts of a refit.
+# Frames and trajectories of a body that are adjusted, bodies adjusted at once.
 _FRAMES = 10
 _SAMPLE = 48
 _BATCH = 24
-_STARTS = 2
-# Residual, in standard deviations of a body, at which a trajectory begins to be unexplained; largest noise of a
-# body in noises of the clip.
-_UNEXPLAINED = 2.0
+# Residual, in standard deviations of a body, at which a trajectory begins to be unexplained; largest noise of
+# a body in noises of the clip.
+_UNEXPLAINED = 3.0
 _NOISIEST = 10.0
 # A trajectory of this many frames weighs 1, the heaviest one 1.5.
 _USUAL_LENGTH = 10
@@ -60,14 +60,14 @@ _SWEEPS = 10
 class MultiBody(Subset):
     """Rigid bodies, each reconstructed over all frames; finds the number of motions itself, or takes it.
 
-    Source: ours. Atoms from Xu, Cheong, Li, CVPR 2018; bodies by robust bundle adjustment; the choice minimises
-    a cost of residuals, a cut and a price per motion. Input: gaps allowed. Number of motions: found, or
-    given. Cost: that of "subset" once, and about 60 small bundle adjustments.
+    Source: ours, on the fused views of Xu, Cheong, Li, CVPR 2018. Input: gaps allowed. Number of motions:
+    found, or given. Cost: that of "subset", and about 80 small bundle adjustments.
     """
 
+    alpha: float | None = option(8.0, "power of the kernel before neighbours are chosen, see Subset", low=0)
     atoms: int = option(20, "clusters of the over-segmentation", low=2)
-    price: float = option(30.0, "cost of a motion", low=0)
-    coherence: float = option(9.0, "cost of an edge between motions, per unit of degree", low=0)
+    price: float = option(20.0, "cost of a motion", low=0)
+    coherence: float = option(12.0, "cost of an edge between motions, per unit of degree", low=0)
     most: int = option(7, "largest number of motions that is looked for", low=1)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
@@ -81,14 +81,15 @@ class MultiBody(Subset):
         graphs = [self.laplacian(view) for view in views]
         fusion = self.fuse(graphs, count)
         atoms = kmeans(fusion.joint(), count, body_rng, n_restarts=self.restarts // 2 + 1).labels
-        scene = _Scene(clip.evaluated_trajectories.select(used), _edges(views, self.coherence), atoms, body_rng)
+        points = clip.evaluated_trajectories.select(used)
+        scene = _Scene(points, _edges(views, self.coherence), atoms, body_rng)
         found = scene.groupings(max(self.most, n_motions or 1), self.price)
         costs = {number: cost for number, (cost, _) in found.items()}
         best = min(costs, key=costs.__getitem__) if n_motions is None else n_motions
         others = [cost for number, cost in costs.items() if number != best]
         report: dict[str, Any] = {
             "views": [*KINDS],
-            "motions": best,
+            "n_motions": best,
             "costs": costs,
             "margin": min(others) - costs[best] if others else None,
             "noise": scene.noise,
@@ -129,7 +130,8 @@ class _Scene:
         frames = np.unique(np.linspace(0, points.n_frames - 1, _FRAMES).round().astype(np.int64))
         visible = points.visible[:, frames]
         self.visible = visible.T
-        self.image = (np.where(visible[..., None], points.xy[:, frames] - centre, 0.0) / self.width).swapaxes(0, 1)
+        image = np.where(visible[..., None], points.xy[:, frames] - centre, 0.0) / self.width
+        self.image = image.swapaxes(0, 1)
         self.freedom = np.maximum(2 * visible.sum(axis=1) - 3, 1)
         self.weight = np.minimum(points.lengths / _USUAL_LENGTH, _HEAVIEST)
         self.edges, self.rng = edges, rng
@@ -148,17 +150,16 @@ class _Scene:
         grown = self._distinct([self._explained(body) for body in bodies], sets)
         bodies += self._bodies(grown)
         choices = self._choose(bodies, most, price)
-        for _ in range(2):
-            groups = [group == k for chosen, group in choices.values() for k in range(len(chosen))]
-            bodies += self._bodies(self._distinct(groups, [], same=1.0), starts=_STARTS)
-            choices = self._choose(bodies, most, price)
+        groups = [group == k for chosen, group in choices.values() for k in range(len(chosen))]
+        bodies += self._bodies(self._distinct(groups, []))
+        choices = self._choose(bodies, most, price)
         costs = self._costs(bodies)
-        return {number: self._refine(costs[chosen], group, price) for number, (chosen, group) in choices.items()}
+        return {m: self._refine(costs[chosen], group, price) for m, (chosen, group) in choices.items()}
 
     def _unions(self) -> list[BoolArray]:
         """Masks (A,) of the atoms, and of the unions that average linkage makes of them."""
         size = self.member.sum(axis=1)
-        sets = [mask for mask in np.eye(len(size), dtype=np.bool_)]
+        sets = list(np.eye(len(size), dtype=np.bool_))
         if len(size) > 1:
             similar = self.atom_edges / (size[:, None] * size)
             distance = similar.max() - similar
@@ -167,18 +168,18 @@ class _Scene:
                 sets.append(sets[int(first)] | sets[int(second)])
         return self._distinct(sets, [])
 
-    def _distinct(self, sets: list[BoolArray], known: list[BoolArray], same: float = _SAME) -> list[BoolArray]:
-        """Those of the sets of atoms that are large enough and unlike the ones before."""
+    def _distinct(self, sets: list[BoolArray], known: list[BoolArray]) -> list[BoolArray]:
+        """Those of the sets of atoms that are large enough and unlike the known ones and the ones before."""
         size = self.member.sum(axis=1)
-        kept: list[BoolArray] = []
+        kept = list(known)
         for atoms in sets:
-            repeated = any(size[atoms & other].sum() >= same * size[atoms | other].sum() for other in known + kept)
-            if size[atoms].sum() >= _SMALLEST and not repeated:
+            alike = (size[atoms & other].sum() >= _SAME * size[atoms | other].sum() for other in kept)
+            if size[atoms].sum() >= _SMALLEST and not any(alike):
                 kept.append(atoms)
-        return kept
+        return kept[len(known) :]
 
     def _sample(self, sets: list[BoolArray]) -> tuple[FloatArray, BoolArray]:
-        """Images (B, F, n, 2) and visibility (B, F, n) of some trajectories of each set, long ones preferred."""
+        """Images (B, F, n, 2) and visibility (B, F, n) of some trajectories per set, long ones preferred."""
         length = self.visible.sum(axis=0)
         rows = [np.flatnonzero(self.member[atoms].any(axis=0) & (length > 0)) for atoms in sets]
         n = min(_SAMPLE, max(map(len, rows)))
@@ -187,7 +188,8 @@ class _Scene:
         for b, of in enumerate(rows):
             share = length[of] / length[of].sum()
             drawn = of if len(of) <= n else self.rng.choice(of, n, replace=False, p=share)
-            image[b, :, : len(drawn)], visible[b, :, : len(drawn)] = self.image[:, drawn], self.visible[:, drawn]
+            image[b, :, : len(drawn)] = self.image[:, drawn]
+            visible[b, :, : len(drawn)] = self.visible[:, drawn]
         return image, visible
 
     def _focal(self, sets: list[BoolArray]) -> float:
@@ -197,22 +199,14 @@ class _Scene:
         costs = [rigid.adjust(image / f, visible, self.rng, noise=_NOISE / f)[1].sum() for f in _FOCAL]
         return _FOCAL[int(np.argmin(costs))]
 
-    def _bodies(self, sets: list[BoolArray], starts: int = 1) -> list[_Body]:
-        """Adjust a body to each set of atoms, the best of several starts."""
+    def _bodies(self, sets: list[BoolArray]) -> list[_Body]:
+        """Adjust a body to each set of atoms."""
         bodies = []
         for first in range(0, len(sets), _BATCH):
             part = sets[first : first + _BATCH]
             image, visible = self._sample(part)
-            best, cost = rigid.adjust(image / self.focal, visible, self.rng, noise=_NOISE / self.focal)
-            for _ in range(starts - 1):
-                other, lower = rigid.adjust(image / self.focal, visible, self.rng, noise=_NOISE / self.focal)
-                better = (lower < cost)[:, None, None]
-                cost = np.minimum(lower, cost)
-                best = rigid.Cameras(
-                    np.where(better[..., None], other.rotation, best.rotation),
-                    np.where(better, other.translation, best.translation),
-                )
-            _, residual = rigid.triangulate(best, self.image / self.focal, self.visible)
+            cameras, _ = rigid.adjust(image / self.focal, visible, self.rng, noise=_NOISE / self.focal)
+            _, residual = rigid.triangulate(cameras, self.image / self.focal, self.visible)
             square = residual * self.focal**2 / self.freedom
             bodies += [
                 _Body(row, float(np.median(row[self.member[atoms].any(axis=0)])))
@@ -237,7 +231,8 @@ class _Scene:
         """Cost (B, N) of trajectories under bodies; see the module."""
         scale = np.array([self._scale(body) for body in bodies])[:, None]
         square = np.stack([body.square for body in bodies])
-        return self.weight * (np.log1p(square / (_UNEXPLAINED**2 * scale)) + np.log(scale / self.noise**2) / 2)
+        residual = np.log1p(square / (_UNEXPLAINED**2 * scale))
+        return self.weight * (residual + np.log(scale / self.noise**2) / 2)
 
     def _choose(self, bodies: list[_Body], most: int, price: float) -> dict[int, tuple[IntArray, IntArray]]:
         """Choose M bodies and the one (A,) that each atom follows, for each M: add the best, then swap."""

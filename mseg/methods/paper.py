@@ -104,7 +104,7 @@ class ViewMethod(ABC):
     def views(
         self, clip: Clip, streams: Sequence[np.random.Generator], least: int
     ) -> tuple[list[csr_array], BoolArray]:
-        """Sparsified kernels (m, m) of the m >= `least` trajectories that take part, and which (n,) those are."""
+        """Sparsified kernels (m, m) of the m >= `least` trajectories that take part; which (n,) those are."""
         points = clip.evaluated_trajectories
         # One view after the other, so that only one dense kernel is held at a time.
         views = []
