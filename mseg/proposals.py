@@ -20,12 +20,11 @@ if TYPE_CHECKING:
 _MOST = 700
 _FEWEST = 50
 _SHORTEST = 5
-_MOTIONS = 4
-_METHOD = "keradd"
+_METHOD = "multibody"
 
 
 def propose(request: Request) -> Labels:
-    """Segment a sample of the trajectories into four groups; the largest is taken as background.
+    """Find the motions of a sample of the trajectories; the largest is taken as background.
 
     Returns
     -------
@@ -42,7 +41,7 @@ def propose(request: Request) -> Labels:
     tracks = request.trajectories
     rows = _sample(tracks)
     clip = Clip(request.clip, tracks, rows, Labels(np.zeros(len(rows), dtype=np.int64)))
-    found = segment(clip, _METHOD, n_motions=_MOTIONS, seed=0).labels
+    found = segment(clip, _METHOD, seed=0).labels
     largest = int(np.argmax(np.bincount(found, minlength=2)[1:])) + 1
     label = np.zeros(len(tracks), dtype=np.int64)
     label[rows] = np.where(found == largest, 1, np.where(found > 0, found + 1, 0))

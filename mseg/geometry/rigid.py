@@ -123,8 +123,9 @@ def _descend(
             damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-9, 1e6)
             if (gain < _GAIN).all():
                 break
-        depth = np.median(np.abs(state.points[..., 2]), axis=1)
-        depth = np.where(depth > _TINY, depth, 1.0)
+        # Scale and sign of translations and inverse depths are free together.
+        depth = np.median(state.points[..., 2], axis=1)
+        depth = np.where(np.abs(depth) > _TINY, depth, 1.0)
         points = state.points / np.stack([np.ones_like(depth), np.ones_like(depth), depth], axis=1)[:, None]
         cameras = Cameras(state.cameras.rotation, state.cameras.translation * depth[:, None, None])
     return cameras, state.cost
@@ -137,6 +138,7 @@ def triangulate(
 
     The equations (x, y, rho) -> R_f (x, y, 1)^T + rho t_f are linear up to the depth, by which they are
     weighted, each pass with the depths of the one before (Hartley and Sturm, "Triangulation", CVIU 1997).
+    Points lie in front of the reference camera, at most at infinity.
 
     Parameters
     ----------
@@ -178,6 +180,10 @@ def triangulate(
         for i, j in ((1, 0), (2, 0), (2, 1)):
             normal[..., i, j] = normal[..., j, i]
         points = np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], dtype=np.float64)
+        # Nothing is seen behind the camera, or beyond infinity.
+        behind = points[..., 2] < 0
+        points[behind, :2] = np.linalg.solve(normal[behind, :2, :2], right[behind, :2, None])[..., 0]
+        points[behind, 2] = 0
         _, projected, inverse = _project(cameras, points)
         weight = seen * inverse**2
     error = (projected - np.moveaxis(image, -1, 0)[:, None]) * seen

@@ -31,7 +31,9 @@ from scipy.spatial.distance import squareform
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.clustering import kmeans
+from mseg.errors import TooFewPointsError
 from mseg.geometry import rigid
+from mseg.kernels import unconnected_parts
 from mseg.methods.paper import KINDS, Subset
 from mseg.types import Segmentation
 
@@ -50,6 +52,12 @@ _NOISIEST = 10.0
 # A trajectory of this many frames weighs 1, the heaviest one 1.5.
 _USUAL_LENGTH = 10
 _HEAVIEST = 1.5
+# Residual, in standard deviations, beyond which a trajectory fits no motion.
+_OUTLIER = 10.0
+# Power of the kernel and restarts of k-means for the atoms. The weak ties of the paper's methods, which keep
+# few clusters whole, would tie small motions to the static scene.
+_ALPHA = 8.0
+_RESTARTS = 50
 # Sets that share this part of their trajectories give the same body.
 _SAME = 0.9
 _SMALLEST = 6
@@ -57,47 +65,52 @@ _SWEEPS = 10
 
 
 @dataclass(frozen=True)
-class MultiBody(Subset):
+class MultiBody:
     """Rigid bodies, each reconstructed over all frames; finds the number of motions itself, or takes it.
 
     Source: ours, on the fused views of Xu, Cheong, Li, CVPR 2018. Input: gaps allowed. Number of motions:
-    found, or given. Cost: that of "subset", and about 80 small bundle adjustments.
+    found, or given. Cost: that of "subset", and about 160 small bundle adjustments.
     """
 
-    alpha: float | None = option(8.0, "power of the kernel before neighbours are chosen, see Subset", low=0)
     atoms: int = option(20, "clusters of the over-segmentation", low=2)
     price: float = option(20.0, "cost of a motion", low=0)
     coherence: float = option(12.0, "cost of an edge between motions, per unit of degree", low=0)
     most: int = option(7, "largest number of motions that is looked for", low=1)
+    reject_outliers: bool = option(False, "label 0 for trajectories that fit no motion")
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Segment the evaluated trajectories of `clip`; see `mseg.types.Method.segment`.
 
-        The report holds the number found, the cost of each number of motions and the margin to the next best.
+        The report holds `n_motions`, the `costs` of each number of motions and the `margin` to the next best.
         """
+        fused = Subset(alpha=_ALPHA)
         *streams, body_rng = rng.spawn(len(KINDS) + 1)
-        views, used = self.views(clip, streams, n_motions or 1)
+        views, used = fused.views(clip, streams, n_motions or 1)
         count = min(max(self.atoms, 2 * (n_motions or 1)), int(used.sum()))
-        graphs = [self.laplacian(view) for view in views]
-        fusion = self.fuse(graphs, count)
-        atoms = kmeans(fusion.joint(), count, body_rng, n_restarts=self.restarts // 2 + 1).labels
+        fusion = fused.fuse([fused.laplacian(view) for view in views], count)
+        atoms = kmeans(fusion.joint(), count, body_rng, n_restarts=_RESTARTS).labels
         points = clip.evaluated_trajectories.select(used)
         scene = _Scene(points, _edges(views, self.coherence), atoms, body_rng)
         found = scene.groupings(max(self.most, n_motions or 1), self.price)
-        costs = {number: cost for number, (cost, _) in found.items()}
-        best = min(costs, key=costs.__getitem__) if n_motions is None else n_motions
+        costs = {number: grouping.cost for number, grouping in found.items()}
+        # A clip of few atoms may not come apart into as many motions as are asked for.
+        best = min(costs, key=costs.__getitem__) if n_motions is None else min(n_motions, max(costs))
         others = [cost for number, cost in costs.items() if number != best]
+        labels = found[best].labels + 1
+        if self.reject_outliers:
+            labels[found[best].deviation > _OUTLIER] = 0
         report: dict[str, Any] = {
             "views": [*KINDS],
             "n_motions": best,
             "costs": costs,
             "margin": min(others) - costs[best] if others else None,
-            "noise": scene.noise,
-            "focal": scene.focal,
+            "noise": scene.noise * scene.width,
+            "focal": scene.focal * scene.width,
             "converged": fusion.converged,
             "trajectories_left_out": int((~used).sum()),
+            "warnings": unconnected_parts(points, gap=1),
         }
-        return Segmentation.of_part(found[best][1] + 1, used, report)
+        return Segmentation.of_part(labels, used, report)
 
 
 def _edges(views: Sequence[csr_array], weight: float) -> csr_array:
@@ -115,6 +128,15 @@ class _Body:
 
     square: FloatArray
     own: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Grouping:
+    """Labels (N,), 0..M-1, their cost, and residuals (N,) in standard deviations of the bodies' noise."""
+
+    cost: float
+    labels: IntArray
+    deviation: FloatArray
 
 
 class _Scene:
@@ -137,13 +159,20 @@ class _Scene:
         self.edges, self.rng = edges, rng
         _, self.atom = np.unique(atoms, return_inverse=True)
         self.member = self.atom == np.arange(self.atom.max() + 1)[:, None]
+        self.size = (self.member & (visible.sum(axis=1) > 1)).sum(axis=1)
         indicator = self.member.astype(np.float64)
         self.atom_edges = indicator @ (edges @ indicator.T)
         self.focal, self.noise = 1.0, _NOISE
 
-    def groupings(self, most: int, price: float) -> dict[int, tuple[float, IntArray]]:
-        """Cost and labels (N,), 0..M-1, of the best grouping into M motions, for each M."""
+    def groupings(self, most: int, price: float) -> dict[int, _Grouping]:
+        """Best grouping into M motions, for each M."""
         sets = self._unions()
+        if not sets:
+            raise TooFewPointsError(
+                "multibody",
+                expected=f"{_SMALLEST} trajectories that live long enough",
+                found=str(self.size.sum()),
+            )
         self.focal = self._focal(sets)
         bodies = self._bodies(sets)
         self._measure_noise(bodies)
@@ -153,8 +182,10 @@ class _Scene:
         groups = [group == k for chosen, group in choices.values() for k in range(len(chosen))]
         bodies += self._bodies(self._distinct(groups, []))
         choices = self._choose(bodies, most, price)
-        costs = self._costs(bodies)
-        return {m: self._refine(costs[chosen], group, price) for m, (chosen, group) in choices.items()}
+        return {
+            number: self._refine([bodies[b] for b in chosen], group, price)
+            for number, (chosen, group) in choices.items()
+        }
 
     def _unions(self) -> list[BoolArray]:
         """Masks (A,) of the atoms, and of the unions that average linkage makes of them."""
@@ -170,18 +201,17 @@ class _Scene:
 
     def _distinct(self, sets: list[BoolArray], known: list[BoolArray]) -> list[BoolArray]:
         """Those of the sets of atoms that are large enough and unlike the known ones and the ones before."""
-        size = self.member.sum(axis=1)
         kept = list(known)
         for atoms in sets:
-            alike = (size[atoms & other].sum() >= _SAME * size[atoms | other].sum() for other in kept)
-            if size[atoms].sum() >= _SMALLEST and not any(alike):
+            alike = (self.size[atoms & o].sum() >= _SAME * self.size[atoms | o].sum() for o in kept)
+            if self.size[atoms].sum() >= _SMALLEST and not any(alike):
                 kept.append(atoms)
         return kept[len(known) :]
 
     def _sample(self, sets: list[BoolArray]) -> tuple[FloatArray, BoolArray]:
         """Images (B, F, n, 2) and visibility (B, F, n) of some trajectories per set, long ones preferred."""
         length = self.visible.sum(axis=0)
-        rows = [np.flatnonzero(self.member[atoms].any(axis=0) & (length > 0)) for atoms in sets]
+        rows = [np.flatnonzero(self.member[atoms].any(axis=0) & (length > 1)) for atoms in sets]
         n = min(_SAMPLE, max(map(len, rows)))
         image = np.zeros((len(sets), len(self.visible), n, 2))
         visible = np.zeros((len(sets), len(self.visible), n), dtype=np.bool_)
@@ -194,8 +224,7 @@ class _Scene:
 
     def _focal(self, sets: list[BoolArray]) -> float:
         """Focal length, in widths, that lets the largest sets be rigid best."""
-        size = self.member.sum(axis=1)
-        image, visible = self._sample(sorted(sets, key=lambda atoms: -int(size[atoms].sum()))[:6])
+        image, visible = self._sample(sorted(sets, key=lambda atoms: -int(self.size[atoms].sum()))[:6])
         costs = [rigid.adjust(image / f, visible, self.rng, noise=_NOISE / f)[1].sum() for f in _FOCAL]
         return _FOCAL[int(np.argmin(costs))]
 
@@ -269,9 +298,9 @@ class _Scene:
                 choices[number] = chosen, group[at]
         return choices
 
-    def _refine(self, costs: FloatArray, group: IntArray, price: float) -> tuple[float, IntArray]:
-        """Let single trajectories change their motion (iterated conditional modes); cost and labels (N,)."""
-        number = len(costs)
+    def _refine(self, bodies: list[_Body], group: IntArray, price: float) -> _Grouping:
+        """Let single trajectories change their motion (iterated conditional modes)."""
+        costs, number, every = self._costs(bodies), len(bodies), np.arange(len(self.atom))
         labels = start = group[self.atom]
         for _ in range(_SWEEPS):
             support = self.edges @ (labels[:, None] == np.arange(number)).astype(np.float64)
@@ -285,4 +314,7 @@ class _Scene:
             labels = start
         rows, columns = self.edges.nonzero()
         cut = self.edges.data[labels[rows] != labels[columns]].sum() / 2
-        return float(costs[labels, np.arange(len(labels))].sum() + cut + price * number), labels
+        square = np.stack([body.square for body in bodies])[labels, every]
+        scale = np.array([self._scale(body) for body in bodies])[labels]
+        cost = float(costs[labels, every].sum() + cut + price * number)
+        return _Grouping(cost, labels, np.sqrt(square / scale))
