@@ -242,34 +242,41 @@ def _step(
     weight = visible * np.sqrt(1 / (1 + state.square / _HALF_WEIGHT**2))[:, None] / noise
     x, y, z = (state.rotated[:, :, axis] for axis in range(3))
     rho = points[:, None, :, 2]
-    columns = np.concatenate([rotation[..., :2], translation[..., None]], axis=-1)[:, :, None]
+    columns = np.concatenate([rotation[..., :2], translation[..., None]], axis=-1)[..., None]
     # A row of the Jacobian is the gradient g of an image coordinate by the point in the camera's axes, times
     # the derivative of that: (Rp x) by a rotation, rho by the translation, columns of R and t by the point.
+    # Points run along the last axis, so that all sums over them are contiguous.
     g = state.inverse * weight
-    by_camera = np.empty((2, n_bodies, n_frames, n_points, 6))
-    by_point = np.empty((2, n_bodies, n_frames, n_points, 3))
+    by_camera = np.empty((2, n_bodies, n_frames, 6, n_points))
+    by_point = np.empty((2, n_bodies, n_frames, 3, n_points))
     for axis in (0, 1):
         gz = -state.image[axis] * g
         gx, gy = (g, 0.0) if axis == 0 else (0.0, g)
         parts = (gz * y - gy * z, gx * z - gz * x, gy * x - gx * y, rho * gx, rho * gy, rho * gz)
         for k, part in enumerate(parts):
-            by_camera[axis, ..., k] = part
-        by_point[axis] = g[..., None] * columns[..., axis, :] + gz[..., None] * columns[..., 2, :]
+            by_camera[axis, :, :, k] = part
+        by_point[axis] = g[:, :, None] * columns[:, :, axis] + gz[:, :, None] * columns[:, :, 2]
     by_camera *= ~fixed[:, :, None, None]
-    error = (state.error * weight)[..., None]
-    cameras_normal = (by_camera.swapaxes(-1, -2) @ by_camera).sum(axis=0)
-    cameras_right = -(by_camera.swapaxes(-1, -2) @ error).sum(axis=0).reshape(n_bodies, size)
-    points_normal = np.einsum("abfni,abfnj->bnij", by_point, by_point)
-    points_right = -np.einsum("abfni,abfnk->bni", by_point, error)
-    coupling = by_camera[0, ..., None] * by_point[0, ..., None, :]
-    coupling += by_camera[1, ..., None] * by_point[1, ..., None, :]
-    coupling = coupling.transpose(0, 1, 3, 2, 4).reshape(n_bodies, size, n_points, 3)
+    error = state.error * weight
+    cameras_normal = (by_camera @ by_camera.swapaxes(-1, -2)).sum(axis=0)
+    cameras_right = -(by_camera @ error[..., None]).sum(axis=0).reshape(n_bodies, size)
+    points_right = -(by_point * error[:, :, :, None]).sum(axis=(0, 2))
+    points_normal = np.empty((n_bodies, n_points, 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            product = (by_point[:, :, :, i] * by_point[:, :, :, j]).sum(axis=(0, 2))
+            points_normal[..., i, j] = points_normal[..., j, i] = product
+    coupling = by_camera[0, :, :, :, None] * by_point[0, :, :, None]
+    coupling += by_camera[1, :, :, :, None] * by_point[1, :, :, None]
+    coupling = coupling.reshape(n_bodies, size, 3, n_points)
 
     grow = damping[:, None, None, None]
     trace = np.einsum("bnii->bn", points_normal)[..., None, None]
-    inverse = np.linalg.inv(points_normal + grow * np.eye(3) * (trace + 1e-6))
-    reduced = np.einsum("bmni,bnij->bmnj", coupling, inverse).reshape(n_bodies, size, 3 * n_points)
-    flat = coupling.reshape(n_bodies, size, 3 * n_points)
+    inverse = np.linalg.inv(points_normal + grow * np.eye(3) * (trace + 1e-6)).transpose(0, 2, 3, 1)
+    reduced = coupling[:, :, :1] * inverse[:, None, 0]
+    for k in (1, 2):
+        reduced += coupling[:, :, k, None] * inverse[:, None, k]
+    reduced, flat = (part.reshape(n_bodies, size, 3 * n_points) for part in (reduced, coupling))
     system = -(reduced @ flat.swapaxes(1, 2)) + _TINY * np.eye(size)
     diagonal = np.einsum("bfkk->bfk", cameras_normal)[..., None] + 1e-6 * n_points
     blocks = cameras_normal + np.eye(6) * (grow * diagonal + fixed[:, :, None, None])
@@ -278,11 +285,11 @@ def _step(
     view[:, frames, :, frames, :] += blocks.swapaxes(0, 1)
     right = cameras_right - (reduced @ points_right.reshape(n_bodies, -1, 1))[..., 0]
     move = np.linalg.solve(system, right[..., None])
-    back = points_right - (flat.swapaxes(1, 2) @ move)[..., 0].reshape(n_bodies, n_points, 3)
+    back = points_right - (flat.swapaxes(1, 2) @ move)[..., 0].reshape(n_bodies, 3, n_points)
     turn = move.reshape(n_bodies, n_frames, 6)
     return (
         Cameras(_rotations(turn[..., :3]) @ rotation, translation + turn[..., 3:]),
-        points + np.einsum("bnij,bnj->bni", inverse, back),
+        points + (inverse * back[:, None]).sum(axis=2).swapaxes(1, 2),
     )
 
 
