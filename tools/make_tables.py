@@ -60,7 +60,7 @@ TABLES = {"summary": summary, "per-clip": per_clip, "short": short}
 
 
 def filled(text: str, results: Mapping[tuple[str, str], list[PublishedResult]]) -> str:
-    """Return a page with its tables made anew; a SystemExit names a table that cannot be made."""
+    """Return a page with its tables made again; a SystemExit names a table that cannot be made."""
 
     def table(match: re.Match[str]) -> str:
         start, kind, benchmark, version, end = match.groups()

@@ -295,7 +295,7 @@ class Import:
         )
 
     def _identify(self) -> None:
-        """Make objects of the shapes; those without an identity are told apart by their label."""
+        """Make objects of the shapes; those without an identity are distinguished by their label."""
         unknown = [shape for shape in self.shapes if shape.key is None]
         alone = len({shape.frame for shape in self.shapes}) == 1
         counts: dict[tuple[int, str], int] = {}
