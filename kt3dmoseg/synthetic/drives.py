@@ -16,7 +16,7 @@ import numpy as np
 from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Layout, Scene, SceneOptions
 from kt3dmoseg.synthetic.street import street
-from kt3dmoseg.synthetic.vehicles import LANE, ONCOMING, PARKED_RIGHT, SIZES, Drive, Kind, Vehicle
+from kt3dmoseg.synthetic.vehicles import LANE, ONCOMING, PARKED_RIGHT, Drive, Kind, Vehicle
 from kt3dmoseg.types import FloatArray, IntArray
 
 Part: TypeAlias = Literal["public", "test"]
@@ -76,10 +76,9 @@ def plan_drives(seed: int = 0) -> list[DrivePlan]:
     for half, part in enumerate(_PARTS):
         rng = np.random.default_rng([seed, half])
         motions, cameras = _shuffled(_MOTIONS, rng), _shuffled(_CAMERAS, rng)
-        traits = _shuffled(_TRAITS, rng)
-        for k, (count, camera, trait) in enumerate(zip(motions, cameras, traits, strict=True)):
-            plan = DrivePlan(seed, part, k + 1, count, camera, trait if count > 1 else "none")
-            if plan.trait == "epipolar" and camera != "planar":
+        for k, trait in enumerate(_shuffled(_TRAITS, rng)):
+            plan = DrivePlan(seed, part, k + 1, motions[k], cameras[k], trait if motions[k] > 1 else "none")
+            if plan.trait == "epipolar" and plan.camera != "planar":
                 plan = replace(plan, camera="driving")  # one that only turns has no epipolar lines
             plans.append(plan)
     return plans
@@ -117,23 +116,21 @@ def _draw_layout(plan: DrivePlan, seconds: float, rng: np.random.Generator) -> L
         "rotating": (0.0, rng.choice([-1, 1]) * draw(4, 12)),
         "standing": (0.0, 0.0),
     }[plan.camera]
-    if plan.trait == "epipolar":
-        turn = 0.0
     middle = speed * seconds / 2
     crossing = middle + draw(14, 34)
-    camera = Drive(LANE, middle, 0.0, speed, np.radians(turn))
+    camera = Drive(LANE, middle, 0.0, speed, 0.0 if plan.trait == "epipolar" else np.radians(turn))
     special = int(rng.integers(plan.motions - 1)) if plan.motions > 1 else -1
-    vehicles: list[Vehicle] = []
-    times = np.linspace(-seconds / 2, seconds / 2, 7)
+    bodies = [Vehicle("camera", "car", camera)]
     for k in range(plan.motions - 1):
+        trait = plan.trait if k == special or plan.trait == "epipolar" else "none"
         for _ in range(30):
-            vehicle = _draw_vehicle(plan, k == special, speed, middle, crossing, seconds, rng)
-            others = [(camera, SIZES["car"]), *((other.drive, other.size) for other in vehicles)]
-            if not any(_collide(vehicle, *other, time) for other in others for time in times):
-                vehicles.append(vehicle)
+            vehicle = _draw_vehicle(trait, camera, crossing, seconds, rng)
+            if not any(_collide(vehicle, other, seconds) for other in bodies):
+                bodies.append(vehicle)
                 break
         else:
             return None
+    vehicles = bodies[1:]
     kerb = middle - _FREE / 2, middle + _FREE / 2
     free = kerb if any(abs(v.drive.x - PARKED_RIGHT) < 2 for v in vehicles) else (crossing, crossing)
     shake = 1.0 if plan.camera in ("driving", "turning") else 0.0
@@ -142,17 +139,11 @@ def _draw_layout(plan: DrivePlan, seconds: float, rng: np.random.Generator) -> L
 
 
 def _draw_vehicle(
-    plan: DrivePlan,
-    special: bool,
-    speed: float,
-    middle: float,
-    crossing: float,
-    seconds: float,
-    rng: np.random.Generator,
+    trait: Trait, camera: Drive, crossing: float, seconds: float, rng: np.random.Generator
 ) -> Vehicle:
-    """Draw a vehicle; a `special` one moves little or in a part of the clip only, where that is the plan."""
-    draw, side = rng.uniform, int(rng.choice([-1, 1]))
-    role = str(rng.choice(_ALONG if plan.trait == "epipolar" else _ROLES))
+    """Draw a vehicle that keeps to the camera's course, moves little, or in a part of the clip only."""
+    draw, side, speed = rng.uniform, int(rng.choice([-1, 1])), camera.speed
+    role = str(rng.choice(_ALONG if trait == "epipolar" else _ROLES))
     across, weave = side * np.pi / 2, draw(-0.12, 0.12)
     # x, z ahead of the camera in the middle of the clip, heading, speed
     x, z, yaw, pace = {
@@ -160,49 +151,49 @@ def _draw_vehicle(
         "overtaking": (ONCOMING + draw(-0.3, 0.3), draw(5, 22), weave, speed + draw(1, 5)),
         "oncoming": (ONCOMING + draw(-0.3, 0.3), draw(8, 32), np.pi + weave, draw(2, 8)),
         "leaving": (PARKED_RIGHT, draw(6, 16), draw(-0.4, -0.1), 0.6 * speed + draw(0.3, 1.5)),
-        "crossing": (draw(-6, 6), crossing - middle + side * 1.6, across, draw(2, 8)),
+        "crossing": (draw(-6, 6), crossing - camera.z + side * 1.6, across, draw(2, 8)),
         "walking": (draw(-6, 6.5), draw(4, 20), rng.choice([across, across, 0, np.pi]), draw(0.8, 1.8)),
         "riding": (draw(-5, 4), draw(5, 24), rng.choice([across, 0, np.pi]), draw(2, 5)),
     }[role]
     rate = draw(-0.15, 0.15) if role in ("leading", "leaving", "crossing") else 0.0
-    if plan.trait == "epipolar":
-        yaw, rate = (np.pi if role == "oncoming" else 0.0), 0.0
     during = (-np.inf, np.inf)
-    if special and plan.trait == "small":
+    if trait == "epipolar":
+        yaw, rate = (np.pi if role == "oncoming" else 0.0), 0.0
+    elif trait == "small":
         pace = draw(0.2, 0.8)
-    if special and plan.trait == "intermittent":
+    elif trait == "intermittent":
         change = draw(-0.2, 0.2) * seconds
         during = (-np.inf, change) if rng.random() < 0.5 else (change, np.inf)
     kinds = _KINDS.get(role, ("car", "van", "truck"))
     kind = kinds[int(rng.integers(len(kinds)))]
-    drive = Drive(float(x), float(middle + z), float(yaw), float(pace), float(rate), during)
-    return Vehicle(f"{role} {kind}", kind, drive, SIZES[kind])
+    drive = Drive(float(x), float(camera.z + z), float(yaw), float(pace), float(rate), during)
+    return Vehicle(f"{role} {kind}", kind, drive)
 
 
-def _collide(first: Vehicle, drive: Drive, size: tuple[float, float, float], time: float) -> bool:
-    """Whether a vehicle meets another that drives and measures so, with some room, at a time."""
-    apart = np.linalg.inv(first.drive.pose(time)) @ drive.pose(time)
-    ahead, beside = abs(apart[2, 2]), abs(apart[0, 2])
-    across = 0.5 * (first.size[0] + size[0] * ahead + size[2] * beside) + 0.3
-    along = 0.5 * (first.size[2] + size[2] * ahead + size[0] * beside) + 0.5
-    return bool(abs(apart[0, 3]) < across and abs(apart[2, 3]) < along)
+def _collide(first: Vehicle, second: Vehicle, seconds: float) -> bool:
+    """Whether two vehicles meet, with some room, at any of seven moments of a clip of so many seconds."""
+    width, _, length = second.size
+    for time in np.linspace(-seconds / 2, seconds / 2, 7):
+        apart = np.linalg.inv(first.drive.pose(time)) @ second.drive.pose(time)
+        ahead, beside = abs(apart[2, 2]), abs(apart[0, 2])
+        across = 0.5 * (first.size[0] + width * ahead + length * beside) + 0.3
+        along = 0.5 * (first.size[2] + length * ahead + width * beside) + 0.5
+        if abs(apart[0, 3]) < across and abs(apart[2, 3]) < along:
+            return True
+    return False
 
 
 def _in_view(scene: Scene) -> bool:
     """Whether every vehicle shows enough, and not too much, in enough frames."""
-    frames = range(0, scene.n_frames, 3)
-    bodies = np.arange(len(scene.vehicles)) + 1
-    counts = np.zeros((len(frames), len(bodies)))
-    for row, frame in enumerate(frames):
-        counts[row] = np.bincount(_grid_bodies(scene, frame)[1], minlength=len(bodies) + 1)[1:]
-    seen = (counts >= _SEEN).mean(axis=0) >= _SHARE
-    return bool(seen.all() and (counts < _LARGE).all())
+    n = len(scene.vehicles)
+    seen = [_grid_bodies(scene, frame)[1] for frame in range(0, scene.n_frames, 3)]
+    counts = np.array([np.bincount(body, minlength=n + 1)[1:] for body in seen])
+    return bool(((counts >= _SEEN).mean(axis=0) >= _SHARE).all() and (counts < _LARGE).all())
 
 
 def _grid_bodies(scene: Scene, frame: int) -> tuple[FloatArray, IntArray]:
     """Surface points (R, 4) of the tracker's grid in a frame, and their bodies."""
-    width, height = scene.image_size
-    x, y = np.meshgrid(np.arange(_GRID // 2, width, _GRID), np.arange(_GRID // 2, height, _GRID))
+    x, y = np.meshgrid(*(np.arange(_GRID // 2, side, _GRID) for side in scene.image_size))
     return scene.surface_points(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, frame)]))
 
 
@@ -224,23 +215,23 @@ def measure_drive(scene: Scene) -> Mapping[str, float]:
     frames = [0, scene.n_frames // 2, scene.n_frames - 1]
     found = [_grid_bodies(scene, frame) for frame in frames]
     points, body = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    depth = scene.depth(frames[1])
-    ratio = np.divide(*np.percentile(depth[scene.ids(frames[1]) == 1], [95, 5]))
-    facts = {"depth": float(ratio)}
+    static = scene.depth(frames[1])[scene.ids(frames[1]) == 1]
+    facts = {"depth": float(np.divide(*np.percentile(static, [95, 5])))}
     bodies = range(1, len(scene.vehicles) + 1)
-    sizes = [max(np.count_nonzero(seen == k) for _, seen in found) for k in bodies]
-    movers = [_measure_vehicle(scene, points[body == k], k) for k in bodies]
-    hardest = {"epipolar": min, "motion": min, "standing": max, "occlusion": max}
+    movers = [
+        {"size": max(np.count_nonzero(seen == k) for _, seen in found)}
+        | _measure_vehicle(scene, points[body == k], k)
+        for k in bodies
+    ]
+    hardest = {"size": min, "epipolar": min, "motion": min, "standing": max, "occlusion": max}
     if movers:
-        facts["size"] = float(min(sizes))
         facts |= {name: float(worst(m[name] for m in movers)) for name, worst in hardest.items()}
     return facts
 
 
-def _measure_vehicle(scene: Scene, points: FloatArray, body: int) -> Mapping[str, float]:
-    bodies = np.full(len(points), body)
-    places = [scene.project(frame, points, bodies) for frame in range(scene.n_frames)]
-    xy, visible = np.stack([p[0] for p in places], axis=1), np.stack([p[1] for p in places], axis=1)
+def _measure_vehicle(scene: Scene, points: FloatArray, body: int) -> dict[str, float]:
+    places = [scene.project(frame, points, np.full(len(points), body)) for frame in range(scene.n_frames)]
+    xy, visible = (np.stack(parts, axis=1) for parts in zip(*places, strict=True))
     inside = np.all((xy >= 0) & (xy <= np.array(scene.image_size) - 1), axis=2)
     apart, moved = [], []
     for first in range(0, scene.n_frames - _GAP, 2):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 from collections.abc import Callable
 from datetime import datetime, timedelta
@@ -11,30 +10,51 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError
-from kt3dmoseg.files import write_bytes, write_text
+from kt3dmoseg.files import check_writable, write_bytes, write_text
 from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Scene
 from kt3dmoseg.types import FloatArray
 
-_START = "09:00:00.000000"
 _BASELINE = 0.54  # metres from camera 0 to camera 1
 _EARTH_RADIUS = 6378137.0
 _ORIGIN = 49.0, 8.4, 115.0  # latitude, longitude (degrees), altitude (metres) of the world's origin
 _SCALE = np.cos(np.radians(_ORIGIN[0]))
-
-
-def _rigid(*rows: tuple[float, ...]) -> FloatArray:
-    return np.array([*rows, (0.0, 0.0, 0.0, 1.0)])
-
-
+_LAST = 0.0, 0.0, 0.0, 1.0
 # Velodyne and IMU: x forward, y left, z up. Distances are those of KITTI's car, angles are exact.
-T_CAM_VELO = _rigid((0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, -0.08), (1.0, 0.0, 0.0, -0.27))
-T_VELO_IMU = _rigid((1.0, 0.0, 0.0, -0.81), (0.0, 1.0, 0.0, 0.32), (0.0, 0.0, 1.0, -0.80))
+T_CAM_VELO = np.array([(0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, -0.08), (1.0, 0.0, 0.0, -0.27), _LAST])
+T_VELO_IMU = np.array([(1.0, 0.0, 0.0, -0.81), (0.0, 1.0, 0.0, 0.32), (0.0, 0.0, 1.0, -0.80), _LAST])
 # East, north, up from the scene's world (x right, y down, z forward): the street runs north.
-_ENU_WORLD = _rigid((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, -1.0, 0.0, 0.0))
+_ENU_WORLD = np.array([(1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, -1.0, 0.0, 0.0), _LAST])
 # A tracklet's box has its origin on the ground: x is the vehicle's forward (z), y its left (-x), z up (-y).
-_BODY_BOX = _rigid((0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+_BODY_BOX = np.array([(0.0, -1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.0), (1.0, 0.0, 0.0, 0.0), _LAST])
+
+_XML = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
+<!DOCTYPE boost_serialization>
+<boost_serialization signature="serialization::archive" version="9">
+<tracklets class_id="0" tracking_level="0" version="0">
+<count>{}</count><item_version>1</item_version>
+{}</tracklets>
+</boost_serialization>
+"""
+_TRACKLET = """<item class_id="1" tracking_level="0" version="1">
+<objectType>{}</objectType>
+<h>{}</h><w>{}</w><l>{}</l>
+<first_frame>0</first_frame>
+<poses class_id="2" tracking_level="0" version="0">
+<count>{}</count><item_version>2</item_version>
+{}</poses>
+<finished>1</finished>
+</item>
+"""
+_POSE = (
+    '<item class_id="3" tracking_level="0" version="2">'
+    "<tx>{:.6f}</tx><ty>{:.6f}</ty><tz>{:.6f}</tz><rx>0</rx><ry>0</ry><rz>{:.6f}</rz>"
+    "<state>2</state><occlusion>0</occlusion><occlusion_kf>0</occlusion_kf><truncation>0</truncation>"
+    "<amt_occlusion>-1</amt_occlusion><amt_occlusion_kf>-1</amt_occlusion_kf>"
+    "<amt_border_l>-1</amt_border_l><amt_border_r>-1</amt_border_r><amt_border_kf>-1</amt_border_kf></item>\n"
+)
 
 
 def write_drive(
@@ -81,26 +101,20 @@ def write_drive(
     if not 0 <= drive <= 9999:
         raise InvalidValueError("drive", expected="a number in 0..9999", found=str(drive))
     try:
-        start = datetime.strptime(f"{date} {_START}", "%Y_%m_%d %H:%M:%S.%f")
+        start = datetime.strptime(f"{date} 09", "%Y_%m_%d %H")
     except ValueError:
         raise InvalidValueError("date", expected="YYYY_MM_DD", found=repr(date)) from None
     target = Path(root) / date / f"{date}_drive_{drive:04d}_sync"
     if target.exists() and not replace:
         raise InputFileError(f"{target}: exists already", fix="remove it, or write another drive number")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
-    except OSError as error:
-        fix = "choose a folder you may write"
-        raise InputFileError(f"{target}: {error.strerror or error}", fix=fix) from error
-    try:
-        _write_files(scene, work / "new", start, progress)
+    check_writable(target.parent)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".part", dir=target.parent) as work:
+        _write_files(scene, Path(work, "new"), start, progress)
         _write_calibration(scene, target.parent, start)
         if target.exists():
-            os.replace(target, work / "old")
-        os.replace(work / "new", target)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+            os.replace(target, Path(work, "old"))
+        os.replace(Path(work, "new"), target)
     return target
 
 
@@ -132,12 +146,10 @@ def _write_calibration(scene: Scene, day: Path, start: datetime) -> None:
         rectified = {"S_rect": size, "R_rect": np.eye(3), "P_rect": projection}
         lines += [f"{key}_{camera:02d}: {_numbers(value)}\n" for key, value in (values | rectified).items()]
     write_text(day / "calib_cam_to_cam.txt", "".join(lines))
-    velo, imu = (
-        f"{stamp}R: {_numbers(T[:3, :3])}\nT: {_numbers(T[:3, 3])}\n" for T in (T_CAM_VELO, T_VELO_IMU)
-    )
-    distortion = f"delta_f: {_numbers(np.zeros(2))}\ndelta_c: {_numbers(np.zeros(2))}\n"
-    write_text(day / "calib_velo_to_cam.txt", velo + distortion)
-    write_text(day / "calib_imu_to_velo.txt", imu)
+    none = f"delta_f: {_numbers(np.zeros(2))}\ndelta_c: {_numbers(np.zeros(2))}\n"
+    for name, T, distortion in (("velo_to_cam", T_CAM_VELO, none), ("imu_to_velo", T_VELO_IMU, "")):
+        text = f"{stamp}R: {_numbers(T[:3, :3])}\nT: {_numbers(T[:3, 3])}\n{distortion}"
+        write_text(day / f"calib_{name}.txt", text)
 
 
 def _numbers(values: FloatArray | float) -> str:
@@ -146,8 +158,7 @@ def _numbers(values: FloatArray | float) -> str:
 
 def _imu_pose(scene: Scene, frame: int) -> FloatArray:
     """``T_enu_imu`` (4, 4): pose of the IMU in metres east, north and up of the scene's origin."""
-    pose: FloatArray = _ENU_WORLD @ scene.camera_pose(frame) @ T_CAM_VELO @ T_VELO_IMU
-    return pose
+    return np.asarray(_ENU_WORLD @ scene.camera_pose(frame) @ T_CAM_VELO @ T_VELO_IMU)
 
 
 def _oxts_line(scene: Scene, frame: int) -> str:
@@ -163,33 +174,22 @@ def _oxts_line(scene: Scene, frame: int) -> str:
     north = (pose[1, 3] - first_north) / (_SCALE * _EARTH_RADIUS)
     latitude = float(360 / np.pi * np.arctan(np.exp(origin + north)) - 90)
     longitude = _ORIGIN[1] + np.degrees(pose[0, 3] / (_SCALE * _EARTH_RADIUS))
-    before, after = max(frame - 1, 0), min(frame + 1, scene.n_frames - 1)
-    seconds = max(after - before, 1) / FRAMES_PER_SECOND
-    step = np.linalg.inv(_imu_pose(scene, before)) @ _imu_pose(scene, after)
-    velocity = pose[:3, :3].T @ (_imu_pose(scene, after) - _imu_pose(scene, before))[:3, 3] / seconds
-    north_east = (pose[:3, :3] @ velocity)[[1, 0]]
-    rates = np.array(_roll_pitch_yaw(step)) / seconds
-    gravity = pose[:3, :3].T @ [0.0, 0.0, 9.81]
-    values = [
-        *(latitude, longitude, _ORIGIN[2] + pose[2, 3]),
-        *_roll_pitch_yaw(pose),
-        *north_east,
-        *velocity,
-        *gravity,  # along the body's axes,
-        *gravity,  # and forward, leftward, upward: the same here
-        *rates,
-        *rates,
-        *(0.05, 0.02),
-    ]
+    ends = max(frame - 1, 0), min(frame + 1, scene.n_frames - 1)
+    before, after = (_imu_pose(scene, k) for k in ends)
+    seconds = max(ends[1] - ends[0], 1) / FRAMES_PER_SECOND
+    angles, rates = _roll_pitch_yaw(pose), _roll_pitch_yaw(np.linalg.inv(before) @ after) / seconds
+    to_body = pose[:3, :3].T
+    velocity, gravity = to_body @ (after - before)[:3, 3] / seconds, to_body @ [0.0, 0.0, 9.81]
+    place, north_east = (latitude, longitude, _ORIGIN[2] + pose[2, 3]), (to_body.T @ velocity)[[1, 0]]
+    # Accelerations and turn rates along the body's axes, and forward, leftward, upward: the same here.
+    twice = gravity, gravity, rates, rates
+    values = np.concatenate([place, angles, north_east, velocity, *twice, (0.05, 0.02)])
     return " ".join(f"{value:.14g}" for value in values) + " 4 9 4 4 0\n"
 
 
-def _roll_pitch_yaw(pose: FloatArray) -> tuple[float, float, float]:
-    """Angles with R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    rotation = pose[:3, :3]
-    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
-    pitch = np.arcsin(np.clip(-rotation[2, 0], -1, 1))
-    return float(roll), float(pitch), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+def _roll_pitch_yaw(pose: FloatArray) -> FloatArray:
+    """Angles (3,) with R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")[::-1])
 
 
 def _tracklet_xml(scene: Scene) -> str:
@@ -197,35 +197,11 @@ def _tracklet_xml(scene: Scene) -> str:
 
     As in KITTI only the rotation about the vertical is kept; the camera's nod, under half a degree, is lost.
     """
-    poses = np.stack([scene.body_poses(frame)[1:] for frame in range(scene.n_frames)])
-    items = []
-    for k, vehicle in enumerate(scene.vehicles):
+    poses = np.stack([scene.body_poses(frame)[1:] for frame in range(scene.n_frames)], axis=1)
+    items = ""
+    for vehicle, boxes in zip(scene.vehicles, np.linalg.inv(T_CAM_VELO) @ poses @ _BODY_BOX, strict=True):
         width, height, length = vehicle.size
-        boxes = "".join(_pose_xml(np.linalg.inv(T_CAM_VELO) @ pose @ _BODY_BOX) for pose in poses[:, k])
-        items.append(
-            '<item class_id="1" tracking_level="0" version="1">\n'
-            f"<objectType>{vehicle.kind.capitalize()}</objectType>\n"
-            f"<h>{height}</h><w>{width}</w><l>{length}</l>\n<first_frame>0</first_frame>\n"
-            '<poses class_id="2" tracking_level="0" version="0">\n'
-            f"<count>{len(poses)}</count>\n<item_version>2</item_version>\n{boxes}</poses>\n"
-            "<finished>1</finished>\n</item>\n"
-        )
-    return (
-        '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>\n<!DOCTYPE boost_serialization>\n'
-        '<boost_serialization signature="serialization::archive" version="9">\n'
-        '<tracklets class_id="0" tracking_level="0" version="0">\n'
-        f"<count>{len(items)}</count>\n<item_version>1</item_version>\n{''.join(items)}"
-        "</tracklets>\n</boost_serialization>\n"
-    )
-
-
-def _pose_xml(box: FloatArray) -> str:
-    x, y, z = box[:3, 3]
-    yaw = np.arctan2(box[1, 0], box[0, 0])
-    return (
-        '<item class_id="3" tracking_level="0" version="2">'
-        f"<tx>{x:.6f}</tx><ty>{y:.6f}</ty><tz>{z:.6f}</tz><rx>0</rx><ry>0</ry><rz>{yaw:.6f}</rz>"
-        "<state>2</state><occlusion>0</occlusion><occlusion_kf>0</occlusion_kf><truncation>0</truncation>"
-        "<amt_occlusion>-1</amt_occlusion><amt_occlusion_kf>-1</amt_occlusion_kf>"
-        "<amt_border_l>-1</amt_border_l><amt_border_r>-1</amt_border_r><amt_border_kf>-1</amt_border_kf></item>\n"
-    )
+        lines = [_POSE.format(*box[:3, 3], np.arctan2(box[1, 0], box[0, 0])) for box in boxes]
+        kind = vehicle.kind.capitalize()
+        items += _TRACKLET.format(kind, height, width, length, len(lines), "".join(lines))
+    return _XML.format(len(scene.vehicles), items)

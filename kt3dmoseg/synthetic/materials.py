@@ -7,8 +7,8 @@ their mean grey instead of flickering.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from kt3dmoseg.types import Float32Array, FloatArray
 SHADOW = 0.62  # brightness where the sun does not reach
 _SIZE = 512
 _LEVELS = 9  # 512 = 2**9: the coarsest level is one texel
-_SHRINK = (0.5 ** np.arange(_LEVELS + 1)).astype(np.float64)
+_SHRINK = 0.5 ** np.arange(_LEVELS + 1)
 _WIDTH = (_SIZE >> np.arange(_LEVELS + 1)).astype(np.int32)
 _Index: TypeAlias = npt.NDArray[np.int32]
 
@@ -35,30 +35,27 @@ class Noise:
         frequency[0, 0] = np.inf
         spectrum = np.fft.rfft2(rng.standard_normal((_SIZE, _SIZE))) * frequency**-slope
         field = np.fft.irfft2(spectrum, s=(_SIZE, _SIZE))
-        tables: list[Float32Array] = []
-        self._offset = np.zeros((_LEVELS + 1, _LEVELS + 1), dtype=np.int32)
-        rows = field / field.std()
-        for v in range(_LEVELS + 1):
+        tables, rows = [], field / field.std()
+        for _ in _WIDTH:
             table = rows
-            for u in range(_LEVELS + 1):
-                self._offset[v, u] = sum(t.size for t in tables)
+            for _ in _WIDTH:
                 tables.append(table.astype(np.float32).ravel())
-                table = 0.5 * (table[:, ::2] + table[:, 1::2]) if u < _LEVELS else table
-            rows = 0.5 * (rows[::2] + rows[1::2]) if v < _LEVELS else rows
-        self._flat = np.concatenate(tables)
+                table = 0.5 * (table[:, ::2] + table[:, 1::2])
+            rows = 0.5 * (rows[::2] + rows[1::2])
+        start = np.cumsum([0, *(table.size for table in tables[:-1])], dtype=np.int32)
+        self._start, self._flat = start.reshape(len(_WIDTH), -1), np.concatenate(tables)
 
     def sample(
         self, u: FloatArray, v: FloatArray, fu: FloatArray, fv: FloatArray, period: float
     ) -> Float32Array:
         """Noise (R,) at u, v, averaged over fu, fv; the pattern repeats after `period`; all in metres."""
-        scale = _SIZE / period
-        level_u, low_u, high_u, part_u = _texels(u * scale, fu * scale)
-        level_v, low_v, high_v, part_v = _texels(v * scale, fv * scale)
-        start, width = self._offset[level_v, level_u], _WIDTH[level_u]
-        top, bottom = start + low_v * width, start + high_v * width
-        flat = self._flat
-        upper = _mix(flat.take(top + low_u), flat.take(top + high_u), part_u)
-        lower = _mix(flat.take(bottom + low_u), flat.take(bottom + high_u), part_u)
+        scale, flat = _SIZE / period, self._flat
+        level_u, left, right, part_u = _texels(u * scale, fu * scale)
+        level_v, low, high, part_v = _texels(v * scale, fv * scale)
+        start, width = self._start[level_v, level_u], _WIDTH[level_u]
+        top, bottom = start + low * width, start + high * width
+        upper = _mix(flat.take(top + left), flat.take(top + right), part_u)
+        lower = _mix(flat.take(bottom + left), flat.take(bottom + right), part_u)
         return _mix(upper, lower, part_v)
 
 
@@ -68,18 +65,15 @@ def _texels(position: FloatArray, footprint: FloatArray) -> tuple[_Index, _Index
     level = np.clip(np.frexp((np.sqrt(2) * footprint).astype(np.float32))[1] - 1, 0, _LEVELS)
     inside = position * _SHRINK[level] - 0.5
     low = np.floor(inside)
-    part = (inside - low).astype(np.float32)
     first, mask = low.astype(np.int32), _WIDTH[level] - 1
-    return level, first & mask, (first + 1) & mask, part
+    return level, first & mask, (first + 1) & mask, (inside - low).astype(np.float32)
 
 
 def _mix(first: Float32Array, second: Float32Array, share: Float32Array) -> Float32Array:
-    mixed: Float32Array = first + share * (second - first)
-    return mixed
+    return np.asarray(first + share * (second - first))
 
 
-@dataclass(frozen=True, eq=False)
-class Patch:
+class Patch(NamedTuple):
     """R positions on one face: metres along and up the face, the ray's footprint, the scene's noises."""
 
     u: FloatArray
@@ -114,47 +108,39 @@ class Plain:
 
 
 def asphalt(
-    grey: float, lines: Sequence[tuple[float, float]], crossing: float, shade_edge: float, salt: float
-) -> Material:
-    """Make a road along v with lane lines, tar patches and cracks.
+    patch: Patch,
+    grey: float,
+    lines: Sequence[tuple[float, float]],
+    crossing: float,
+    shade_edge: float,
+    salt: float,
+) -> FloatArray:
+    """Shade a road along v with lane lines, tar patches and cracks.
 
     Lines are u of their middle and length of their dashes (0 = continuous); around v = `crossing`, the side
     street, there are none. `shade_edge` is u of the sunny kerb, where the houses' shadow is broadest.
     """
-
-    def shade(patch: Patch) -> FloatArray:
-        u, v = patch.u, patch.v
-        shape = patch.cloud.sample(u + 7, v, patch.fu, patch.fv, 13.0)
-        crack = np.exp(-((shape / 0.06) ** 2)) / (1 + 40 * patch.fv)
-        tar = _mosaic(patch, (2.3, 5.9), salt, _TAR)
-        bare = grey + patch.noise(9.0, 7.0, salt) - 30 * crack + tar
-        paint = np.zeros_like(u)
-        for middle, dash in lines:
-            line = band(u, middle - 0.07, middle + 0.07, patch.fu)
-            paint += line * (stripes(v, 3 * dash, 0.0, dash, patch.fv) if dash else 1.0)
-        straight = 1 - band(v, crossing - 5, crossing + 5, patch.fv)
-        paint *= straight
-        worn: FloatArray = np.clip(0.85 + 0.12 * patch.grain.sample(u, v, patch.fu, patch.fv, 2.0), 0, 1)
-        roofs = replace(patch, u=np.zeros_like(v), fu=np.zeros_like(v))
-        reach = shade_edge - 1.0 - 2.4 * _mosaic(roofs, (1.0, 7.1), salt + 5)
-        dark = np.clip((u - reach) / np.maximum(patch.fu, 0.08) + 0.5, 0, 1) * straight
-        lit: FloatArray = (bare + paint * worn * (205 - bare)) * (1 - (1 - SHADOW) * dark)
-        return lit
-
-    return shade
+    u, v, fu, fv, grain, cloud = patch
+    crack = np.exp(-((cloud.sample(u + 7, v, fu, fv, 13.0) / 0.06) ** 2)) / (1 + 40 * fv)
+    bare = grey + patch.noise(9.0, 7.0, salt) - 30 * crack + _mosaic(patch, (2.3, 5.9), salt, _TAR)
+    paint = np.zeros_like(u)
+    for middle, dash in lines:
+        line = band(u, middle - 0.07, middle + 0.07, fu)
+        paint += line * (stripes(v, 3 * dash, 0.0, dash, fv) if dash else 1.0)
+    straight = 1 - band(v, crossing - 5, crossing + 5, fv)
+    worn = np.clip(0.85 + 0.12 * grain.sample(u, v, fu, fv, 2.0), 0, 1)
+    roofs = patch._replace(u=np.zeros_like(v), fu=np.zeros_like(v))
+    reach = shade_edge - 1.0 - 2.4 * _mosaic(roofs, (1.0, 7.1), salt + 5)
+    dark = _above(u, reach, np.maximum(fu, 0.08)) * straight
+    return np.asarray((bare + paint * straight * worn * (205 - bare)) * (1 - (1 - SHADOW) * dark))
 
 
-def paving(grey: float, slab: float, salt: float) -> Material:
-    """Make square slabs with joints."""
-
-    def shade(patch: Patch) -> FloatArray:
-        across, along = (
-            stripes(x, slab, 0.0, 0.02, f) for x, f in ((patch.u, patch.fu), (patch.v, patch.fv))
-        )
-        tone = 22 * (_mosaic(patch, (slab, slab), salt) - 0.5)
-        return grey + patch.noise(6.0, 6.0, salt) + tone - 35 * (1 - (1 - across) * (1 - along))
-
-    return shade
+def paving(patch: Patch, grey: float, slab: float, salt: float) -> FloatArray:
+    """Shade square slabs with joints."""
+    across = stripes(patch.u, slab, 0.0, 0.02, patch.fu)
+    along = stripes(patch.v, slab, 0.0, 0.02, patch.fv)
+    tone = 22 * (_mosaic(patch, (slab, slab), salt) - 0.5)
+    return grey + patch.noise(6.0, 6.0, salt) + tone - 35 * (1 - (1 - across) * (1 - along))
 
 
 def facade(rng: np.random.Generator) -> Material:
@@ -166,21 +152,19 @@ def facade(rng: np.random.Generator) -> Material:
     left, sill = 0.5 * (pitch - width), 0.32 * (storey - height) + 0.5
 
     def shade(patch: Patch) -> FloatArray:
-        u, v, fu, fv = patch.u, patch.v, patch.fu, patch.fv
-
-        def windows(bleed: float) -> FloatArray:
-            across = stripes(u, pitch, left - bleed, width + 2 * bleed, fu)
-            return across * stripes(v, storey, sill - bleed, height + 2 * bleed, fv)
-
-        course = stripes(v, 0.25, 0.0, 0.03, fv) - 0.12
-        wall = plaster + patch.noise(7.0, 11.0, salt) - bricks * course
+        u, v, fu, fv, *_ = patch
+        opening, surround = (
+            stripes(u, pitch, left - bleed, width + 2 * bleed, fu)
+            * stripes(v, storey, sill - bleed, height + 2 * bleed, fv)
+            for bleed in (0.0, 0.14)
+        )
+        wall = plaster + patch.noise(7.0, 11.0, salt) - bricks * (stripes(v, 0.25, 0.0, 0.03, fv) - 0.12)
         wall += 28 * stripes(v, storey, 0.0, 0.22, fv) - 45 * band(v, 0.0, 0.7, fv)
-        opening, surround = windows(0.0), windows(0.14)
         upright = stripes(u, pitch, left + width / 2 - 0.03, 0.06, fu)
         bars = 1 - (1 - upright) * (1 - stripes(v, storey, sill + 0.62 * height, 0.06, fv))
         room = _cells(u / pitch, v / storey, salt, _TABLE)
-        hem = (1 - room) / 0.8 * storey  # a curtain hangs from the top of the window down to here
-        curtain = np.clip((np.mod(v, storey) - hem) / np.maximum(fv, 1e-9) + 0.5, 0, 1)
+        # A curtain hangs from the top of the window down to a height of its room's.
+        curtain = _above(np.mod(v, storey), (1 - room) / 0.8 * storey, fv)
         glass = 28 + 50 * room + 75 * curtain + patch.noise(5.0, 9.0, salt + 1)
         pane = glass + bars * (frame - glass)
         return wall * (1 - surround) + frame * (surround - opening) + pane * opening
@@ -188,24 +172,19 @@ def facade(rng: np.random.Generator) -> Material:
     return shade
 
 
-def foliage(grey: float, salt: float) -> Material:
-    """Make leaves: strong noise at all scales."""
-    return lambda patch: grey * np.exp(np.clip(patch.noise(0.35, 0.5, salt), -1.5, 1.2))
+def foliage(patch: Patch, grey: float, salt: float) -> FloatArray:
+    """Shade leaves: strong noise at all scales."""
+    return grey * np.exp(np.clip(patch.noise(0.35, 0.5, salt), -1.5, 1.2))
 
 
-def pillar(grey: float, width: float, salt: float) -> Material:
-    """Make a post, shaded like a cylinder across its width."""
-
-    def shade(patch: Patch) -> FloatArray:
-        across = np.clip(2 * patch.u / width - 1, -1, 1)
-        ring = stripes(patch.v, 1.1, 0.4, 0.12, patch.fv)
-        return grey * (1.1 - 0.45 * across**2) + patch.noise(9.0, 9.0, salt) + 35 * ring
-
-    return shade
+def pillar(patch: Patch, grey: float, width: float, salt: float) -> FloatArray:
+    """Shade a post, like a cylinder across its width."""
+    across = np.clip(2 * patch.u / width - 1, -1, 1)
+    ring = stripes(patch.v, 1.1, 0.4, 0.12, patch.fv)
+    return grey * (1.1 - 0.45 * across**2) + patch.noise(9.0, 9.0, salt) + 35 * ring
 
 
-@dataclass(frozen=True)
-class Mark:
+class Mark(NamedTuple):
     """A filled rectangle, or the ellipse in it, painted on a surface: metres, grey."""
 
     u: tuple[float, float]
@@ -218,17 +197,15 @@ class Mark:
         if not self.round:
             return band(patch.u, *self.u, patch.fu) * band(patch.v, *self.v, patch.fv)
         radius = 0.5 * (self.u[1] - self.u[0]), 0.5 * (self.v[1] - self.v[0])
-        across, up = patch.u - np.mean(self.u), patch.v - np.mean(self.v)
-        gap = (1 - np.hypot(across / radius[0], up / radius[1])) * min(radius)
-        return np.clip(gap / np.maximum(np.hypot(patch.fu, patch.fv), 1e-9) + 0.5, 0, 1)
+        away = np.hypot((patch.u - np.mean(self.u)) / radius[0], (patch.v - np.mean(self.v)) / radius[1])
+        return _above((1 - away) * min(radius), 0.0, np.hypot(patch.fu, patch.fv))
 
 
 def painted(ground: Plain, marks: Sequence[Mark]) -> Material:
     """Make a plain surface with marks painted on it in order."""
 
     def shade(patch: Patch) -> FloatArray:
-        grey = ground(patch)
-        dirt = patch.noise(4.0, 5.0, ground.salt + 2)
+        grey, dirt = ground(patch), patch.noise(4.0, 5.0, ground.salt + 2)
         for mark in marks:
             grey = grey + mark.cover(patch) * (mark.grey + dirt - grey)
         return grey
@@ -251,11 +228,14 @@ def block_letters(
     return marks
 
 
+def _above(x: FloatArray, edge: FloatArray | float, width: FloatArray) -> FloatArray:
+    """Average the indicator of x > edge over an interval of `width` around x."""
+    return np.asarray(np.clip((x - edge) / np.maximum(width, 1e-9) + 0.5, 0, 1))
+
+
 def band(x: FloatArray, low: float, high: float, width: FloatArray) -> FloatArray:
     """Average the indicator of [low, high] over an interval of `width` around x."""
-    width = np.maximum(width, 1e-9)
-    share: FloatArray = np.clip((x - low) / width + 0.5, 0, 1) - np.clip((x - high) / width + 0.5, 0, 1)
-    return share
+    return _above(x, low, width) - _above(x, high, width)
 
 
 def stripes(x: FloatArray, period: float, start: float, thickness: float, width: FloatArray) -> FloatArray:
@@ -266,8 +246,7 @@ def stripes(x: FloatArray, period: float, start: float, thickness: float, width:
         turns = np.floor((at - start) / period)
         return turns * thickness + np.minimum(at - start - turns * period, thickness)
 
-    share: FloatArray = (integral(x + width / 2) - integral(x - width / 2)) / width
-    return share
+    return np.asarray((integral(x + width / 2) - integral(x - width / 2)) / width)
 
 
 _ORDER = np.random.default_rng(20101).permutation(256)
@@ -277,15 +256,15 @@ _TAR = np.where(_TABLE > 0.8, -14.0, 9 * _TABLE)  # a fifth of the road is patch
 
 def _mosaic(patch: Patch, size: tuple[float, float], salt: float, tones: FloatArray = _TABLE) -> FloatArray:
     """Average a mosaic of `size` rectangles, one tone each, over the footprint."""
-    u0, u1, part_u = _straddle(patch.u / size[0], patch.fu / size[0])
-    v0, v1, part_v = _straddle(patch.v / size[1], patch.fv / size[1])
-    near = _cells(u0, v0, salt, tones) * (1 - part_u) + _cells(u1, v0, salt, tones) * part_u
-    far = _cells(u0, v1, salt, tones) * (1 - part_u) + _cells(u1, v1, salt, tones) * part_u
-    mean = float(tones.mean())
-    seen = mean + (near * (1 - part_v) + far * part_v - mean) / (
-        np.maximum(1, patch.fu / size[0]) * np.maximum(1, patch.fv / size[1])
+    wide, high = patch.fu / size[0], patch.fv / size[1]
+    left, right, part_u = _straddle(patch.u / size[0], wide)
+    low, top, part_v = _straddle(patch.v / size[1], high)
+    near, far = (
+        _cells(left, row, salt, tones) * (1 - part_u) + _cells(right, row, salt, tones) * part_u
+        for row in (low, top)
     )
-    return np.asarray(seen)
+    mean, seen = float(tones.mean()), near * (1 - part_v) + far * part_v
+    return np.asarray(mean + (seen - mean) / (np.maximum(1, wide) * np.maximum(1, high)))
 
 
 def _straddle(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -298,5 +277,4 @@ def _straddle(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray,
 def _cells(u: FloatArray, v: FloatArray, salt: float, tones: FloatArray) -> FloatArray:
     """Give every unit cell one of 256 tones, from a table as fixed as a hash function."""
     row = np.floor(v).astype(np.int64) * 57 + int(salt * 31)
-    tone: FloatArray = tones[(np.floor(u).astype(np.int64) + _ORDER[row & 255]) & 255]
-    return tone
+    return np.asarray(tones[(np.floor(u).astype(np.int64) + _ORDER[row & 255]) & 255])

@@ -1,18 +1,221 @@
-"""From hits to grey values: materials in sunlight and sky along rays, pixels that gather them, the camera."""
+"""From flat faces to grey values: boxes, the nearest hit of rays, light, pixels that gather it, the camera.
+
+Coordinates are in metres: x right, y down, z forward.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from kt3dmoseg.synthetic.materials import Noise, Patch
-from kt3dmoseg.synthetic.raycast import SKY, Face, Mesh, Rays, cast, footprint, surface_coordinates
+from kt3dmoseg.synthetic.materials import Material, Noise, Patch
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
+NEAR = 0.1  # metres; nothing nearer to the camera is seen
+SKY = -1  # "face" of a ray that hits nothing
+_MARGIN = 1e-9  # rounding errors of projected corners
+_RIGHT, _DOWN, _FORWARD = np.eye(3)
 _SUN = np.array([0.45, -0.8, -0.4]) / np.linalg.norm([0.45, -0.8, -0.4])  # towards the sun
 _AMBIENT, _DIRECT = 0.6, 0.5
 _GAIN, _GAMMA, _WHITE = 1.25, 1.4, 255.0
+
+
+class Face(NamedTuple):
+    """A rectangle or symmetric or skew trapezoid in the coordinates of its body.
+
+    It covers 0 <= v <= extent[1] and lean[0] v <= u <= extent[0] - lean[1] v, in metres from the corner
+    `origin` along the unit vectors `eu` and `ev`; cross(eu, ev) points out of the visible side.
+    """
+
+    material: Material
+    origin: FloatArray
+    eu: FloatArray
+    ev: FloatArray
+    extent: tuple[float, float]
+    lean: tuple[float, float] = (0.0, 0.0)
+    body: int = 0  # 0 = static scene, k = k-th moving object
+
+
+def box(
+    low: Sequence[float],
+    high: Sequence[float],
+    material: Material,
+    inset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    **parts: Material,
+) -> list[Face]:
+    """Give the faces of an axis-parallel box between two corners (y points down: `low[1]` is the top).
+
+    `parts` are other materials of its front (towards +z), back, side (both), top and floor; it has a floor
+    only if that is given. The edges of the top (front, back, sides) lie `inset` inside those of the foot.
+    On walls u runs to the right as seen from outside, v upwards.
+    """
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    front, back, sides = inset
+    across, along, height = x1 - x0, z1 - z0, y1 - y0
+    walls = [
+        ("back", x0, z0, _RIGHT, across, _FORWARD, back, (sides, sides)),
+        ("front", x1, z1, -_RIGHT, across, -_FORWARD, front, (sides, sides)),
+        ("side", x1, z0, _FORWARD, along, -_RIGHT, sides, (back, front)),
+        ("side", x0, z1, -_FORWARD, along, _RIGHT, sides, (front, back)),
+    ]
+    faces = []
+    for part, x, z, eu, base, inwards, setback, (left, right) in walls:
+        slope = float(np.hypot(setback, height))
+        ev, lean = (inwards * setback - _DOWN * height) / slope, (left / slope, right / slope)
+        faces.append(Face(parts.get(part, material), np.array([x, y1, z]), eu, ev, (base, slope), lean))
+    corner, lid = np.array([x0 + sides, y0, z0 + back]), (across - 2 * sides, along - front - back)
+    faces.append(Face(parts.get("top", material), corner, _RIGHT, _FORWARD, lid))
+    if "floor" in parts:
+        faces.append(Face(parts["floor"], np.array([x0, y1, z0]), _FORWARD, _RIGHT, (along, across)))
+    return faces
+
+
+def placed(faces: Sequence[Face], x: float, z: float, yaw: float) -> list[Face]:
+    """Give the faces of a body that stays at a place in the world."""
+    turn, shift = rotation_y(yaw), np.array([x, 0.0, z])
+    return [f._replace(origin=turn @ f.origin + shift, eu=turn @ f.eu, ev=turn @ f.ev) for f in faces]
+
+
+def rotation_y(angle: float) -> FloatArray:
+    """Rotate about the vertical axis: +z towards +x for a positive angle."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+class Mesh(NamedTuple):
+    """The geometry of F faces, as arrays over them; see `Face`."""
+
+    origin: FloatArray
+    eu: FloatArray
+    ev: FloatArray
+    extent: FloatArray
+    lean: FloatArray
+    body: IntArray
+
+    @classmethod
+    def of(cls, faces: Sequence[Face]) -> Mesh:
+        """Stack the geometry of `faces`."""
+        return cls(*(np.array(column) for column in list(zip(*faces, strict=True))[1:]))
+
+    def moved(self, poses: FloatArray) -> Mesh:
+        """Give the mesh in other coordinates, by ``T_new_body`` (B, 4, 4) of every body."""
+        rotation, shift = poses[self.body, :3, :3], poses[self.body, :3, 3]
+        origin, eu, ev = (np.einsum("fij,fj->fi", rotation, part) for part in self[:3])
+        return Mesh(origin + shift, eu, ev, *self[3:])
+
+    def normals(self) -> FloatArray:
+        """Return unit vectors (F, 3) out of the visible sides."""
+        return np.cross(self.eu, self.ev)
+
+    def corners(self) -> FloatArray:
+        """Corners of all faces in order, (F, 4, 3)."""
+        (width, height), (left, right) = self.extent.T, (self.lean * self.extent[:, 1:]).T
+        u = np.stack([0 * width, width, width - right, left], axis=1)
+        v = np.stack([0 * height, 0 * height, height, height], axis=1)
+        across, up = u[..., None] * self.eu[:, None], v[..., None] * self.ev[:, None]
+        return np.asarray(self.origin[:, None] + across + up)
+
+    def surface(self, row: int, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Metres along u and v of a face where rays (x, y, 1) meet it at depth z."""
+        eu, ev, origin = self.eu[row], self.ev[row], self.origin[row]
+        return z * _along(eu, x, y) - origin @ eu, z * _along(ev, x, y) - origin @ ev
+
+    def footprint(
+        self, row: int, x: FloatArray, y: FloatArray, z: FloatArray, spacing: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Metres along u and v of a face between neighbouring rays `spacing` apart in X and Y."""
+        normal = np.cross(self.eu[row], self.ev[row])
+
+        def along(edge: FloatArray) -> FloatArray:
+            # With u = z (e.r) - o.e and z = n.o / n.r:  du/dX = z (e_x - (e.r) n_x / n.r), same for Y.
+            share = _along(edge, x, y) / _along(normal, x, y)
+            dx, dy = (z * spacing * (edge[k] - share * normal[k]) for k in (0, 1))
+            return np.asarray(np.hypot(dx, dy))
+
+        return along(self.eu[row]), along(self.ev[row])
+
+
+def _along(vector: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    return np.asarray(vector[0] * x + (vector[1] * y + vector[2]))
+
+
+class Rays(NamedTuple):
+    """Directions (X, Y, 1) in camera coordinates.
+
+    Of a grid, X (W,) of its columns and Y (H,) of its rows, ascending; else X and Y (R,) of single rays.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    grid: bool
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) or (R,)."""
+        return (len(self.y), len(self.x)) if self.grid else self.x.shape
+
+    def directions(self) -> tuple[FloatArray, FloatArray]:
+        """X and Y of every ray, row by row, flat."""
+        x, y = np.meshgrid(self.x, self.y) if self.grid else (self.x, self.y)
+        return x.ravel(), y.ravel()
+
+    def within(self, low: FloatArray, high: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
+        """Give (index into the results, X, Y) of the rays with low <= (X, Y) <= high."""
+        (x0, y0), (x1, y1) = low, high
+        if not self.grid:
+            rows = np.flatnonzero((self.x >= x0) & (self.x <= x1) & (self.y >= y0) & (self.y <= y1))
+            return rows, self.x[rows], self.y[rows]
+        across = slice(np.searchsorted(self.x, x0), np.searchsorted(self.x, x1, "right"))
+        down = slice(np.searchsorted(self.y, y0), np.searchsorted(self.y, y1, "right"))
+        return (down, across), self.x[None, across], self.y[down, None]
+
+
+def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
+    """Find the nearest face along every ray.
+
+    A ray r meets the plane of a face (corner o, normal n) at depth z = n.o / n.r; the hit counts where its
+    coordinates on the face, (z r - o).eu and (z r - o).ev, are inside the extent. Both results have the
+    shape of the rays: depth z, infinite where nothing is hit, and row of the mesh, or `SKY`.
+    """
+    depth, face = np.full(rays.shape, np.inf), np.full(rays.shape, SKY, dtype=np.int64)
+    normal, corners = mesh.normals(), mesh.corners()
+    distance = np.einsum("fi,fi->f", normal, mesh.origin)
+    (low, high), nearest = _bounds(corners), corners[..., 2].min(axis=1)
+    first = rays.x.min(initial=np.inf), rays.y.min(initial=np.inf)
+    last = rays.x.max(initial=-np.inf), rays.y.max(initial=-np.inf)
+    rows = np.flatnonzero((distance < 0) & (low <= last).all(axis=1) & (high >= first).all(axis=1))
+    for row in rows[np.argsort(nearest[rows], kind="stable")].tolist():
+        where, x, y = rays.within(low[row], high[row])
+        known = depth[where]
+        if not known.size or known.max() < nearest[row]:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):  # rays parallel to the face
+            z = distance[row] / _along(normal[row], x, y)
+            u, v = mesh.surface(row, x, y, z)
+            (width, height), (left, right) = mesh.extent[row], mesh.lean[row]
+            inside = (z > NEAR) & (z < known) & (v >= 0) & (v <= height)
+            inside &= (u >= left * v) & (u <= width - right * v)
+        depth[where] = np.where(inside, z, known)
+        face[where] = np.where(inside, row, face[where])
+    return depth, face
+
+
+def _bounds(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest (X, Y) of the parts of quadrilaterals (F, 4, 3) in front of the camera.
+
+    Where nothing is in front, lowest is +inf and highest -inf.
+    """
+    ahead, following = corners[..., 2] > NEAR, np.roll(corners, -1, axis=1)
+    crossing = ahead != np.roll(ahead, -1, axis=1)
+    rise = np.where(crossing, following[..., 2] - corners[..., 2], 1.0)
+    share = np.where(crossing, (NEAR - corners[..., 2]) / rise, 0.0)
+    points = np.concatenate([corners, corners + share[..., None] * (following - corners)], axis=1)
+    counts = np.concatenate([ahead, crossing], axis=1)[..., None]
+    flat = points[..., :2] / np.maximum(points[..., 2:], NEAR)
+    low = np.where(counts, flat, np.inf).min(axis=1) - _MARGIN
+    return low, np.where(counts, flat, -np.inf).max(axis=1) + _MARGIN
 
 
 class Painter:
@@ -23,43 +226,32 @@ class Painter:
     """
 
     def __init__(self, rng: np.random.Generator, faces: Sequence[Face]) -> None:
-        normals = np.stack([np.cross(face.eu, face.ev) for face in faces])
-        self._light = _AMBIENT + _DIRECT * np.clip(normals @ _SUN, 0, None)
+        self._light = _AMBIENT + _DIRECT * np.clip(Mesh.of(faces).normals() @ _SUN, 0, None)
         self._materials = [face.material for face in faces]
         self._grain, self._cloud = Noise(rng, 0.55), Noise(rng, 1.1)
 
     def paint(self, mesh: Mesh, rays: Rays, camera: FloatArray, spacing: float) -> FloatArray:
-        """Grey value of every ray of a grid, `spacing` apart on the plane z = 1, by ``T_world_cam``."""
-        depth, face = cast(mesh, rays)
-        x, y = rays.directions()
-        grey = np.empty(x.shape)
-        z = depth.ravel()
-        for row, where in _groups(face.ravel()):
+        """Light of every ray of a grid, `spacing` apart on the plane z = 1, by ``T_world_cam``."""
+        depth, hit = cast(mesh, rays)
+        (x, y), z, face = rays.directions(), depth.ravel(), hit.ravel()
+        light = np.empty(x.shape)
+        order = np.argsort(face.astype(np.int16), kind="stable")
+        starts = np.flatnonzero(np.diff(face[order], prepend=SKY - 1))
+        for where in np.split(order, starts[1:]):
+            row, at = int(face[where[0]]), (x[where], y[where], z[where])
             if row == SKY:
-                grey[where] = self._sky(x[where], y[where], camera)
+                light[where] = self._sky(at[0], at[1], camera)
                 continue
-            at = x[where], y[where], z[where]
-            u, v = surface_coordinates(mesh, row, *at)
-            fu, fv = footprint(mesh, row, *at, spacing)
-            grey[where] = self._light[row] * self._materials[row](
-                Patch(u, v, fu, fv, self._grain, self._cloud)
-            )
-        return grey.reshape(rays.shape)
+            sizes = mesh.footprint(row, *at, spacing)
+            patch = Patch(*mesh.surface(row, *at), *sizes, self._grain, self._cloud)
+            light[where] = self._light[row] * self._materials[row](patch)
+        return light.reshape(rays.shape)
 
     def _sky(self, x: FloatArray, y: FloatArray, camera: FloatArray) -> FloatArray:
-        direction = np.stack([x, y, np.ones_like(x)], axis=1) @ camera[:3, :3].T
-        around = np.arctan2(direction[:, 0], direction[:, 2])
-        up = np.arctan2(-direction[:, 1], np.hypot(direction[:, 0], direction[:, 2]))
+        right, down, ahead = camera[:3, :3] @ np.stack([x, y, np.ones_like(x)])
+        around, up = np.arctan2(right, ahead), np.arctan2(-down, np.hypot(right, ahead))
         fine = np.full_like(around, 1e-3)
-        grey: FloatArray = 228 + 14 * self._cloud.sample(around, up, fine, fine, 1.7) - 30 * up
-        return grey
-
-
-def _groups(face: IntArray) -> list[tuple[int, IntArray]]:
-    """Rows of each distinct face number."""
-    order = np.argsort(face.astype(np.int16), kind="stable")
-    starts = np.flatnonzero(np.diff(face[order], prepend=SKY - 1))
-    return [(int(face[order[s]]), rows) for s, rows in zip(starts, np.split(order, starts[1:]), strict=True)]
+        return np.asarray(228 + 14 * self._cloud.sample(around, up, fine, fine, 1.7) - 30 * up)
 
 
 def ray_offsets(samples: int) -> FloatArray:
@@ -93,12 +285,10 @@ def respond(light: FloatArray) -> FloatArray:
     The two constants bring contrast, gradients and the share of saturated pixels to those of KITTI's gray
     cameras on the 22 clips (docs/synthetic.md).
     """
-    grey: FloatArray = _WHITE * np.clip(_GAIN * light / _WHITE, 0, 1) ** _GAMMA
-    return grey
+    return np.asarray(_WHITE * np.clip(_GAIN * light / _WHITE, 0, 1) ** _GAMMA)
 
 
 def expose(image: FloatArray, noise: float, rng: np.random.Generator) -> ByteArray:
     """Turn light (H, W) into grey values: the camera's response, then Gaussian noise of this deviation."""
     seen = respond(image) + noise * rng.standard_normal(image.shape)
-    grey: ByteArray = np.clip(np.rint(seen), 0, 255).astype(np.uint8)
-    return grey
+    return np.clip(np.rint(seen), 0, 255).astype(np.uint8)

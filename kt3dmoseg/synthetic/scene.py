@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import check, option
-from kt3dmoseg.synthetic.raycast import NEAR, SKY, Face, Mesh, Rays, cast
-from kt3dmoseg.synthetic.render import Painter, expose, gather, ray_offsets
+from kt3dmoseg.synthetic.render import NEAR, SKY, Face, Mesh, Painter, Rays, cast, expose, gather, ray_offsets
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, Vehicle, traffic, vehicle_faces
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Labels, Trajectories
@@ -52,13 +51,12 @@ class SceneOptions:
         check(self, where="SceneOptions")
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
+class Layout(NamedTuple):
     """What a scene consists of, besides its pictures' size and number."""
 
     camera: Drive  # time 0 is the middle of the clip
-    vehicles: Sequence[Vehicle]
-    faces: Sequence[Face]  # of the static scene
+    vehicles: list[Vehicle]
+    faces: list[Face]  # of the static scene
     shake: float = 1.0  # how much the camera car nods and rolls on its springs; 0: not at all
 
 
@@ -95,17 +93,15 @@ class Scene:
 
     def __init__(self, options: SceneOptions, layout: Layout | None = None) -> None:
         self.options = options
-        rng, looks = (np.random.default_rng([options.seed, 0, k]) for k in (0, 1))
-        layout = layout or usual_layout(options, rng)
-        self.camera, self.vehicles, self._shake = layout.camera, list(layout.vehicles), layout.shake
-        self._faces = list(layout.faces)
+        rng = np.random.default_rng([options.seed, 0, 0])
+        self.camera, self.vehicles, faces, self._shake = layout or usual_layout(options, rng)
         for body, vehicle in enumerate(self.vehicles, start=1):
-            self._faces += [replace(face, body=body) for face in vehicle_faces(vehicle.kind, rng)]
-        self._mesh, self._looks = Mesh.of(self._faces), looks
+            faces = [*faces, *(face._replace(body=body) for face in vehicle_faces(vehicle.kind, rng))]
+        self._faces, self._mesh = faces, Mesh.of(faces)
 
     @cached_property
     def _painter(self) -> Painter:
-        return Painter(self._looks, self._faces)
+        return Painter(np.random.default_rng([self.options.seed, 0, 1]), self._faces)
 
     @property
     def n_frames(self) -> int:
@@ -142,10 +138,13 @@ class Scene:
         time, phase = self.time(self._checked(frame)), float(self.options.seed % 7)
         pitch = self._shake * _PITCH * np.sin(7.0 * time + phase)
         roll = self._shake * _ROLL * np.sin(5.0 * time + 2 * phase)
-        (cx, sx), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in (pitch, roll))
-        nod = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
         mount = np.eye(4)
-        mount[:3, :3] = nod @ np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+        (cx, sx), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in (pitch, roll))
+        mount[:3, :3] = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ [
+            [cz, -sz, 0],
+            [sz, cz, 0],
+            [0, 0, 1],
+        ]
         mount[1, 3] = -_CAMERA_HEIGHT + self._shake * _BOUNCE * np.sin(9.0 * time + 3 * phase)
         return self.camera.pose(time) @ mount
 
@@ -175,10 +174,8 @@ class Scene:
 
     def ids(self, frame: int) -> ByteArray:
         """Object id at every pixel centre, (H, W) uint8."""
-        mesh = self._mesh_at(frame)
-        _, face = cast(mesh, self._pixels())
-        ids: ByteArray = np.where(face == SKY, 0, mesh.body[face] + BACKGROUND).astype(np.uint8)
-        return ids
+        face = cast(self._mesh_at(frame), self._pixels())[1]
+        return np.where(face == SKY, 0, self._mesh.body[face] + BACKGROUND).astype(np.uint8)
 
     def depth(self, frame: int) -> FloatArray:
         """Depth (z in metres) at every pixel centre, (H, W) float64; infinite in the sky."""
@@ -197,8 +194,7 @@ class Scene:
         """
         width, height = self.image_size
         xy, visible = self.project(j, *self._locate(i, self._pixels()))
-        centres = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=2)
-        moved = xy.reshape(height, width, 2) - centres
+        moved = xy.reshape(height, width, 2) - np.dstack(np.meshgrid(np.arange(width), np.arange(height)))
         return np.nan_to_num(moved).astype(np.float32), visible.reshape(height, width)
 
     def trajectories(self, points: npt.ArrayLike) -> Trajectories:
@@ -249,13 +245,11 @@ class Scene:
         Points are homogeneous, in the coordinates of their bodies. The sky is at infinity and part of the
         static scene: its points are directions, with last coordinate 0.
         """
-        mesh = self._mesh_at(frame)
-        depth, face = (part.ravel() for part in cast(mesh, rays))
-        sky = face == SKY
+        depth, face = (part.ravel() for part in cast(self._mesh_at(frame), rays))
+        sky, (x, y) = face == SKY, rays.directions()
         z = np.where(sky, 1.0, depth)
-        x, y = rays.directions()
         seen = np.stack([x * z, y * z, z, np.where(sky, 0.0, 1.0)], axis=1)
-        body = np.where(sky, 0, mesh.body[face])
+        body = np.where(sky, 0, self._mesh.body[face])
         to_bodies = np.asarray(np.linalg.inv(self.body_poses(frame)), dtype=np.float64)
         return _transform(to_bodies, body, seen), body
 
@@ -275,13 +269,10 @@ class Scene:
 
     def surface_points(self, points: npt.ArrayLike) -> tuple[FloatArray, IntArray]:
         """Find the surface points (S, 4) at x, y, frame and their bodies (S,); see `_locate`."""
-        seeds = np.array(points, dtype=np.float64)
-        if not seeds.size:
-            seeds = np.zeros((0, 3))
+        seeds = np.array(points if np.size(points) else np.zeros((0, 3)), dtype=np.float64)
         if seeds.ndim != 2 or seeds.shape[1] != 3 or not np.isfinite(seeds).all():
-            raise InvalidValueError(
-                "points", expected="finite x, y, frame of shape (S, 3)", found=f"shape {seeds.shape}"
-            )
+            expected = "finite x, y, frame of shape (S, 3)"
+            raise InvalidValueError("points", expected=expected, found=f"shape {seeds.shape}")
         found, body = np.zeros((len(seeds), 4)), np.zeros(len(seeds), dtype=np.int64)
         for frame in np.unique(seeds[:, 2]):
             rows = np.flatnonzero(seeds[:, 2] == frame)
@@ -290,9 +281,8 @@ class Scene:
 
     def _checked(self, frame: float) -> int:
         if frame != int(frame) or not 0 <= frame < self.n_frames:
-            raise InvalidValueError(
-                "frame", expected=f"a whole number in 0..{self.n_frames - 1}", found=f"{frame}"
-            )
+            expected = f"a whole number in 0..{self.n_frames - 1}"
+            raise InvalidValueError("frame", expected=expected, found=f"{frame}")
         return int(frame)
 
 

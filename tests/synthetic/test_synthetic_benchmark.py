@@ -12,7 +12,7 @@ from kt3dmoseg.synthetic import SceneOptions, make_drive, measure_drive, plan_dr
 from kt3dmoseg.synthetic.drives import _collide
 from kt3dmoseg.synthetic.scene import Layout, Scene
 from kt3dmoseg.synthetic.street import street
-from kt3dmoseg.synthetic.vehicles import SIZES, Drive, Vehicle
+from kt3dmoseg.synthetic.vehicles import Drive, Vehicle
 from kt3dmoseg.types import Trajectories
 from mseg.evaluation import load_protocol
 
@@ -21,7 +21,7 @@ PUBLIC, TEST = plan_drives()[:100], plan_drives()[100:]
 
 def filmed(camera: Drive, *drives: Drive, frames: int = 11) -> Scene:
     """Film cars from a car that does not nod."""
-    cars = [Vehicle("car", "car", drive, SIZES["car"]) for drive in drives]
+    cars = [Vehicle("car", "car", drive) for drive in drives]
     faces = street(np.random.default_rng(0), 10.0, 30.0, (-20.0, 60.0))
     return Scene(
         SceneOptions(width=310, height=94, frames=frames, samples=1), Layout(camera, cars, faces, shake=0.0)
@@ -73,10 +73,10 @@ def test_a_vehicle_moves_only_during_its_time():
 
 
 def test_vehicles_side_by_side_pass_and_those_that_overlap_collide():
-    car = Vehicle("car", "car", Drive(0.0, 0.0), SIZES["car"])
-    assert not _collide(car, Drive(-3.5, 0.5), SIZES["truck"], 0.0)
-    assert _collide(car, Drive(-3.5, 0.5, yaw=np.pi / 2), SIZES["truck"], 0.0)
-    assert _collide(car, Drive(0.5, 4.0), SIZES["car"], 0.0)
+    car = Vehicle("car", "car", Drive(0.0, 0.0))
+    assert not _collide(car, Vehicle("truck", "truck", Drive(-3.5, 0.5)), 0.0)
+    assert _collide(car, Vehicle("truck", "truck", Drive(-3.5, 0.5, yaw=np.pi / 2)), 0.0)
+    assert _collide(car, Vehicle("car", "car", Drive(0.5, 4.0)), 0.0)
 
 
 def test_a_trajectory_that_slides_from_one_object_to_another_has_no_label():

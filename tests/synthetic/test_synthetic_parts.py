@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kt3dmoseg.synthetic.materials import _TABLE, Noise, Patch, Plain, _cells, _mosaic, band, stripes
-from kt3dmoseg.synthetic.raycast import SKY, Mesh, Rays, box, cast
-from kt3dmoseg.synthetic.render import expose, gather, ray_offsets, respond
+from kt3dmoseg.synthetic.render import SKY, Mesh, Rays, box, cast, expose, gather, ray_offsets, respond
 from kt3dmoseg.synthetic.vehicles import Drive
 
 GREY = Plain(100.0)
@@ -29,7 +28,7 @@ def test_convex_bodies_are_hit_where_the_half_spaces_say(seed):
     rng = np.random.default_rng(seed)
     low, size = rng.uniform([-4, -3, 2], [2, 1, 9]), rng.uniform(0.5, 3, 3)
     inset = tuple(rng.uniform(-0.2, 0.2, 3))
-    faces = box(low, low + size, GREY, inset, underside=Plain(50.0))
+    faces = box(low, low + size, GREY, inset, floor=Plain(50.0))
     mesh = Mesh.of(faces)
     rays = Rays(rng.uniform(-1, 1, 200), rng.uniform(-1, 1, 200), grid=False)
     depth, face = cast(mesh, rays)
