@@ -10,6 +10,7 @@ from __future__ import annotations
 import hmac
 import json
 import mimetypes
+import re
 import secrets
 import socket
 from collections.abc import Callable, Iterable
@@ -30,6 +31,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kt3dmoseg.annotate.model import StaleRevisionError, to_json
+from kt3dmoseg.annotate.server.clip_session import NotTrackedError
 from kt3dmoseg.annotate.server.routes import Routes
 from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
@@ -39,7 +41,7 @@ MAX_HELD = 256 << 20  # of all bodies that are being received or worked on
 _SMALL = 4 << 20
 _HTTP = 80
 _LAST_PORT = 65_535
-_TOO_LARGE = "a body of at most {} bytes is expected"
+_OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")
 _STATIC = Path(__file__).parents[1] / "static"
 _HEADERS = {
     "content-security-policy": (
@@ -70,7 +72,7 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
         return HTMLResponse(html, headers={"cache-control": "no-store"})
 
     table = [Route("/", page), Mount("/static", StaticFiles(directory=_STATIC)), *routes.table()]
-    expected = (KT3DMoSegError, HTTPException, ClientDisconnect)
+    expected = (KT3DMoSegError, HTTPException, ClientDisconnect, NotTrackedError)
     app = Starlette(routes=table, exception_handlers=dict.fromkeys(expected, _failed))
     return Guard(app, hosts, token)
 
@@ -78,6 +80,9 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
 async def _failed(_: Request, error: Exception) -> Response:
     if isinstance(error, HTTPException):
         return _refuse(error.status_code, error.detail)
+    if isinstance(error, NotTrackedError):
+        progress = dict(zip(("done", "total", "error"), error.args, strict=True))
+        return JSONResponse(progress, status_code=500 if progress["error"] else 202)
     if isinstance(error, ClientDisconnect):  # nobody is there to read this
         return _refuse(400, "the body ended early")
     if isinstance(error, StaleRevisionError):
@@ -88,8 +93,9 @@ async def _failed(_: Request, error: Exception) -> Response:
 class Guard:
     """ASGI middleware that refuses foreign hosts, foreign origins, missing tokens and large bodies.
 
-    `hosts` are accepted values of the Host header, with port. When `token` is not empty, every request must
-    carry it: ``Authorization: Bearer TOKEN``, the cookie that opening ``/?token=TOKEN`` sets, or be for it.
+    `hosts` are accepted values of the Host header, with port; any, when there are none. When `token` is not
+    empty, every request must carry it: ``Authorization: Bearer TOKEN``, the cookie that opening
+    ``/?token=TOKEN`` sets, or be for it.
     """
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str], token: str = "") -> None:
@@ -111,7 +117,7 @@ class Guard:
             length = len(message.get("body", b""))
             size, self.held = size + length, self.held + length
             if size > MAX_BODY:
-                raise HTTPException(413, _TOO_LARGE.format(MAX_BODY))
+                raise HTTPException(413, f"a body of at most {MAX_BODY} bytes is expected")
             if self.held > MAX_HELD and size > _SMALL:
                 raise HTTPException(503, "the server is receiving too much; try again later")
             return message
@@ -130,20 +136,16 @@ class Guard:
     def _refusal(self, request: Request) -> Response | None:
         # Starlette's TrustedHostMiddleware ignores the port, and answers in plain text.
         host = request.headers.get("host", "").lower()
-        if host not in self.hosts:
+        if self.hosts and host not in self.hosts:
             return _refuse(421, f"Host {host[:80]!r} is not served here")
         origin = request.headers.get("origin")
         if origin is not None and origin.lower() not in {f"http://{host}", f"https://{host}"}:
             return _refuse(403, f"Origin {origin[:80]!r} may not use this server")
-        length = request.headers.get("content-length", "0")
-        if length.isdigit() and int(length) > MAX_BODY:
-            return _refuse(413, _TOO_LARGE.format(MAX_BODY))
         return self._check_token(request, host) if self.token else None
 
     def _check_token(self, request: Request, host: str) -> Response | None:
-        port = host.rpartition(":")[2]
         # Browsers keep cookies by host, not by port, and two servers may share one.
-        cookie = f"kt3dmoseg_token_{port if port.isdecimal() else _HTTP}"
+        cookie = "kt3dmoseg_token_" + (re.findall(r":(\d+)$", host) or [f"{_HTTP}"])[0]
         if request.url.path == "/" and self._matches(request.query_params.get("token", "")):
             # The token leaves the address bar, and with it the browser's history.
             welcome = RedirectResponse("/", status_code=303)
@@ -163,22 +165,33 @@ def _refuse(status: int, message: str) -> JSONResponse:
 
 
 def serve(
-    routes: Routes, *, host: str = "127.0.0.1", port: int = 0, ready: Callable[[str], None] | None = None
+    routes: Routes, *, host: str = "127.0.0.1", port: int = 0, ready: Callable[[str], object] | None = None
 ) -> None:
     """Serve the labelling page until interrupted; any host but loopback makes the server want a token.
 
-    Port 0 is any free one. `ready` is called with the page's address once the server listens. Raises
-    InputFileError when the address cannot be listened on.
+    Port 0 is any free one. `ready` is called with the page's address once the server listens.
     """
-    listener = _listen(host, port)
-    port = listener.getsockname()[1]
-    token = "" if is_loopback(host) else secrets.token_urlsafe(24)
-    app = create_app(routes, hosts=_hosts(host, port), token=token)
+    if not 0 <= port <= _LAST_PORT:
+        raise InvalidValueError("--port", expected=f"0 to {_LAST_PORT}", found=str(port))
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, port), family=family)
+    except OSError as error:
+        where, reason = f"{host}:{port}: cannot listen", error.strerror or str(error)
+        raise InputFileError(where, found=reason, fix="choose another --port") from error
+    port, names, token = listener.getsockname()[1], {host, *_OWN_NAMES}, ""
+    hosts = {f"{name}:{port}" for name in names} | (names if port == _HTTP else set())
+    if not is_loopback(host):  # whatever it is called here, the token protects
+        hosts, token = set(), secrets.token_urlsafe(24)
+    app = create_app(routes, hosts=hosts, token=token)
     config = uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
     if ready is not None:
         shown = f"[{host}]" if ":" in host else host
         ready(f"http://{shown}:{port}/" + (f"?token={token}" if token else ""))
-    uvicorn.Server(config).run(sockets=[listener])
+    try:
+        uvicorn.Server(config).run(sockets=[listener])
+    finally:
+        routes.counting.shutdown(wait=False, cancel_futures=True)
 
 
 def is_loopback(host: str) -> bool:
@@ -187,28 +200,3 @@ def is_loopback(host: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    if not 0 <= port <= _LAST_PORT:
-        raise InvalidValueError("--port", expected=f"0 to {_LAST_PORT}", found=str(port))
-    try:
-        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-    except OSError as error:
-        where, reason = f"{host}:{port}: cannot listen", error.strerror or str(error)
-        raise InputFileError(where, found=reason, fix="choose another --port") from error
-
-
-def _hosts(host: str, port: int) -> set[str]:
-    names = {"127.0.0.1", "localhost", "[::1]"} if is_loopback(host) else {host}
-    if host in ("0.0.0.0", "::"):  # every address of this machine; the token protects
-        names |= {"127.0.0.1", "localhost", socket.gethostname(), *_addresses()}
-    return {f"{name}:{port}" for name in names} | (names if port == _HTTP else set())
-
-
-def _addresses() -> set[str]:
-    try:
-        found = socket.getaddrinfo(socket.gethostname(), None)
-    except OSError:
-        return set()
-    return {f"[{a[4][0]}]" if ":" in str(a[4][0]) else str(a[4][0]) for a in found}

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -20,7 +21,7 @@ from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import hold_folder, parse_json, read_bytes, write_text
 from kt3dmoseg.frames import ClipFiles
-from kt3dmoseg.io.images import read_frame
+from kt3dmoseg.io.images import picture_size, read_frame
 from kt3dmoseg.types import ByteArray, IntArray, Trajectories
 
 Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]
@@ -35,13 +36,8 @@ _MOSTLY = 0.5
 WORK_STATES = ("not started", "in work", "done", "reviewed")
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far the trajectories are: done of total frames, or what went wrong."""
-
-    done: int
-    total: int
-    error: str = ""
+class NotTrackedError(Exception):
+    """The trajectories are not there (yet); its arguments are frames done, frames in all, and what failed."""
 
 
 class ClipSession:
@@ -51,17 +47,17 @@ class ClipSession:
         self.source, self.tracker = source, tracker
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._progress = Progress(0, len(source.frames))
-        self._trajectories: Trajectories | None = None
+        self._tracks: Trajectories | tuple[int, int, str] = (0, len(source.frames), "")
         self._labelled = lru_cache(_KEPT_LABELLINGS)(self._label)
         self._carried = lru_cache(_KEPT_OBJECTS)(self._carry)
         self._doubted = lru_cache(_KEPT_OBJECTS)(self._doubt)
+        self._asked: object = None
+        self._counted: tuple[object, dict[str, Any]] = (None, {})
 
     @cached_property
     def image_size(self) -> tuple[int, int]:
         """Width and height of the frames, from the first one."""
-        height, width = read_frame(self.source.frames[0], "luma").shape
-        return width, height
+        return picture_size(self.source.frames[0])
 
     @property
     def frame_names(self) -> list[str]:
@@ -72,36 +68,28 @@ class ClipSession:
         """Read the annotation file, which must be of this clip; an empty annotation when there is none."""
         if not self.source.annotation.exists():
             return Annotation(self.source.name, self.image_size, len(self.source.frames))
-        found = load_annotation(self.source.annotation)
-        self.check(found)
-        return found
+        return self.checked(load_annotation(self.source.annotation))
 
-    def check(self, annotation: Annotation) -> None:
-        """Raise InvalidValueError, which names the field, for the annotation of another clip."""
+    def checked(self, annotation: Annotation) -> Annotation:
+        """Return the annotation; InvalidValueError, which names the field, when it is of another clip."""
         frames = len(self.source.frames)
         wanted = {"clip": self.source.name, "image_size": self.image_size, "n_frames": frames}
         for name, value in wanted.items():
             if getattr(annotation, name) != value:
                 raise InvalidValueError(name, expected=repr(value), found=repr(getattr(annotation, name)))
+        return annotation
 
-    def trajectories(self) -> Trajectories | Progress:
-        """Return the trajectories, or how far they are; the first call starts the work."""
+    def trajectories(self, *, wait: bool = False) -> Trajectories:
+        """Return the trajectories, or raise NotTrackedError; the first call starts the work."""
         with self._lock:
-            if self._trajectories is not None:
-                return self._trajectories
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, daemon=True)
                 self._thread.start()
-            return self._progress
-
-    def wait(self) -> Trajectories:
-        """Return the trajectories, waiting for them; InvalidValueError when there are none."""
-        found = self.trajectories()
-        if isinstance(found, Progress) and self._thread is not None:
+        if wait:
             self._thread.join()
-            found = self.trajectories()
-        if isinstance(found, Progress):
-            raise InvalidValueError(f"trajectories of {self.source.name}", found=found.error)
+        found = self._tracks
+        if not isinstance(found, Trajectories):
+            raise NotTrackedError(*found)
         return found
 
     def labelled(self, annotation: Annotation) -> LabelledTracks:
@@ -120,7 +108,7 @@ class ClipSession:
     @cached_property
     def moving(self) -> IntArray | None:
         """Group (N,) of each trajectory: 1 moves as the scene, 2, 3, ... by themselves; None when unknown."""
-        return _moving(self.wait())
+        return _moving(self.trajectories(wait=True))
 
     def work_state(self) -> dict[str, Any]:
         """Return the last state that an annotator set, as `set_work_state` wrote it.
@@ -158,58 +146,76 @@ class ClipSession:
 
     def trouble(self) -> str:
         """Return why the annotation cannot be saved as things are; "" when it can."""
-        folder = self.source.annotation.parent
-        while not folder.exists() and folder != folder.parent:
-            folder = folder.parent
+        folder = next(path for path in self.source.annotation.absolute().parents if path.exists())
         if not folder.is_dir():
             return f"{folder}: expected a folder, found a file"
         return "" if os.access(folder, os.W_OK) else f"{folder}: cannot write there"
 
-    def summary(self) -> dict[str, Any]:
-        """Count how far the clip is, JSON-able; trajectories that no file holds are not computed for it."""
-        found = self._trajectories
-        ready = found is not None
-        if found is None and self.source.tracks is not None:
-            found = self._load(self.source.tracks)
-        out: dict[str, Any] = {} if found is None else {"trajectories": len(found)}
+    def summary(self, pool: Executor) -> dict[str, Any]:
+        """Return how far the clip is, JSON-able, as counted last; the pool counts where a file has changed.
+
+        ``name``, ``n_frames``, ``work`` and ``counting``; for a counted clip ``revision``, ``annotator``,
+        ``objects``, ``motions`` as far as there is an annotation, ``trajectories`` as far as there are any,
+        ``counts`` and ``unexplained`` where there is both; ``error`` when a file is damaged.
+        """
+        # Trajectories that no file holds are not computed for it.
+        tracks, computed = self.source.tracks, isinstance(self._tracks, Trajectories)
+        state = _file_state(self.source.annotation), _file_state(tracks) if tracks else computed
+        if state != self._asked:
+            self._asked = state
+            pool.submit(self._count, state)
+        counted_for, counted = self._counted
+        try:
+            work: dict[str, Any] = {"work": self.work_state()}
+        except KT3DMoSegError as error:
+            work = {"error": str(error)}
+        general = {"name": self.source.name, "n_frames": len(self.source.frames)}
+        return general | counted | work | {"counting": counted_for != state}
+
+    def _count(self, state: object) -> None:
+        try:
+            self._counted = state, self._counts()
+        except KT3DMoSegError as error:
+            self._counted = state, {"error": str(error)}
+
+    def _counts(self) -> dict[str, Any]:
+        ready, path = isinstance(self._tracks, Trajectories), self.source.tracks
+        tracks = self.trajectories() if ready else None if path is None else self._load(path)
+        out: dict[str, Any] = {} if tracks is None else {"trajectories": len(tracks)}
         if not self.source.annotation.exists():
             return out
         annotation = self.annotation()
-        out |= {
-            "revision": annotation.revision,
-            "annotator": annotation.annotator,
-            "objects": len(annotation.objects),
-            "motions": len(annotation.motions),
-        }
-        if found is None:
+        out |= {"revision": annotation.revision, "annotator": annotation.annotator}
+        out |= {"objects": len(annotation.objects), "motions": len(annotation.motions)}
+        if tracks is None:
             return out
         # A clip that nobody opened is labelled without keeping anything of it.
-        labelled = self.labelled(annotation) if ready else label_tracks_detailed(found, annotation)
-        groups = self.moving if ready else _moving(found)
-        left = None if groups is None else unexplained(groups, labelled)
+        labelled = self.labelled(annotation) if ready else label_tracks_detailed(tracks, annotation)
+        groups = self.moving if ready else _moving(tracks)
+        left = None if groups is None else _unexplained(groups, labelled)
         return out | {"counts": labelled.counts(), "unexplained": left}
 
-    def state(self) -> tuple[object, ...]:
-        """Return what `summary` depends on: the state of the files, or whether trajectories were computed."""
-        tracks, computed = self.source.tracks, self._trajectories is not None
-        return _file_state(self.source.annotation), _file_state(tracks) if tracks else computed
-
     def _label(self, annotation: Annotation) -> LabelledTracks:
-        return label_tracks_detailed(self.wait(), annotation, regions=self.regions(annotation))
+        tracks = self.trajectories(wait=True)
+        return label_tracks_detailed(tracks, annotation, regions=self.regions(annotation))
 
     def _carry(self, keys: tuple[KeyFrame, ...]) -> list[Region]:
-        return propagate_keys(keys, len(self.source.frames), TrackMotion(self.wait()))
+        return propagate_keys(keys, len(self.source.frames), TrackMotion(self.trajectories(wait=True)))
 
     def _doubt(self, keys: tuple[KeyFrame, ...]) -> list[str]:
-        return weak_frames(self._carried(keys), TrackMotion(self.wait()))
+        return weak_frames(self._carried(keys), TrackMotion(self.trajectories(wait=True)))
 
     def _work(self) -> None:
+        frames, total = (read_frame(path, "luma") for path in self.source.frames), len(self.source.frames)
+
+        def progress(done: int, _: int | None) -> None:
+            self._tracks = (done, total, "")
+
         try:
-            found = self._load(self.source.tracks) if self.source.tracks else self._track()
-            with self._lock:
-                self._trajectories = found
+            path = self.source.tracks
+            self._tracks = self._load(path) if path else self.tracker(frames, progress)
         except KT3DMoSegError as error:
-            self._report(self._progress.done, str(error))
+            self._tracks = (0, total, str(error))
 
     def _load(self, path: Path) -> Trajectories:
         dense, frames = io.load(path).dense, len(self.source.frames)
@@ -218,16 +224,8 @@ class ClipSession:
             raise InvalidValueError(f"{path}", expected=expected, found=f"{dense.n_frames}")
         return Trajectories(dense.xy, dense.visible, dense.track_id, self.image_size)
 
-    def _track(self) -> Trajectories:
-        frames = (read_frame(path, "luma") for path in self.source.frames)
-        return self.tracker(frames, lambda done, _: self._report(done))
 
-    def _report(self, done: int, error: str = "") -> None:
-        with self._lock:
-            self._progress = Progress(done, len(self.source.frames), error)
-
-
-def unexplained(groups: IntArray, labelled: LabelledTracks) -> int:
+def _unexplained(groups: IntArray, labelled: LabelledTracks) -> int:
     """Count the groups that move by themselves but are mostly labelled as background."""
     background = labelled.labels.label == 1
     return sum(bool(background[groups == k].mean() > _MOSTLY) for k in range(2, groups.max(initial=1) + 1))
@@ -238,57 +236,6 @@ def _moving(tracks: Trajectories) -> IntArray | None:
         return moving_groups(tracks)
     except InvalidValueError:
         return None
-
-
-class Summaries:
-    """The progress of all clips, counted in the background, and again only where a file has changed."""
-
-    def __init__(self, sessions: Mapping[str, ClipSession]) -> None:
-        self.sessions = sessions
-        self._lock = threading.Lock()
-        self._known: dict[str, tuple[tuple[object, ...], dict[str, Any]]] = {}
-        self._worker: threading.Thread | None = None
-
-    def clips(self) -> list[dict[str, Any]]:
-        """Return what is counted of each clip so far; the rest is being counted.
-
-        ``name``, ``n_frames`` and ``counting``; for a counted clip ``revision``, ``annotator``, ``objects``,
-        ``motions`` as far as there is an annotation, ``trajectories`` as far as there are any, ``counts``
-        where there is both; ``error`` when a file is damaged.
-        """
-        with self._lock:
-            out = [self._summary(session) for session in self.sessions.values()]
-            if any(summary["counting"] for summary in out) and self._worker is None:
-                self._worker = threading.Thread(target=self._work, daemon=True)
-                self._worker.start()
-        return out
-
-    def _summary(self, session: ClipSession) -> dict[str, Any]:
-        state, counted = self._known.get(session.source.name, (None, {}))
-        general = {"name": session.source.name, "n_frames": len(session.source.frames)}
-        return general | counted | _work_state(session) | {"counting": state != session.state()}
-
-    def _work(self) -> None:
-        while True:
-            with self._lock:
-                session = next((s for s in self.sessions.values() if self._summary(s)["counting"]), None)
-                if session is None:
-                    self._worker = None
-                    return
-            state = session.state()
-            try:
-                counted = session.summary()
-            except KT3DMoSegError as error:
-                counted = {"error": str(error)}
-            with self._lock:
-                self._known[session.source.name] = state, counted
-
-
-def _work_state(session: ClipSession) -> dict[str, Any]:
-    try:
-        return {"work": session.work_state()}
-    except KT3DMoSegError as error:
-        return {"error": str(error)}
 
 
 def _file_state(path: Path) -> tuple[int, ...]:

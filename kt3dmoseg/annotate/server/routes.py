@@ -24,15 +24,15 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Awaitable, Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -52,11 +52,13 @@ from kt3dmoseg.annotate.model import (
     to_json,
 )
 from kt3dmoseg.annotate.propagation import Region
-from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, Progress, Summaries
+from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, NotTrackedError
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
+
+Answer: TypeAlias = Response | dict[str, Any]
 
 # What every browser shows as it is; other pictures are sent as PNG.
 _SHOWN = {f".{kind}": f"image/{kind}" for kind in ("png", "jpeg", "webp", "bmp")} | {".jpg": "image/jpeg"}
@@ -84,8 +86,7 @@ class Routes:
     ) -> None:
         self.sessions, self.annotator = sessions, annotator
         self.other, self.masks, self.kitti = other, masks, kitti
-        self.summaries = Summaries(sessions)
-        self.quick, self.slow = ThreadPoolExecutor(_WORKERS), ThreadPoolExecutor(1)
+        self.quick, self.slow, self.counting = map(ThreadPoolExecutor, (_WORKERS, 1, 1))
         # Computed now, not while the first page waits for it.
         self.suffixes = {name: formats.load(name).suffix for name in formats.FORMATS.names()}
         lacking = {
@@ -95,158 +96,150 @@ class Routes:
         self.proposers = {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
 
     def table(self) -> list[Route]:
-        """Return the routes for starlette, which runs plain functions in threads."""
-        clip = "/api/clips/{clip}"
-        edited = {
-            "/regions": (self._regions, self.quick),
-            "/labels": (self._labels, self.quick),
-            "/proposals/{proposer}": (self._propose, self.slow),
-            "/compare": (self._compare, self.quick),
-            "/export/{format}": (self._export, self.quick),
-        }
+        """Return the routes for starlette."""
         return [
             Route("/api/clips", self._clips),
-            Route(clip, self._clip),
-            Route(clip + "/frames/{frame:int}", self._frame),
-            Route(clip + "/tracks", self._tracks),
-            Route(clip + "/moving", self._moving),
-            Route(clip + "/trouble", self._trouble),
-            Route(clip + "/state", self._set_state, methods=["PUT"]),
-            Route(clip + "/annotation", self._annotation),
-            Route(clip + "/annotation", self._with_annotation(self._save), methods=["PUT"]),
-            Route(clip + "/import/{format}", self._import, methods=["POST"]),
-            *(
-                Route(clip + path, self._with_annotation(work, pool), methods=["POST"])
-                for path, (work, pool) in edited.items()
-            ),
+            self._route("GET", "", self._clip),
+            self._route("GET", "/frames/{frame:int}", self._frame),
+            self._route("GET", "/tracks", self._tracks),
+            self._route("GET", "/moving", self._moving, self.quick),
+            self._route("GET", "/trouble", self._trouble),
+            self._route("PUT", "/state", self._set_state),
+            self._route("GET", "/annotation", self._annotation),
+            self._route("PUT", "/annotation", self._save),
+            self._route("POST", "/regions", self._regions, self.quick),
+            self._route("POST", "/labels", self._labels, self.quick),
+            self._route("POST", "/proposals/{proposer}", self._propose, self.slow),
+            self._route("POST", "/compare", self._compare, self.quick),
+            self._route("POST", "/export/{format}", self._export, self.quick),
+            self._route("POST", "/import/{format}", self._import, self.quick),
         ]
 
+    def _route(
+        self,
+        method: str,
+        path: str,
+        work: Callable[[Request, ClipSession, bytes], Answer],
+        pool: Executor | None = None,
+    ) -> Route:
+        """Give `work` the clip and the body of a request; it runs in `pool`, else where nothing waits."""
+
+        async def endpoint(request: Request) -> Response:
+            session = self.sessions.get(request.path_params["clip"])
+            if session is None:
+                raise HTTPException(404, "no such clip")
+            loop, body = asyncio.get_running_loop(), await request.body()
+            answer = await loop.run_in_executor(pool, work, request, session, body)
+            return answer if isinstance(answer, Response) else JSONResponse(answer)
+
+        return Route("/api/clips/{clip}" + path, endpoint, methods=[method])
+
     def _clips(self, _: Request) -> Response:
-        return JSONResponse({"clips": self.summaries.clips()})
+        return JSONResponse({"clips": [session.summary(self.counting) for session in self.sessions.values()]})
 
-    def _clip(self, request: Request) -> Response:
-        session = self._session(request)
-        return JSONResponse(
-            {
-                "name": session.source.name,
-                "image_size": session.image_size,
-                "n_frames": len(session.source.frames),
-                "frame_names": session.frame_names,
-                "annotation": to_json(session.annotation()),
-                "annotator": self.annotator,
-                "work": session.work_state(),
-                "states": WORK_STATES,
-                "kinds": KINDS,
-                "formats": self.suffixes,
-                "proposers": self.proposers,
-                "compare": self.other is not None,
-            }
-        )
+    def _clip(self, _: Request, session: ClipSession, __: bytes) -> Answer:
+        return {
+            "name": session.source.name,
+            "image_size": session.image_size,
+            "n_frames": len(session.source.frames),
+            "frame_names": session.frame_names,
+            "annotation": to_json(session.annotation()),
+            "annotator": self.annotator,
+            "work": session.work_state(),
+            "states": WORK_STATES,
+            "kinds": KINDS,
+            "formats": self.suffixes,
+            "proposers": self.proposers,
+            "compare": self.other is not None,
+        }
 
-    def _frame(self, request: Request) -> Response:
-        frames, index = self._session(request).source.frames, request.path_params["frame"]
+    def _frame(self, request: Request, session: ClipSession, _: bytes) -> Answer:
+        frames, index = session.source.frames, request.path_params["frame"]
         if index >= len(frames):
             raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
-        content, kind = _picture(frames[index])
-        return Response(content, media_type=kind, headers={"cache-control": "private, max-age=3600"})
+        path, kept = frames[index], {"cache-control": "private, max-age=3600"}
+        if kind := _SHOWN.get(path.suffix.lower()):
+            return Response(read_bytes(path, _MAX_PICTURE), media_type=kind, headers=kept)
+        content = cv2.imencode(".png", read_frame(path, "luma"))[1].tobytes()
+        return Response(content, media_type="image/png", headers=kept)
 
-    def _tracks(self, request: Request) -> Response:
-        found = self._session(request).trajectories()
-        if isinstance(found, Progress):
-            return JSONResponse(vars(found), status_code=500 if found.error else 202)
+    def _tracks(self, _: Request, session: ClipSession, __: bytes) -> Answer:
+        found = session.trajectories()
         content = np.ascontiguousarray(found.xy, dtype="<f4").tobytes()
         shape = {"x-shape": f"{len(found)},{found.n_frames}"}
         return Response(content, media_type="application/octet-stream", headers=shape)
 
-    def _moving(self, request: Request) -> Response:
-        groups = self._session(request).moving
-        return JSONResponse({"groups": None if groups is None else groups.tolist()})
+    def _moving(self, _: Request, session: ClipSession, __: bytes) -> Answer:
+        groups = session.moving
+        return {"groups": None if groups is None else groups.tolist()}
 
-    def _trouble(self, request: Request) -> Response:
-        return JSONResponse({"trouble": self._session(request).trouble()})
+    def _trouble(self, _: Request, session: ClipSession, __: bytes) -> Answer:
+        return {"trouble": session.trouble()}
 
-    async def _set_state(self, request: Request) -> Response:
-        session, given = self._session(request), parse_document(await request.body(), "body")
+    def _set_state(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+        given = parse_document(body, "body")
         if not isinstance(given, dict):
             raise InvalidValueError("body", expected="state and by", found=repr(given)[:80])
-        by = self.annotator or given.get("by")
-        entry = await run_in_threadpool(session.set_work_state, given.get("state"), by)
-        return JSONResponse({"work": entry})
+        return {"work": session.set_work_state(given.get("state"), self.annotator or given.get("by"))}
 
-    def _annotation(self, request: Request) -> Response:
-        found = self._session(request).annotation()
+    def _annotation(self, _: Request, session: ClipSession, __: bytes) -> Answer:
+        found = session.annotation()
         return JSONResponse(to_json(found), headers=_etag(found))
 
-    def _save(self, request: Request, session: ClipSession, given: Annotation) -> Response:
+    def _save(self, request: Request, session: ClipSession, body: bytes) -> Answer:
+        given = _given(session, body)
         mine = replace(given, revision=_if_match(request), annotator=self.annotator or given.annotator)
         saved = save_revision(session.source.annotation, mine)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
-    def _regions(self, _: Request, session: ClipSession, given: Annotation) -> Response:
-        def found() -> dict[str, Any]:
-            return {"regions": _shown(session.regions(given)), "weak": session.weak(given)}
+    def _regions(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+        given = _given(session, body)
+        session.trajectories()  # refused until they are there
+        return {"regions": _shown(session.regions(given)), "weak": session.weak(given)}
 
-        return _once_tracked(session, found)
+    def _labels(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+        given = _given(session, body)
+        session.trajectories()
+        labelled = session.labelled(given)
+        labels = labelled.labels.label.tolist()
+        per_label = {str(label): count for label, count in sorted(Counter(labels).items())}
+        counts = labelled.counts() | {"motions": per_label}
+        return {"label": labels, "reason": labelled.reason.tolist(), "counts": counts}
 
-    def _labels(self, _: Request, session: ClipSession, given: Annotation) -> Response:
-        return _once_tracked(session, lambda: _outcome(session.labelled(given)))
-
-    def _propose(self, request: Request, session: ClipSession, given: Annotation) -> Response:
+    def _propose(self, request: Request, session: ClipSession, body: bytes) -> Answer:
+        given, tracks = _given(session, body), session.trajectories(wait=True)
         name, frames = session.source.name, session.source.frames
-        asked = proposals.Request(name, given, session.wait(), frames, self.masks, self.kitti)
+        asked = proposals.Request(name, given, tracks, frames, self.masks, self.kitti)
         objects = proposals.propose(request.path_params["proposer"], asked)
-        return JSONResponse({"objects": to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]})
+        return {"objects": to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]}
 
-    def _compare(self, _: Request, session: ClipSession, mine: Annotation) -> Response:
+    def _compare(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+        given = _given(session, body)
         if self.other is None:
             raise HTTPException(404, "start with --compare FOLDER to compare two annotators")
-        theirs = load_annotation(self.other / f"{session.source.name}.json")
-        session.check(theirs)
-        found = _comparison(session.wait(), session.labelled(mine), session.labelled(theirs))
+        theirs = session.checked(load_annotation(self.other / f"{session.source.name}.json"))
+        labelled = session.labelled(given), session.labelled(theirs)
         shown = {"theirs": to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}
-        return JSONResponse(found | shown)
+        return _comparison(session.trajectories(), *labelled) | shown
 
-    def _export(self, request: Request, session: ClipSession, given: Annotation) -> Response:
-        chosen, found = formats.load(request.path_params["format"]), session.trajectories()
-        regions = formats.regions(given, found if isinstance(found, Trajectories) else None)
-        return Response(chosen.dump(given, regions, session.frame_names), media_type=chosen.media_type)
+    def _export(self, request: Request, session: ClipSession, body: bytes) -> Answer:
+        given, chosen = _given(session, body), formats.load(request.path_params["format"])
+        try:
+            tracks = session.trajectories()
+        except NotTrackedError:
+            tracks = None
+        content = chosen.dump(given, formats.regions(given, tracks), session.frame_names)
+        return Response(content, media_type=chosen.media_type)
 
-    async def _import(self, request: Request) -> Response:
-        session, content = self._session(request), await request.body()
+    def _import(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         name, choices = request.path_params["format"], _choices(request)
+        plan = formats.plan(name, body, session.annotation(), session.frame_names, choices)
+        found = {"lines": plan.lines(), "skipped": plan.skipped, "doubts": plan.doubts}
+        return to_json(plan.annotation) | {"plan": found}
 
-        def work() -> dict[str, Any]:
-            plan = formats.plan(name, content, session.annotation(), session.frame_names, choices)
-            found = {"lines": plan.lines(), "skipped": plan.skipped, "doubts": plan.doubts}
-            return to_json(plan.annotation) | {"plan": found}
 
-        return JSONResponse(await asyncio.get_running_loop().run_in_executor(self.quick, work))
-
-    def _session(self, request: Request) -> ClipSession:
-        session = self.sessions.get(request.path_params["clip"])
-        if session is None:
-            raise HTTPException(404, "no such clip")
-        return session
-
-    def _with_annotation(
-        self, work: Callable[[Request, ClipSession, Annotation], Response], pool: Executor | None = None
-    ) -> Callable[[Request], Awaitable[Response]]:
-        """Give `work` the clip of a request and the annotation in the body, which must be of that clip.
-
-        It runs in `pool`, by default where what must not wait runs.
-        """
-
-        async def endpoint(request: Request) -> Response:
-            session, body = self._session(request), await request.body()
-
-            def call() -> Response:
-                return work(request, session, _given(session, body))
-
-            if pool is None:
-                return await run_in_threadpool(call)
-            return await asyncio.get_running_loop().run_in_executor(pool, call)
-
-        return endpoint
+def _given(session: ClipSession, body: bytes) -> Annotation:
+    return session.checked(from_json(parse_document(body, "body")))
 
 
 def _choices(request: Request) -> Choices:
@@ -259,33 +252,12 @@ def _choices(request: Request) -> Choices:
     return Choices(*numbers)
 
 
-def _given(session: ClipSession, body: bytes) -> Annotation:
-    annotation = from_json(parse_document(body, "body"))
-    session.check(annotation)
-    return annotation
-
-
-def _once_tracked(session: ClipSession, work: Callable[[], dict[str, Any]]) -> Response:
-    found = session.trajectories()
-    if isinstance(found, Progress):
-        return JSONResponse(vars(found), status_code=202)
-    return JSONResponse(work())
-
-
-def _picture(path: Path) -> tuple[bytes, str]:
-    kind = _SHOWN.get(path.suffix.lower())
-    if kind is not None:
-        return read_bytes(path, _MAX_PICTURE), kind
-    return cv2.imencode(".png", read_frame(path, "luma"))[1].tobytes(), "image/png"
-
-
 def _if_match(request: Request) -> int:
     given = request.headers.get("if-match")
-    if given is None:
-        raise HTTPException(428, 'If-Match: "REVISION" is expected, the revision that was edited')
-    matched = _ETAG.fullmatch(given.strip())
+    matched = _ETAG.fullmatch((given or "").strip())
     if matched is None:
-        raise HTTPException(400, 'If-Match: "REVISION" is expected, a number in quotes')
+        status = 428 if given is None else 400
+        raise HTTPException(status, 'If-Match: "REVISION" is expected, the revision that was edited, quoted')
     return int(matched.group(1))
 
 
@@ -293,30 +265,14 @@ def _etag(annotation: Annotation) -> dict[str, str]:
     return {"etag": f'"{annotation.revision}"', "cache-control": "no-store"}
 
 
-def _outcome(labelled: LabelledTracks) -> dict[str, Any]:
-    """Return what the page shows of a labelling, JSON-able."""
-    labels, counts = np.unique(labelled.labels.label, return_counts=True)
-    per_label = {str(label): int(count) for label, count in zip(labels, counts, strict=True)}
-    return {
-        "label": labelled.labels.label.tolist(),
-        "reason": labelled.reason.tolist(),
-        "counts": labelled.counts() | {"motions": per_label},
-    }
-
-
 def _shown(regions: Mapping[int, list[Region]]) -> dict[str, Any]:
     """Return the regions as the page draws them, JSON-able."""
-    return {
-        str(number): [
-            {
-                "visibility": region.visibility,
-                "key": region.key,
-                "polygons": [np.round(polygon, 2).tolist() for polygon in region.polygons],
-            }
-            for region in of_object
-        ]
-        for number, of_object in regions.items()
-    }
+
+    def drawn(region: Region) -> dict[str, Any]:
+        polygons = [np.round(polygon, 2).tolist() for polygon in region.polygons]
+        return {"visibility": region.visibility, "key": region.key, "polygons": polygons}
+
+    return {str(number): list(map(drawn, of_object)) for number, of_object in regions.items()}
 
 
 def _comparison(trajectories: Trajectories, mine: LabelledTracks, theirs: LabelledTracks) -> dict[str, Any]:
@@ -336,7 +292,7 @@ def _comparison(trajectories: Trajectories, mine: LabelledTracks, theirs: Labell
         "agreement": result.agreement,
         "both": result.both,
         "kappa": result.kappa,
-        "different": len(result.differences),
+        "different": len(rows),
         "differences": differences,
     }
 
