@@ -29,7 +29,7 @@ from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.options import presets
 from kt3dmoseg.registry import unknown_name
 
-Command = TypeVar("Command", bound=Callable[..., int | None])
+Command = TypeVar("Command", bound=Callable[..., object])
 
 _INTERRUPTED = 130
 _USAGE = 2
@@ -226,7 +226,7 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
     code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     if asks_help:
         print(f"\n{_FOOTER}")
-    return (code or 0) if words else _USAGE
+    return (code if isinstance(code, int) else 0) if words else _USAGE
 
 
 def _without_config(words: list[str]) -> tuple[list[str], str]:

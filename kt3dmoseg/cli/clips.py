@@ -13,7 +13,6 @@ from cyclopts import Group, Parameter
 
 from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Positive, Whole, flags, progress_bar
 from kt3dmoseg.demo import DemoOptions
-from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.tracking.options import TrackOptions
 
@@ -27,7 +26,6 @@ _FAILED = 2
 FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the optical flow; may be repeated.")]
 FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields here.")]
 Names = Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))]
-Index = Annotated[Whole, Parameter(metavar="I")]
 Range = Annotated[str, Parameter(name="--range", metavar="FIRST-LAST")]
 _one_clip = partial(Parameter, group=Group.create_ordered("One clip of a KITTI raw root"))
 
@@ -236,85 +234,6 @@ def track(
         clip = track_clip(frames, backend, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)
     print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
-
-
-def label(
-    clip: Annotated[Either, Parameter(help="Frames, a clip file, or a folder of them.")],
-    /,
-    frames: Annotated[
-        Folder | None,
-        Parameter(help="Frames of a clip file, a folder with those of all clips, or a KITTI raw root."),
-    ] = None,
-    *,
-    tracks: Annotated[
-        Either | None, Parameter(help="Clip file or folder of them with trajectories to show.")
-    ] = None,
-    annotations: Annotated[Folder, Parameter(help="Where <clip>.json are.")] = _ANNOTATIONS,
-    annotator: Annotated[Name, Parameter(help="Name written into what is saved.")] = "",
-    compare: Annotated[Folder | None, Parameter(help="Folder of another annotator's annotations.")] = None,
-    masks: Annotated[Folder | None, Parameter(help="Folder of masks to propose regions from.")] = None,
-    kitti: Annotated[
-        Folder | None, Parameter(help="KITTI raw root to propose regions from tracklets.")
-    ] = None,
-    flow: Annotated[Name, Parameter(help="Flow that computes missing trajectories.")] = "dis",
-    host: Annotated[str, Parameter(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[
-        Whole, Parameter(help="Port to listen on (default: a free one).", show_default=False)
-    ] = 0,
-    no_browser: Annotated[Flag, Parameter(help="Print the address, open no browser.")] = False,
-) -> None:
-    """Outline the moving objects of a clip in the browser.
-
-    CLIP is a folder of frames, a clip file (.h5, .mat), or a dataset: a folder with one of these per clip.
-    The page opens on this machine only; annotations are saved to <clip>.json while you draw.
-    """
-    from kt3dmoseg.viewing import label
-
-    label(
-        clip,
-        frames,
-        tracks=tracks,
-        annotations=annotations,
-        annotator=annotator,
-        compare=compare,
-        masks=masks,
-        kitti=kitti,
-        flow=flow,
-        host=host,
-        port=port,
-        no_browser=no_browser,
-    )
-
-
-@flags(DrawOptions)
-def show(
-    clip: Annotated[File, Parameter(help="Clip file.")],
-    /,
-    frames: Annotated[
-        Folder | None, Parameter(help="Frames, a folder with FOLDER/CLIP, or a KITTI raw root.")
-    ] = None,
-    *,
-    output: Annotated[
-        Either | None, Parameter(alias="-o", help="Where to write (default: CLIP's name, a folder).")
-    ] = None,
-    by: Annotated[
-        Literal["label", "length", "prediction"] | None,
-        Parameter(help="What colours show (default: label, if labelled)."),
-    ] = None,
-    pred: Annotated[File | None, Parameter(help="Predicted labels: .csv track,label, .npz or .h5.")] = None,
-    at: Annotated[Index | None, Parameter(help="Only frame I of the clip, counted from 0.")] = None,
-    rate: Annotated[float, Parameter(help="Pictures per second of a video.")] = 5.0,
-    **options: Any,  # noqa: ANN401
-) -> None:
-    """Draw trajectories with their trails on the frames, as pictures or a short video.
-
-    CLIP is any clip file. PATH is a folder (one PNG per frame), a single .png (of --at), or .mp4, .avi,
-    .gif, .apng, .webp.
-    """
-    from kt3dmoseg.viewing import show
-
-    report = partial(print, file=sys.stderr)
-    show(clip, frames, output=output, by=by, pred=pred, at=at, rate=rate, report=report, **options)
 
 
 def info(

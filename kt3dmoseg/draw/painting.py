@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.draw.palette import Colour, label_colour
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io.predictions import read_prediction
 from kt3dmoseg.matching import match_labels
 from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Trajectories
 
@@ -85,6 +87,16 @@ def by_length(trajectories: Trajectories) -> Painting:
     names = [f"{end} frame" + "s" * (end > 1) for end in ends]
     legend = list(zip(names, map(tuple, colours[-len(ends) :].tolist()), strict=True))
     return Painting(trajectories, np.asarray(colours[: -len(ends)], dtype=np.uint8), legend)
+
+
+def painting_of(clip: Clip, by: str | None, prediction: str | os.PathLike[str] | None) -> Painting:
+    """Colour by "label", "length" or "prediction"; by default by what there is, the prediction first."""
+    by = by or ("prediction" if prediction else "label" if clip.n_motions else "length")
+    if by == "prediction":
+        if prediction is None:
+            raise InvalidValueError("--by prediction", expected="--pred FILE", found="none")
+        return by_prediction(clip, read_prediction(prediction, clip))
+    return by_label(clip, clip.labels.label, clip.labels.names) if by == "label" else by_length(clip.dense)
 
 
 def _label_colours(label: IntArray, background: int | None) -> ByteArray:

@@ -327,7 +327,7 @@ def test_label_without_its_extra_names_it(frames, tmp_path):
     paths = os.pathsep.join([str(tmp_path / "path"), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | {"PYTHONPATH": paths}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
-    wanted = "kt3dmoseg: labelling needs the package starlette; pip install 'kt3dmoseg[label]'\n"
+    wanted = "kt3dmoseg: starlette is not installed; pip install 'kt3dmoseg[label]'\n"
     assert (done.returncode, done.stderr) == (2, wanted)
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -19,9 +21,10 @@ from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate_keys, weak_frames
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import hold_folder, parse_json, read_bytes, write_text
-from kt3dmoseg.frames import ClipFiles
-from kt3dmoseg.io.images import picture_size, read_frame
+from kt3dmoseg.files import hold_folder, listed, parse_json, read_bytes, write_text
+from kt3dmoseg.frames import ClipFiles, check_frames
+from kt3dmoseg.io.formats import recognise
+from kt3dmoseg.io.images import picture_size, read_frame, read_frames
 from kt3dmoseg.types import ByteArray, IntArray, Trajectories
 
 Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]
@@ -63,6 +66,16 @@ class ClipSession:
     def frame_names(self) -> list[str]:
         """File names of the frames."""
         return [frame.name for frame in self.source.frames]
+
+    def check_files(self, *, thoroughly: bool) -> None:
+        """Check that the trajectories are of the frames; thoroughly, that everything can be read, too."""
+        frames, tracks = self.source.frames, self.source.tracks
+        if thoroughly:
+            deque(read_frames(frames, "luma"), maxlen=0)
+            self.annotation()
+        # The other formats keep no sha256; reading all of a release would delay the page.
+        if tracks and (thoroughly or recognise(tracks).name in ("hdf5", "npz")):
+            check_frames(io.load(tracks).provenance, self.source.name, frames)
 
     def annotation(self) -> Annotation:
         """Read the annotation file, which must be of this clip; an empty annotation when there is none."""
@@ -223,6 +236,28 @@ class ClipSession:
             expected = f"{frames} frames, as the clip has"
             raise InvalidValueError(f"{path}", expected=expected, found=f"{dense.n_frames}")
         return Trajectories(dense.xy, dense.visible, dense.track_id, self.image_size)
+
+
+def sessions_of(clips: Mapping[str, ClipFiles], tracker: Tracker) -> dict[str, ClipSession]:
+    """Make the sessions of clips; what is wrong with a file is raised for the only clip, else a warning."""
+    sessions = {name: ClipSession(source, tracker) for name, source in clips.items()}
+    for name, session in sessions.items():
+        try:
+            session.check_files(thoroughly=len(sessions) == 1)
+        except KT3DMoSegError as error:
+            if len(sessions) == 1:
+                raise
+            _warn(f"{name}: {error}")
+    files = {source.annotation.name for source in clips.values()}
+    (folder,) = {source.annotation.parent for source in clips.values()}
+    for path in listed(folder) if folder.is_dir() else []:
+        if path.name not in files and path.name.lower() in {file.lower() for file in files}:
+            _warn(f"{path} is of none of the clips by its case")
+    return sessions
+
+
+def _warn(message: str) -> None:
+    print(f"kt3dmoseg: warning: {message}", file=sys.stderr)
 
 
 def _unexplained(groups: IntArray, labelled: LabelledTracks) -> int:
