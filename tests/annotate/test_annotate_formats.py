@@ -292,5 +292,5 @@ def test_motions_that_a_format_cannot_hold():
         cycle("davis", annotation)
     assert cycle("mots_png", annotation).motions == [999]
     larger = replace(annotation, objects=(replace(item, motion=1000),))
-    with pytest.raises(KT3DMoSegError, match="below 1000"):
+    with pytest.raises(KT3DMoSegError, match="at most 999"):
         cycle("mots_txt", larger)

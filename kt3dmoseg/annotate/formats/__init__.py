@@ -1,14 +1,14 @@
 """Annotations in the formats of other tools, and the table of their names.
 
-Third parties add a format through an entry point: an object with the fields of `AnnotationFormat`.
+Third parties add a format through an entry point: an object with `suffix`, `media_type`, `dump` and `parse`
+as an `AnnotationFormat` has.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-from kt3dmoseg.annotate.formats.foreign import Choices, Import, ImportPlan, plan_of
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Choices, ImportPlan
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
 from kt3dmoseg.registry import Registry
@@ -26,34 +26,6 @@ FORMATS = Registry(
     },
     group="kt3dmoseg.annotation_formats",
 )
-
-
-@dataclass(frozen=True)
-class AnnotationFormat:
-    """Another tool's format.
-
-    Parameters
-    ----------
-    suffix, media_type : str
-        Of the files.
-    dump : callable
-        ``dump(annotation, regions, names=()) -> bytes`` gives the file's content: `regions` are the objects'
-        in every frame, as `propagate` gives them; `names` the file names of the clip's frames, by
-        default 000000.png on. It raises InvalidValueError for what the format cannot hold.
-    parse : callable
-        ``parse(content, like, names=()) -> Annotation`` reads a file's content: `like` is an empty annotation
-        of the clip. Files and images belong to frames by name, else by number (`match_frames`). It raises
-        FileFormatError or InvalidValueError when the content is not of this format, does not fit the clip,
-        or leaves a doubt that `plan` describes.
-    read : callable, optional
-        Hands what the content shows to an `Import`; without it a plan says no more than `parse` does.
-    """
-
-    suffix: str
-    media_type: str
-    dump: Callable[[Annotation, Mapping[int, list[Region]], Sequence[str]], bytes]
-    parse: Callable[[bytes, Annotation, Sequence[str]], Annotation]
-    read: Callable[[bytes, Import], None] | None = None
 
 
 def load(name: str) -> AnnotationFormat:
@@ -86,9 +58,9 @@ def plan(
         When nothing of the file can be imported, or it does not fit the clip.
     """
     chosen = load(name)
-    if (read := getattr(chosen, "read", None)) is None:
-        return ImportPlan(chosen.parse(content, like.emptied(), names))
-    return plan_of(read, content, like, names, choices)
+    if hasattr(chosen, "plan"):
+        return chosen.plan(content, like, names, choices)
+    return ImportPlan(chosen.parse(content, like.emptied(), names))  # of a third party
 
 
 def regions(annotation: Annotation, trajectories: Trajectories | None = None) -> dict[int, list[Region]]:

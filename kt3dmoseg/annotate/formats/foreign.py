@@ -7,6 +7,7 @@ A format's reader hands what it finds to an `Import`, which places it in the cli
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -33,14 +34,16 @@ from kt3dmoseg.annotate.model import (
     polygon_from,
     within,
 )
+from kt3dmoseg.annotate.propagation import Region
+from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import SafeZip, ZipLimits
-from kt3dmoseg.matching import FrameMatch, is_hidden, match_frames, number_in, several
+from kt3dmoseg.matching import is_hidden, match_frames, number_in, several
 from kt3dmoseg.types import FloatArray
 
 Key: TypeAlias = int | str
 Size: TypeAlias = tuple[int, int]
-Reader: TypeAlias = Callable[[bytes, "Import"], None]
+Regions: TypeAlias = Mapping[int, list[Region]]
 
 _LIMITS = ZipLimits(files=MAX_FRAMES, file_bytes=32 << 20, total_bytes=128 << 20)
 _DECIMALS = 2
@@ -48,13 +51,16 @@ _DECIMALS = 2
 _MAX_CORNERS = 500_000
 # Pixels of all masks that are decoded; 400 frames of 20 boxes of 200x200.
 _MAX_PIXELS = 400_000_000
+_MAX_SIDE = 10**9
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01
 _BEYOND = 2.0
 _MOST_SKIPS = 50
 _ELLIPSE = 64
 _SYNONYMS = {"person": "pedestrian", "people": "pedestrian", "bicycle": "cyclist", "motorbike": "motorcycle"}
-_IDENTITIES = ("track_id", "instance_id", "object_id", "object", "instance", "track", "id")
+_IDENTITIES = ("track_id", "instance_id", "object_id", "object", "instance", "track", "id", "group_id")
+# In one frame an object is hidden where a part of it is, and outside where all are.
+_RANKS: tuple[Visibility, ...] = ("outside", "visible", "occluded")
 
 
 class SkippedWarning(KT3DMoSegError, UserWarning):
@@ -62,6 +68,10 @@ class SkippedWarning(KT3DMoSegError, UserWarning):
 
     Where warnings are made errors, it is an error of this package like others.
     """
+
+
+class TooMuchError(FileFormatError):
+    """A file holds more than a person draws; it is refused as a whole."""
 
 
 @dataclass
@@ -75,22 +85,10 @@ class ForeignObject:
     visibility: dict[int, Visibility] = field(default_factory=dict)
     polygons: dict[int, list[Polygon]] = field(default_factory=dict)
 
-    def add(self, frame: int, polygons: Iterable[Polygon], visibility: Visibility = "visible") -> None:
+    def add(self, frame: int, polygons: Iterable[Polygon] = (), visibility: Visibility = "visible") -> None:
         """Add polygons in one frame; what is there already stays."""
-        self.visibility[frame] = visibility
+        self.visibility[frame] = max(self.visibility.get(frame, "outside"), visibility, key=_RANKS.index)
         self.polygons.setdefault(frame, []).extend(polygons)
-
-
-@dataclass(frozen=True)
-class Shape:
-    """Outlines of an object in a frame; `key` is its identity, None where the file gives only its `label`."""
-
-    frame: int
-    key: Key | None
-    label: str
-    polygons: Sequence[Polygon]
-    about: ForeignObject
-    visibility: Visibility = "visible"
 
 
 @dataclass(frozen=True)
@@ -148,24 +146,81 @@ class ImportPlan:
         ]
 
 
+@dataclass(frozen=True)
+class AnnotationFormat:
+    """Another tool's format.
+
+    Parameters
+    ----------
+    suffix, media_type : str
+        Of the files.
+    dump : callable
+        ``dump(annotation, regions, names=()) -> bytes`` gives the file's content: `regions` are the objects'
+        in every frame, as `propagate` gives them; `names` the file names of the clip's frames, by
+        default 000000.png on. It raises InvalidValueError for what the format cannot hold.
+    read : callable
+        ``read(content, into)`` hands what the content shows to the `Import` `into`. It raises FileFormatError
+        when the content is not of this format.
+    """
+
+    suffix: str
+    media_type: str
+    dump: Callable[..., bytes]
+    read: Callable[[bytes, Import], None]
+
+    def plan(
+        self, content: bytes, like: Annotation, names: Sequence[str] = (), choices: Choices | None = None
+    ) -> ImportPlan:
+        """Return what an import does; see `kt3dmoseg.annotate.formats.plan`."""
+        importing = Import(like, names, choices)
+        self.read(content, importing)
+        return importing.plan()
+
+    def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
+        """Read a file's content as an annotation of the clip of `like`.
+
+        Files and images belong to frames by name, else by number (`match_frames`). FileFormatError or
+        InvalidValueError when the content is not of this format, does not fit the clip, or leaves a doubt
+        that `plan` describes; what is skipped is a SkippedWarning.
+        """
+        plan = self.plan(content, like, names)
+        if plan.doubts:
+            raise InvalidValueError("; ".join(plan.doubts))
+        if plan.skipped:
+            warnings.warn(SkippedWarning(f"skipped: {several(plan.skipped)}"), stacklevel=2)
+        return plan.annotation
+
+
 class Import:
     """A file that is being read into an annotation of the clip of `like`, whose frames are named `names`."""
 
     def __init__(self, like: Annotation, names: Sequence[str] = (), choices: Choices | None = None) -> None:
-        self.like, self.choices = like, choices or Choices()
-        self.names = list(names) or [f"{k:06d}.png" for k in range(like.n_frames)]
+        self.like, self.choices = like.emptied(), choices or Choices()
+        self.names = names_of(like, names)
         self.found: dict[Key, ForeignObject] = {}
-        self.shapes: list[Shape] = []
         self.annotated: set[int] = set()
         self.notes: list[str] = []
         self.skipped: list[str] = []
         self.doubts: list[str] = []
-        self.skips, self._corners, self._pixels, self._sized = 0, 0, 0, True
+        # Frame, identity, label, and an object of what is drawn there.
+        self._shapes: list[tuple[int, Key | None, str, ForeignObject]] = []
+        self._counts: Counter[str] = Counter()
+        self._sized = True
 
     def note(self, text: str) -> None:
         """Note what the import does, once."""
         if text not in self.notes:
             self.notes.append(text)
+
+    def count(self, what: str, most: int, number: int = 1) -> None:
+        """Count what the file holds; raises TooMuchError for more than `most`."""
+        self._counts[what] += number
+        if self._counts[what] > most:
+            raise TooMuchError("file", expected=f"at most {most} {what}", found="more")
+
+    def count_pixels(self, number: int) -> None:
+        """Count the pixels of a mask that is decoded."""
+        self.count("pixels in masks", _MAX_PIXELS, number)
 
     @contextmanager
     def skipping(self, where: str) -> Iterator[None]:
@@ -179,25 +234,30 @@ class Import:
             self.skip(str(error))
         except FileFormatError as error:
             self.skip(f"{where}: {error}")
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             self.skip(f"{where}: {type(error).__name__} {error}"[:160])
 
     def skip(self, text: str) -> None:
         """Note what is left out and why; of very many, the first."""
-        self.skips += 1
-        if self.skips <= _MOST_SKIPS:
+        self._counts["skipped"] += 1
+        if len(self.skipped) < _MOST_SKIPS:
             self.skipped.append(text)
 
     def match(self, files: Iterable[str], what: str) -> dict[str, int]:
         """Find the frame of each file, as `match_frames` does; raises FileFormatError when none has one."""
         given = list(files)
         match = match_frames(given, self.names, clip=self.like.clip, shift=self.choices.shift)
+        first = number_in(self.names[0])
+        numbers = [n for file in (*match.frames, *match.unmatched) if (n := number_in(file)) is not None]
+        proposed = ""
+        if numbers and first not in (None, min(numbers)):
+            proposed = f"; a shift of {first - min(numbers)} would begin with the first frame"
         if given and not match.frames:
             expected = f"names or numbers of the frames, {self.names[0]} to {self.names[-1]}"
-            fix = f"shift the numbers{_proposed(match, self.names)}"
+            fix = f"shift the numbers{proposed}"
             raise FileFormatError(what, expected=expected, found=several(given), fix=fix)
         if doubt := match.doubt(self.like.n_frames):
-            self.doubts.append(f"{doubt}{_proposed(match, self.names)}")
+            self.doubts.append(f"{doubt}{proposed}")
         elif match.unmatched:
             self.note(f"{len(match.unmatched)} files of frames that are not in the clip are left out")
         if match.others:
@@ -215,53 +275,53 @@ class Import:
         if (chosen := self.choices.scale) is not None:
             self.note(f"coordinates times {chosen:g}")
             return chosen, chosen
-        if size is None:
-            self._sized = False
-            return 1.0, 1.0
-        if size == (width, height):
-            return 1.0, 1.0
-        expected = f"pictures of {width}x{height}, or the same in another scale"
-        if min(size) < 1 or abs(size[0] * height / (size[1] * width) - 1) > _SAME_SHAPE:
-            raise FileFormatError(where, expected=expected, found=f"{size[0]}x{size[1]}")
-        self.note(f"annotated on pictures of {size[0]}x{size[1]}; scaled to {width}x{height}")
-        return width / size[0], height / size[1]
+        self._sized &= size is not None
+        across, down = size or (width, height)
+        if abs(across * height / (down * width) - 1) > _SAME_SHAPE:
+            expected = f"pictures of {width}x{height}, or the same in another scale"
+            raise FileFormatError(where, expected=expected, found=f"{across}x{down}")
+        if (across, down) != (width, height):
+            self.note(f"annotated on pictures of {across}x{down}; scaled to {width}x{height}")
+        return width / across, height / down
 
-    def outline(
-        self,
-        points: Iterable[Sequence[float]],
-        scale: tuple[float, float] = (1.0, 1.0),
-        where: str = "points",
-    ) -> Polygon:
+    def outline(self, points: Iterable[Sequence[float]], scale: tuple[float, float] = (1.0, 1.0)) -> Polygon:
         """Return an outline from the top-left corner as one from the centre of that pixel, scaled."""
-        given = list(islice(points, MAX_POINTS + 1))  # of more, a first part is as wrong
-        checked = polygon_from(given, where)
-        return self.counted(
-            tuple((_rounded(x * scale[0] - 0.5), _rounded(y * scale[1] - 0.5)) for x, y in checked)
-        )
+        given = polygon_from(list(islice(points, MAX_POINTS + 1)), "points")  # of more, a part is as wrong
+        moved = np.round(np.array(given) * scale - 0.5, _DECIMALS)
+        return self.counted(tuple((x, y) for x, y in moved.tolist()))
 
     def counted(self, polygon: Polygon) -> Polygon:
-        """Return a polygon; raises FileFormatError when all together have too many corners."""
-        self._corners += len(polygon)
-        if self._corners > _MAX_CORNERS:
-            raise TooMuchError("corners", _MAX_CORNERS)
+        """Return a polygon whose corners are counted."""
+        self.count("corners", _MAX_CORNERS, len(polygon))
         return polygon
-
-    def count_pixels(self, size: int) -> None:
-        """Count the pixels of a mask; raises FileFormatError when all together are too many."""
-        self._pixels += size
-        if self._pixels > _MAX_PIXELS:
-            raise TooMuchError("pixels in masks", _MAX_PIXELS)
-
-    def add(self, shape: Shape) -> None:
-        """Add a shape whose identity is settled when all are known."""
-        self.shapes.append(shape)
-        self.annotated.add(shape.frame)
 
     def object(self, key: Key, about: ForeignObject | None = None) -> ForeignObject:
         """Return the object of that key, made like `about` where it is new."""
-        if key not in self.found and len(self.found) >= MAX_OBJECTS:
-            raise TooMuchError("objects", MAX_OBJECTS)
-        return self.found.setdefault(key, about or ForeignObject())
+        if key not in self.found:
+            self.count("objects", MAX_OBJECTS)
+            self.found[key] = about or ForeignObject()
+        return self.found[key]
+
+    def add(
+        self,
+        frame: int,
+        label: str,
+        polygons: Iterable[Polygon],
+        fields: Mapping[str, Any],
+        kind: str | None = None,
+        visibility: Visibility = "visible",
+    ) -> None:
+        """Add a shape; its `fields` may give an identity, and what `described` reads.
+
+        Which object it is of is settled when all shapes are known.
+        """
+        key, source = identity_in(fields)
+        if key is not None:
+            self.note(f"ids come from {source}")
+        item = described(label if kind is None else kind, fields)
+        item.add(frame, polygons, visibility)
+        self._shapes.append((frame, key, label, item))
+        self.annotated.add(frame)
 
     def list_frames(self, listed: Collection[int]) -> None:
         """Settle which of the frames that a file lists are annotated.
@@ -269,65 +329,56 @@ class Import:
         Those without a shape show no object, unless there are such between others: then not every frame
         was drawn.
         """
-        drawn = {shape.frame for shape in self.shapes}
+        drawn = {frame for frame, *_ in self._shapes}
         empty = set(listed) - drawn
         between = [k for k in empty if drawn and min(drawn) < k < max(drawn)]
         if between:
             self.note(f"frames without a shape ({_ranges(between)}) are taken as not annotated")
         elif empty:
             self.note(f"in frames without a shape ({_ranges(empty)}) no object is seen")
-        self.annotated |= set() if between else empty
+            self.annotated |= empty
 
     def plan(self) -> ImportPlan:
         """Return what the import does; raises FileFormatError when there is nothing but what was skipped."""
         self._identify()
+        more = self._counts["skipped"]
         if self.skipped and not self.found:
-            more = f" (and {self.skips - 1} more)" if self.skips > 1 else ""
-            raise FileFormatError(self.skipped[0] + more)
+            raise FileFormatError(self.skipped[0] + f" (and {more - 1} more)" * (more > 1))
         self._review()
-        if self.skips > _MOST_SKIPS:
-            self.skipped.append(f"{self.skips - _MOST_SKIPS} more")
-        annotation = assemble(self.found, self.like, self.annotated)
+        if more > _MOST_SKIPS:
+            self.skipped.append(f"{more - _MOST_SKIPS} more")
         seen = {frame for item in self.found.values() for frame in item.visibility}
-        frames = tuple(sorted(self.annotated | seen))
         return ImportPlan(
-            annotation, frames, tuple(self.notes), tuple(self.skipped), tuple(dict.fromkeys(self.doubts))
+            assemble(self.found, self.like, self.annotated),
+            tuple(sorted(self.annotated | seen)),
+            tuple(self.notes),
+            tuple(self.skipped),
+            tuple(dict.fromkeys(self.doubts)),
         )
 
     def _identify(self) -> None:
         """Make objects of the shapes; those without an identity are distinguished by their label."""
-        unknown = [shape for shape in self.shapes if shape.key is None]
-        alone = len({shape.frame for shape in self.shapes}) == 1
-        counts: dict[tuple[int, str], int] = {}
-        for shape in unknown:
-            place = shape.frame, shape.label
-            counts[place] = counts.get(place, 0) + 1
+        unknown = Counter((frame, label) for frame, key, label, _ in self._shapes if key is None)
+        alone = len({frame for frame, *_ in self._shapes}) == 1
         if unknown and not alone:
             self.note("no ids: shapes of one label in several frames are one object")
-        twice = [place for place, number in counts.items() if number > 1]
-        if twice and not alone:
-            (frame, label), number = twice[0], counts[twice[0]]
-            self.doubts.append(
-                f"frame {frame} has {number} shapes of {label!r} without an id that says which is which; "
-                "they become one object"
-            )
-        for number, shape in enumerate(self.shapes):
-            key: Key = shape.key if shape.key is not None else shape.label
-            if shape.key is None and alone:
-                key = f"shape {number}"
-            item = self.object(key, shape.about)
-            hidden = "occluded" in (shape.visibility, item.visibility.get(shape.frame))
-            item.add(shape.frame, shape.polygons, "occluded" if hidden else "visible")
-        if self.shapes and all(isinstance(key, int) for key in self.found):
+            twice = [(place, number) for place, number in unknown.items() if number > 1]
+            for (frame, label), number in twice[:1]:
+                self.doubts.append(
+                    f"frame {frame} has {number} shapes of {label!r} without an id that says which is which; "
+                    "they become one object"
+                )
+        for number, (frame, key, label, shape) in enumerate(self._shapes):
+            known = key if key is not None else f"shape {number}" if alone else label
+            item = self.object(known, replace(shape, visibility={}, polygons={}))
+            item.add(frame, shape.polygons[frame], shape.visibility[frame])
+        if self._shapes and all(isinstance(key, int) for key in self.found):
             self.found = dict(sorted(self.found.items()))
 
     def _review(self) -> None:
-        outlines = [
-            p for item in self.found.values() for of_frame in item.polygons.values() for p in of_frame
-        ]
-        if not outlines:
-            return
-        corners = np.concatenate([np.array(polygon) for polygon in outlines])
+        items = self.found.values()
+        outlines = [p for item in items for of_frame in item.polygons.values() for p in of_frame]
+        corners = np.concatenate([np.array(polygon) for polygon in outlines] or [np.zeros((1, 2))])
         (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
         width, height = self.like.image_size
         over = max(-left, -top, right - width, bottom - height)
@@ -336,39 +387,8 @@ class Import:
                 f"outlines reach from ({left:.0f}, {top:.0f}) to ({right:.0f}, {bottom:.0f}) in pictures of "
                 f"{width}x{height}, and the file does not say their size; scale them"
             )
-        hidden = [k for item in self.found.values() for k, v in item.visibility.items() if v == "occluded"]
-        if hidden:
-            self.note(f"{len(hidden)} outlines are occluded: trajectories in them are not labelled there")
-
-
-class TooMuchError(FileFormatError):
-    """A file holds more than a person draws; it is refused as a whole."""
-
-    def __init__(self, what: str, most: int) -> None:
-        super().__init__("file", expected=f"at most {most} {what}", found="more")
-
-
-def strict(read: Reader) -> Callable[..., Annotation]:
-    """Make the `parse` of a format: a doubt is an InvalidValueError, what is skipped a SkippedWarning."""
-
-    def parse(content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-        plan = plan_of(read, content, like, names)
-        if plan.doubts:
-            raise InvalidValueError("; ".join(plan.doubts))
-        if plan.skipped:
-            warnings.warn(SkippedWarning(f"skipped: {several(plan.skipped)}"), stacklevel=2)
-        return plan.annotation
-
-    return parse
-
-
-def plan_of(
-    read: Reader, content: bytes, like: Annotation, names: Sequence[str], choices: Choices | None = None
-) -> ImportPlan:
-    """Return what an import with this reader does."""
-    importing = Import(like.emptied(), names, choices)
-    read(content, importing)
-    return importing.plan()
+        if hidden := sum(v == "occluded" for item in items for v in item.visibility.values()):
+            self.note(f"{hidden} outlines are occluded: trajectories in them are not labelled there")
 
 
 def assemble(
@@ -404,18 +424,20 @@ def _key_frames(item: ForeignObject, annotated: Collection[int]) -> tuple[KeyFra
     return tuple(keys)
 
 
+def described(label: str, fields: Mapping[str, Any]) -> ForeignObject:
+    """Make an object of what our exports keep in a shape's fields: name, motion and note."""
+    name, motion, note = (
+        "" if fields.get(key) is None else str(fields[key]) for key in ("name", "motion", "note")
+    )
+    known = motion.isdecimal() and len(motion) <= 4 and int(motion) <= MAX_OBJECTS
+    return ForeignObject(name, label, REJECT if motion == REJECT else int(motion) if known else None, note)
+
+
 def kind_of(label: str) -> Kind:
     """Return the kind that a label of another tool names, with or without a number: ``Car 2``."""
     word = label.strip().lower().rstrip("0123456789 _-#.")
     word = _SYNONYMS.get(word, word)
     return next((kind for kind in KINDS if kind == word), "other")
-
-
-def motion_from(text: str) -> Motion | None:
-    """Read a motion as we write it into other tools' fields; None when it is none."""
-    if text == REJECT:
-        return REJECT
-    return int(text) if text.isdecimal() and len(text) <= 4 and int(text) <= MAX_OBJECTS else None
 
 
 def identity_in(values: Mapping[str, Any], names: Sequence[str] = _IDENTITIES) -> tuple[Key | None, str]:
@@ -429,13 +451,26 @@ def identity_in(values: Mapping[str, Any], names: Sequence[str] = _IDENTITIES) -
     return None, ""
 
 
-def ellipse(x: float, y: float, rx: float, ry: float, turn: float = 0.0) -> list[tuple[float, float]]:
+def names_of(like: Annotation, names: Sequence[str], pattern: str = "{:06d}.png") -> list[str]:
+    """Return the file names of a clip's frames, by default numbered from 0."""
+    return list(names) or [pattern.format(frame) for frame in range(like.n_frames)]
+
+
+def size_from(*sides: Any) -> Size | None:  # noqa: ANN401  # whatever a file holds
+    """Return width and height as a file states them; None where it does not."""
+    try:
+        width, height = (int(side) for side in sides)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return (width, height) if 0 < width < _MAX_SIDE and 0 < height < _MAX_SIDE else None
+
+
+def ellipse(x: float, y: float, rx: float, ry: float, turn: float = 0.0) -> list[list[float]]:
     """Return corners of an ellipse around (x, y), turned by `turn` degrees."""
     angle = np.linspace(0.0, 2 * np.pi, _ELLIPSE, endpoint=False)
-    cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    across, down = rx * np.cos(angle), ry * np.sin(angle)
-    points = np.stack([x + across * cos - down * sin, y + across * sin + down * cos], axis=1)
-    return [(float(a), float(b)) for a, b in points]
+    around = (rx * np.cos(angle) + 1j * ry * np.sin(angle)) * np.exp(1j * np.radians(turn))
+    points: list[list[float]] = np.stack([x + around.real, y + around.imag], axis=1).tolist()
+    return points
 
 
 def with_corner_origin(polygon: FloatArray) -> list[list[float]]:
@@ -455,55 +490,24 @@ def check_shape(shape: tuple[int, ...], like: Annotation, where: str) -> None:
         raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=found)
 
 
-def unzip_frames(content: bytes, suffix: str, into: Import, what: str) -> Iterator[tuple[int, str, bytes]]:
-    """Give frame, name and content of the files of a zip archive; FileFormatError when there are none."""
-    with _opened(content, suffix, what) as archive:
-        files = list(archive.sizes)
-        if not files:
-            raise FileFormatError(what, expected=f"*{suffix} files, one per frame", found="none")
-        for file, frame in into.match(files, what).items():
-            yield frame, file, archive.read(file)
+def opened_zip(content: bytes, suffix: str, what: str) -> SafeZip:
+    """Open a zip archive for its files with that suffix; FileFormatError when there are none."""
 
-
-def unzip_only(content: bytes, suffix: str, what: str) -> bytes:
-    """Return the one file of a zip archive with that suffix; raises FileFormatError."""
-    with _opened(content, suffix, what) as archive:
-        files = list(archive.sizes)
-        if len(files) != 1:
-            raise FileFormatError(what, expected=f"one *{suffix} file", found=several(files) or "none")
-        return archive.read(files[0])
-
-
-def _opened(content: bytes, suffix: str, what: str) -> SafeZip:
     def wanted(name: str) -> bool:
         return PurePosixPath(name).suffix.lower() == suffix and not is_hidden(name)
 
-    return SafeZip(content, _LIMITS, what, wanted)
+    archive = SafeZip(content, _LIMITS, what, wanted)
+    if not archive.sizes:
+        raise FileFormatError(what, expected=f"*{suffix} files", found="none")
+    return archive
 
 
-def _rounded(value: float) -> float:
-    return round(value, _DECIMALS)
+def unzip_frames(content: bytes, suffix: str, into: Import, what: str) -> Iterator[tuple[int, str, bytes]]:
+    """Give frame, name and content of the files of a zip archive with a file per frame."""
+    with opened_zip(content, suffix, what) as archive:
+        for file, frame in into.match(archive.sizes, what).items():
+            yield frame, file, archive.read(file)
 
 
 def _ranges(frames: Iterable[int]) -> str:
-    """Write frames as ranges.
-
-    >>> _ranges([0, 1, 2, 7])
-    '0-2, 7'
-    """
-    runs: list[list[int]] = []
-    for frame in sorted(frames):
-        if runs and runs[-1][1] == frame - 1:
-            runs[-1][1] = frame
-        else:
-            runs.append([frame, frame])
-    return several(f"{a}-{b}" if b > a else f"{a}" for a, b in runs) or "none"
-
-
-def _proposed(match: FrameMatch, names: Sequence[str]) -> str:
-    """Name the shift with which the first file would be of the first frame."""
-    numbers = [n for file in (*match.frames, *match.unmatched) if (n := number_in(file)) is not None]
-    first = number_in(names[0])
-    if not numbers or first is None or first == min(numbers):
-        return ""
-    return f"; a shift of {first - min(numbers)} would begin with the first frame"
+    return several(format_numbers(sorted(frames)).split(",")) or "none"

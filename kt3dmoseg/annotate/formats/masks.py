@@ -18,17 +18,23 @@ another class are different objects in MOTS: they come back as motions of their 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
-from types import ModuleType
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from kt3dmoseg.annotate.formats import AnnotationFormat
-from kt3dmoseg.annotate.formats.foreign import Import, TooMuchError, check_shape, strict, unzip_frames
+from kt3dmoseg.annotate.formats.foreign import (
+    AnnotationFormat,
+    ForeignObject,
+    Import,
+    Regions,
+    check_shape,
+    names_of,
+    unzip_frames,
+)
 from kt3dmoseg.annotate.model import (
     BACKGROUND,
     MAX_OBJECTS,
@@ -38,27 +44,24 @@ from kt3dmoseg.annotate.model import (
     Annotation,
     Polygon,
 )
-from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.io.images import decode_indices, encode_indices, void_ids
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
 
-Regions = Mapping[int, list[Region]]
-
 # For each heading (right, down, left, up) the step (y, x) from a pixel to the neighbour that is not in the
 # mask, and where on the pixel (x, y) the edge between begins: clockwise around it.
 _EDGES = (((-1, 0), (0, 0)), ((0, 1), (1, 0)), ((1, 0), (1, 1)), ((0, -1), (0, 1)))
-_RUNS = re.compile("[0-o]*[0-O]")
-_MORE, _SIGN, _MOST_DIGITS = 32, 16, 6
+_RUNS = re.compile("(?:[P-o]{0,5}[0-O])++")  # numbers of up to 6 digits
+_MORE, _SIGN = 32, 16
 _DAVIS_VOID = 254
 _BLOCK = 1 << 20
 # Pixel edges around one region; a car that fills a large picture has 10,000.
 _MOST_EDGES = 300_000
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
-_MOTS_DIGITS = 9
+_MOTS_LINE = re.compile(r"(\d{1,9}) +(\d{1,9}) +\S+ +(\d{1,9}) +(\d{1,9}) +(\S+)")
 _MOTS_CLASS = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
 _MOTS_KIND = {1: "car", 2: "pedestrian", 3: "other"}
 
@@ -194,7 +197,12 @@ def _joined(loops: list[FloatArray]) -> FloatArray:
 
 def encode_rle(mask: BoolArray) -> str:
     """Return the compressed run lengths of an (H, W) mask, as in COCO; pycocotools makes them."""
-    found: bytes = _pycocotools().encode(np.asfortranarray(mask, dtype=np.uint8))["counts"]
+    try:
+        from pycocotools import mask as coco
+    except ImportError as error:
+        fix = "pip install 'kt3dmoseg[label]'"
+        raise MissingDependencyError("pycocotools is not installed", fix=fix) from error
+    found: bytes = coco.encode(np.asfortranarray(mask, dtype=np.uint8))["counts"]
     return found.decode()
 
 
@@ -203,32 +211,27 @@ def decode_rle(runs: str | Sequence[int], height: int, width: int, where: str = 
 
     Raises FileFormatError when they are damaged or do not fill the mask.
     """
-    size = height * width
-    problem = FileFormatError(
-        where, expected=f"runs that fill {width}x{height} pixels", found=f"{runs[:40]!r}"
-    )
     counts = _decoded(runs) if isinstance(runs, str) else runs
-    if counts is None or min(counts, default=-1) < 0 or sum(counts) != size:
-        raise problem
+    if min(counts, default=-1) < 0 or sum(counts) != height * width:
+        expected = f"runs that fill {width}x{height} pixels"
+        raise FileFormatError(where, expected=expected, found=f"{runs[:40]!r}")
     flat = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
     return flat.reshape((height, width), order="F")
 
 
-def _decoded(text: str) -> list[int] | None:
-    """Return compressed run lengths as numbers, None when they are damaged.
+def _decoded(text: str) -> list[int]:
+    """Return compressed run lengths as numbers, none when they are damaged.
 
     A character holds 5 bits, the lowest first, and whether more follow; the highest bit of the last one is
     the sign. From the fourth run on, the difference from the one before the last is stored. pycocotools reads
     beyond damaged texts, and keeps the memory of each that it refuses.
     """
     if not _RUNS.fullmatch(text):
-        return None
+        return []
     codes = np.frombuffer(text.encode(), dtype=np.uint8).astype(np.int64) - ord("0")
     ends = np.flatnonzero(codes < _MORE)
     starts = np.append(0, ends[:-1] + 1)
     lengths = ends - starts + 1
-    if lengths.max() > _MOST_DIGITS:
-        return None
     place = np.arange(len(codes)) - np.repeat(starts, lengths)
     runs = np.add.reduceat((codes & (_MORE - 1)) << (5 * place), starts)
     runs -= np.where(codes[ends] & _SIGN, 1 << (5 * lengths), 0)
@@ -237,66 +240,73 @@ def _decoded(text: str) -> list[int] | None:
     return numbers
 
 
-def _pycocotools() -> ModuleType:
-    try:
-        from pycocotools import mask
-    except ImportError as error:
-        fix = "pip install 'kt3dmoseg[label]'"
-        raise MissingDependencyError("pycocotools is not installed", fix=fix) from error
-    module: ModuleType = mask
-    return module
-
-
 def outlines_of(mask: BoolArray, into: Import, corner: tuple[int, int] = (0, 0)) -> list[Polygon]:
     """Return the outlines of a mask that begins at the pixel `corner` (x, y), and count them."""
     boxes = ndimage.find_objects(mask.view(np.uint8))
     if not boxes:
         return []
-    rows, columns = boxes[0]
-    part = mask[rows, columns]
+    part = mask[boxes[0]]
     into.count_pixels(part.size)
-    x, y = corner[0] + columns.start, corner[1] + rows.start
+    x, y = corner[0] + boxes[0][1].start, corner[1] + boxes[0][0].start
     return [into.counted(tuple((a + x, b + y) for a, b in polygon)) for polygon in polygons_of(part)]
 
 
 def _dump_davis(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    largest = max(annotation.motions, default=0)
-    if largest >= _DAVIS_VOID:
-        expected = f"at most {_DAVIS_VOID - 1}, as DAVIS can hold"
-        raise InvalidValueError("motion", expected=expected, found=str(largest))
+    _check_motions(annotation, _DAVIS_VOID - 1, "DAVIS")
     values = {o.id: _DAVIS_VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
-    images = label_images(annotation, regions, values)
-    palette = davis_palette()
+    images, palette = label_images(annotation, regions, values), davis_palette()
     files = (encode_indices(image.astype(np.uint8), palette) for image in images)
-    return zip_bytes(dict(zip(_mask_names(names, annotation, "{:05d}.png"), files, strict=True)))
+    return _zipped(files, names_of(annotation, names, "{:05d}.png"))
+
+
+def _dump_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+    images = label_images(annotation, regions, _mots_values(annotation))
+    files = (cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images)
+    return _zipped(files, names_of(annotation, names))
+
+
+def _zipped(files: Iterable[bytes], names: Sequence[str]) -> bytes:
+    """Pack masks that are named as the frames."""
+    stems = (PurePosixPath(name).stem for name in names)
+    return zip_bytes({f"{stem}.png": file for stem, file in zip(stems, files, strict=True)})
+
+
+def _dump_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+    width, height = annotation.image_size
+    numbers = [number_in(name) for name in names_of(annotation, names)]
+    images = label_images(annotation, regions, _mots_values(annotation))
+    lines = [
+        f"{number} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
+        for number, image in zip(numbers, images, strict=True)
+        for value in np.unique(image[image > 0]).tolist()
+    ]
+    return "".join(lines).encode()
+
+
+def _mots_values(annotation: Annotation) -> dict[int, int]:
+    _check_motions(annotation, _MOTS_STEP - 1, "MOTS")
+    values = {}
+    for item in annotation.objects:
+        number = _MOTS_IGNORE if item.motion == REJECT else int(item.motion)
+        kind = 0 if item.motion in (REJECT, BACKGROUND) else _MOTS_CLASS.get(item.kind, 1)
+        values[item.id] = _MOTS_STEP * kind + number
+    return values
+
+
+def _check_motions(annotation: Annotation, most: int, name: str) -> None:
+    if (largest := max(annotation.motions, default=0)) > most:
+        raise InvalidValueError("motion", expected=f"at most {most}, as {name} can hold", found=str(largest))
 
 
 def _read_davis(content: bytes, into: Import) -> None:
     used, bits = _read_images(content, into, "DAVIS masks", bits=8)
     voids = void_ids(used, bits, "DAVIS masks")
-    for value, item in sorted(into.found.items()):
-        void = value in voids
-        item.motion = REJECT if void else int(value)
-        item.name = "rejected" if void else f"motion {value}"
-    if 255 in used and 255 not in voids:
-        into.found[255].name, into.found[255].motion = "object 255", 1
-    into.note(
-        "ids are the values of the masks"
-        + ("; 255 is void and rejected" if 255 in {*used} & {*voids} else "")
-    )
-    into.found = {str(value): into.found[value] for value in sorted(used) if value in into.found}
-
-
-def _dump_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    images = _mots_images(annotation, regions)
-    files = (cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images)
-    return zip_bytes(dict(zip(_mask_names(names, annotation, "{:06d}.png"), files, strict=True)))
-
-
-def _mask_names(names: Sequence[str], annotation: Annotation, pattern: str) -> list[str]:
-    """Name masks as the frames are."""
-    given = [PurePosixPath(name).stem + ".png" for name in names]
-    return given or [pattern.format(frame) for frame in range(annotation.n_frames)]
+    into.note("ids are the values of the masks")
+    if 255 in used.intersection(voids):
+        into.note("255 is void and rejected")
+    for value, item in _in_order(into):
+        item.motion = REJECT if value in voids else 1 if value == 255 else value
+        item.name = "rejected" if value in voids else f"motion {item.motion}"
 
 
 def _read_mots_png(content: bytes, into: Import) -> None:
@@ -304,42 +314,29 @@ def _read_mots_png(content: bytes, into: Import) -> None:
     _name_mots(into)
 
 
-def _dump_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    width, height = annotation.image_size
-    numbers = [number_in(name) for name in names] or range(annotation.n_frames)
-    lines = [
-        f"{number} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
-        for number, image in zip(numbers, _mots_images(annotation, regions), strict=True)
-        for value in np.unique(image[image > 0]).tolist()
-    ]
-    return "".join(lines).encode()
-
-
 def _read_mots_text(content: bytes, into: Import) -> None:
     lines = content.decode("ascii", "replace").splitlines()
-    most = MAX_OBJECTS * into.like.n_frames
-    if len(lines) > most:
-        raise FileFormatError("MOTS text", expected=f"at most {most} lines", found=str(len(lines)))
-    found: list[tuple[int, int, str, str]] = []
+    into.count("lines", MAX_OBJECTS * into.like.n_frames, len(lines))
+    found: list[tuple[str, str, int, str]] = []
     for number, line in enumerate(lines, start=1):
         with into.skipping(f"line {number}"):
             if line.strip():
-                found.append((*_mots_line(line, into.like), f"line {number}"))
-    frames = into.match(dict.fromkeys(str(frame) for frame, *_ in found), "MOTS text")
+                found.append((f"line {number}", *_mots_line(line, into.like)))
+    frames = into.match(dict.fromkeys(frame for _, frame, *_ in found), "MOTS text")
     into.annotated |= set(range(into.like.n_frames))
     width, height = into.like.image_size
-    for number, value, text, where in found:
+    for where, frame, value, text in found:
         with into.skipping(where):
-            if (frame := frames.get(str(number))) is not None:
+            if frame in frames:
                 into.count_pixels(width * height // 8)  # decoding is cheap
                 if outlines := outlines_of(decode_rle(text, height, width, "rle"), into):
-                    into.object(value).add(frame, outlines)
+                    into.object(value).add(frames[frame], outlines)
     _name_mots(into)
 
 
-DAVIS = AnnotationFormat(".zip", "application/zip", _dump_davis, strict(_read_davis), _read_davis)
-MOTS_PNG = AnnotationFormat(".zip", "application/zip", _dump_mots_png, strict(_read_mots_png), _read_mots_png)
-MOTS_TXT = AnnotationFormat(".txt", "text/plain", _dump_mots_text, strict(_read_mots_text), _read_mots_text)
+DAVIS = AnnotationFormat(".zip", "application/zip", _dump_davis, _read_davis)
+MOTS_PNG = AnnotationFormat(".zip", "application/zip", _dump_mots_png, _read_mots_png)
+MOTS_TXT = AnnotationFormat(".txt", "text/plain", _dump_mots_text, _read_mots_text)
 
 
 def davis_palette() -> ByteArray:
@@ -363,45 +360,35 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> tuple
             expected = f"an indexed or gray PNG of {bits} bits"
             raise FileFormatError(where, expected=expected, found=f"{depth} bits")
         check_shape(image.shape, into.like, where)
-        boxes = {k: box for k, box in enumerate(ndimage.find_objects(image), start=1) if box is not None}
-        if len(boxes) > MAX_OBJECTS:
-            raise TooMuchError("objects", MAX_OBJECTS)
-        used, deepest = used.union(boxes), max(deepest, depth)
+        deepest = max(deepest, depth)
         into.annotated.add(frame)
-        for value, box in boxes.items():
-            outlines = outlines_of(image[box] == value, into, (box[1].start, box[0].start))
-            into.object(value).add(frame, outlines)
+        for value, box in enumerate(ndimage.find_objects(image), start=1):
+            if box is not None:
+                used.add(value)
+                item = into.object(value)
+                item.add(frame, outlines_of(image[box] == value, into, (box[1].start, box[0].start)))
     return used, deepest
 
 
-def _mots_images(annotation: Annotation, regions: Regions) -> Iterator[npt.NDArray[np.int64]]:
-    values = {}
-    for item in annotation.objects:
-        if item.motion != REJECT and item.motion >= _MOTS_STEP:
-            expected = f"below {_MOTS_STEP}, as MOTS can hold"
-            raise InvalidValueError("motion", expected=expected, found=str(item.motion))
-        number = _MOTS_IGNORE if item.motion == REJECT else int(item.motion)
-        kind = 0 if item.motion in (REJECT, BACKGROUND) else _MOTS_CLASS.get(item.kind, 1)
-        values[item.id] = _MOTS_STEP * kind + number
-    return label_images(annotation, regions, values)
-
-
-def _mots_line(line: str, like: Annotation) -> tuple[int, int, str]:
+def _mots_line(line: str, like: Annotation) -> tuple[str, int, str]:
     """Frame number, id and run lengths of a line."""
-    try:
-        frame, value, _, height, width, text = line.split()
-        numbers = [int(part) for part in (frame, value, height, width) if len(part) <= _MOTS_DIGITS]
-        if len(numbers) < 4 or min(numbers) < 0:
-            raise ValueError
-    except ValueError:
+    if not (match := _MOTS_LINE.fullmatch(line.strip())):
         expected = "frame id class height width rle"
-        raise FileFormatError("", expected=expected, found=repr(line[:60])) from None
-    check_shape((numbers[2], numbers[3]), like, "size")
-    return numbers[0], numbers[1], text
+        raise FileFormatError("", expected=expected, found=repr(line[:60]))
+    frame, value, height, width, text = match.groups()
+    check_shape((int(height), int(width)), like, "size")
+    return str(int(frame)), int(value), text
+
+
+def _in_order(into: Import) -> list[tuple[int, ForeignObject]]:
+    """Return the objects by value, and let them be numbered in that order."""
+    found = sorted((int(value), item) for value, item in into.found.items())
+    into.found = {str(value): item for value, item in found}
+    return found
 
 
 def _name_mots(into: Import) -> None:
-    found = sorted((int(value), item) for value, item in into.found.items())
+    found = _in_order(into)
     ignored = _MOTS_IGNORE // _MOTS_STEP
     instances = [value % _MOTS_STEP for value, _ in found if value // _MOTS_STEP != ignored]
     unique = len(set(instances)) == len(instances) and min(instances, default=1) > 0
@@ -410,4 +397,3 @@ def _name_mots(into: Import) -> None:
         item.kind = _MOTS_KIND.get(kind, "other")
         item.motion = REJECT if kind == ignored else instance if unique else number
         item.name = "rejected" if kind == ignored else f"{item.kind} {value}"
-    into.found = {str(value): item for value, item in found}
