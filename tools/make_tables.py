@@ -23,8 +23,7 @@ from pathlib import Path
 
 from kt3dmoseg.files import write_text
 from mseg.benchmark.publishing import SCHEMA, PublishedResult, json_schema, per_clip, read_results, summary
-from mseg.benchmark.results import published_name
-from mseg.evaluation.results import ABSENT, ResultsTable
+from mseg.evaluation.results import ABSENT, ResultsTable, published_name
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "docs/results.md")

@@ -24,9 +24,8 @@ from kt3dmoseg.files import write_text
 from kt3dmoseg.options import parse_assignments
 from mseg import methods
 from mseg.benchmark import BenchmarkResult, Configuration, run
-from mseg.benchmark.results import published_name
 from mseg.evaluation.protocol import count
-from mseg.evaluation.results import ResultsTable
+from mseg.evaluation.results import ResultsTable, published_name
 
 BENCHMARKS = ("hopkins155", "hopkins12", "mtpv62", "kt3dmoseg")
 _COMMAND = "python tools/reproduce_table1.py"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from mseg.benchmark.predictions import predict
-from mseg.benchmark.results import BenchmarkResult
-from mseg.benchmark.runner import find_clips, run
-from mseg.benchmark.tasks import Configuration
+from mseg.benchmark.results import BenchmarkResult, Configuration
+from mseg.benchmark.runner import find_clips, predict, run
 
 __all__ = ["BenchmarkResult", "Configuration", "find_clips", "predict", "run"]

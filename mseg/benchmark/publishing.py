@@ -13,22 +13,23 @@ import json
 import os
 import platform
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import scipy
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes, write_text
 from kt3dmoseg.parallel import algorithm_version
 from kt3dmoseg.types import FloatArray
-from mseg.benchmark.results import BenchmarkResult, published_name
+from mseg.benchmark.results import BenchmarkResult
 from mseg.evaluation.protocol import Protocol, count, list_protocols, load_protocol
-from mseg.evaluation.results import ResultsTable, clip_table, error_table
+from mseg.evaluation.results import ResultsTable, clip_table, error_table, published_name
+from mseg.evaluation.scoring import read_model
 from mseg.methods import create
 
 SCHEMA = "SCHEMA.json"
@@ -104,6 +105,22 @@ class PublishedResult(_Model):
         return sum(clip.seconds for clip in self.clips.values())
 
     @property
+    def published(self) -> str:
+        """Name of the method's row in the published table; empty where it has none."""
+        return published_name(self.protocol, self.method)
+
+    @property
+    def row(self) -> str:
+        """Name of the method in tables."""
+        return self.title + (", number found" if self.n_motions == "found" else "")
+
+    @property
+    def heading(self) -> str:
+        """Title of tables of the dataset."""
+        version = f"data version {self.dataset_version}"
+        return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {version}"
+
+    @property
     def path(self) -> Path:
         """Where the file lies in the folder of results."""
         name = re.sub(r"[^\w.=-]+", "-", self.title) + ("-found" if self.n_motions == "found" else "")
@@ -128,88 +145,75 @@ def json_schema() -> dict[str, Any]:
     }
 
 
-def published_results(result: BenchmarkResult) -> Iterator[PublishedResult]:
-    """Yield what is published of a run of `mseg.benchmark.run`, one per configuration."""
-    source = result.provenance
-    if source is None or result.found is None:
-        raise InvalidValueError("publish", expected="the result of mseg.benchmark.run", found="no provenance")
-    for m, configuration in enumerate(result.configurations):
-        if np.isnan(result.seconds[m]).any():
-            fix = "run the same command again"
-            raise InvalidValueError(
-                f"publish {configuration.title}", expected="every run", found="workers that died", fix=fix
-            )
-        failures = [each[1:] for each in result.failures if each[0] == configuration]
-        method: Any = create(configuration.method, **configuration.parameters)
-        clips = {
-            name: ClipResult(
-                motions=result.motions[name],
-                scored=n,
-                wrong=np.rint(result.errors[m, i] * n).astype(int).tolist(),
-                found=result.found[m, i].tolist(),
-                seconds=round(float(result.seconds[m, i].mean()), 2),
-                failures={str(seed): reason for clip, seed, reason in failures if clip == name},
-            )
-            for i, (name, n) in enumerate(result.scored.items())
-        }
-        yield PublishedResult(
-            title=configuration.title,
-            method=configuration.method,
-            parameters={name: str(value) for name, value in asdict(method).items()},
-            benchmark=result.protocol.name,
-            dataset_version=source.dataset_version or f"data-{source.dataset_sha256[:8]}",
-            dataset_sha256=source.dataset_sha256,
-            n_motions=result.number,
-            versions={
-                "kt3dmoseg": source.toolkit_version,
-                "algorithm": algorithm_version(type(method)) or "",
-                "numpy": np.__version__,
-                "scipy": scipy.__version__,
-            },
-            hardware=f"{platform.machine()}, one core per clip",
-            seeds=list(result.seeds),
-            clips=clips,
-        )
-
-
 def publish(result: BenchmarkResult, folder: str | os.PathLike[str]) -> list[Path]:
-    """Write one file per configuration into a folder of results; returns their paths.
+    """Write one file per configuration of a `mseg.benchmark.run` into a folder; returns their paths.
 
     Raises
     ------
     InvalidValueError
         When a file there has seeds or clips that this run lacks, or a run was lost with its worker.
     """
-    made = {Path(folder) / each.path: each for each in published_results(result)}
-    for path, new in made.items():
+    made = {}
+    for m in range(len(result.configurations)):
+        new = _published(result, m)
+        path = Path(folder) / new.path
         old = read_result(path) if path.is_file() else new
-        lost = [
-            *map(str, sorted(set(old.seeds) - set(new.seeds))),
-            *(c for c in old.clips if c not in new.clips),
-        ]
+        lost = [*map(str, sorted({*old.seeds} - {*new.seeds})), *(c for c in old.clips if c not in new.clips)]
         if lost:
-            raise InvalidValueError(
-                str(path),
-                expected="no more seeds and clips than this run has",
-                found=f"{', '.join(lost[:5])} there only",
-                fix="run all of them, or remove the file",
-            )
-    for path, new in made.items():
+            expected, found = "no more seeds and clips than this run has", f"{', '.join(lost[:5])} there only"
+            fix = "run all of them, or remove the file"
+            raise InvalidValueError(str(path), expected=expected, found=found, fix=fix)
+        made[path] = new.text()
+    for path, text in made.items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, new.text())
+        write_text(path, text)
     return list(made)
+
+
+def _published(result: BenchmarkResult, m: int) -> PublishedResult:
+    """Collect what is published of configuration number `m`."""
+    source, found, configuration = result.provenance, result.found, result.configurations[m]
+    if source is None or found is None:
+        raise InvalidValueError("publish", expected="the result of mseg.benchmark.run", found="no provenance")
+    if np.isnan(result.seconds[m]).any():
+        where, fix = f"publish {configuration.title}", "run the same command again"
+        raise InvalidValueError(where, expected="every run", found="workers that died", fix=fix)
+    method: Any = create(configuration.method, **configuration.parameters)
+    failures = [each[1:] for each in result.failures if each[0] == configuration]
+    return PublishedResult(
+        title=configuration.title,
+        method=configuration.method,
+        parameters={name: str(value) for name, value in asdict(method).items()},
+        benchmark=result.protocol.name,
+        dataset_version=source.dataset_version or f"data-{source.dataset_sha256[:8]}",
+        dataset_sha256=source.dataset_sha256,
+        n_motions=result.number,
+        versions={
+            "kt3dmoseg": source.toolkit_version,
+            "algorithm": algorithm_version(type(method)) or "",
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+        },
+        hardware=f"{platform.machine()}, one core per clip",
+        seeds=list(result.seeds),
+        clips={
+            name: ClipResult(
+                motions=result.motions[name],
+                scored=n,
+                wrong=np.rint(result.errors[m, i] * n).astype(int).tolist(),
+                found=found[m, i].tolist(),
+                seconds=round(float(result.seconds[m, i].mean()), 2),
+                failures={str(seed): reason for clip, seed, reason in failures if clip == name},
+            )
+            for i, (name, n) in enumerate(result.scored.items())
+        },
+    )
 
 
 def read_result(path: str | os.PathLike[str]) -> PublishedResult:
     """Read one file; FileFormatError names the first field that is wrong."""
-    try:
-        return PublishedResult.model_validate_json(read_bytes(path, _LARGEST))
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        found = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)
-        raise FileFormatError(
-            os.fspath(path), expected="a result as 'mseg benchmark --publish' writes it", found=found
-        ) from None
+    expected = "a result as 'mseg benchmark --publish' writes it"
+    return read_model(PublishedResult, read_bytes(path, _LARGEST), os.fspath(path), expected)
 
 
 def read_results(folder: str | os.PathLike[str]) -> dict[tuple[str, str], list[PublishedResult]]:
@@ -232,54 +236,36 @@ def read_results(folder: str | os.PathLike[str]) -> dict[tuple[str, str], list[P
             raise FileFormatError(str(path), expected=f"the clips of {group[0].path}", found="others")
         group.append(one)
     if not found:
-        raise InputFileError(
-            os.fspath(folder), expected="results as BENCHMARK/VERSION/METHOD.json", found="none"
-        )
+        expected = "results as BENCHMARK/VERSION/METHOD.json"
+        raise InputFileError(os.fspath(folder), expected=expected, found="none")
     return {key: sorted(group, key=_order) for key, group in sorted(found.items())}
 
 
 def _order(result: PublishedResult) -> tuple[bool, int, str]:
-    rows = [name.lower().replace("-", "") for name in result.protocol.published]
-    name = "prevalence" if result.method == "one_motion" else result.method
-    return result.n_motions == "found", rows.index(name) if name in rows else len(rows), result.title
+    rows = [*result.protocol.published, ""]
+    return result.n_motions == "found", rows.index(result.published), result.title
 
 
 def summary(results: Sequence[PublishedResult]) -> ResultsTable:
     """One row per method of one dataset: mean ± spread over seeds and median of every group, and time."""
-    first = results[0]
-    known = (published_name(first.protocol, each.method) for each in results)
-    extra = {
-        "seeds": [str(len(each.seeds)) for each in results],
-        "right number of groups, %": [f"{100 * _right_number(each):.0f}" for each in results],
-        "CPU s per seed": [f"{each.seconds:.1f}" for each in results],
-        "failed runs": [str(sum(len(clip.failures) for clip in each.clips.values())) for each in results],
-    }
-    return error_table(
-        f"{_heading(first)}: classification error in %, lower is better",
-        first.protocol,
-        first.motions,
-        {_row(each): each.errors for each in results},
-        [name for name in dict.fromkeys(known) if name],
-        extra=extra,
-    )
+    first, extra = results[0], dict[str, list[str]]()
+    for each in results:
+        clips = each.clips.values()
+        right = np.mean([found == clip.motions for clip in clips for found in clip.found])
+        cells = {
+            "seeds": f"{len(each.seeds)}",
+            "right number of groups, %": f"{100 * right:.0f}",
+            "CPU s per seed": f"{each.seconds:.1f}",
+            "failed runs": f"{sum(len(clip.failures) for clip in clips)}",
+        }
+        for name, cell in cells.items():
+            extra.setdefault(name, []).append(cell)
+    title = f"{first.heading}: classification error in %, lower is better"
+    errors, published = {each.row: each.errors for each in results}, [each.published for each in results]
+    return error_table(title, first.protocol, first.motions, errors, published, extra=extra)
 
 
 def per_clip(results: Sequence[PublishedResult]) -> ResultsTable:
     """One row per clip of one dataset, one column per method."""
-    first = results[0]
-    title = f"{_heading(first)}: classification error in % per clip, lower is better"
-    return clip_table(title, {_row(each): each.errors for each in results}, first.motions)
-
-
-def _right_number(result: PublishedResult) -> float:
-    """Fraction of runs with as many groups as motions."""
-    return float(np.mean([found == clip.motions for clip in result.clips.values() for found in clip.found]))
-
-
-def _row(result: PublishedResult) -> str:
-    return result.title + (", number found" if result.n_motions == "found" else "")
-
-
-def _heading(result: PublishedResult) -> str:
-    version = f"data version {result.dataset_version}"
-    return f"{result.protocol.title}, {result.protocol.coverage(result.clips)}, {version}"
+    title = f"{results[0].heading}: classification error in % per clip, lower is better"
+    return clip_table(title, {each.row: each.errors for each in results}, results[0].motions)

@@ -8,23 +8,30 @@ from typing import Any, Literal
 
 from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.benchmark.tasks import Configuration
-from mseg.evaluation import Group, Protocol
+from mseg.evaluation import Protocol
 from mseg.evaluation.protocol import count, share
-from mseg.evaluation.results import ResultsTable, axis_table, clip_table, error_table
+from mseg.evaluation.results import (
+    LISTED,
+    ResultsTable,
+    axis_table,
+    clip_table,
+    error_table,
+    published_name,
+)
 from mseg.evaluation.scoring import Provenance
 
-_LISTED = 12  # clips named in a note
 
+@dataclass(frozen=True)
+class Configuration:
+    """A method and the parameters that differ from its defaults."""
 
-def published_name(protocol: Protocol, method: str) -> str:
-    """Return the name of a method's row in the published table; empty where it has none.
+    method: str  # name in `mseg.methods.METHODS`
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
-    Upper and lower case and hyphens do not count (``"tlinkage"`` is T-Linkage), and `one_motion` is the
-    prevalence row.
-    """
-    wanted = "prevalence" if method == "one_motion" else method
-    return next((name for name in protocol.published if name.lower().replace("-", "") == wanted), "")
+    @property
+    def title(self) -> str:
+        """Name for tables, with the parameters: ``"subset alpha=5"``."""
+        return " ".join([self.method, *(f"{key}={value}" for key, value in self.parameters.items())])
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +48,7 @@ class BenchmarkResult:
     others: tuple[str, ...] = ()  # clips that lay there and do not belong to the benchmark
     notes: tuple[tuple[Configuration, str, int, str], ...] = ()  # what `mseg.segment` notes, likewise
     found: IntArray | None = None  # (M, C, S): predicted groups; 0 where the method failed
-    scored: Mapping[str, int] = field(
-        default_factory=dict
-    )  # clips and their numbers of labelled trajectories
+    scored: Mapping[str, int] = field(default_factory=dict)  # clip -> number of labelled trajectories
     provenance: Provenance | None = None  # of the clips
     number: Literal["given", "found"] = "given"  # whether the methods were given the number of motions
 
@@ -61,31 +66,30 @@ class BenchmarkResult:
     def summary(self) -> ResultsTable:
         """One row per configuration: mean, spread over seeds and median of every group, and time."""
         failed = [str(sum(c == wrong for wrong, *_ in self.failures)) for c in self.configurations]
-        known = (published_name(self.protocol, c.method) for c in self.configurations)
-        return error_table(
-            f"{self._heading()}: classification error in %",
-            self.protocol,
-            self.motions,
-            self._errors(),
-            [name for name in dict.fromkeys(known) if name],
-            extra={"CPU s": self._seconds(), "failed": failed},
-            notes=self._notes(),
-        )
+        published = [published_name(self.protocol, c.method) for c in self.configurations]
+        extra = {"CPU s": self._seconds(), "failed": failed}
+        title = self._title("classification error in %")
+        return error_table(title, *self._errors(), published, extra=extra, notes=self._notes())
 
     def per_clip(self) -> ResultsTable:
         """One row per clip: mean over seeds of every configuration, with the spread over seeds."""
-        title = f"{self._heading()}: error in % per clip"
-        total = share(len(self.clips), self.protocol.n_clips)
-        last = [["CPU s", "", *self._seconds()]]
-        return clip_table(title, self._errors(), self.motions, total=total, last=last)
+        _, motions, errors = self._errors()
+        total, last = share(len(motions), self.protocol.n_clips), [["CPU s", "", *self._seconds()]]
+        return clip_table(self._title("error in % per clip"), errors, motions, total=total, last=last)
 
     def by_axis(self) -> ResultsTable | None:
         """One row per bin of what makes clips hard; None where the benchmark has no such axes."""
-        title = f"{self._heading()}: error in % by what makes clips hard"
-        return axis_table(title, self.protocol, self.motions, self._errors())
+        return axis_table(self._title("error in % by what makes clips hard"), *self._errors())
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as plain values, for JSON."""
+        lists = {
+            plural: [{"method": c.title, "clip": n, "seed": s, what: text} for c, n, s, text in values]
+            for plural, what, values in (
+                ("failures", "reason", self.failures),
+                ("notes", "note", self.notes),
+            )
+        }
         return {
             "benchmark": self.protocol.name,
             "coverage": self.protocol.coverage(self.clips),
@@ -95,49 +99,36 @@ class BenchmarkResult:
             "methods": [{"method": c.method, "parameters": dict(c.parameters)} for c in self.configurations],
             "errors": self.errors.tolist(),
             "seconds": self.seconds.tolist(),
-            "failures": [
-                {"method": c.title, "clip": clip, "seed": seed, "reason": reason}
-                for c, clip, seed, reason in self.failures
-            ],
-            "notes": [
-                {"method": c.title, "clip": clip, "seed": seed, "note": note}
-                for c, clip, seed, note in self.notes
-            ],
+            **lists,
         }
 
-    def _errors(self) -> dict[str, FloatArray]:
-        return {c.title: self.errors[m] for m, c in enumerate(self.configurations)}
+    def _errors(self) -> tuple[Protocol, Mapping[str, int], dict[str, FloatArray]]:
+        titles = [c.title for c in self.configurations]
+        return self.protocol, self.motions, dict(zip(titles, self.errors, strict=True))
 
     def _seconds(self) -> list[str]:
         return [f"{seconds.sum(axis=0).mean():.2f}" for seconds in self.seconds]
 
-    def _heading(self) -> str:
+    def _title(self, what: str) -> str:
         seeds = count(len(self.seeds), "seed")
         known = ", number of motions found" if self.number == "found" else ""
-        return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {seeds}{known}"
+        return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {seeds}{known}: {what}"
 
     def _notes(self) -> list[str]:
         notes = []
         if len(self.clips) < self.protocol.n_clips:
             notes.append("A part of the benchmark; published rows are for the whole of it.")
         for group in self.protocol.groups:
-            present = self.protocol.clips_of(group, self.motions)
-            if len(present) < group.n_clips:
-                notes.append(f"{group.title}: {_missing(group, present)}.")
+            missing = group.n_clips - len(self.protocol.clips_of(group, self.motions))
+            absent = [name for name in group.clips if name not in self.motions]
+            listed = f" ({first_few(absent, LISTED)})" if absent else ""
+            if group.unknown:
+                notes.append(f"{group.title}: which clips it holds was never published.")
+            elif missing > 0:
+                notes.append(f"{group.title}: {missing} of {group.n_clips} clips are missing{listed}.")
         if self.others:
-            notes.append(f"Not counted: {first_few(self.others, _LISTED)}.")
+            notes.append(f"Not counted: {first_few(self.others, LISTED)}.")
         said = [f"{c.title} on {clip}, seed {seed}: {note}" for c, clip, seed, note in self.notes]
-        notes += [f"Reported: {first_few(said, _LISTED)}."] if said else []
-        notes += [
-            f"Counted as fully wrong: {c.title} on {clip}, seed {seed}: {reason}."
-            for c, clip, seed, reason in self.failures
-        ]
-        return notes
-
-
-def _missing(group: Group, present: list[str]) -> str:
-    absent = [name for name in group.clips if name not in present]
-    if group.unknown:
-        return "which clips it holds was never published"
-    what = f" ({first_few(absent, _LISTED)})" if absent else ""
-    return f"{group.n_clips - len(present)} of {group.n_clips} clips are missing{what}"
+        notes += [f"Reported: {first_few(said, LISTED)}."] if said else []
+        wrong = (f"{c.title} on {clip}, seed {seed}: {reason}" for c, clip, seed, reason in self.failures)
+        return [*notes, *(f"Counted as fully wrong: {each}." for each in wrong)]

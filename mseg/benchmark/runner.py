@@ -1,40 +1,81 @@
-"""Methods x clips x seeds, cached, in parallel, scored by the protocol."""
+"""Methods x clips x seeds: run in parallel and kept, then scored or written as a submission."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import platform
+import re
+import time
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
+from uuid import uuid4
 
 import numpy as np
+import scipy
 
-from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import check_writable, parse_json, read_bytes, write_text
 from kt3dmoseg.io import dataset_paths, load
-from kt3dmoseg.parallel import Cache, run_tasks
-from kt3dmoseg.types import Clip, Labels
-from mseg.benchmark.results import BenchmarkResult
-from mseg.benchmark.tasks import (
-    Configuration,
-    Task,
-    keep_outcome,
-    lost_task,
-    outcome_key,
-    read_outcome,
-    run_task,
-    seed_numbers,
+from kt3dmoseg.io.predictions import first_few
+from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
+from kt3dmoseg.types import Clip, IntArray, Labels
+from mseg.benchmark.results import BenchmarkResult, Configuration
+from mseg.evaluation import (
+    Protocol,
+    SubmissionMeta,
+    classification_error,
+    clip_checksum,
+    load_protocol,
+    write_failure,
+    write_meta,
+    write_prediction,
 )
-from mseg.evaluation import Protocol, classification_error, clip_checksum, load_protocol
 from mseg.evaluation.scoring import provenance_of
-from mseg.methods import create
+from mseg.evaluation.submission import FAILED, file_of, prediction_files
+from mseg.evaluation.validation import load_clips
+from mseg.methods import check_whole, create, segment
+from mseg.methods.kernel_cache import kernel_cache
 
 VARIABLE = "KT3DMOSEG_DATA"
 _SHARED = Path("..") / "shared" / "data"
 # MTPV62 takes 50 of its 62 clips from Hopkins155.
 _BORROWED = {"mtpv62": ("hopkins155",)}
+_BASELINES = ("one_motion", "prevalence")  # one label for a whole clip is meant
+_THIS_PROCESS = uuid4().hex
+# Which configuration made the predictions of a folder; hidden, so no part of the submission.
+_RECORD = ".mseg-run.json"
+_LARGEST_RECORD = 64 << 20
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of tasks done, their total, and the name of the last."""
+
+
+class Outcome(NamedTuple):
+    """The result of a method on a clip with one seed."""
+
+    labels: IntArray  # empty when it failed
+    seconds: float  # CPU time, with that of kernels which another method of the task had made already
+    reason: str = ""  # why it failed
+    notes: str = ""  # what one must know to trust the labels
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What to run on one clip with one seed: methods that share kernels."""
+
+    clip: Clip  # without labels
+    n_motions: int | None  # given to the methods
+    seed: int
+    work: Mapping[str, Configuration]  # by the keys of their outcomes
+    kernels: str = ""  # folder where kernels are kept for later runs
+
+    @property
+    def name(self) -> str:
+        """For progress and schedulers."""
+        return f"{self.clip.name}, seed {self.seed}"
 
 
 def run(
@@ -91,46 +132,37 @@ def run(
     InputFileError
         When there are no clips.
     """
-    protocol = load_protocol(benchmark)
-    configurations = configure([methods] if isinstance(methods, str) else methods, parameters or {})
-    wanted = seed_numbers(seeds)
+    protocol, wanted = load_protocol(benchmark), _seeds(seeds)
+    configurations = _configure([methods] if isinstance(methods, str) else methods, parameters or {})
     if not configurations:
         raise InvalidValueError("benchmark", expected="at least one method", found="none")
+    if number not in ("given", "found"):
+        raise InvalidValueError("number", expected="given or found", found=f"{number!r:.40}")
     paths, others = find_clips(protocol, data)
-    clips = [load(path) for path in paths.values()]
-    numbers = [_given(clip, number) for clip in clips]
-    shape = (len(configurations), len(clips), len(wanted))
-    keys = {
-        (m, i, s): outcome_key(configurations[m], clips[i], numbers[i], wanted[s])
-        for m, i, s in np.ndindex(shape)
-    }
+    clips = {name: load(path) for name, path in paths.items()}
+    motions = {name: clip.n_motions for name, clip in clips.items()}
+    given = motions if number == "given" else {}
+    keys = _keys(configurations, clips, given, wanted)
     store = Cache(cache)
-    outcomes = {key: outcome for key in keys.values() if (outcome := read_outcome(store, key))}
-    tasks = _tasks(configurations, clips, numbers, wanted, keys, set(outcomes), str(kernels or ""))
-    for done, (task, made) in enumerate(
-        run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask), 1
-    ):
-        for outcome in made:
-            outcomes[outcome.key] = outcome
-            keep_outcome(store, outcome)
-        if progress:
-            progress(done, len(tasks), task.name)
-    errors, seconds, failures, notes = np.ones(shape), np.full(shape, np.nan), [], []
-    found = np.zeros(shape, dtype=np.int64)
-    for (m, i, s), key in keys.items():
-        outcome = outcomes[key]
-        seconds[m, i, s] = outcome.seconds
-        if outcome.labels is None:
-            failures.append((configurations[m], clips[i].name, wanted[s], outcome.reason))
+    outcomes = {key: kept for key in keys.values() if (kept := read_outcome(store, key))}
+    work = (keys, configurations, clips, given, set(outcomes), progress, workers, dask)
+    for key, outcome in _outcomes(*work, str(kernels or "")):
+        outcomes[key] = outcome
+        keep_outcome(store, key, outcome)
+    shape = (len(configurations), len(clips), len(wanted))
+    errors, seconds, found = np.ones(shape), np.full(shape, np.nan), np.zeros(shape, dtype=np.int64)
+    failures, notes = [], []
+    for index, ((m, name, seed), key) in zip(np.ndindex(shape), keys.items(), strict=True):
+        labels, seconds[index], reason, note = outcomes[key]
+        if reason:
+            failures.append((configurations[m], name, seed, reason))
         else:
-            truth = clips[i].labels.label
-            errors[m, i, s] = classification_error(truth, outcome.labels)
-            found[m, i, s] = Labels(outcome.labels[truth > 0]).n_motions
-        if outcome.notes:
-            notes.append((configurations[m], clips[i].name, wanted[s], outcome.notes))
-    named = dict(zip(paths, clips, strict=True))
-    motions = {name: clip.n_motions for name, clip in named.items()}
-    checksums = {name: clip_checksum(clip) for name, clip in named.items()}
+            truth = clips[name].labels.label
+            errors[index] = classification_error(truth, labels)
+            found[index] = Labels(labels[truth > 0]).n_motions
+        if note:
+            notes.append((configurations[m], name, seed, note))
+    checksums = {name: clip_checksum(clip) for name, clip in clips.items()}
     return BenchmarkResult(
         protocol,
         configurations,
@@ -142,10 +174,110 @@ def run(
         tuple(others),
         tuple(notes),
         found,
-        {name: int((clip.labels.label > 0).sum()) for name, clip in named.items()},
-        provenance_of(named, checksums, protocol.version_of(checksums)),
+        {name: int((clip.labels.label > 0).sum()) for name, clip in clips.items()},
+        provenance_of(clips, checksums, protocol.version_of(checksums)),
         number,
     )
+
+
+def predict(
+    data: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    method: str = "subset",
+    *,
+    n_motions: int | None = None,
+    seeds: int | Sequence[int] = 1,
+    parameters: Mapping[str, Any] | None = None,
+    workers: int = 1,
+    dask: str = "",
+    progress: Progress | None = None,
+) -> Path:
+    """Segment every clip of a folder and write the predictions; what is there already is kept.
+
+    Parameters
+    ----------
+    data : path
+        Folder of clips, or one clip.
+    output : path
+        Folder of the submission: ``<clip>.csv``, or ``seed-<seed>/<clip>.csv`` for several seeds.
+    method : str
+        Name of the method.
+    n_motions : int or None
+        Number of motions of all clips; None = as many as each clip's labels have, or, where a clip
+        has no labels, what the method finds.
+    seeds : int or sequence of int
+        Number of seeds, counted from 0, or the seeds.
+    parameters : mapping, optional
+        Parameters of the method.
+    workers, dask
+        Where to run, see `mseg.benchmark.run`.
+    progress : callable, optional
+        Called as clips finish.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InvalidValueError
+        When the folder holds predictions of another configuration, other numbers of motions or
+        another layout, or `n_motions` is not positive.
+    """
+    if n_motions is not None:
+        check_whole("n_motions", n_motions, 1)
+    folder, wanted = Path(output), _seeds(seeds)
+    [configuration] = _configure([method], parameters or {})
+    made: Any = create(method, **configuration.parameters)
+    clips = load_clips(data)
+    given = {name: n_motions or clip.n_motions or None for name, clip in clips.items()}
+    keys = _keys([configuration], clips, given, wanted)
+    check_writable(folder)
+    values, layout = asdict(made), "seed-N" if len(wanted) > 1 else "flat"
+    description = {
+        "method": method,
+        "parameters": {name: repr(value) for name, value in values.items()},
+        "code": algorithm_version(type(made)) or "",
+        "n_motions": n_motions,
+        "layout": layout,
+    }
+    record = _open_record(folder, description)
+    files: dict[str, list[tuple[str, int | None]]] = {}  # key of an outcome -> clips and seeds of its files
+    for (_, name, seed), key in keys.items():
+        files.setdefault(key, []).append((name, None if layout == "flat" else seed))
+    kept = {
+        key
+        for key in record["done"].keys() & files.keys()
+        if all(any(file_of(folder, *run, e).is_file() for e in (".csv", FAILED)) for run in files[key])
+    }
+    work = (keys, [configuration], clips, given, kept, progress, workers, dask)
+    for key, outcome in _outcomes(*work):
+        for name, place in files[key]:
+            if outcome.reason:
+                file_of(folder, name, place, ".csv").unlink(missing_ok=True)
+                write_failure(folder, clips[name], outcome.reason, seed=place)
+            else:
+                write_prediction(folder, clips[name], outcome.labels, seed=place)
+        if not np.isnan(outcome.seconds):  # else its workers died: the next run tries again
+            record["done"][key], record["notes"][key] = outcome.seconds, outcome.notes
+        write_text(folder / _RECORD, json.dumps(record, indent=1))
+    seconds = sum(record["done"].get(key, 0.0) for key in keys.values()) / len(wanted)
+    noted = {(name, seed): record["notes"].get(key, "") for (_, name, seed), key in keys.items()}
+    meta = SubmissionMeta(
+        configuration.title,
+        authors=("mseg",),
+        n_motions_given=all(given.values()),
+        hardware=f"{platform.machine()}, one core per clip",
+        seconds=round(seconds, 3),
+        baseline=method in _BASELINES,
+        outliers=True,
+        fingerprints={name: clip_checksum(clip) for name, clip in clips.items()},
+        parameters={name: str(value) for name, value in values.items()},
+        notes={name: text for name in clips if (text := _note(noted, name, wanted))},
+    )
+    write_meta(folder, meta)
+    return folder
 
 
 def find_clips(
@@ -185,35 +317,13 @@ def find_clips(
     return clips, sorted(set(found) - set(clips))
 
 
-def configure(
-    methods: Iterable[str | Configuration], parameters: Mapping[str, Any]
-) -> tuple[Configuration, ...]:
-    """Make configurations, each once; a parameter goes to the methods that have it, and one of them must."""
-    made, used, first = [], set[str](), ""
-    for method in methods:
-        configuration = method
-        if not isinstance(configuration, Configuration):
-            first = first or configuration
-            own = {k: v for k, v in parameters.items() if k in vars(create(configuration))}
-            used |= set(own)
-            configuration = Configuration(configuration, own)
-        create(configuration.method, **configuration.parameters)
-        made.append(configuration)
-    for name, value in parameters.items():
-        if name not in used:
-            create(first or "subset", **{name: value})
-    return tuple({configuration.title: configuration for configuration in made}.values())
-
-
 def _default_folders(protocol: Protocol) -> list[Path]:
-    named = os.environ.get(VARIABLE)
-    root = Path(named) if named else _SHARED
+    root = Path(os.environ.get(VARIABLE) or _SHARED)
     folder = _named(root, protocol.data)
     if not folder.is_dir():
-        raise InputFileError(
-            str(folder), expected=f"the clips of {protocol.title}", found="no such folder",
-            fix=f"give --data DIR, or set {VARIABLE} to the folder that holds {protocol.data}/",
-        )  # fmt: skip
+        fix = f"give --data DIR, or set {VARIABLE} to the folder that holds {protocol.data}/"
+        expected = f"the clips of {protocol.title}"
+        raise InputFileError(str(folder), expected=expected, found="no such folder", fix=fix)
     borrowed = (_named(root, name) for name in _BORROWED.get(protocol.name, ()))
     return [folder, *(other for other in borrowed if other.is_dir())]
 
@@ -224,28 +334,179 @@ def _named(root: Path, name: str) -> Path:
     return root / name if (root / name).is_dir() or not alike else alike[0]
 
 
-def _given(clip: Clip, number: str) -> int | None:
-    if number not in ("given", "found"):
-        raise InvalidValueError("number", expected="given or found", found=f"{number!r:.40}")
-    return clip.n_motions if number == "given" else None
+def _configure(
+    methods: Iterable[str | Configuration], parameters: Mapping[str, Any]
+) -> tuple[Configuration, ...]:
+    """Make configurations, each once; a parameter goes to the methods that have it, and one of them must."""
+    made, unused, named = {}, dict(parameters), "subset"
+    for method in methods:
+        configuration = method
+        if isinstance(configuration, str):
+            known = vars(create(configuration))
+            named, own = configuration, {k: v for k, v in parameters.items() if k in known}
+            unused = {k: v for k, v in unused.items() if k not in own}
+            configuration = Configuration(configuration, own)
+        create(configuration.method, **configuration.parameters)
+        made[configuration.title] = configuration
+    create(named, **unused)  # which it does not have: raises the error that names the nearest
+    return tuple(made.values())
 
 
-def _tasks(
+def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
+    """Return the seeds; of a number of them, those counted from 0."""
+    if not isinstance(seeds, (Sequence, np.ndarray)):
+        check_whole("seeds", seeds, 1)
+        return tuple(range(seeds))
+    for seed in seeds:
+        check_whole("seeds", seed, 0)
+    if not len(seeds) or len(set(seeds)) < len(seeds):
+        raise InvalidValueError("seeds", expected="one or more, each once", found=str(list(seeds))[:80])
+    return tuple(map(int, seeds))
+
+
+# --- running ----------------------------------------------------------------------------------------
+
+
+def _keys(
     configurations: Sequence[Configuration],
-    clips: Sequence[Clip],
-    numbers: Sequence[int | None],
+    clips: Mapping[str, Clip],
+    numbers: Mapping[str, int | None],
     seeds: Sequence[int],
-    keys: Mapping[tuple[int, int, int], str],
-    claimed: set[str],
-    kernels: str,
-) -> list[Task]:
-    """One task per clip and seed that has anything left to run; large clips first."""
-    tasks = []
-    for i in sorted(range(len(clips)), key=lambda i: -len(clips[i].evaluated) * clips[i].n_frames):
-        for s, seed in enumerate(seeds):
-            work = [(keys[m, i, s], configuration) for m, configuration in enumerate(configurations)]
-            todo = tuple((key, configuration) for key, configuration in work if key not in claimed)
-            claimed.update(key for key, _ in todo)
-            if todo:
-                tasks.append(Task(clips[i].without_labels(), numbers[i], seed, todo, kernels))
-    return tasks
+) -> dict[tuple[int, str, int], str]:
+    """Keys of the outcomes, by number of the configuration, clip and seed."""
+    return {
+        (m, name, seed): outcome_key(configuration, clip, numbers.get(name), seed)
+        for m, configuration in enumerate(configurations)
+        for name, clip in clips.items()
+        for seed in seeds
+    }
+
+
+def _outcomes(
+    keys: Mapping[tuple[int, str, int], str],
+    configurations: Sequence[Configuration],
+    clips: Mapping[str, Clip],
+    numbers: Mapping[str, int | None],
+    kept: Container[str],
+    progress: Progress | None,
+    workers: int,
+    dask: str,
+    kernels: str = "",
+) -> Iterator[tuple[str, Outcome]]:
+    """Run what is not kept, large clips first, and yield outcomes with their keys as they finish."""
+    todo: dict[tuple[str, int], dict[str, Configuration]] = {}
+    claimed = set[str]()
+    for (m, name, seed), key in keys.items():
+        if key not in claimed and key not in kept:
+            claimed.add(key)
+            todo.setdefault((name, seed), {})[key] = configurations[m]
+    tasks = [
+        Task(clips[name].without_labels(), numbers.get(name), seed, work, kernels)
+        for (name, seed), work in todo.items()
+    ]
+    tasks.sort(key=lambda task: -len(task.clip.evaluated) * task.clip.n_frames)
+    for done, (task, made) in enumerate(
+        run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask), 1
+    ):
+        yield from made.items()
+        if progress:
+            progress(done, len(tasks), task.name)
+
+
+def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[str, Outcome]:
+    """Run a task; a method that cannot segment the clip gives an outcome with a reason."""
+    outcomes = {}
+    with kernel_cache(task.kernels or None) as cache:
+        for key, made in task.work.items():
+            saved, start = cache.saved_seconds, time.process_time()
+            labels, reason, notes = np.zeros(0, dtype=np.int64), "", ()
+            try:
+                given: Any = {"n_motions": task.n_motions, "seed": task.seed, **made.parameters}
+                found = segment(task.clip, made.method, **given)
+                labels, notes = np.array(found.labels), found.report["notes"]
+            except (KT3DMoSegError, MemoryError, np.linalg.LinAlgError) as error:
+                reason = " ".join(str(error).split()) or type(error).__name__
+                # The caller that shows it names the clip.
+                reason = re.sub(rf"^{re.escape(task.clip.name)}[:,] ", "", reason)
+            seconds = time.process_time() - start + cache.saved_seconds - saved
+            noted = "" if made.method in _BASELINES else "; ".join(notes)
+            outcomes[key] = Outcome(labels, seconds, reason, noted)
+    return outcomes
+
+
+def lost_task(task: Task, reason: str) -> dict[str, Outcome]:
+    """Outcomes of a task that no worker survived."""
+    return dict.fromkeys(task.work, Outcome(np.zeros(0, dtype=np.int64), float("nan"), reason))
+
+
+def outcome_key(configuration: Configuration, clip: Clip, n_motions: int | None, seed: int) -> str:
+    """Hash of method, all its parameters, the clip's content, number of motions, seed and versions.
+
+    The versions are those of numpy, scipy and the method's code (`kt3dmoseg.parallel.algorithm_version`).
+    No other process finds the outcomes of a method whose code states no version. All seeds of a method
+    that draws nothing have one key.
+    """
+    method: Any = create(configuration.method, **configuration.parameters)
+    camera = None if clip.camera is None else clip.camera.K
+    return cache_key(
+        {
+            "method": configuration.method,
+            "parameters": asdict(method),
+            "clip": clip.name,
+            "content": [clip.dense.xy, clip.dense.visible, clip.evaluated, clip.dense.image_size, camera],
+            "n_motions": n_motions,
+            "seed": 0 if getattr(method, "deterministic", False) else seed,
+            "versions": [np.__version__, scipy.__version__, algorithm_version(type(method)) or _THIS_PROCESS],
+        }
+    )
+
+
+def read_outcome(cache: Cache, key: str) -> Outcome | None:
+    """Return a kept outcome, when it is there."""
+    kept = cache.get(key)
+    if kept is None or kept.keys() != {*Outcome._fields}:  # of an earlier version
+        return None
+    texts = str(kept["reason"]), str(kept["notes"])
+    return Outcome(kept["labels"].astype(np.int64), float(kept["seconds"]), *texts)
+
+
+def keep_outcome(cache: Cache, key: str, outcome: Outcome) -> None:
+    """Keep an outcome; one of a worker that died is not kept, since it is no evidence on the method."""
+    if not np.isnan(outcome.seconds):
+        cache.put(key, outcome._asdict())
+
+
+# --- the folder of predictions ----------------------------------------------------------------------
+
+
+def _note(notes: Mapping[tuple[str, int], str], clip: str, seeds: Sequence[int]) -> str:
+    """Join the notes on a clip: one on all seeds as it is, others with their seeds."""
+    runs = {seed: notes[clip, seed] for seed in seeds}
+    parts = []
+    for text in dict.fromkeys(filter(None, runs.values())):
+        those = [seed for seed in seeds if runs[seed] == text]
+        parts.append(text if len(those) == len(seeds) else f"seed {first_few(those)}: {text}")
+    return "; ".join(parts)[:2000]
+
+
+def _open_record(folder: Path, description: Mapping[str, Any]) -> dict[str, Any]:
+    """Read what an earlier run left, refusing to mix two configurations."""
+    path = folder / _RECORD
+    if path.is_file():
+        record = parse_json(read_bytes(path, _LARGEST_RECORD), f"{path}", _LARGEST_RECORD)
+        was = record.get("configuration", {})
+        differs = [key for key in description if was.get(key) != description[key]]
+        found = f"predictions of another ({was.get('method')}; differs in {', '.join(differs)})"
+        if not differs:
+            return {"notes": {}, **record}
+    else:
+        files = prediction_files(folder)
+        found = f"{first_few([each.name for each in files])}, not written by 'mseg run'"
+        if not files:
+            return {"configuration": description, "done": {}, "notes": {}}
+    raise InvalidValueError(
+        str(folder),
+        expected=f"no predictions, or those of this configuration ({description['method']})",
+        found=found,
+        fix="write to another folder",
+    )

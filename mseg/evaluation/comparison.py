@@ -13,7 +13,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 from mseg.evaluation.metrics import Metric, all_metrics
 from mseg.evaluation.protocol import count
-from mseg.evaluation.results import ResultsTable, clip_table, failure_notes, plot_metric
+from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, failure_notes, plot_metric
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
 
@@ -64,9 +64,9 @@ class Comparison:
         """Give one row per submission, clip and seed: `method` and what `ScoreTable.to_dataframe` gives."""
         import pandas as pd
 
-        frames = [table.to_dataframe() for table in self.tables]
-        return (
-            pd.concat(frames, keys=self.names, names=["method"]).reset_index("method").reset_index(drop=True)
+        frames = zip(self.names, self.tables, strict=True)
+        return pd.concat(
+            [pd.DataFrame({"method": n, **t.to_dataframe()}) for n, t in frames], ignore_index=True
         )
 
 
@@ -82,23 +82,25 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
     """
     if len(tables) < 2:
         raise InvalidValueError("compare", expected="two submissions or more", found=str(len(tables)))
-    _check_same_data(tables)
     if metric not in all_metrics():
         raise unknown_name("metric", metric, all_metrics())
-    spec = all_metrics()[metric]
-    names = _unique_names([table.meta.method for table in tables])
+    _check_same_data(tables)
+    methods = [table.meta.method for table in tables]
+    names = [  # numbered where they occur more than once
+        f"{name} ({methods[: i + 1].count(name)})" if methods.count(name) > 1 else name
+        for i, name in enumerate(methods)
+    ]
     values = [table.matrix(metric) for table in tables]
-    means = [v.mean(axis=1) for v in values]
-    sds = [standard_deviation(v.mean(axis=0)) for v in values]
-    index = list(combinations(range(len(tables)), 2))
-    p_values = [wilcoxon_p(means[i] - means[j]) for i, j in index]
+    both = list(combinations(range(len(tables)), 2))
+    deltas = [values[i].mean(axis=1) - values[j].mean(axis=1) for i, j in both]
+    p_values = [wilcoxon_p(delta) for delta in deltas]
     pairs = []
-    for (i, j), p, p_holm in zip(index, p_values, holm(p_values), strict=True):
-        delta, sd_i, sd_j = means[i] - means[j], sds[i], sds[j]
-        noise = None if sd_i is None or sd_j is None else float(np.hypot(sd_i, sd_j))
+    for (i, j), delta, p, p_holm in zip(both, deltas, p_values, holm(p_values), strict=True):
+        one, other = (standard_deviation(values[k].mean(axis=0)) for k in (i, j))
+        noise = None if one is None or other is None else float(np.hypot(one, other))
         mean, interval = round(float(delta.mean()), 12) + 0.0, bootstrap_mean(delta)  # + 0.0: never -0.0
         pair = Pair(names[i], names[j], mean, interval, p, p_holm, noise)
-        pairs.append(replace(pair, sentence=_sentence(pair, spec, len(delta))))
+        pairs.append(replace(pair, sentence=_sentence(pair, all_metrics()[metric], len(delta))))
     return Comparison(metric, names, tables, pairs)
 
 
@@ -118,17 +120,13 @@ def comparison_table(comparison: Comparison) -> ResultsTable:
 def pairs_table(comparison: Comparison) -> ResultsTable:
     """Lay out the paired statistics."""
     scale = all_metrics()[comparison.metric].scale
-    rows = [
-        [
-            f"{pair.first} - {pair.second}",
-            _signed(scale * pair.difference),
-            f"{_signed(scale * pair.interval.low)}..{_signed(scale * pair.interval.high)}",
-            "-" if pair.seed_sd is None else f"{scale * pair.seed_sd:.2f}",
-            f"{pair.p:.3g}",
-            f"{pair.p_holm:.3g}",
-        ]
-        for pair in comparison.pairs
-    ]
+    rows = []
+    for pair in comparison.pairs:
+        low, high = (_signed(scale * bound) for bound in pair.interval)
+        noise = ABSENT if pair.seed_sd is None else f"{scale * pair.seed_sd:.2f}"
+        tests = [f"{pair.p:.3g}", f"{pair.p_holm:.3g}"]
+        difference = _signed(scale * pair.difference)
+        rows.append([f"{pair.first} - {pair.second}", difference, f"{low}..{high}", noise, *tests])
     columns = ["pair", "difference", "95 % over clips", "seed sd", "Wilcoxon p", "Holm p"]
     return ResultsTable("Paired over clips", columns, rows)
 
@@ -150,14 +148,6 @@ def _check_same_data(tables: Sequence[ScoreTable]) -> None:
                 found=f"dataset {data[:16]} and {here[:16]}",
                 fix="score both on the same data; versions are never mixed",
             )
-
-
-def _unique_names(names: Sequence[str]) -> list[str]:
-    """Make names unique by numbering those that occur more than once."""
-    return [
-        f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
-        for i, name in enumerate(names)
-    ]
 
 
 def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:

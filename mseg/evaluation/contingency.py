@@ -53,8 +53,7 @@ class Contingency:
 
     def shared(self, assignment: IntArray) -> tuple[IntArray, IntArray]:
         """Trajectories that each motion shares with its group, and those of the group, (M,); 0 for -1."""
-        none = np.zeros(len(self.counts), dtype=np.int64)  # the last column, which -1 picks, is no group
-        padded = np.column_stack([self.counts, none])
+        padded = np.pad(self.counts, ((0, 0), (0, 1)))  # the last column, which -1 picks, is no group
         return padded[np.arange(len(padded)), assignment], padded.sum(axis=0)[assignment]
 
     @cached_property
@@ -78,29 +77,25 @@ def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | 
     """
     true, predicted = label_vector(truth, "truth"), label_vector(pred, "pred")
     if len(true) != len(predicted):
-        raise InvalidValueError(
-            "pred", expected=f"{len(true)} labels, as many as truth", found=f"{len(predicted)}"
-        )
+        expected = f"{len(true)} labels, as many as truth"
+        raise InvalidValueError("pred", expected=expected, found=f"{len(predicted)}")
     scored = true > 0
     if not scored.any():
         raise InvalidValueError("truth", expected="at least one label > 0", found="none")
     motions, row = np.unique(true[scored], return_inverse=True)
     groups, column = np.unique(predicted[scored], return_inverse=True)
-    table = np.bincount(row * len(groups) + column, minlength=len(motions) * len(groups))
-    table = table.reshape(len(motions), len(groups)).astype(np.int64)
+    table = np.zeros((len(motions), len(groups)), dtype=np.int64)
+    np.add.at(table, (row, column), 1)
     none = groups == 0
-    named = np.flatnonzero(motions == background) if background is not None else np.empty(0, np.int64)
-    static = int(named[0]) if named.size else None
+    static = motions.tolist().index(background) if background in motions else None
     return Contingency(table[:, ~none], table[:, none].sum(axis=1), motions, groups[~none], static)
 
 
 def best_assignment(counts: IntArray) -> IntArray:
     """Choose a different group for each motion so that most trajectories agree: columns (M,), -1 = none.
 
-    Solves the rectangular assignment problem max sum_i counts[i, a(i)] over one-to-one maps a
-    (Kuhn 1955). For as many groups as motions this is the search over all permutations of the
-    Hopkins155 code, at cubic instead of factorial cost. Among equally good assignments the one
-    with the larger sum of intersections over unions is taken.
+    Solves max sum_i counts[i, a(i)] over one-to-one maps a (Kuhn 1955); of equally good ones, that with the
+    larger sum of intersections over unions is taken.
 
     Examples
     --------
@@ -137,10 +132,11 @@ def _solve(gain: FloatArray) -> tuple[IntArray, IntArray]:
 
         rows, columns = linear_sum_assignment(gain, maximize=True)
         return rows, columns
-    wide = gain if len(gain) == few else gain.T
+    if len(gain) > few:
+        columns, rows = _solve(gain.T)
+        return rows, columns
     choices = _choices(many, few)
-    best = choices[np.argmax(wide[np.arange(few), choices].sum(axis=1))]
-    return (np.arange(few), best) if len(gain) == few else (best, np.arange(few))
+    return np.arange(few), choices[np.argmax(gain[np.arange(few), choices].sum(axis=1))]
 
 
 @cache

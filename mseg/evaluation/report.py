@@ -112,7 +112,7 @@ def report_html(
     order = [scores.names[i] for i in ranks]
     pictures = _pictures(checked, order, Path(frames)) if frames is not None else {}
     shown = [_section(checked, scores, name, pictures.get(name, [])) for name in order if overlays]
-    facts = {name: value for name, value in results.meta_lines(scores) if name != "method"}
+    facts = {name: value for name, value in _facts(scores) if name != "method"}
     return render(
         "report.html",
         scores=scores,
@@ -134,6 +134,25 @@ def report_html(
         all_means=results.all_means(scores),
         per_clip=results.per_clip(scores),
     )
+
+
+def _facts(scores: ScoreTable) -> list[tuple[str, str]]:
+    """List the meta data of the submission and what it was scored on, as (name, value)."""
+    meta, source = scores.meta, scores.provenance
+    lines = [
+        ("method", meta.method),
+        ("authors", ", ".join(meta.authors)),
+        ("link", meta.link),
+        ("number of motions", "given" if meta.n_motions_given else "found by the method"),
+        ("hardware", meta.hardware),
+        ("time per seed", f"{meta.seconds:g} s" if meta.seconds else ""),
+        ("parameters", ", ".join(f"{k} = {v}" for k, v in meta.parameters.items())),
+        ("dataset version", source.dataset_version),
+        ("dataset sha256", source.dataset_sha256[:16]),
+        ("submission sha256", source.submission_sha256[:16]),
+        ("toolkit", source.toolkit_version),
+    ]
+    return [(name, value) for name, value in lines if value]
 
 
 def render(template: str, **values: object) -> str:

@@ -5,9 +5,9 @@ Cells are texts, rounded as they are printed; figures to compute with are in `Sc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import Protocol, share
 from mseg.evaluation.scoring import ScoreTable
-from mseg.evaluation.statistics import standard_deviation
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 MAIN_METRICS = ("error", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f")
 ABSENT = "-"
-_LISTED = 12  # clips named in a note
+LISTED = 12  # clips named in a note
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +49,11 @@ class ResultsTable:
 
     def markdown(self) -> str:
         """Lay out as a Markdown table."""
-        rule = ["---", *["---:"] * (len(self.columns) - 1)]
-        rows = [[cell.replace("|", "\\|") for cell in row] for row in (self.columns, *self.rows)]
-        lines = ["| " + " | ".join(row) + " |" for row in (rows[0], rule, *rows[1:])]
-        notes = [f"- {note}" for note in self.notes]
-        head = [f"**{self.title}**", ""] if self.title else []
-        return "\n".join([*head, *lines, "", *notes]).rstrip()
+        head, *rows = ([cell.replace("|", "\\|") for cell in row] for row in (self.columns, *self.rows))
+        rule = ["---", *["---:"] * (len(head) - 1)]
+        lines = ["| " + " | ".join(row) + " |" for row in (head, rule, *rows)]
+        title = [f"**{self.title}**", ""] if self.title else []
+        return "\n".join([*title, *lines, "", *(f"- {note}" for note in self.notes)]).rstrip()
 
     def html(self) -> str:
         """Lay out as HTML."""
@@ -68,20 +66,27 @@ class ResultsTable:
     def latex(self) -> str:
         """Lay out as a LaTeX table for the package booktabs."""
         form = "l" + "r" * (len(self.columns) - 1)
-        comments = [f"% {text}" for text in (self.title, *self.notes)]
         body = self.frame.to_latex(index=False, escape=True, column_format=form).rstrip()
-        return "\n".join([*comments, body])
+        return "\n".join([*(f"% {text}" for text in (self.title, *self.notes)), body])
 
     def csv(self) -> str:
         """Lay out as comma-separated values, without title and notes."""
         return self.frame.to_csv(index=False, lineterminator="\n")
 
 
-def headline(scores: ScoreTable) -> ResultsTable:
-    """Classification error per group of the benchmark, and the rows of Table 1 of Xu et al. 2018."""
-    protocol, rows = scores.benchmark, {scores.meta.method: scores.matrix()}
-    title, notes = f"{protocol.title}: classification error in %", headline_notes(scores)
-    return error_table(title, protocol, scores.motions, rows, list(protocol.published), notes=notes)
+# --- errors of several methods on the clips of a benchmark ------------------------------------------
+# `motions` are the clips, in order, with their true numbers of motions; `errors` the fractions (clips, seeds)
+# of each method, by title.
+
+
+def published_name(protocol: Protocol, method: str) -> str:
+    """Return the name of a method's row in the published table; empty where it has none.
+
+    Upper and lower case and hyphens do not count (``"tlinkage"`` is T-Linkage), and `one_motion` is the
+    prevalence row.
+    """
+    wanted = "prevalence" if method == "one_motion" else method
+    return next((name for name in protocol.published if name.lower().replace("-", "") == wanted), "")
 
 
 def error_table(
@@ -89,57 +94,49 @@ def error_table(
     protocol: Protocol,
     motions: Mapping[str, int],
     errors: Mapping[str, FloatArray],
-    published: Sequence[str],
+    published: Iterable[str],
     *,
     extra: Mapping[str, Sequence[str]] | None = None,
     notes: Sequence[str] = (),
 ) -> ResultsTable:
     """One row per method: mean with its spread over seeds, and median, for every group of a benchmark.
 
-    `motions` are the clips, in order, with their true numbers of motions, `errors` the fractions
-    (clips, seeds) of each method, `published` the rows of the published table to add, `extra` more
-    columns with one cell per method.
+    `published` are rows of the published table to add, '' for none; `extra` more columns, a cell per method.
     """
-    order = {name: row for row, name in enumerate(motions)}
-    groups = [(group, [order[n] for n in protocol.clips_of(group, motions)]) for group in protocol.groups]
+    groups = [(g, _positions(protocol.clips_of(g, motions), motions)) for g in protocol.groups]
     columns = ["method"]
     for group, clips in groups:
         columns += [f"{group.title} ({share(len(clips), group.n_clips)}): mean", "median"]
     more = dict(extra or {})
     rows = []
     for i, (method, values) in enumerate(errors.items()):
-        cells = [cell for _, clips in groups for cell in _mean_and_median(values[clips])]
-        rows.append([method, *cells, *(column[i] for column in more.values())])
-    for method in published:
-        cells = []
+        cells = [method]
+        for _, clips in groups:
+            cells += [_mean(values[clips]), _median(values[clips])] if clips else [ABSENT, ABSENT]
+        rows.append([*cells, *(column[i] for column in more.values())])
+    for method in dict.fromkeys(filter(None, published)):
+        cells = [f"published {method} (all {protocol.n_clips})"]
         for group, _ in groups:
             known = protocol.published[method].get(group.name, {})
             cells += [f"{known[key]:.2f}" if key in known else ABSENT for key in ("mean", "median")]
-        rows.append([f"published {method} (all {protocol.n_clips})", *cells, *("" for _ in more)])
+        rows.append([*cells, *("" for _ in more)])
     return ResultsTable(title, [*columns, *more], rows, notes)
 
 
 def axis_table(
     title: str, protocol: Protocol, motions: Mapping[str, int], errors: Mapping[str, FloatArray]
 ) -> ResultsTable | None:
-    """One row per bin of every axis of a benchmark, one column per method: mean over clips and seeds.
-
-    `motions` and `errors` are as in `error_table`. None where the benchmark has no axes.
-    """
-    order = {name: row for row, name in enumerate(motions)}
-    rows = []
-    for axis in protocol.axes:
-        for bin_title, clips in protocol.bins_of(axis, motions).items():
-            chosen = [order[name] for name in clips]
-            means = [_with_spread(values[chosen].mean(axis=0), 100) for values in errors.values()]
-            rows.append([f"{axis.title}: {bin_title}", str(len(clips)), *means])
+    """One row per bin of every axis of a benchmark; None where the benchmark has no axes."""
+    rows = [
+        [
+            f"{axis.title}: {part}",
+            str(len(clips)),
+            *(_mean(v[_positions(clips, motions)]) for v in errors.values()),
+        ]
+        for axis in protocol.axes
+        for part, clips in protocol.bins_of(axis, motions).items()
+    ]
     return ResultsTable(title, ["part", "clips", *errors], rows) if rows else None
-
-
-def by_axis(scores: ScoreTable) -> ResultsTable | None:
-    """Break the classification error down by the axes of the benchmark; None where it has none."""
-    title = "Classification error in % by what makes clips hard"
-    return axis_table(title, scores.benchmark, scores.motions, {scores.meta.method: scores.matrix()})
 
 
 def clip_table(
@@ -152,41 +149,55 @@ def clip_table(
     last: Sequence[Sequence[str]] = (),
     notes: Sequence[str] = (),
 ) -> ResultsTable:
-    """One row per clip, one column per method: mean over seeds, with the spread over seeds.
+    """One row per clip: mean over seeds, with the spread over seeds, of any metric of each method.
 
-    `values` are a metric (clips, seeds) of each method, `scale` is the factor of what is printed, `total`
-    describes what mean and median are over, such as "14 of 22", and `last` are more rows at the end.
+    `scale` is the factor of what is printed, `total` describes what mean and median are over, such as
+    "14 of 22", and `last` are more rows at the end.
     """
     rows = [
-        [clip, str(n), *(_with_spread(v[i], scale) for v in values.values())]
+        [clip, str(n), *(_mean(v[i : i + 1], scale) for v in values.values())]
         for i, (clip, n) in enumerate(motions.items())
     ]
-    means = [_with_spread(v.mean(axis=0), scale) for v in values.values()]
-    medians = [f"{scale * np.median(v.mean(axis=1)):.2f}" for v in values.values()]
     of = f" of {total}" if total else ""
-    rows += [[f"mean{of}", "", *means], [f"median{of}", "", *medians], *map(list, last)]
+    rows.append([f"mean{of}", "", *(_mean(v, scale) for v in values.values())])
+    rows.append([f"median{of}", "", *(_median(v, scale) for v in values.values())])
     several = any(v.shape[1] > 1 for v in values.values())
     spread = ["mean over seeds ± standard deviation over seeds"] if several else []
-    return ResultsTable(title, ["clip", "motions", *values], rows, [*spread, *notes])
+    return ResultsTable(title, ["clip", "motions", *values], [*rows, *last], [*spread, *notes])
 
 
-def plot_metric(scores: Mapping[str, ScoreTable], metric: str, *, ax: Axes | None = None) -> Axes:
-    """Plot a metric per clip of submissions, by name, that were scored on the same clips."""
-    from kt3dmoseg.draw.display import plot_clip_values
-
-    first = next(iter(scores.values()))
-    values = {name: table.matrix(metric) for name, table in scores.items()}  # reports an unknown metric
-    spec = all_metrics()[metric]
-    axis = f"{spec.title}{', %' if spec.percent else ''} ({spec.better} is better)"
-    scaled = {name: spec.scale * value for name, value in values.items()}
-    title = f"{first.benchmark.title}, {first.benchmark.coverage(first.names)}"
-    return plot_clip_values(scaled, first.names, axis=axis, title=title, ax=ax)
+def _positions(names: Iterable[str], clips: Iterable[str]) -> list[int]:
+    order = list(clips)
+    return [order.index(name) for name in names]
 
 
-def headline_notes(scores: ScoreTable) -> list[str]:
-    """Note what is needed to read the headline rightly: coverage, failures, versions, seeds."""
+def _mean(values: FloatArray, scale: int = 100) -> str:
+    """Show the mean over clips and seeds (clips, seeds), with its spread over seeds."""
+    means = values.mean(axis=0)
+    spread = f" ±{scale * means.std(ddof=1):.2f}" if len(means) > 1 else ""
+    return f"{scale * means.mean():.2f}{spread}"
+
+
+def _median(values: FloatArray, scale: int = 100) -> str:
+    return f"{scale * np.median(values.mean(axis=1)):.2f}"
+
+
+# --- one submission ---------------------------------------------------------------------------------
+
+
+def headline(scores: ScoreTable) -> ResultsTable:
+    """Classification error per group of the benchmark, and the rows of Table 1 of Xu et al. 2018.
+
+    The notes are what is needed to read it rightly: coverage, failures, versions, seeds.
+    """
     protocol, summary = scores.benchmark, scores.summary()
-    notes = [f"Scored: {protocol.coverage(scores.names)}{_coverage_of_groups(scores)}."]
+    parts = ", ".join(
+        f"{group.title} "
+        + ("which clips is not published" if group.unknown else f"{len(names)} of {group.n_clips}")
+        for group, names in scores.groups()
+    )
+    more = f" ({parts})" if len(protocol.groups) > 1 else ""
+    notes = [f"Scored: {protocol.coverage(scores.names)}{more}."]
     if len(scores.names) < protocol.n_clips:
         notes.append("A part of the benchmark: the published figures are for all of it.")
     version, wanted = scores.provenance.dataset_version, protocol.published_dataset_version
@@ -201,24 +212,24 @@ def headline_notes(scores: ScoreTable) -> list[str]:
         f"95 % bootstrap interval over clips {100 * low:.2f} to {100 * high:.2f}; "
         f"all trajectories pooled {100 * summary.pooled:.2f}."
     )
-    return [*notes, *_method_notes(scores), *failure_notes(scores)]
+    notes += [*_method_notes(scores), *failure_notes(scores)]
+    title, rows = f"{protocol.title}: classification error in %", {scores.meta.method: scores.matrix()}
+    return error_table(title, protocol, scores.motions, rows, protocol.published, notes=notes)
 
 
 def _method_notes(scores: ScoreTable) -> list[str]:
     """Note what the method reports, and where it found another number of groups than it was given."""
-    meta = scores.meta
-    found = [c for c in scores.clips if meta.n_motions_given and not c.reason and c.clip not in meta.notes]
-    other = {f"{c.clip} ({c.n_found} of {c.n_motions})": 0 for c in found if c.n_found != c.n_motions}
-    said = [f"{clip}: {note}" for clip, note in meta.notes.items()]
+    meta, notes = scores.meta, []
     if meta.baseline:
         return []
-    counts = f"Other groups than motions, though their number was given: {first_few(list(other), _LISTED)}."
-    more = f"And on {len(said) - _LISTED} more clips."
-    return [
-        *([counts] if other else []),
-        *(f"The method reports on {each}." for each in said[:_LISTED]),
-        *([more] if len(said) > _LISTED else []),
-    ]
+    found = [c for c in scores.clips if meta.n_motions_given and not c.reason and c.clip not in meta.notes]
+    other = {f"{c.clip} ({c.n_found} of {c.n_motions})": 0 for c in found if c.n_found != c.n_motions}
+    if other:
+        listed = first_few(list(other), LISTED)
+        notes.append(f"Other groups than motions, though their number was given: {listed}.")
+    reported = [f"The method reports on {clip}: {note}." for clip, note in meta.notes.items()]
+    more = len(reported) - LISTED
+    return [*notes, *reported[:LISTED], *([f"And on {more} more clips."] if more > 0 else [])]
 
 
 def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:
@@ -227,18 +238,24 @@ def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:
     return [f"Counted as fully wrong: {who}{c.clip} (seed {c.seed}): {c.reason}." for c in scores.failures]
 
 
+def by_axis(scores: ScoreTable) -> ResultsTable | None:
+    """Break the classification error down by the axes of the benchmark; None where it has none."""
+    title = "Classification error in % by what makes clips hard"
+    return axis_table(title, scores.benchmark, scores.motions, {scores.meta.method: scores.matrix()})
+
+
 def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> ResultsTable:
     """Every clip, means over seeds, with the prevalence baseline."""
-    specs = all_metrics()
-    columns = ["clip", "n", "motions", "found", "prevalence", *(specs[m].title for m in metrics)]
-    values = {m: scores.per_clip(m) for m in metrics}
+    specs = [all_metrics()[metric] for metric in metrics]
+    values = [scores.per_clip(metric) for metric in metrics]
     rows = []
     for i, name in enumerate(scores.names):
         runs = [scores.of(name, seed) for seed in scores.seeds]
         mark = " *" if any(run.reason for run in runs) else ""
         found = "/".join(map(str, sorted({run.n_found for run in runs})))
         facts = [str(runs[0].n), str(runs[0].n_motions), found, f"{100 * runs[0].prevalence:.2f}"]
-        rows.append([name + mark, *facts, *(specs[m].show(float(values[m][i])) for m in metrics)])
+        rows.append([name + mark, *facts, *(m.show(v[i]) for m, v in zip(specs, values, strict=True))])
+    columns = ["clip", "n", "motions", "found", "prevalence", *(metric.title for metric in specs)]
     notes = ["* failed or missing: the worst score."] if scores.failures else []
     return ResultsTable("Per clip, fractions in %", columns, rows, notes)
 
@@ -256,61 +273,27 @@ def all_means(scores: ScoreTable) -> ResultsTable:
     return ResultsTable("Over all clips scored, fractions in %", columns, rows)
 
 
+def plot_metric(scores: Mapping[str, ScoreTable], metric: str, *, ax: Axes | None = None) -> Axes:
+    """Plot a metric per clip of submissions, by name, that were scored on the same clips."""
+    from kt3dmoseg.draw.display import plot_clip_values
+
+    first = next(iter(scores.values()))
+    values = {name: table.matrix(metric) for name, table in scores.items()}  # reports an unknown metric
+    spec = all_metrics()[metric]
+    axis = f"{spec.title}{', %' if spec.percent else ''} ({spec.better} is better)"
+    scaled = {name: spec.scale * value for name, value in values.items()}
+    title = f"{first.benchmark.title}, {first.benchmark.coverage(first.names)}"
+    return plot_clip_values(scaled, first.names, axis=axis, title=title, ax=ax)
+
+
 def davis_files(scores: ScoreTable, ending: str = "") -> dict[str, str]:
     """Name and content of the two files that DAVIS scripts look for: fractions, one row per clip."""
     import pandas as pd
 
     frame = pd.DataFrame({f"{m}-Mean": scores.per_clip(m) for m in scores.metrics}, index=scores.names)
-    means = pd.DataFrame({f"{m}-Mean": [scores[m]] for m in scores.metrics})
-    form = "%.6f"
+    form: Any = {"float_format": "%.6f", "lineterminator": "\n"}
     name = scores.benchmark.name + ending
     return {
-        f"global_results-{name}.csv": means.to_csv(index=False, float_format=form, lineterminator="\n"),
-        f"per-sequence_results-{name}.csv": frame.to_csv(
-            index_label="Sequence", float_format=form, lineterminator="\n"
-        ),
+        f"global_results-{name}.csv": frame.mean().to_frame().T.to_csv(index=False, **form),
+        f"per-sequence_results-{name}.csv": frame.to_csv(index_label="Sequence", **form),
     }
-
-
-def meta_lines(scores: ScoreTable) -> list[tuple[str, str]]:
-    """List the meta data of the submission and what it was scored on, as (name, value)."""
-    meta, source = scores.meta, scores.provenance
-    lines = [
-        ("method", meta.method),
-        ("authors", ", ".join(meta.authors)),
-        ("link", meta.link),
-        ("number of motions", "given" if meta.n_motions_given else "found by the method"),
-        ("hardware", meta.hardware),
-        ("time per seed", f"{meta.seconds:g} s" if meta.seconds else ""),
-        ("parameters", ", ".join(f"{k} = {v}" for k, v in meta.parameters.items())),
-        ("dataset version", source.dataset_version),
-        ("dataset sha256", source.dataset_sha256[:16]),
-        ("submission sha256", source.submission_sha256[:16]),
-        ("toolkit", source.toolkit_version),
-    ]
-    return [(name, value) for name, value in lines if value]
-
-
-def _mean_and_median(values: FloatArray) -> list[str]:
-    """Show the mean over clips and seeds with its spread, and the median over clips."""
-    if not len(values):
-        return [ABSENT, ABSENT]
-    return [_with_spread(values.mean(axis=0), 100), f"{100 * np.median(values.mean(axis=1)):.2f}"]
-
-
-def _with_spread(values: FloatArray, scale: int) -> str:
-    spread = standard_deviation(values)
-    mean = f"{scale * values.mean():.2f}"
-    return mean if spread is None else f"{mean} ±{scale * spread:.2f}"
-
-
-def _coverage_of_groups(scores: ScoreTable) -> str:
-    groups = list(scores.groups())
-    if len(groups) == 1:
-        return ""
-    parts = [
-        f"{group.title} "
-        + ("which clips is not published" if group.unknown else f"{len(names)} of {group.n_clips}")
-        for group, names in groups
-    ]
-    return " (" + ", ".join(parts) + ")"

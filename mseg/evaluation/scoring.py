@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,7 +11,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -49,6 +50,9 @@ from mseg.types import Segmentation
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from pydantic import BaseModel
+
+    ModelT = TypeVar("ModelT", bound=BaseModel)
 
 FORMAT = "mseg-scores"
 VERSION = 1
@@ -78,6 +82,11 @@ class ClipScore:
     prevalence: float = 1.0  # classification error of putting every trajectory into the largest motion
     reason: str = ""  # why there are no labels; empty when there are
     table: Contingency | None = None  # the counts behind the values, where they are at hand
+
+    def facts(self) -> dict[str, Any]:
+        """Everything but the values and the counts behind them."""
+        names = ("clip", "seed", "n_motions", "n", "n_found", "prevalence", "reason")
+        return {name: getattr(self, name) for name in names}
 
 
 _BARE, _UNKNOWN = SubmissionMeta("labels"), Provenance("", "", "", "")
@@ -122,9 +131,7 @@ class ScoreTable:
         """Give one row per clip and seed: counts, `prevalence`, `reason`, and every metric (no per cent)."""
         import pandas as pd
 
-        names = ("clip", "seed", "n", "n_motions", "n_found", "prevalence", "reason")
-        rows = [{name: getattr(c, name) for name in names} | dict(c.values) for c in self.clips]
-        return pd.DataFrame(rows)
+        return pd.DataFrame([c.facts() | dict(c.values) for c in self.clips])
 
     def __getitem__(self, metric: str) -> float:
         """Mean of a metric over clips and seeds; UnknownNameError when there is no such metric."""
@@ -269,9 +276,7 @@ def score(
         for name, clip in truths.items():
             where = "pred" if len(truths) == 1 else f"pred of {name}"
             predicted = _predicted(run[name], clip, where, outliers=outliers)
-            labels = clip.labels if isinstance(clip, Clip) else clip
-            table = contingency(labels.label, predicted, background=labels.background)
-            clips.append(score_clip(name, seed or 0, table))
+            clips.append(_clip_score(name, seed or 0, _labels(clip), predicted))
     protocol = choose_protocol(benchmark, truths) if benchmark else None
     foreign = [name for name in truths if protocol and not protocol.holds(name)]
     if foreign:
@@ -301,12 +306,16 @@ def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401 
     return Clip(name, tracks, np.arange(n), Labels(table.label))
 
 
+def _labels(truth: Clip | Labels) -> Labels:
+    return truth.labels if isinstance(truth, Clip) else truth
+
+
 def _predicted(value: Any, truth: Clip | Labels, where: str, *, outliers: bool) -> IntArray:  # noqa: ANN401
     """Predicted labels in the order of the truth, (n,)."""
+    if isinstance(value, (Labels, Segmentation)):  # there 0 has a meaning
+        value, outliers = bare_labels(value), True
     if isinstance(value, (str, os.PathLike)):
         label = _labels_of(Path(value), truth)
-    elif isinstance(value, (Labels, Segmentation)):  # there 0 has a meaning
-        return _predicted(bare_labels(value), truth, where, outliers=True)
     elif isinstance(truth, Clip):
         label = clip_labels(value, truth, where)
     elif label_table(value, where) is not None:
@@ -321,19 +330,33 @@ def _predicted(value: Any, truth: Clip | Labels, where: str, *, outliers: bool) 
     return label
 
 
-def score_clip(name: str, seed: int, table: Contingency) -> ClipScore:
-    """Compute every metric of one clip and seed."""
-    prevalence = (table.n - int(table.sizes.max())) / table.n
-    found, motions = len(table.groups), len(table.motions)
-    return ClipScore(name, seed, motions, table.n, evaluate(table), found, prevalence, table=table)
+def _labels_of(file: Path, clip: Clip | Labels) -> IntArray:
+    """Read a clip's file of labels: a prediction file of a submission, or text with one label per line."""
+    if not isinstance(clip, Clip):
+        raise InvalidValueError("truth", expected="a clip or its file, to join ids", found="bare labels")
+    if file.suffix.lower() == ".txt":
+        from mseg.evaluation.label_import import fit_to_clip, read_label_text
+
+        return fit_to_clip(read_label_text(file), clip, f"{file}")
+    try:
+        return read_prediction(file, clip)
+    except FileFormatError as error:
+        raise RejectedSubmissionError(str(error)) from None
 
 
-def failed_clip(name: str, seed: int, clip: Clip, reason: str) -> ClipScore:
-    """Give a failed or missing clip the worst value of every metric."""
-    values = {key: metric.worst(clip.n_motions) for key, metric in all_metrics().items()}
-    sizes = np.bincount(clip.labels.label)[1:]
-    n = int(sizes.sum())
-    return ClipScore(name, seed, clip.n_motions, n, values, 0, (n - int(sizes.max())) / n, reason)
+def _clip_score(
+    name: str, seed: int, truth: Labels, predicted: IntArray | None, reason: str = ""
+) -> ClipScore:
+    """Compute every metric of one clip and seed; without labels each has its worst value, for a `reason`."""
+    given = truth.label if predicted is None else predicted
+    table = contingency(truth.label, given, background=truth.background)
+    n, motions = table.n, len(table.motions)
+    prevalence = (n - int(table.sizes.max())) / n
+    if predicted is None:
+        worst = {key: metric.worst(motions) for key, metric in all_metrics().items()}
+        return ClipScore(name, seed, motions, n, worst, 0, prevalence, reason)
+    values, found = evaluate(table), len(table.groups)
+    return ClipScore(name, seed, motions, n, values, found, prevalence, table=table)
 
 
 def score_submission(
@@ -361,12 +384,8 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     clips = []
     for seed in checked.submission.seeds or [0]:
         for name, clip in checked.clips.items():
-            pred, truth = checked.labels.get((seed, name)), clip.labels
-            if pred is None:
-                clips.append(failed_clip(name, seed, clip, _reason(checked, seed, name)))
-            else:
-                table = contingency(truth.label, pred, background=truth.background)
-                clips.append(score_clip(name, seed, table))
+            pred = checked.labels.get((seed, name))
+            clips.append(_clip_score(name, seed, clip.labels, pred, _reason(checked, seed, name)))
     meta, problems = checked.submission.meta, tuple(checked.problems)
     version = checked.protocol.version_of(checked.checksums) or meta.dataset_version or "unnamed"
     source = provenance_of(checked.clips, checked.checksums, version, checked.submission.sha256)
@@ -380,8 +399,7 @@ def provenance_of(
     submission: str = "",
 ) -> Provenance:
     """Describe the data that is scored, by names, checksums and labels."""
-    labels = {name: each.labels if isinstance(each, Clip) else each for name, each in truths.items()}
-    hashes = {name: hashlib.sha256(each.label.tobytes()).hexdigest() for name, each in labels.items()}
+    hashes = {name: hashlib.sha256(_labels(t).label.tobytes()).hexdigest() for name, t in truths.items()}
     text = "\n".join(f"{name} {checksums.get(name, '')} {hashes[name]}" for name in sorted(hashes))
     return Provenance(version, hashlib.sha256(text.encode()).hexdigest(), submission, __version__)
 
@@ -393,20 +411,6 @@ def _reason(checked: Validation, seed: int, name: str) -> str:
         return f"failed: {read.failures[key]}"
     found = next((p.found for p in checked.problems if p.file == read.files.get(key)), "")
     return f"invalid: {found}" if key in read.files else "missing"
-
-
-def _labels_of(file: Path, clip: Clip | Labels) -> IntArray:
-    """Read a clip's file of labels: a prediction file of a submission, or text with one label per line."""
-    if not isinstance(clip, Clip):
-        raise InvalidValueError("truth", expected="a clip or its file, to join ids", found="bare labels")
-    if file.suffix.lower() == ".txt":
-        from mseg.evaluation.label_import import fit_to_clip, read_label_text
-
-        return fit_to_clip(read_label_text(file), clip, f"{file}")
-    try:
-        return read_prediction(file, clip)
-    except FileFormatError as error:
-        raise RejectedSubmissionError(str(error)) from None
 
 
 # --- scores as JSON, so that they can be kept, compared and ranked without the data ---------------
@@ -439,9 +443,7 @@ def to_json(scores: ScoreTable) -> dict[str, Any]:
 
 
 def _clip_json(score: ClipScore) -> dict[str, Any]:
-    names = ("clip", "seed", "n_motions", "n", "n_found", "prevalence", "reason")
-    out = {name: getattr(score, name) for name in names} | {"values": dict(score.values), "motions": []}
-    table = score.table
+    out, table = score.facts() | {"values": dict(score.values), "motions": []}, score.table
     if table is not None:  # every motion with its group, its confusion and its own scores; not read back
         scores, groups = per_motion(table), table.groups.tolist()
         out["motions"] = [
@@ -459,13 +461,18 @@ def _clip_json(score: ClipScore) -> dict[str, Any]:
     return out
 
 
+def load_scores(path: str | os.PathLike[str]) -> ScoreTable:
+    """Read a file written by ``mseg score --json``."""
+    return from_json(read_bytes(path, _MAX_JSON), os.fspath(path))
+
+
 def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
     """Read what `to_json` wrote, without contingency tables; FileFormatError when it is something else.
 
-    Its figures are claims: they must lie in their ranges and agree with each other, with the number of
-    trajectories and with the clips of the benchmark.
+    Its figures are claims: those of the clips must be possible, and everything else must be what follows from
+    them.
     """
-    from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+    from pydantic import BaseModel, Field, FiniteFloat
 
     class OneClip(BaseModel):
         clip: str = Field(min_length=1)
@@ -484,28 +491,36 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         meta: SubmissionMeta
         provenance: Provenance
         clips: list[OneClip] = Field(min_length=1)
-        # What the others must agree with.
-        seeds: list[int] = Field(default_factory=list)
-        coverage: str = ""
-        complete: bool | None = None
-        groups: dict[str, Any] = Field(default_factory=dict)
+        # What follows from the others; None claims nothing.
+        seeds: Any = None
+        coverage: Any = None
+        complete: Any = None
+        groups: Any = None
+
+    expected = "scores as 'mseg score --json' writes them"
+    read = read_model(Scores, content, where, expected)
+    clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
+    protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
+    table = ScoreTable(clips, read.meta, protocol, read.provenance)
+    wrong = next(_contradictions(table, dict(read)), "")
+    if wrong:
+        raise FileFormatError(where, expected=expected, found=wrong[:200])
+    return table
+
+
+def read_model(model: type[ModelT], content: str | bytes, where: str, expected: str) -> ModelT:
+    """Read JSON strictly as a pydantic model; FileFormatError names the first field that is wrong."""
+    from pydantic import ValidationError
 
     try:
-        read = Scores.model_validate_json(content, strict=True)
+        return model.model_validate_json(content, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        wrong = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)
-    else:
-        clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
-        protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
-        table = ScoreTable(clips, read.meta, protocol, read.provenance)
-        wrong = next(_contradictions(table, read), "")
-        if not wrong:
-            return table
-    raise FileFormatError(where, expected="scores as 'mseg score --json' writes them", found=wrong[:200])
+        found = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)
+        raise FileFormatError(where, expected=expected, found=found[:200]) from None
 
 
-def _contradictions(table: ScoreTable, read: Any) -> Iterator[str]:  # noqa: ANN401  # a pydantic model
+def _contradictions(table: ScoreTable, claimed: Mapping[str, Any]) -> Iterator[str]:
     """Yield where claimed scores cannot be true."""
     runs = {(c.clip, c.seed) for c in table.clips}
     if not len(runs) == len(table.clips) == len(table.names) * len(table.seeds):
@@ -514,19 +529,30 @@ def _contradictions(table: ScoreTable, read: Any) -> Iterator[str]:  # noqa: ANN
     for clip in table.clips:
         wrong = _clip_contradictions(clip, table.of(clip.clip))
         yield from (f"clip {clip.clip}, seed {clip.seed}: {each}" for each in wrong)
-    yield from _source_contradictions(table, read.benchmark)
-    own = {
-        "seeds": table.seeds,
-        "coverage": table.benchmark.coverage(table.names),
-        "complete": table.complete,
-    }
-    for name, value in own.items():
-        if getattr(read, name) not in (None, "", [], value):
-            yield f"{name} {getattr(read, name)!r:.60}, but {value!r:.60} by its clips"
-    for group, names in table.groups():
-        claimed = read.groups.get(group.name)
-        wrong = _group_contradictions(table, claimed, names) if claimed is not None else iter(())
-        yield from (f"group {group.name}: {each}" for each in wrong)
+    yield from _source_contradictions(table, claimed["benchmark"])
+    for name, own in to_json(table).items():
+        if name in ("seeds", "coverage", "complete", "groups") and claimed[name] is not None:
+            yield from _differences(claimed[name], own, name)
+
+
+def _clip_contradictions(clip: ClipScore, first: ClipScore) -> Iterator[str]:
+    values, n, known = clip.values, clip.n, all_metrics()
+    missing = [name for name in METRICS if name not in values]
+    if missing:
+        yield f"values without {first_few(missing)}"
+        return
+    out = [name for name in known.keys() & values if not known[name].allows(values[name])]
+    yield from (f"values.{name} = {values[name]:g} is out of range" for name in out)
+    if (n, clip.n_motions, clip.prevalence) != (first.n, first.n_motions, first.prevalence):
+        yield f"other trajectories than in seed {first.seed}"
+    if max(clip.n_motions, clip.n_found) > n:
+        yield f"more motions or groups than trajectories ({n})"
+    for name, value in (("values.error", values["error"]), ("prevalence", clip.prevalence)):
+        if abs(value * n - round(value * n)) > 1e-6 * n:
+            yield f"{name} = {value:g} is no fraction of {n} trajectories"
+    name, wanted = ("error", 1) if clip.reason else ("count_error", abs(clip.n_found - clip.n_motions))
+    if values[name] != wanted:
+        yield f"values.{name} = {values[name]:g}, but {wanted} for {clip.n_found} groups {clip.reason}"
 
 
 def _source_contradictions(table: ScoreTable, benchmark: str) -> Iterator[str]:
@@ -546,42 +572,13 @@ def _source_contradictions(table: ScoreTable, benchmark: str) -> Iterator[str]:
     yield from (f"meta.{name}" for name in wrong_fields(asdict(table.meta)))
 
 
-def _clip_contradictions(clip: ClipScore, first: ClipScore) -> Iterator[str]:
-    values, n = clip.values, clip.n
-    if not values.keys() >= METRICS.keys():
-        yield f"values without {first_few([name for name in METRICS if name not in values])}"
-        return
-    known = {name: metric for name, metric in all_metrics().items() if name in values}
-    out = [name for name, metric in known.items() if not metric.allows(values[name])]
-    yield from (f"values.{name} = {values[name]:g} is out of range" for name in out)
-    if (n, clip.n_motions, clip.prevalence) != (first.n, first.n_motions, first.prevalence):
-        yield f"other trajectories than in seed {first.seed}"
-    if max(clip.n_motions, clip.n_found) > n:
-        yield f"more motions or groups than trajectories ({n})"
-    for name, value in (("values.error", values["error"]), ("prevalence", clip.prevalence)):
-        if abs(value * n - round(value * n)) > 1e-6 * n:
-            yield f"{name} = {value:g} is no fraction of {n} trajectories"
-    name, wanted = ("error", 1) if clip.reason else ("count_error", abs(clip.n_found - clip.n_motions))
-    if values[name] != wanted:
-        how = f"without labels ({clip.reason})" if clip.reason else f"of {clip.n_found} groups"
-        yield f"values.{name} = {values[name]:g} of a clip {how}"
-
-
-def _group_contradictions(table: ScoreTable, claimed: Any, names: list[str]) -> Iterator[str]:  # noqa: ANN401
-    listed, metrics = (claimed.get(k) if isinstance(claimed, dict) else None for k in ("clips", "metrics"))
-    if listed != len(names):
-        yield f"{listed!r:.20} clips, but {len(names)} are listed"
-        return
-    rows = [table.names.index(name) for name in names]
-    means = metrics if names and isinstance(metrics, dict) else {}
-    for name in means.keys() & {*table.metrics}:
-        values = table.per_clip(name)[rows]
-        for kind, own in (("mean", values.mean()), ("median", np.median(values))):
-            stated = means[name].get(kind) if isinstance(means[name], dict) else None
-            if not isinstance(stated, (int, float)) or abs(stated - own) > 1e-9 * max(1.0, abs(own)):
-                yield f"{kind} {name} {stated!r:.40}, but {own:g} over the clips"
-
-
-def load_scores(path: str | os.PathLike[str]) -> ScoreTable:
-    """Read a file written by ``mseg score --json``."""
-    return from_json(read_bytes(path, _MAX_JSON), os.fspath(path))
+def _differences(claimed: Any, own: Any, where: str) -> Iterator[str]:  # noqa: ANN401  # JSON values
+    """Yield where a claim is not what follows from the clips; what is left out claims nothing."""
+    if isinstance(claimed, dict) and isinstance(own, dict):
+        for name in (claimed.keys() & own.keys()) - {"interval"}:  # which is of numpy's random numbers
+            yield from _differences(claimed[name], own[name], f"{where}.{name}")
+    elif isinstance(claimed, float) and isinstance(own, float):
+        if not math.isclose(claimed, own, rel_tol=1e-9, abs_tol=1e-9):
+            yield f"{where} {claimed:g}, but {own:g} by its clips"
+    elif claimed != own:
+        yield f"{where}, which is {own!r:.60} by its clips"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from kt3dmoseg.types import FloatArray
+from kt3dmoseg.types import FloatArray, IntArray
 
 _RESAMPLES = 4000
 
@@ -44,20 +45,19 @@ def summarise(values: FloatArray, weights: FloatArray) -> Summary:
 
 
 def bootstrap_mean(values: FloatArray) -> Interval:
-    """95 % percentile bootstrap interval of the mean of (n,) values or differences (Efron 1979).
+    """95 % percentile bootstrap interval of the mean of (n,) values (Efron 1979), always the same.
 
-    The same values give the same interval.
-
-    Examples
-    --------
     >>> bootstrap_mean(np.array([0.2, 0.2, 0.2]))
     Interval(low=0.2, high=0.2)
     """
-    n = len(values)
-    rng = np.random.default_rng(0)
-    means = values[rng.integers(0, n, size=(_RESAMPLES, n))].mean(axis=1)
+    means = values[_resamples(len(values))].mean(axis=1)
     low, high = np.quantile(means, [(1 - 0.95) / 2, (1 + 0.95) / 2])
     return Interval(round(float(low), 12), round(float(high), 12))
+
+
+@lru_cache(maxsize=4)
+def _resamples(n: int) -> IntArray:
+    return np.random.default_rng(0).integers(0, n, size=(_RESAMPLES, n))
 
 
 def wilcoxon_p(differences: FloatArray) -> float:
@@ -65,10 +65,7 @@ def wilcoxon_p(differences: FloatArray) -> float:
 
     Differences of zero are dropped; without any other, p = 1. The distribution is exact, given the
     ranks: every pattern of signs is as likely, equal sizes share their mean rank (Wilcoxon 1945).
-
-    Examples
-    --------
-    Five differences of one sign: 2 of the 32 patterns of signs are as extreme.
+    Of five differences of one sign, 2 of the 32 patterns of signs are as extreme:
 
     >>> wilcoxon_p(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     0.0625
@@ -76,15 +73,11 @@ def wilcoxon_p(differences: FloatArray) -> float:
     nonzero = np.round(differences, 12)
     nonzero = nonzero[nonzero != 0]
     _, place, counts = np.unique(np.abs(nonzero), return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    ranks = (2 * last - counts + 1)[place]  # twice the mean rank: whole numbers
-    positive = int(ranks[nonzero > 0].sum())
+    ranks = (2 * np.cumsum(counts) - counts + 1)[place]  # twice the mean rank: whole numbers
     share = np.ones(1)
     for rank in ranks:  # distribution of the sum of the positive ranks, one sign after the other
-        grown = np.zeros(len(share) + rank)
-        grown[: len(share)] = share / 2
-        grown[rank:] += share / 2
-        share = grown
+        share = np.pad(share / 2, (0, rank)) + np.pad(share / 2, (rank, 0))
+    positive = int(ranks[nonzero > 0].sum())
     tail = min(positive, int(ranks.sum()) - positive)
     return float(min(1.0, 2 * share[: tail + 1].sum()))
 
@@ -92,11 +85,8 @@ def wilcoxon_p(differences: FloatArray) -> float:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Adjust p-values for several tests (Holm 1979).
 
-    The k-th smallest of m is multiplied by m - k + 1, and never falls below the one before.
-
-    Examples
-    --------
-    0.01 * 3, 0.02 * 2, and 0.03 * 1 lifted to 0.04.
+    The k-th smallest of m is multiplied by m - k + 1, and never falls below the one before: here 0.01 * 3,
+    0.02 * 2, and 0.03 * 1 lifted to 0.04.
 
     >>> [round(p, 4) for p in holm([0.03, 0.01, 0.02])]
     [0.04, 0.03, 0.04]
@@ -104,8 +94,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")
     scaled = np.minimum(1.0, p[order] * np.arange(len(p), 0, -1))
-    adjusted = np.empty(len(p))
-    adjusted[order] = np.maximum.accumulate(scaled) if len(p) else scaled
+    adjusted = np.maximum.accumulate(scaled)[np.argsort(order)]
     return [float(value) for value in adjusted]
 
 

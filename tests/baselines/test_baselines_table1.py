@@ -8,8 +8,8 @@ import pytest
 
 from mseg import methods
 from mseg.benchmark import BenchmarkResult, Configuration
-from mseg.benchmark.results import published_name
 from mseg.evaluation import load_protocol
+from mseg.evaluation.results import published_name
 
 
 @pytest.fixture(scope="module")

@@ -403,11 +403,8 @@ def test_what_a_method_did_otherwise_than_asked_is_reported(data, tmp_path, monk
     assert found.report["notes"] == NOTES
     assert NOTES[0] in repr(found)
     monkeypatch.setattr("mseg.methods.create", lambda name, **_: Careless())
-    monkeypatch.setattr("mseg.benchmark.tasks.create", lambda name, **_: Careless())
     monkeypatch.setattr("mseg.benchmark.runner.create", lambda name, **_: Careless())
-    monkeypatch.setattr("mseg.benchmark.tasks.asdict", vars)
-    monkeypatch.setattr("mseg.benchmark.predictions.create", lambda name, **_: Careless())
-    monkeypatch.setattr("mseg.benchmark.predictions.asdict", vars)
+    monkeypatch.setattr("mseg.benchmark.runner.asdict", vars)
     assert mseg.cli.main(["run", str(data), "-o", str(tmp_path / "s"), "--seeds", "2", "--quiet"]) == 0
     line = f"note: example_two: {'; '.join(NOTES)}"
     assert line in capsys.readouterr().err.splitlines()

@@ -180,7 +180,7 @@ def better(content):
     for clip in content["clips"]:
         clip["values"]["error"] = 0.0
     for group in content["groups"].values():
-        group["metrics"]["error"].update(mean=0.0, median=0.0)
+        group["metrics"]["error"].update(mean=0.0, median=0.0, pooled=0.0)
 
 
 def fewer(content):

@@ -6,7 +6,7 @@ from evaluation_helpers import CLIPS, perfect
 import kt3dmoseg
 import mseg.cli
 from kt3dmoseg.errors import InputFileError
-from mseg.benchmark import predictions
+from mseg.benchmark import runner
 from mseg.evaluation import example
 
 
@@ -74,7 +74,7 @@ def test_a_leaderboard_is_not_made_for_nothing(tmp_path, capsys):
 
 
 def test_an_output_that_cannot_be_written_is_reported_before_the_work(data, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(predictions, "run_tasks", None)
+    monkeypatch.setattr(runner, "run_tasks", None)
     (tmp_path / "file").write_text("")
     printed = usage_error(capsys, "run", data, "-o", str(tmp_path / "file"))
     assert "cannot write" in printed

@@ -19,7 +19,7 @@ from kt3dmoseg.parallel import Cache, run_tasks
 from kt3dmoseg.types import Clip, Labels
 from mseg.benchmark import Configuration, find_clips, predict, run
 from mseg.benchmark import runner as runner_module
-from mseg.benchmark.tasks import (
+from mseg.benchmark.runner import (
     Outcome,
     Task,
     keep_outcome,
@@ -70,17 +70,17 @@ def _same_labels(tasks, results):
     expected = {task.name: run_task(task) for task in tasks}
     assert sorted(task.name for task, _ in results) == sorted(expected)
     for task, outcomes in results:
-        assert not any(outcome.reason for outcome in outcomes)
-        for found, wanted in zip(outcomes, expected[task.name], strict=True):
-            assert_array_equal(found.labels, wanted.labels)
+        assert outcomes.keys() == expected[task.name].keys()
+        for key, found in outcomes.items():
+            assert not found.reason
+            assert_array_equal(found.labels, expected[task.name][key].labels)
 
 
 @pytest.fixture(scope="module")
 def tasks(make_clip):
     clip = make_clip(points=14).without_labels()
     return [
-        Task(clip, 2, seed, (("a", Configuration("affine")), ("s", Configuration("subset"))))
-        for seed in range(6)
+        Task(clip, 2, seed, {"a": Configuration("affine"), "s": Configuration("subset")}) for seed in range(6)
     ]
 
 
@@ -110,7 +110,7 @@ def dying(work, tasks, *, lost, **_):
 
 def test_predictions_whose_workers_died_are_made_by_the_next_run(data, monkeypatch, tmp_path):
     with monkeypatch.context() as broken:
-        broken.setattr("mseg.benchmark.predictions.run_tasks", dying)
+        broken.setattr("mseg.benchmark.runner.run_tasks", dying)
         predict(data, tmp_path / "p", "affine")
     assert validate_submission(tmp_path / "p", data).ok
     assert len(list((tmp_path / "p").glob("*.failed"))) == 3
@@ -188,7 +188,7 @@ def test_a_method_of_another_package_is_known_by_its_version(make_clip, monkeypa
         monkeypatch.setattr(Theirs, "ALGORITHM_VERSION", stated, raising=False)
         keys.append(outcome_key(Configuration("theirs"), clip, 2, 0))
     assert len(set(keys)) == len(keys)
-    monkeypatch.setattr("mseg.benchmark.tasks._THIS_PROCESS", "another process")
+    monkeypatch.setattr("mseg.benchmark.runner._THIS_PROCESS", "another process")
     assert outcome_key(Configuration("theirs"), clip, 2, 0) != keys[-1]
 
 
@@ -202,11 +202,12 @@ def test_our_methods_are_known_by_the_version_of_the_algorithms(make_clip, monke
 
 def test_failures_are_kept_but_not_deaths(tmp_path):
     cache = Cache(tmp_path / "cache")
-    keep_outcome(cache, Outcome("failed", None, 1.0, "too few points"))
-    keep_outcome(cache, Outcome("died", None, float("nan"), "worker died"))
+    none = np.zeros(0, dtype=int)
+    keep_outcome(cache, "failed", Outcome(none, 1.0, "too few points"))
+    keep_outcome(cache, "died", Outcome(none, float("nan"), "worker died"))
     kept = read_outcome(cache, "failed")
     assert kept is not None
-    assert (kept.labels, kept.reason) == (None, "too few points")
+    assert (len(kept.labels), kept.reason) == (0, "too few points")
     assert read_outcome(cache, "died") is None
     assert read_outcome(cache, "never kept") is None
 
