@@ -12,7 +12,7 @@ from pathlib import Path
 
 from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Drive, Entry
-from kt3dmoseg.kitti.locating import fingerprint_folder
+from kt3dmoseg.kitti.raw import fingerprint_folder
 
 # The day of each drive that KT3DMoSeg uses; drive numbers are in the clips' names.
 DAYS = {

@@ -25,7 +25,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -56,10 +56,7 @@ class Drive:
     number : int or str
         Number of the drive on that day: 5, ``"5"`` and ``"0005"`` are the same.
 
-    Raises
-    ------
-    InvalidValueError
-        When either is not of that form.
+    InvalidValueError is raised when either is not of that form.
     """
 
     date: str
@@ -84,7 +81,7 @@ class Drive:
 
     def camera_folder(self, camera: int) -> str:
         """Folder of one camera below a KITTI raw root; holds ``timestamps.txt`` and ``data/``."""
-        return f"{self.folder}/image_{check_camera(camera):02d}"
+        return f"{self.folder}/image_{camera:02d}"
 
 
 @dataclass(frozen=True)
@@ -124,10 +121,7 @@ class Entry:
     proof, source : str
         How and where the numbers were found; empty when a person gave them.
 
-    Raises
-    ------
-    InvalidValueError
-        When a value makes no sense or lengths disagree.
+    InvalidValueError is raised when a value makes no sense or lengths disagree.
     """
 
     name: str
@@ -142,13 +136,15 @@ class Entry:
 
     def __post_init__(self) -> None:
         _check_text(self.name, "name", "[A-Za-z0-9][A-Za-z0-9_-]{0,99}", "letters, digits, _ and -")
-        object.__setattr__(self, "camera", check_camera(self.camera))
-        if check_integer(self.length, "length", MOST_FRAMES) == 0:
-            raise InvalidValueError("length", expected="at least 1", found="0")
+        object.__setattr__(self, "camera", check_integer(self.camera, "camera", CAMERAS[-1]))
+        if not isinstance(self.size, (list, tuple, type(None))) or len(self.size or (0, 0)) != 2:
+            raise InvalidValueError("size", expected="[width, height]", found=repr(self.size))
         if self.size is not None:
-            object.__setattr__(self, "size", _check_size(self.size))
+            object.__setattr__(self, "size", tuple(check_integer(s, "size", 1 << 16) for s in self.size))
         if self.numbers is None and not self.frames:
             raise InvalidValueError("numbers", expected="numbers or frames", found="neither")
+        if check_integer(self.length, "length", MOST_FRAMES) == 0:
+            raise InvalidValueError("length", expected="at least 1", found="0")
         for key, values in (("numbers", self.numbers), ("frames", self.frames or None)):
             if values is not None and len(values) != self.length:
                 raise InvalidValueError(key, expected=f"{self.length}, the length", found=f"{len(values)}")
@@ -168,11 +164,6 @@ def check_integer(value: object, what: str, last: int) -> int:
     if not re.fullmatch(r"[0-9]{1,13}", digits) or int(digits) > last:
         raise InvalidValueError(what, expected=f"a whole number from 0 to {last}", found=repr(value))
     return int(digits)
-
-
-def check_camera(camera: int | str) -> int:
-    """Return the camera's number, 0 to 3; raise InvalidValueError for anything else."""
-    return check_integer(camera, "camera", CAMERAS[-1])
 
 
 def parse_numbers(text: str) -> tuple[int, ...]:
@@ -208,36 +199,14 @@ def _check_text(value: object, what: str, pattern: str, expected: str) -> str:
     return value
 
 
-def _check_size(size: Sequence[int]) -> tuple[int, int]:
-    if not isinstance(size, (list, tuple)) or len(size) != 2:
-        raise InvalidValueError("size", expected="[width, height]", found=repr(size))
-    return check_integer(size[0], "width", 1 << 16), check_integer(size[1], "height", 1 << 16)
-
-
 def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Entry]:
-    """Read the built-in catalog and the users' catalogs.
+    """Read the built-in catalog and the users' catalogs: clips by name, each in one of them only.
 
-    Parameters
-    ----------
-    *paths : path
-        Users' catalogs, in order; a name may be in one of them only.
-    built_in : bool
-        Whether the 22 clips are included.
-
-    Returns
-    -------
-    dict of str to Entry
-        Clips by name.
-
-    Raises
-    ------
-    InputFileError, FileFormatError
-        When a file is missing or not a catalog; the message gives the first problem.
+    InputFileError or FileFormatError when a file is missing or not a catalog; the message gives the first
+    problem.
     """
     clips: dict[str, Entry] = {}
-    for path in ([BUILT_IN] if built_in else []) + [Path(p) for p in paths]:
-        found, problems = parse(path)
-        problems += [f"clips.{name}: the name is taken by another catalog" for name in found if name in clips]
+    for path, found, problems in parse_all(([BUILT_IN] if built_in else []) + [Path(p) for p in paths]):
         if problems:
             more = f"{len(problems) - 1} more: " if len(problems) > 1 else ""
             raise FileFormatError(
@@ -245,6 +214,16 @@ def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Ent
             )
         clips |= found
     return clips
+
+
+def parse_all(paths: Iterable[Path]) -> Iterator[tuple[Path, dict[str, Entry], list[str]]]:
+    """Read catalogs: of each the path, its valid clips and every problem, names that are taken as well."""
+    taken: set[str] = set()
+    for path in paths:
+        clips, problems = parse(path)
+        problems += [f"clips.{name}: the name is taken by another catalog" for name in clips if name in taken]
+        taken |= clips.keys()
+        yield path, clips, problems
 
 
 def select(clips: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entry]:
@@ -300,48 +279,42 @@ def _entry(name: str, table: Any) -> Entry:  # noqa: ANN401  # whatever TOML hol
     for key in _REQUIRED:
         if key not in table:
             raise InvalidValueError(key, expected="a value", found="none")
-    values = table | {"drive": Drive(table["date"], table["drive"])}
-    del values["date"]
+    values = {"frames": [], **table}
+    if not isinstance(values["frames"], list):
+        raise InvalidValueError("frames", expected="a list", found=repr(values["frames"])[:80])
+    values["frames"] = tuple(_fingerprint(frame, k) for k, frame in enumerate(values["frames"]))
     if "numbers" in table:
         values["numbers"] = parse_numbers(table["numbers"])
-    if not isinstance(table.get("frames", []), list):
-        raise InvalidValueError("frames", expected="a list", found=repr(table["frames"])[:80])
-    values["frames"] = tuple(_fingerprint(f, k) for k, f in enumerate(table.get("frames", [])))
-    return Entry(name, **values)
+    return Entry(name, Drive(values.pop("date"), values.pop("drive")), **values)
 
 
 def _fingerprint(frame: Any, index: int) -> Fingerprint:  # noqa: ANN401
-    where = f"frames[{index}]"
-    if not isinstance(frame, dict) or set(frame) != {"crc32", "bytes", "pixels"}:
-        raise InvalidValueError(where, expected="{ crc32, bytes, pixels }", found=repr(frame)[:80])
     try:
-        _check_text(frame["crc32"], "crc32", "[0-9a-f]{8}", "8 hexadecimal digits")
-        return Fingerprint(**frame | {"crc32": int(frame["crc32"], 16)})
+        if not isinstance(frame, dict) or set(frame) != {"crc32", "bytes", "pixels"}:
+            raise InvalidValueError("frame", expected="{ crc32, bytes, pixels }", found=repr(frame)[:80])
+        crc32 = int(_check_text(frame["crc32"], "crc32", "[0-9a-f]{8}", "8 hexadecimal digits"), 16)
+        return Fingerprint(crc32, frame["bytes"], frame["pixels"])
     except InvalidValueError as error:
-        raise InvalidValueError(f"{where}: {error}") from None
+        raise InvalidValueError(f"frames[{index}]: {error}") from None
 
 
 def _toml(clip: Entry) -> str:
     values = {
-        "date": quoted(clip.drive.date),
-        "drive": f"{clip.drive.number}",
-        "camera": f"{clip.camera}",
-        "length": f"{clip.length}",
-        "size": f"{list(clip.size)}" if clip.size else "",
-        "numbers": quoted(format_numbers(clip.numbers)) if clip.numbers else "",
-        "proof": quoted(clip.proof) if clip.proof else "",
-        "source": quoted(clip.source) if clip.source else "",
+        "date": _quoted(clip.drive.date),
+        "drive": clip.drive.number,
+        "camera": clip.camera,
+        "length": clip.length,
+        "size": clip.size and list(clip.size),
+        "numbers": clip.numbers and _quoted(format_numbers(clip.numbers)),
+        "proof": clip.proof and _quoted(clip.proof),
+        "source": clip.source and _quoted(clip.source),
     }
-    lines = [f"[clips.{clip.name}]", *(f"{key} = {value}" for key, value in values.items() if value)]
+    lines = [f"{key} = {value}" for key, value in values.items() if value not in (None, "", ())]
     rows = [f'crc32 = "{f.crc32:08x}", bytes = {f.bytes}, pixels = "{f.pixels}"' for f in clip.frames]
     lines += ["frames = [", *(f"  {{ {row} }}," for row in rows), "]"] if rows else []
-    return "\n".join(lines) + "\n"
+    return "\n".join([f"[clips.{clip.name}]", *lines]) + "\n"
 
 
-def quoted(text: str) -> str:
-    r"""Return a text as a basic string of TOML, on one line.
-
-    >>> print(quoted('a 5" pipe'))
-    "a 5\" pipe"
-    """
+def _quoted(text: str) -> str:
+    """Return a text as a basic string of TOML, on one line."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

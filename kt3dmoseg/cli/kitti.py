@@ -96,15 +96,11 @@ def list_clips(*, catalogs: Catalogs = ()) -> None:
 @catalog.command
 def check(*catalogs: Annotated[Path, Parameter(help="Files (default: the built-in one).")]) -> None:
     """Print every problem of catalogs."""
-    from kt3dmoseg.catalog import BUILT_IN, parse
+    from kt3dmoseg.catalog import BUILT_IN, parse_all
     from kt3dmoseg.errors import FileFormatError
 
-    names: dict[str, str] = {}
     wrong = 0
-    for path in catalogs or [BUILT_IN]:
-        clips, problems = parse(path)
-        problems += [f"clips.{name}: also in {names[name]}" for name in clips if name in names]
-        names |= dict.fromkeys(clips, str(path))
+    for path, clips, problems in parse_all(catalogs or [BUILT_IN]):
         for problem in problems:
             print(f"{path}: {problem}")
         wrong += len(problems)
@@ -132,26 +128,12 @@ def add(
     kt3dmoseg catalog add MyClip --date 2011_09_26 --drive 5 --camera 2 --numbers 40-59 --catalog mine.toml
     kt3dmoseg catalog add MyClip FRAMES --date 2011_09_26 --drive 5 --catalog mine.toml
     """
-    from kt3dmoseg.catalog import Drive, Entry, Fingerprint, add, check_camera, parse_numbers
-    from kt3dmoseg.errors import InvalidValueError
+    from kt3dmoseg.catalog import Drive, Entry, add, parse_numbers
+    from kt3dmoseg.kitti.raw import fingerprint_folder
 
-    marks: tuple[Fingerprint, ...] = ()
-    size = None
-    if frames is not None:
-        from kt3dmoseg.kitti.locating import fingerprint_folder
-
-        marks, size = fingerprint_folder(frames)
+    marks, size = fingerprint_folder(frames) if frames else ((), None)
     chosen = None if numbers is None else parse_numbers(numbers)
-    if chosen is None and not marks:
-        raise InvalidValueError("catalog add", expected="--numbers or --frames", found="neither")
-    entry = Entry(
-        name=name,
-        drive=Drive(date, drive),  # type: ignore[arg-type]  # digits, too
-        camera=check_camera(camera),
-        length=len(chosen or marks),
-        size=size,
-        numbers=chosen,
-        frames=marks,
-    )
+    place = Drive(date, drive), camera  # type: ignore[arg-type]  # digits, too
+    entry = Entry(name, *place, len(chosen or marks), size, chosen, marks)  # type: ignore[arg-type]
     add(catalog, entry)
     print(f"{catalog}: added {entry.name}, {entry.length} frames of {entry.drive.name}")

@@ -10,11 +10,13 @@ import json
 import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
+
+from tqdm import tqdm
 
 from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Drive, Entry
@@ -22,8 +24,10 @@ from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import hold_folder, parse_json, read_bytes, write_bytes, write_text
 from kt3dmoseg.kitti.http import AbsentError, Client, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.options import Origin
-from kt3dmoseg.kitti.raw import LOCATED
-from kt3dmoseg.kitti.remote_zip import LARGEST_FILE, Archive, DamagedError
+from kt3dmoseg.kitti.raw import LARGEST_FILE, LOCATED
+from kt3dmoseg.kitti.remote_zip import Archive, DamagedError
+
+T = TypeVar("T")
 
 _COMMENT = """Frame numbers of clips in KITTI raw drives, and how they were proved.
 Written by kt3dmoseg locate and pull; pull starts from them."""
@@ -32,13 +36,13 @@ Written by kt3dmoseg locate and pull; pull starts from them."""
 class Packed(NamedTuple):
     """What KITTI packs into one zip: its address below raw_data, and where the files are when extracted.
 
-    `probe` is a file that is there when it was extracted. Only frames, without one, are large: of the others
-    a server without ranges may send all. Tracklets are missing for many drives.
+    `names` are the wanted files in the folder. Only frames, which have none, are large: of the others a
+    server without ranges may send all. Tracklets are missing for many drives.
     """
 
     zip: str
     folder: str
-    probe: str = ""
+    names: tuple[str, ...] = ()
     optional: bool = False
 
 
@@ -64,19 +68,14 @@ class TargetFolder:
         return self.root / ".kt3dmoseg"
 
     def lock(self) -> AbstractContextManager[object]:
-        """Hold the folder alone; when another process holds it, report that and wait.
-
-        Where the system has no ``flock`` (Windows), two pulls are safe, but may fetch the same file twice.
-        """
+        """Hold the folder alone; when another process holds it, report that and wait."""
         waiting = f"another process works in {self.root}; waiting for it"
         return nullcontext() if self.frozen else hold_folder(self.state, lambda: print(waiting, flush=True))
 
     def directory(self, url: str) -> tuple[int, bytes] | None:
         """Return the size and the end of an archive, as kept; the size is 0 when the server has none."""
         path = self.path_for(url, "directory")
-        if not path.is_file():
-            return None
-        head, _, tail = read_bytes(path, LARGEST_FILE).partition(b"\n")
+        head, _, tail = (read_bytes(path, LARGEST_FILE) if path.is_file() else b"").partition(b"\n")
         try:
             size, crc = parse_json(head, "directory")
         except (ValueError, TypeError):
@@ -92,10 +91,8 @@ class TargetFolder:
     def files(self) -> dict[str, tuple[int, int]]:
         """Files that were fetched, relative to the root, with size and CRC32."""
         path = self.state / "files.json"
-        if not path.is_file():
-            return {}
         try:
-            listed = parse_json(read_bytes(path, LARGEST_FILE), "files", LARGEST_FILE)
+            listed = parse_json(read_bytes(path, LARGEST_FILE), "", LARGEST_FILE) if path.is_file() else {}
             return {str(name): (int(size), int(crc, 16)) for name, (size, crc) in listed.items()}
         except (ValueError, TypeError, AttributeError):
             fix = "remove it and pull again"
@@ -127,16 +124,6 @@ class TargetFolder:
         """Where something about an archive is kept: its ``directory``, or the ``zip`` when all of it came."""
         return self.state / f"{PurePosixPath(url).stem}.{zlib.crc32(url.encode()):08x}.{suffix}"
 
-    def downloaded(self, url: str) -> int:
-        """Bytes that are here of a whole zip, from an interrupted download."""
-        part = self.path_for(url, "part")
-        return part.stat().st_size if part.is_file() else 0
-
-    def drop_zips(self) -> None:
-        """Remove downloaded zips, and parts of them; everything wanted is on disk."""
-        for path in [*self.state.glob("*.zip"), *self.state.glob("*.part")]:
-            path.unlink()
-
 
 class Extracted:
     """Extracted files of a drive or a day; the interface is that of `Archive`."""
@@ -148,7 +135,10 @@ class Extracted:
         self.name, self._root = str(root / folder), root
         files = [f for f in (root / folder).rglob("[!.]*") if f.is_file()]
         self.sizes = {file.relative_to(root).as_posix(): file.stat().st_size for file in files}
-        self.crc32 = cache(lambda name: crc32_file(root / name))
+
+    def crc32(self, name: str) -> int:
+        """CRC32 of a file."""
+        return crc32_file(self._root / name)
 
     def cost(self, names: Iterable[str]) -> int:
         """Nothing: the files are here."""
@@ -162,19 +152,70 @@ class Extracted:
 FileSet: TypeAlias = Archive | Extracted
 
 
-class Server:
-    """KITTI's server, or a mirror; the target folder keeps the directories of its zips."""
+class Archives:
+    """The archives of a server, of which the target folder keeps the directories, or those in a folder.
 
-    def __init__(self, address: str, client: Client, target: TargetFolder) -> None:
-        if not re.match(r"https?://[^/\s]", address):
-            raise InvalidValueError("mirror", expected="an address http:// or https://", found=repr(address))
-        self._base, self._client, self._target = address.rstrip("/"), client, target
+    `local` is that folder; it may be one zip. When a server ignores ranges, all of a zip is fetched at once
+    if it is small or `whole` is true.
+    """
 
-    def open(self, packed: Packed, *, again: bool = False) -> Archive:
+    def __init__(
+        self, origin: Origin, target: TargetFolder, traffic: Traffic | None,
+        report: Callable[[str], object], *, whole: bool = False,
+    ) -> None:  # fmt: skip
+        self.local = Path(origin.local) if origin.local is not None else None
+        if self.local is not None and not self.local.exists():
+            raise InputFileError(f"{self.local}: no such file or folder")
+        if self.local is None and not re.match(r"https?://[^/\s]", origin.mirror):
+            expected = "an address http:// or https://"
+            raise InvalidValueError("mirror", expected=expected, found=repr(origin.mirror))
+        self._base, self._target = origin.mirror.rstrip("/"), target
+        self._report, self._whole = report, whole
+        self._client = Client(origin, traffic)
+        self.close = self._client.close
+
+    def look(self, packed: Packed, look: Callable[[FileSet, bool], T], *, again: bool = False) -> T:
+        """Return ``look(files, again)``; what is damaged is read once more from the server, with `again`.
+
+        It raises AbsentError, or RangesIgnoredError when all of the zip must be fetched by `download` first.
+        """
+        if not again:
+            try:
+                return look(self._open(packed, again=False), False)
+            except DamagedError as error:
+                if self.local is not None:
+                    raise
+                self._report(f"{error}; fetching it again")
+        return look(self._open(packed, again=True), True)
+
+    def download(self, url: str, size: int | None) -> Archive:
+        """Download all of a zip whose server ignores ranges, resuming what is there of it.
+
+        DamagedError when it is not intact then; it is removed.
+        """
+        copy, part = self._target.path_for(url, "zip"), self._target.path_for(url, "part")
+        part.parent.mkdir(parents=True, exist_ok=True)
+        with tqdm(total=size, unit="B", unit_scale=True, desc="zip", disable=None) as bar:
+            self._client.download(url, part, bar.update)
+        try:
+            archive = Archive.on_disk(part)
+            for _ in archive.read(name for name, size in archive.sizes.items() if size <= LARGEST_FILE):
+                pass  # every file has its checksum
+        except FileFormatError as error:
+            part.unlink(missing_ok=True)
+            raise DamagedError(error.where, expected=error.expected, found=error.found) from None
+        self._target.keep_directory(url, *archive.directory)
+        part.replace(copy)
+        return Archive.on_disk(copy)
+
+    def _open(self, packed: Packed, *, again: bool) -> FileSet:
         """Open a zip; with `again`, what is kept of it may be damaged and is fetched once more."""
+        if self.local is not None:
+            return _find(self.local, packed)
         url = f"{self._base}/{packed.zip}"
-        if copy := self._copy(url, again=again):
-            return copy
+        return self._copy(url, again=again) or self._on_server(packed, url, again=again)
+
+    def _on_server(self, packed: Packed, url: str, *, again: bool) -> Archive:
         try:
             known = None if again else self._target.directory(url)
             size, tail = known or (self._client.size(url), b"")
@@ -182,10 +223,11 @@ class Server:
                 raise AbsentError(f"{url}: the server had no such file before")
             self._client.sizes[url] = size
             archive = Archive(url, size, partial(self._client.chunks, url), tail)
-        except RangesIgnoredError:
-            if not packed.probe or self._target.frozen:
+        except RangesIgnoredError as error:
+            if self._target.frozen or not (self._whole or packed.names):
                 raise
-            return self.download(url)
+            self._report(f"{error}; fetching all of the file, which pull will use")
+            return self.download(url, error.size)
         except AbsentError:
             if packed.optional:
                 self._target.keep_directory(url, 0, b"")
@@ -206,63 +248,19 @@ class Server:
             path.unlink(missing_ok=True)
         return None
 
-    def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:
-        """Download all of a zip whose server ignores ranges, resuming what is there of it.
 
-        DamagedError when it is not intact then; it is removed.
-        """
-        copy = self._target.path_for(url, "zip")
-        part = copy.with_suffix(".part")
-        part.parent.mkdir(parents=True, exist_ok=True)
-        self._client.download(url, part, progress)
-        try:
-            archive = Archive.on_disk(part)
-            for _ in archive.read(name for name, size in archive.sizes.items() if size <= LARGEST_FILE):
-                pass  # every file has its checksum
-        except FileFormatError as error:
-            part.unlink(missing_ok=True)
-            raise DamagedError(error.where, expected=error.expected, found=error.found) from None
-        self._target.keep_directory(url, *archive.directory)
-        part.replace(copy)
-        return Archive.on_disk(copy)
-
-
-class LocalFolder:
-    """A folder on disk with zips as downloaded from KITTI, or with extracted drives; or one zip."""
-
-    def __init__(self, path: Path) -> None:
-        if not path.exists():
-            raise InputFileError(f"{path}: no such file or folder")
-        self._path = path
-
-    def open(self, packed: Packed, *, again: bool = False) -> FileSet:
-        """Find the extracted files or their zip."""
-        if (self._path / packed.folder / packed.probe).exists():
-            return Extracted(self._path, packed.folder)
-        name = PurePosixPath(packed.zip).name
-        paths = [self._path / packed.zip, self._path / name, self._path / packed.folder[:10] / name]
-        if self._path.is_file():
-            paths = [self._path] if self._path.name == name else []
-        for path in paths:
-            if path.is_file():
-                return Archive.on_disk(path)
-        raise AbsentError(f"{self._path}: neither {Path(packed.folder, packed.probe)} nor {name} is there")
-
-    def download(self, url: str, progress: Callable[[int], object] = lambda count: None) -> Archive:
-        """Nothing is downloaded."""
-        raise AssertionError(f"{url}: local folders have no address")
-
-
-@contextmanager
-def open_origin(
-    origin: Origin, target: TargetFolder, traffic: Traffic | None = None
-) -> Iterator[Server | LocalFolder]:
-    """Give what the options name; connections are closed at the end."""
-    if origin.local is not None:
-        yield LocalFolder(Path(origin.local))
-        return
-    with closing(Client(origin, traffic)) as client:
-        yield Server(origin.mirror, client, target)
+def _find(local: Path, packed: Packed) -> FileSet:
+    """Find the extracted files or their zip in a folder."""
+    probe, name = "".join(packed.names[:1]), PurePosixPath(packed.zip).name
+    if (local / packed.folder / probe).exists():
+        return Extracted(local, packed.folder)
+    places = [local / packed.zip, local / name, local / packed.folder[:10] / name]
+    if local.is_file():
+        places = [local] if local.name == name else []
+    for path in places:
+        if path.is_file():
+            return Archive.on_disk(path)
+    raise AbsentError(f"{local}: neither {Path(packed.folder, probe)} nor {name} is there")
 
 
 def crc32_file(path: Path) -> int:

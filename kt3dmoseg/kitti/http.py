@@ -17,16 +17,13 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-from urllib.parse import urljoin
 
+import requests
 from tqdm import tqdm
+from urllib3.exceptions import HTTPError
 
-from kt3dmoseg.errors import InputFileError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.kitti.options import Origin
-
-if TYPE_CHECKING:
-    import requests
 
 _BLOCK = 1 << 16
 _PROGRESS = 1 << 14  # an attempt that receives this much is not counted against the server
@@ -75,18 +72,14 @@ class Client:
     cannot be reached or refuses.
     """
 
-    def __init__(self, options: Origin | None = None, traffic: Traffic | None = None) -> None:
-        try:
-            import requests
-        except ImportError:
-            raise MissingDependencyError(
-                "downloads need the package requests", fix="pip install 'kt3dmoseg[pull]'"
-            ) from None
-        self._options, self._traffic = options or Origin(), traffic or Traffic()
+    def __init__(self, options: Origin, traffic: Traffic | None = None) -> None:
+        self._options, self._traffic = options, traffic or Traffic()
         self.sizes: dict[str, int] = {}
         self._versions: dict[str, str] = {}  # what If-Range asks for: a strong ETag, else Last-Modified
         self._session = requests.Session()
         self._session.headers["Accept-Encoding"] = "identity"  # so that lengths are those of the file
+        self._session.max_redirects = _REDIRECTS
+        self._session.hooks["response"].append(_close_redirect)
 
     def close(self) -> None:
         """Close all connections."""
@@ -106,27 +99,24 @@ class Client:
     def download(self, url: str, path: Path, progress: Callable[[int], object] = lambda count: None) -> None:
         """Append to `path` what it lacks of a file, from a server that may ignore ranges.
 
-        A part that is there already, from an interrupted download, is kept: the rest is requested, and
-        where the server sends everything again, the beginning is passed over. A file that changes meanwhile
+        Where the server sends everything again, the beginning is passed over. A file that changes meanwhile
         is fetched from its beginning.
         """
         try:
-            try:
-                self._append(url, path, progress)
-            except ChangedError:
-                path.unlink()
-                self._append(url, path, progress)
-        except OSError as error:
-            if isinstance(error, InputFileError):
-                raise
-            raise InputFileError(f"{path}: cannot write", found=error.strerror or str(error)) from None
+            self._append(url, path, progress)
+        except ChangedError:
+            path.unlink()
+            self._append(url, path, progress)
 
     def _append(self, url: str, path: Path, progress: Callable[[int], object]) -> None:
         self._forget(url)
         with open(path, "ab") as stream:
             have = stream.tell()
             for block in self._persist(url, lambda got: self._attempt(url, have + got)):
-                stream.write(block)
+                try:
+                    stream.write(block)
+                except OSError as error:
+                    raise InputFileError(f"{path}: cannot write", found=str(error.strerror)) from None
                 progress(len(block))
 
     def _forget(self, url: str) -> None:
@@ -160,7 +150,8 @@ class Client:
         with closing(self._get(url, f"bytes={start}-{stop}")) as response:
             if response.status_code == 416 and length is None:
                 return  # there is nothing after what we have; the reader will notice if it is not the file
-            at, end = self._extent(response, url, start, length)
+            at, size = self._extent(response, url, start, length)
+            end = size if length is None else start + length
             for block in self._body(response):
                 yield block[max(0, start - at) : None if end is None else max(0, end - at)]
                 at += len(block)
@@ -172,124 +163,79 @@ class Client:
     def _extent(
         self, response: requests.Response, url: str, start: int, length: int | None
     ) -> tuple[int, int | None]:
-        """Return where the body begins and where what is wanted of it ends, if the server states it."""
-        status = response.status_code
-        if status == 200:
-            return self._all(response, url, length)
-        if status == 416:
+        """Return where the body begins, and the size of the file if the server states it."""
+        headers = response.headers
+        if response.status_code == 416:
             raise ChangedError(url, expected=f"at least {start + (length or 0)} bytes", found="fewer")
-        if status != 206:
-            raise InputFileError(f"{url}: the server answered {status} {response.reason}")
-        text = response.headers.get("Content-Range", "")
+        etag = headers.get("ETag", "")
+        version = etag if etag.startswith('"') else headers.get("Last-Modified", "")
+        asked = self._versions.setdefault(url, version)
+        if response.status_code != 206:  # ranges are ignored, or If-Range is honoured for a changed file
+            if asked != version:
+                raise ChangedError(url, expected=f"version {asked} as before", found=version or "another")
+            total = headers.get("Content-Length", "")
+            size = int(total) if total.isdigit() else None
+            if length is not None:
+                raise RangesIgnoredError(url, size)
+            return 0, size
+        text = headers.get("Content-Range", "")
         match = re.fullmatch(r"bytes (\d+)-\d+/(\d+)", text.strip())
         if not match:
             raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=repr(text))
-        self._version(response, url)
         first, size = int(match[1]), int(match[2])
         known = self.sizes.setdefault(url, size)
         if known != size:
             raise ChangedError(url, expected=f"{known} bytes as before", found=f"{size}")
         if first != start:
             raise _TransientError(f"a range from byte {first} instead of {start}")
-        return first, size if length is None else start + length
-
-    def _all(self, response: requests.Response, url: str, length: int | None) -> tuple[int, int | None]:
-        """Return the extent of a whole file, from a server that ignores ranges, or where the file changed."""
-        version, asked = self._version(response, url)
-        if asked != version:  # a server that honours If-Range sends all of a file that has changed
-            raise ChangedError(url, expected=f"version {asked} as before", found=version or "another")
-        total = response.headers.get("Content-Length", "")
-        size = int(total) if total.isdigit() else None
-        if length is not None:
-            raise RangesIgnoredError(url, size)
-        return 0, size
-
-    def _version(self, response: requests.Response, url: str) -> tuple[str, str]:
-        """Return what If-Range may ask for, and the same of the first answer about this file."""
-        etag = response.headers.get("ETag", "")
-        version = etag if etag.startswith('"') else response.headers.get("Last-Modified", "")
-        return version, self._versions.setdefault(url, version)
+        return first, size
 
     def _get(self, url: str, range_: str) -> requests.Response:
-        from requests import exceptions
-
         try:
-            response = self._follow(url, range_)
-        except (exceptions.InvalidURL, exceptions.InvalidSchema) as error:
+            response = self._answer(url, range_)
+        except requests.TooManyRedirects:
+            raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times") from None
+        except ValueError as error:  # not an address
             raise InputFileError(f"{url}: {error}") from None
-        except (exceptions.RequestException, OSError) as error:
-            if isinstance(error, InputFileError):
-                raise
+        except OSError as error:  # also those of requests
             if "certificate" in str(error).lower():
                 raise InputFileError(f"{url}: the server's certificate is not trusted") from None
             raise _TransientError(_reason(error)) from None
-        status = f"{response.status_code} {response.reason}"
-        if response.status_code in _TRANSIENT:
+        self._traffic.requests += len(response.history)
+        code, status = response.status_code, f"{response.status_code} {response.reason}"
+        if code >= 400 and code != 416:
             response.close()
-            pause = response.headers.get("Retry-After", "")
-            raise _TransientError(status, float(pause) if pause.isdigit() else 0.0)
-        if response.status_code in _ABSENT:
-            response.close()
-            raise AbsentError(f"{url}: the server answered {status}")
+            if code in _TRANSIENT:
+                pause = response.headers.get("Retry-After", "")
+                raise _TransientError(status, float(pause) if pause.isdigit() else 0.0)
+            kind = AbsentError if code in _ABSENT else InputFileError
+            raise kind(f"{url}: the server answered {status}")
         return response
 
-    def _follow(self, url: str, range_: str) -> requests.Response:
-        """Request a range, through redirects whose bodies are not read, all within one time-out."""
-        headers, address = {"Range": range_}, url
-        if version := self._versions.get(url):
-            headers["If-Range"] = version
-        deadline = time.monotonic() + self._options.timeout
-        for _ in range(_REDIRECTS + 1):
-            self._traffic.requests += 1
-            response = self._answer(address, headers, deadline)
-            if not response.is_redirect:
-                return response
-            response.close()
-            address = urljoin(address, response.headers["Location"])
-        raise InputFileError(f"{url}: redirected more than {_REDIRECTS} times")
-
-    def _answer(self, url: str, headers: dict[str, str], deadline: float) -> requests.Response:
-        """Wait for the headers until the deadline: a socket's time-out starts again with every byte."""
+    def _answer(self, url: str, range_: str) -> requests.Response:
+        """Wait one time-out for the headers, redirects included: a socket's starts again with every byte."""
         answers: queue.SimpleQueue[requests.Response | Exception] = queue.SimpleQueue()
-        late = threading.Event()
+        version, timeout = self._versions.get(url), self._options.timeout
+        headers = {"Range": range_} | ({"If-Range": version} if version else {})
 
         def ask() -> None:
             try:
-                answer = self._send(url, headers)
+                answers.put(self._session.get(url, headers=headers, stream=True, timeout=timeout))
             except Exception as error:  # raised again where the answer is waited for
                 answers.put(error)
-                return
-            answers.put(answer)
-            if late.is_set():
-                answer.close()
 
+        self._traffic.requests += 1
         threading.Thread(target=ask, daemon=True).start()
         try:
-            answer = answers.get(timeout=max(0.0, deadline - time.monotonic()))
+            answer = answers.get(timeout=timeout)
         except queue.Empty:
-            late.set()
             raise _TransientError("headers timed out") from None
         if isinstance(answer, Exception):
             raise answer
         return answer
 
-    def _send(self, url: str, headers: dict[str, str]) -> requests.Response:
-        from requests import Request
-        from requests.cookies import extract_cookies_to_jar
-
-        session = self._session
-        request = session.prepare_request(Request("GET", url, headers))
-        settings = session.merge_environment_settings(url, {}, True, None, None)
-        # Not by session.send: it reads the bodies of redirects, of any length, even where it follows none.
-        adapter, timeout = session.get_adapter(url), self._options.timeout
-        answer = adapter.send(request, timeout=timeout, **settings)  # type: ignore[arg-type]  # verify is not None
-        extract_cookies_to_jar(session.cookies, request, answer.raw)  # type: ignore[no-untyped-call]
-        return answer
-
     def _body(self, response: requests.Response) -> Iterator[bytes]:
         """Yield what arrives as it arrives; give up on a trickle that the socket's timeout cannot see."""
-        from urllib3.exceptions import HTTPError
-
         since, arrived, window = time.monotonic(), 0, self._options.timeout
         while True:
             try:
@@ -305,6 +251,12 @@ class Client:
                 if arrived < self._options.slowest * (now - since):
                     raise _TransientError(f"{arrived / (now - since):.0f} bytes per second")
                 since, arrived = now, 0
+
+
+def _close_redirect(response: requests.Response, **_: object) -> None:
+    """Close a redirect before requests reads its body, of any length."""
+    if response.is_redirect:
+        response.close()
 
 
 def _reason(error: BaseException) -> str:

@@ -5,29 +5,23 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from kt3dmoseg import catalog
-from kt3dmoseg.catalog import Drive, Entry, format_numbers
+from kt3dmoseg.catalog import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes, write_text
-from kt3dmoseg.kitti.drive_archives import (
-    FileSet,
-    LocalFolder,
-    Packed,
-    Server,
-    TargetFolder,
-    crc32_file,
-    frames_of,
-    open_origin,
-)
+from kt3dmoseg.kitti.drive_archives import Archives, FileSet, Packed, TargetFolder, crc32_file, frames_of
 from kt3dmoseg.kitti.http import AbsentError, ChangedError, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.locating import CORRELATION, PIXELS, NotLocatedError, drive_frames, locate_clip
-from kt3dmoseg.kitti.options import LocateOptions, PullOptions
+from kt3dmoseg.kitti.options import PullOptions
 from kt3dmoseg.kitti.raw import CALIBRATION_FILES, TRACKLET_FILE
 from kt3dmoseg.kitti.remote_zip import DamagedError
 from kt3dmoseg.options import from_mapping
@@ -116,7 +110,7 @@ def pull(
         return _verify(target, wanted if names else [], report)
     _show_licence(target, chosen, report)
     traffic = traffic or Traffic()
-    with target.lock(), open_origin(chosen, target, traffic) as origin:
+    with target.lock(), closing(Archives(chosen, target, traffic, report)) as origin:
         run = _Pull(target, origin, wanted, chosen)
         for line in run.plan():
             report(line)
@@ -137,17 +131,15 @@ def pull(
 class _Part:
     """Files to fetch from one archive: a drive's frames, a day's calibration, a drive's tracklets.
 
-    `files` is None when the origin has none, or sends whole zips only: then the zip is at `url` with `size`
-    bytes, and what is wanted of it is chosen once it is here.
+    `files` is None when the origin has none, or sends `whole` zips only: then what is wanted is chosen once
+    the zip is here.
     """
 
     title: str
     packed: Packed
     clips: list[Entry] = field(default_factory=list)
-    fixed: list[str] = field(default_factory=list)
     files: FileSet | None = None
-    url: str = ""
-    size: int | None = None
+    whole: RangesIgnoredError | None = None
     sums: dict[str, tuple[int, int]] = field(default_factory=dict)  # size and CRC32 of the wanted files
     located: list[Entry] = field(default_factory=list)
     lacking: list[str] = field(default_factory=list)
@@ -156,8 +148,9 @@ class _Part:
 
     def choose(self, files: FileSet, target: TargetFolder) -> None:
         """Choose what is wanted of the files and compare it with the disk."""
-        self.files, self.located, self.failures = files, [], []
-        known, names = target.located() if self.clips else {}, list(self.fixed)
+        self.files, self.whole, self.located, self.failures = files, None, [], []
+        known = target.located() if self.clips else {}
+        names = [f"{self.packed.folder}/{name}" for name in self.packed.names]
         frames: list[str] = []
         for clip in self.clips:
             try:
@@ -177,66 +170,66 @@ class _Part:
         self.sums = {name: (files.sizes[name], files.crc32(name)) for name in wanted}
         self.missing = [name for name, sums in self.sums.items() if not _holds(target.root / name, sums)]
 
-    def bytes(self, names: Iterable[str]) -> int:
-        """Size of some of the files."""
-        return sum(self.sums[name][0] for name in names)
+    def bytes(self, names: Iterable[str], block: int = 1) -> int:
+        """Size of some of the files; or the room that they take on disk, in whole blocks."""
+        return sum(-(-self.sums[name][0] // block) * block for name in names)
 
-    def space(self) -> int:
-        """Room that the missing files take on disk, in whole blocks."""
-        return sum(-(-self.sums[name][0] // _DISK_BLOCK) * _DISK_BLOCK for name in self.missing)
-
-    def extent(self) -> str:
-        """How much it is, for the plan."""
-        if self.url:
-            known = _megabytes(self.size) if self.size is not None else "of unknown size"
-            return f"the server sends whole files only: all of the zip, {known}"
-        if self.files is None:
-            return "none"
+    def plan(self) -> Iterator[str]:
+        """Yield how much it is, then the clips."""
         here = len(self.sums) - len(self.missing)
         ready = f", {here} already here" if here else ""
-        return f"{len(self.sums)} files, {_megabytes(self.bytes(self.sums))}{ready}"
+        extent = (
+            f"{len(self.sums)} files, {_megabytes(self.bytes(self.sums))}{ready}" if self.files else "none"
+        )
+        if self.whole:
+            known = _megabytes(self.whole.size) if self.whole.size is not None else "of unknown size"
+            extent = f"the server sends whole files only: all of the zip, {known}"
+        yield f"  {self.title}: {extent}"
+        for clip in self.located:
+            proof = f"by {clip.proof}" if clip.proof else "as given"
+            numbers = format_numbers(clip.numbers or ())
+            yield f"    {clip.name}: frames {numbers}, camera {clip.camera}, {proof}"
+        yield from (f"    {failure}" for failure in self.failures)
+
+
+def _parts(clips: list[Entry], options: PullOptions) -> Iterator[_Part]:
+    by_drive = attrgetter("drive")
+    for drive, group in groupby(sorted(clips, key=by_drive), by_drive):
+        mine = list(group)
+        yield _Part(f"{drive.name}: {', '.join(clip.name for clip in mine)}", frames_of(drive), mine)
+        if options.tracklets:
+            address = f"{drive.name}/{drive.name}_tracklets.zip"
+            packed = Packed(address, drive.folder, (TRACKLET_FILE,), optional=True)
+            yield _Part(f"{drive.name}: tracklets", packed)
+    for date in sorted({clip.drive.date for clip in clips}) if options.calibration else ():
+        yield _Part(f"{date}: calibration", Packed(f"{date}_calib.zip", date, CALIBRATION_FILES))
 
 
 class _Pull:
     """A pull: opening the parts decides what is missing, before anything is fetched."""
 
     def __init__(
-        self, target: TargetFolder, origin: Server | LocalFolder, clips: list[Entry], options: PullOptions
+        self, target: TargetFolder, origin: Archives, clips: list[Entry], options: PullOptions
     ) -> None:
         self.target, self.origin, self.report = target, origin, PullReport()
-        self.parts: list[_Part] = []
-        by_drive: dict[Drive, list[Entry]] = {}
-        for clip in clips:
-            by_drive.setdefault(clip.drive, []).append(clip)
-        for drive, mine in sorted(by_drive.items()):
-            self._open(f"{drive.name}: {', '.join(c.name for c in mine)}", frames_of(drive), clips=mine)
-            if options.tracklets:
-                packed = Packed(f"{drive.name}/{drive.name}_tracklets.zip", drive.folder, TRACKLET_FILE, True)
-                self._open(f"{drive.name}: tracklets", packed, fixed=[f"{drive.folder}/{TRACKLET_FILE}"])
-        for date in sorted({drive.date for drive in by_drive}) if options.calibration else []:
-            fixed = [f"{date}/{name}" for name in CALIBRATION_FILES]
-            packed = Packed(f"{date}_calib.zip", date, CALIBRATION_FILES[0])
-            self._open(f"{date}: calibration", packed, fixed=fixed)
+        self.parts = list(_parts(clips, options))
+        for part in self.parts:
+            self._choose(part)
 
     def plan(self) -> Iterator[str]:
         """Yield the plan: every part with its clips, then files and bytes in all."""
         for part in self.parts:
-            yield f"  {part.title}: {part.extent()}"
-            for clip in part.located:
-                proof = f"by {clip.proof}" if clip.proof else "as given"
-                numbers = format_numbers(clip.numbers or ())
-                yield f"    {clip.name}: frames {numbers}, camera {clip.camera}, {proof}"
-            yield from (f"    {failure}" for failure in part.failures)
-        zips = sum(bool(part.url) for part in self.parts)
-        more = f" and {zips} whole zip(s)" if zips else ""
+            yield from part.plan()
+        whole = [part.whole.size or 0 for part in self.parts if part.whole]
+        more = f" and {len(whole)} whole zip(s)" if whole else ""
         files = sum(len(part.missing) for part in self.parts)
-        cost = sum(part.files.cost(part.missing) if part.files else part.size or 0 for part in self.parts)
+        cost = sum(part.files.cost(part.missing) for part in self.parts if part.files) + sum(whole)
         yield f"plan: {files} files{more} to {self.target.root}, {_megabytes(cost)} to transfer"
 
     def fetch_all(self) -> None:
         """Fetch what is missing, and keep a list of it."""
         total = sum(part.bytes(part.missing) for part in self.parts)
-        self._check_space(sum(part.space() for part in self.parts))
+        self._check_space(sum(part.bytes(part.missing, _DISK_BLOCK) for part in self.parts))
         with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
             for part in self.parts:
                 try:
@@ -248,12 +241,10 @@ class _Pull:
                 self.report.files += len(part.sums)
                 self.report.bytes += part.bytes(part.sums)
                 self.report.lacking += part.lacking
-        if not any(part.failures for part in self.parts):
-            self.target.drop_zips()
-
-    def _open(self, title: str, packed: Packed, **wanted: Any) -> None:  # noqa: ANN401  # fields of _Part
-        self.parts.append(_Part(title, packed, **wanted))
-        self._choose(self.parts[-1])
+        if not any(part.failures for part in self.parts):  # everything wanted is on disk
+            for pattern in ("*.zip", "*.part"):
+                for path in self.target.state.glob(pattern):
+                    path.unlink()
 
     def _choose(self, part: _Part, *, again: bool = False) -> None:
         """Open a part's archive and choose what is wanted of it.
@@ -261,18 +252,17 @@ class _Pull:
         Clips that are not there and archives that are absent are kept as failures of the part, so that one
         clip does not stop the others.
         """
-        try:
-            files = self.origin.open(part.packed, again=again)
+
+        def look(files: FileSet, again: bool) -> None:
             part.choose(files, self.target)
             if (part.failures or part.lacking) and files.fresh and not again:
                 # A directory holds no checksum of itself: a second reading confirms a gap.
-                self._choose(part, again=True)
-        except DamagedError:
-            if again or isinstance(self.origin, LocalFolder):
-                raise
-            self._choose(part, again=True)
+                raise DamagedError(files.name, expected="all that is wanted", found="gaps")
+
+        try:
+            self.origin.look(part.packed, look, again=again)
         except RangesIgnoredError as error:
-            part.files, part.url, part.size = None, error.url, error.size
+            part.files, part.whole = None, error
         except AbsentError as error:
             part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
 
@@ -281,18 +271,18 @@ class _Pull:
         try:
             self._fetch(part, bar)
         except (DamagedError, ChangedError, RangesIgnoredError):
-            if isinstance(self.origin, LocalFolder):
+            if self.origin.local is not None:
                 raise
             self._choose(part, again=True)
             self._fetch(part, bar)
 
     def _fetch(self, part: _Part, bar: tqdm[Any]) -> None:
-        if part.url:
-            self._check_space((part.size or 0) - self.target.downloaded(part.url))
-            with tqdm(total=part.size, unit="B", unit_scale=True, desc="zip", disable=None) as zip_bar:
-                part.choose(self.origin.download(part.url, zip_bar.update), self.target)
-            part.url = ""
-            self._check_space(part.space())
+        if part.whole:
+            there = self.target.path_for(part.whole.url, "part")
+            have = there.stat().st_size if there.is_file() else 0
+            self._check_space((part.whole.size or 0) - have)
+            part.choose(self.origin.download(part.whole.url, part.whole.size), self.target)
+            self._check_space(part.bytes(part.missing, _DISK_BLOCK))
         if part.files is None:
             return
         for folder in {(self.target.root / name).parent for name in part.sums}:
@@ -329,7 +319,7 @@ def _locate(clip: Entry, files: FileSet, known: Entry | None) -> tuple[Entry, li
     if known and by_pictures and (known.drive, known.frames) == (clip.drive, clip.frames):
         clip = known
     else:
-        clip = locate_clip(clip, files, LocateOptions(pixels=files.local))
+        clip = locate_clip(clip, files, pixels=files.local)
     frames = drive_frames(files, clip.drive, clip.camera)
     absent = [n for n in clip.numbers or () if n not in frames]
     if absent:

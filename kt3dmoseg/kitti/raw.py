@@ -9,21 +9,21 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.catalog import Drive, check_camera, format_numbers
+from kt3dmoseg.catalog import CAMERAS, Drive, Fingerprint, check_integer, fingerprint, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.kitti.remote_zip import LARGEST_FILE
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
 CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
 TRACKLET_FILE = "tracklet_labels.xml"
+LARGEST_FILE = 64 << 20
 LOCATED = "located.toml"  # the catalog in a KITTI raw root: clips whose frame numbers were proved
 
 _FIX = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
@@ -45,6 +45,29 @@ def decode_frame(content: bytes, where: str) -> ByteArray:
     if image.dtype != np.uint8:
         raise FileFormatError(where, expected="an 8-bit PNG image", found=f"one of type {image.dtype}")
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., 2::-1], dtype=np.uint8)
+
+
+def read_clip(folder: Path) -> Iterator[tuple[bytes, ByteArray]]:
+    """Yield every PNG file of a folder and its picture, in the order of the numbers; others are refused."""
+    from kt3dmoseg.io.images import numbered_pictures
+
+    for path in numbered_pictures(folder).values():
+        if path.suffix.lower() != ".png":
+            raise InputFileError(f"{folder}", expected="the clip's PNG files", found=path.name)
+        content = read_bytes(path, LARGEST_FILE)
+        yield content, decode_frame(content, str(path))
+
+
+def fingerprint_folder(folder: Path) -> tuple[tuple[Fingerprint, ...], tuple[int, int]]:
+    """Fingerprint a clip's PNG files, in the order of their numbers; return their size (W, H) in pixels, too.
+
+    FileFormatError when there are none or they differ in size, InputFileError when one is not a PNG.
+    """
+    frames = [(fingerprint(content, image), image.shape[1::-1]) for content, image in read_clip(folder)]
+    sizes = {size for _, size in frames}
+    if len(sizes) != 1:
+        raise FileFormatError(str(folder), expected="PNG files of one size", found=f"{sorted(sizes)}")
+    return tuple(mark for mark, _ in frames), sizes.pop()
 
 
 class Calibration:
@@ -159,7 +182,7 @@ class RawDrive(Calibration):
     ) -> None:
         self.root = Path(root)
         self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
-        super().__init__(self.root / date, check_camera(camera))
+        super().__init__(self.root / date, check_integer(camera, "camera", CAMERAS[-1]))
         self._drive_folder = self.root / self.drive.folder
         self._camera_folder = self.root / self.drive.camera_folder(self.camera)
         if not self._drive_folder.is_dir():
@@ -185,13 +208,7 @@ class RawDrive(Calibration):
         return np.array(numbers, dtype=np.int64)
 
     def frame_path(self, number: int) -> Path:
-        """Return the path of one frame.
-
-        Raises
-        ------
-        InputFileError
-            When that frame is not on disk; the message lists those that are.
-        """
+        """Return the path of one frame; InputFileError lists those on disk when it is not."""
         path = self._camera_folder / f"data/{number:010d}.png"
         if not path.is_file():
             raise InputFileError(
@@ -215,7 +232,7 @@ class RawDrive(Calibration):
         numbers : (n,) int
             Frame numbers; line k of the camera's ``timestamps.txt`` (from 0) belongs to frame k.
         """
-        return self._times(self._timestamp_lines(), _numbers(numbers))
+        return self._times(_numbers(numbers))[1:]
 
     def timestamps(self, numbers: npt.ArrayLike) -> FloatArray:
         """Time at which the camera took each frame, (n,) float64 seconds since the drive's first.
@@ -223,9 +240,7 @@ class RawDrive(Calibration):
         The origin is the first frame of the drive, also when it is not on disk, so that clips of one drive
         share a clock. Nanoseconds survive: a drive lasts minutes, float64 then resolves 1e-13 s.
         """
-        lines = self._timestamp_lines()
-        first = next((k for k, line in enumerate(lines) if line), 0)
-        times = self._times(lines, np.concatenate([[first], _numbers(numbers)]))
+        times = self._times(_numbers(numbers))
         return np.asarray((times[1:] - times[0]).astype(np.int64) / 1e9)
 
     def poses(self, numbers: npt.ArrayLike) -> FloatArray:
@@ -283,28 +298,25 @@ class RawDrive(Calibration):
         for index, tracklet in enumerate(self.tracklets() if tracklets is None else tracklets):
             if number not in tracklet.numbers:
                 continue
-            row, corners = tracklet.row(number), tracklet.corners(number)
-            box = project_box(corners, K, T, size)
+            row, corners = tracklet.row(number), tracklet.corners(number) @ T[:3, :3].T + T[:3, 3]
+            box = project_box(corners, K, size)
             if box is not None:
-                depth = float((T[:3, :3] @ corners.mean(axis=0) + T[:3, 3])[2])
                 flags = int(tracklet.occlusion[row]), int(tracklet.truncation[row])
-                boxes.append(TrackletBox(index, tracklet.kind, box, depth, *flags))
+                boxes.append(TrackletBox(index, tracklet.kind, box, float(corners[:, 2].mean()), *flags))
         return sorted(boxes, key=lambda box: box.depth)
 
-    def _timestamp_lines(self) -> list[str]:
-        content = read_bytes(self._camera_folder / "timestamps.txt", LARGEST_FILE)
-        return [line.strip() for line in content.decode(errors="replace").splitlines()]
-
-    def _times(self, lines: list[str], numbers: IntArray) -> npt.NDArray[np.datetime64]:
+    def _times(self, numbers: IntArray) -> npt.NDArray[np.datetime64]:
+        """Read the times of the drive's first frame and of these, (1 + n,)."""
         path, times = self._camera_folder / "timestamps.txt", []
-        for k in numbers:
+        text = read_bytes(path, LARGEST_FILE).decode(errors="replace")
+        lines = [line.strip() for line in text.splitlines()]
+        first = next((k for k, line in enumerate(lines) if line), 0)
+        for k in (first, *numbers):
             if k >= len(lines):
                 expected = f"one of the file's {len(lines)} lines, counted from 0"
                 raise InvalidValueError(f"{path}: frame {k}", expected=expected, found=str(k))
             try:
-                if not _TIME.fullmatch(lines[k]):
-                    raise ValueError
-                times.append(np.datetime64(lines[k].replace(" ", "T"), "ns"))
+                times.append(np.datetime64(lines[k] if _TIME.fullmatch(lines[k]) else "no time", "ns"))
             except ValueError:
                 expected = "a time like 2011-09-26 13:02:25.964389445"
                 where = f"{path}: line {k + 1}"

@@ -10,9 +10,10 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
+import pooch
 from tqdm import tqdm
 
-from kt3dmoseg.errors import FileFormatError, InputFileError, MissingDependencyError
+from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import read_bytes, sha256_file, write_bytes, write_text
 from kt3dmoseg.kitti.http import Client
 from kt3dmoseg.kitti.options import Origin
@@ -44,10 +45,13 @@ class Release:
     target: str = ""
     checksums: dict[str, str] = field(default_factory=dict)
 
-    def downloads(self) -> dict[str, str]:
-        """Addresses by the name that the file gets."""
-        addresses = [self.base + file for file in self.files]
-        return dict(zip(self.names or self.files, addresses, strict=True))
+    def downloads(self, mirror: str | None = None) -> dict[str, str]:
+        """Addresses, at home or in a mirror, by the name that the file gets."""
+        addresses = dict(
+            zip(self.names or self.files, [self.base + file for file in self.files], strict=True)
+        )
+        there = f"{(mirror or '').rstrip('/')}/{self.name}/"
+        return {file: there + file for file in addresses} if mirror else addresses
 
 
 def releases() -> dict[str, Release]:
@@ -106,9 +110,7 @@ def fetch_release(
         folder = Path(root) / release.folder
         report(f"{release.title}\n  home: {release.home}\n  licence: {release.licence}")
         report(f"  cite: {release.cite}\n  if the page is gone: {release.by_hand} ({folder})")
-        expected, addresses = _read_sums(folder) | release.checksums, release.downloads()
-        if mirror:
-            addresses = {file: f"{mirror.rstrip('/')}/{name}/{file}" for file in addresses}
+        expected, addresses = _read_sums(folder) | release.checksums, release.downloads(mirror)
         _download(addresses, folder, expected, retries, f"by hand: {release.by_hand}")
         for file in addresses:
             if file not in expected:
@@ -124,12 +126,6 @@ def _download(
     addresses: dict[str, str], folder: Path, expected: Mapping[str, str], retries: int, by_hand: str
 ) -> None:
     """Fetch the files that are not there, or not right."""
-    try:
-        import pooch
-    except ImportError:
-        raise MissingDependencyError(
-            "downloads need the package pooch", fix="pip install 'kt3dmoseg[pull]'"
-        ) from None
     pooch.get_logger().setLevel("ERROR")
     registry = {name: expected.get(name) for name in addresses}
     files = pooch.create(folder, "", registry=registry, urls=addresses, retry_if_failed=retries)

@@ -15,8 +15,8 @@ from typing import TypeAlias
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import SafeZip, ZipLimits
+from kt3dmoseg.kitti.raw import LARGEST_FILE
 
-LARGEST_FILE = 64 << 20
 Chunks: TypeAlias = Callable[[int, int], Iterator[bytes]]
 
 _LARGEST_DIRECTORY = 8 << 20
@@ -44,11 +44,10 @@ class _RangeFile(io.RawIOBase):
 
     def __init__(self, name: str, size: int, chunks: Chunks, tail: bytes) -> None:
         super().__init__()
-        self.name, self.size, self.tail = name, size, tail
+        self.name, self.size = name, size
+        self.tail = tail or b"".join(chunks(max(0, size - _TAIL), min(size, _TAIL)))
         self._chunks, self._at = chunks, 0
         self._range: tuple[int, bytearray, Iterator[bytes]] | None = None
-        if not tail:
-            self._reach(max(0, size - _TAIL))
 
     @property
     def held(self) -> int:
@@ -65,31 +64,28 @@ class _RangeFile(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        self._at = offset + {0: 0, 1: self._at, 2: self.size}[whence]
+        self._at = offset + (0, self._at, self.size)[whence]
         if self._at < 0:
             raise OSError("a position before the archive's start")
         return self._at
 
     def read(self, size: int | None = -1) -> bytes:
         end = self.size if size is None or size < 0 else min(self.size, self._at + size)
-        if self._range is None:
-            self._reach(self._at)
-            block = self.tail[self._at - self.held : max(self._at, end) - self.held]
-        else:
-            start, buffer, arriving = self._range
-            while start + len(buffer) < end and (chunk := next(arriving, b"")):
-                buffer += chunk
-            block = bytes(buffer[self._at - start : end - start])
+        start, buffer, arriving = self._range or self._directory()
+        while start + len(buffer) < end and (chunk := next(arriving, b"")):
+            buffer += chunk
+        block = bytes(buffer[self._at - start : max(self._at, end) - start])
         self._at += len(block)
         return block
 
-    def _reach(self, start: int) -> None:
-        if self.size - start > _LARGEST_DIRECTORY:
-            found = f"one that begins {self.size - start} bytes before the end"
+    def _directory(self) -> tuple[int, bytearray, Iterator[bytes]]:
+        if self.size - self._at > _LARGEST_DIRECTORY:
+            found = f"one that begins {self.size - self._at} bytes before the end"
             expected = f"a directory of at most {_LARGEST_DIRECTORY} bytes"
             raise FileFormatError(self.name, expected=expected, found=found)
-        if start < self.held:
-            self.tail = b"".join(self._chunks(start, self.held - start)) + self.tail
+        if self._at < self.held:
+            self.tail = b"".join(self._chunks(self._at, self.held - self._at)) + self.tail
+        return self.held, bytearray(self.tail), iter(())
 
 
 class Archive:
@@ -108,7 +104,8 @@ class Archive:
         for attempt in range(1, _ATTEMPTS + 1):
             try:
                 self._file = _RangeFile(name, size, chunks, tail)
-                self._open()
+                self._zip = SafeZip(self._file, _LIMITS, name)
+                self._spans = self._find_spans()
                 break
             except FileFormatError:
                 if attempt == _ATTEMPTS:
@@ -125,7 +122,7 @@ class Archive:
 
     def crc32(self, name: str) -> int:
         """CRC32 of a file, as the directory claims it; `read` verifies it."""
-        return self._infos[name].CRC
+        return self._zip.infos[name].CRC
 
     def cost(self, names: Iterable[str]) -> int:
         """Bytes that `read` requests."""
@@ -142,27 +139,42 @@ class Archive:
         for name in wanted:
             if self.sizes[name] > LARGEST_FILE:
                 self._refuse(name, f"unpacks to {self.sizes[name]} bytes, more than {LARGEST_FILE}")
-        for attempt in range(1, _ATTEMPTS + 1):
-            damaged = []
-            for name, content in self._read_once(wanted):
-                if isinstance(content, bytes):
-                    yield name, content
-                elif attempt < _ATTEMPTS:
-                    damaged.append(name)
-                else:
-                    raise content
+        for attempts_left in reversed(range(_ATTEMPTS)):
+            damaged: list[str] = []
+            yield from self._read_once(wanted, damaged, last=not attempts_left)
             wanted = damaged
 
-    def _open(self) -> None:
-        self._zip = SafeZip(self._file, _LIMITS, self.name)
-        self._infos, self._ends = self._zip.infos, dict[str, int]()
-        infos = sorted(self._infos.items(), key=lambda item: item[1].header_offset)
-        following = [info.header_offset for _, info in infos[1:]] + [self._zip.directory_start]
-        for (name, info), end in zip(infos, following, strict=True):
-            least = info.header_offset + _HEADER + len(info.orig_filename) + info.compress_size
-            if info.header_offset < 0 or least > end:
+    def _read_once(
+        self, names: Iterable[str], damaged: list[str], *, last: bool
+    ) -> Iterator[tuple[str, bytes]]:
+        """Yield what is intact; list the `damaged` files, or raise DamagedError for the first."""
+        for start, stop, run in self._runs(names):
+            rest = self._file.request(start, stop - start)
+            for name in run:
+                try:
+                    content = self._zip.read(name)  # zipfile checks the CRC
+                except FileFormatError as error:
+                    if last:
+                        expected = f"{self.sizes[name]} bytes with CRC {self.crc32(name):08x}"
+                        raise DamagedError(error.where, expected=expected, found=error.found) from None
+                    damaged.append(name)
+                    continue
+                yield name, content
+            for _ in rest:  # sees its end, so that the connection can serve the next run
+                pass
+
+    def _find_spans(self) -> dict[str, tuple[int, int]]:
+        """Where each file begins, and where it ends at the latest."""
+        infos, spans = self._zip.infos, {}
+        order = sorted(infos, key=lambda name: infos[name].header_offset)
+        following = [infos[name].header_offset for name in order[1:]] + [self._zip.directory_start]
+        for name, end in zip(order, following, strict=True):
+            start = infos[name].header_offset
+            least = start + _HEADER + len(infos[name].orig_filename) + infos[name].compress_size
+            if start < 0 or least > end:
                 self._refuse(name, "overlaps its neighbour")
-            self._ends[name] = min(end, least + 3 * len(name) + _LONGEST_REST)
+            spans[name] = start, min(end, least + 3 * len(name) + _LONGEST_REST)
+        return spans
 
     def _refuse(self, name: str, fault: str) -> None:
         raise FileFormatError(f"{self.name}: refused: file {name!r:.200} {fault}")
@@ -171,8 +183,8 @@ class Archive:
         """Group files that are neighbours, to be fetched in one request of at most 2 MiB."""
         run: list[str] = []
         start = stop = 0
-        for name in sorted(names, key=lambda name: self._infos[name].header_offset):
-            offset, end = self._infos[name].header_offset, self._ends[name]
+        for name in sorted(names, key=self._spans.__getitem__):
+            offset, end = self._spans[name]
             if run and (offset - stop > _LONGEST_GAP or end - start > _LONGEST_RUN):
                 yield start, stop, run
                 run = []
@@ -181,27 +193,10 @@ class Archive:
         if run:
             yield start, stop, run
 
-    def _read_once(self, names: Iterable[str]) -> Iterator[tuple[str, bytes | DamagedError]]:
-        for start, stop, run in self._runs(names):
-            rest = self._file.request(start, stop - start)
-            for name in run:
-                yield name, self._unpack(name)
-            for _ in rest:  # sees its end, so that the connection can serve the next run
-                pass
-
-    def _unpack(self, name: str) -> bytes | DamagedError:
-        try:
-            return self._zip.read(name)  # zipfile checks the CRC
-        except FileFormatError as error:
-            expected = f"{self.sizes[name]} bytes with CRC {self.crc32(name):08x}"
-            return DamagedError(f"{self.name}: {name}", expected=expected, found=error.found)
-
 
 def _read_file(path: Path, start: int, length: int) -> Iterator[bytes]:
     with open(path, "rb") as stream:
         stream.seek(start)
-        while length > 0 and (block := stream.read(min(length, 1 << 20))):
+        while block := stream.read(min(length, 1 << 20)):
             length -= len(block)
             yield block
-    if length:
-        raise DamagedError(str(path), expected=f"{length} bytes more", found="its end")

@@ -22,6 +22,7 @@ from kt3dmoseg.types import FloatArray, IntArray
 _LARGEST, _MOST_TAGS = 16 << 20, 700_000  # KITTI's have up to some MB; a tag takes 300 bytes of memory
 _NEAREST = 0.1
 _LAST_FRAME = 10**10 - 1
+_FLAGS = ("state", "occlusion", "truncation")
 # Corners in units of (length, width, height), and the pairs of them that differ in one coordinate.
 _UNIT = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 _EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
@@ -68,10 +69,7 @@ class Tracklet:
     def corners(self, number: int) -> FloatArray:
         """Return the box's eight corners in one frame, (8, 3) laser scanner coordinates in metres.
 
-        Raises
-        ------
-        InvalidValueError
-            When the object is not labelled in that frame.
+        InvalidValueError when the object is not labelled in that frame.
         """
         row = self.row(number)
         cos, sin = np.cos(self.yaw[row]), np.sin(self.yaw[row])
@@ -107,76 +105,58 @@ class TrackletBox:
 
 def read_tracklets(path: Path) -> list[Tracklet]:
     """Read a ``tracklet_labels.xml`` of at most 16 MiB; FileFormatError for others and for XML entities."""
-    content = read_bytes(path, _LARGEST)
+    content, expected = read_bytes(path, _LARGEST), "KITTI tracklets"
     if (tags := content.count(b"<")) > _MOST_TAGS:
-        raise FileFormatError(
-            f"{path}", expected=f"KITTI tracklets, at most {_MOST_TAGS} tags", found=f"{tags}"
-        )
+        raise FileFormatError(f"{path}", expected=f"{expected}, at most {_MOST_TAGS} tags", found=f"{tags}")
     try:
         found = ElementTree.fromstring(content).find("tracklets")  # refuses entities
         if found is None:
             raise ValueError("no <tracklets>")
         return [_tracklet(item) for item in found.findall("item")]
     except (ParseError, ValueError, OverflowError) as error:
-        raise FileFormatError(str(path), expected="KITTI tracklets", found=str(error)) from None
+        raise FileFormatError(f"{path}", expected=expected, found=str(error)) from None
 
 
-def project_box(
-    corners: FloatArray, K: FloatArray, T_cam_velo: FloatArray, size: tuple[int, int]
-) -> FloatArray | None:
+def project_box(corners: FloatArray, K: FloatArray, size: tuple[int, int]) -> FloatArray | None:
     """Project a 3D box to the upright image box around its visible part.
 
-    `corners` (8, 3) are those of `Tracklet.corners`, `size` is width and height of the image. The box is
-    left, top, right, bottom in pixels, clipped to the image; None when nothing of it is in view. Edges are
-    cut 0.1 m in front of the camera, so that boxes next to the car project rightly.
+    `corners` (8, 3) are in camera coordinates, `size` is width and height of the image. The box is left, top,
+    right, bottom in pixels, clipped to the image; None when nothing of it is in view. Edges are cut 0.1 m in
+    front of the camera, so that boxes next to the car project rightly.
     """
-    front = _in_front(corners @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3])
-    if not len(front):
-        return None
-    pixels = front @ K.T
-    xy = pixels[:, :2] / pixels[:, 2:]
-    low, high = np.array([-0.5, -0.5]), np.array(size) - 0.5
-    first, last = np.clip(xy.min(axis=0), low, high), np.clip(xy.max(axis=0), low, high)
-    return np.concatenate([first, last]) if (last > first).all() else None
-
-
-def _in_front(points: FloatArray) -> FloatArray:
-    """Corners in front of the camera, and where edges enter the space in front of it."""
-    a, b = points[_EDGES[:, 0]], points[_EDGES[:, 1]]
+    a, b = corners[_EDGES[:, 0]], corners[_EDGES[:, 1]]
     za, zb = a[:, 2] - _NEAREST, b[:, 2] - _NEAREST
     crossing = (za > 0) != (zb > 0)
     t = (za[crossing] / (za[crossing] - zb[crossing]))[:, None]
     cut = a[crossing] + t * (b[crossing] - a[crossing])
-    return np.concatenate([points[points[:, 2] > _NEAREST], cut])
+    front = np.concatenate([corners[corners[:, 2] > _NEAREST], cut])
+    if not len(front):
+        return None
+    pixels = front @ K.T
+    xy = np.clip(pixels[:, :2] / pixels[:, 2:], -0.5, np.array(size) - 0.5)
+    first, last = xy.min(axis=0), xy.max(axis=0)
+    return np.concatenate([first, last]) if (last > first).all() else None
 
 
 def _tracklet(item: Element) -> Tracklet:
     poses = item.findall("./poses/item")
     first = int(_text(item, "first_frame"))
+    size = np.array([float(_text(item, key)) for key in ("l", "w", "h")])
+    motion = np.array([[float(_text(pose, key)) for key in ("tx", "ty", "tz", "rz")] for pose in poses])
+    flags = np.array([[int(_text(pose, key)) for key in _FLAGS] for pose in poses], dtype=np.int64)
     if not 0 <= first <= _LAST_FRAME:
         raise ValueError(f"a tracklet from frame {first} on")
-    translation = [[float(_text(pose, key)) for key in ("tx", "ty", "tz")] for pose in poses]
-    flags = {
-        key: np.array([int(_text(pose, key)) for pose in poses], dtype=np.int64)
-        for key in ("state", "occlusion", "truncation")
-    }
-    tracklet = Tracklet(
-        kind=_text(item, "objectType"),
-        size=np.array([float(_text(item, key)) for key in ("l", "w", "h")]),
-        numbers=np.arange(first, first + len(poses)),
-        translation=np.array(translation, dtype=np.float64).reshape(-1, 3),
-        yaw=np.array([float(_text(pose, "rz")) for pose in poses]),
-        **flags,
-    )
-    if not (np.isfinite(tracklet.translation).all() and np.isfinite(tracklet.yaw).all()):
+    if not np.isfinite(motion).all():
         raise ValueError("a pose that is not finite")
-    if not (np.isfinite(tracklet.size).all() and (tracklet.size > 0).all()):
-        raise ValueError(f"a box of size {tracklet.size.tolist()}")
-    return tracklet
+    if not (np.isfinite(size).all() and (size > 0).all()):
+        raise ValueError(f"a box of size {size.tolist()}")
+    motion, numbers = motion.reshape(-1, 4), np.arange(first, first + len(poses))
+    kind = _text(item, "objectType")
+    return Tracklet(kind, size, numbers, motion[:, :3], motion[:, 3], *flags.reshape(-1, 3).T)
 
 
 def _text(element: Element, key: str) -> str:
-    text = element.findtext(key)
-    if text is None or not text.strip():
+    text = (element.findtext(key) or "").strip()
+    if not text:
         raise ValueError(f"no <{key}> in a tracklet")
-    return text.strip()
+    return text

@@ -19,11 +19,11 @@ from kt3dmoseg.kitti.http import Traffic
 from kt3dmoseg.kitti.locating import (
     NotLocatedError,
     descriptor,
-    fingerprint_folder,
     locate,
     match_exact,
     match_graded,
 )
+from kt3dmoseg.kitti.raw import fingerprint_folder
 
 FOLDER = f"{drives.DATE}/{drives.NAME}_sync/image_00/data"
 SIZE = (320, 96)
