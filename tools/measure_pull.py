@@ -24,7 +24,7 @@ from kitti_server import FaultyServer, serving  # noqa: E402
 
 from kt3dmoseg import catalog  # noqa: E402
 from kt3dmoseg.catalog import Drive, Entry  # noqa: E402
-from kt3dmoseg.kitti.drive_archives import frames_of  # noqa: E402
+from kt3dmoseg.kitti.archives import frames_of  # noqa: E402
 
 # Bytes of KITTI's _sync.zip files; a frame with its laser scan and four pictures takes 4.19 MB.
 SIZES = {

@@ -41,7 +41,7 @@ class RangesIgnoredError(InputFileError):
     """The server sends whole files only; `size` is the file's size when the server gave it."""
 
     def __init__(self, url: str, size: int | None) -> None:
-        super().__init__(f"{url}: the server ignores ranges")
+        super().__init__(f"{url}: the server ignores ranges and sends whole files only")
         self.url, self.size = url, size
 
 

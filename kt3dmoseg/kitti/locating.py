@@ -22,11 +22,10 @@ from kt3dmoseg import catalog
 from kt3dmoseg.catalog import CAMERAS, Drive, Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
 from kt3dmoseg.files import sha256_arrays
-from kt3dmoseg.kitti.drive_archives import Archives, FileSet, TargetFolder, frames_of
+from kt3dmoseg.kitti.archives import Archives, DamagedError, FileSet, TargetFolder, frames_of
 from kt3dmoseg.kitti.http import AbsentError, Traffic
 from kt3dmoseg.kitti.options import LocateOptions
 from kt3dmoseg.kitti.raw import decode_frame, frame_number, read_clip
-from kt3dmoseg.kitti.remote_zip import DamagedError
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.types import ByteArray, Float32Array, FloatArray
 
@@ -86,7 +85,7 @@ def locate(
     target = TargetFolder(Path(root))
     found: dict[str, Entry] = {}
     failures: dict[str, KT3DMoSegError] = {}
-    with target.lock(), closing(Archives(chosen, target, traffic, report, whole=True)) as origin:
+    with target.lock(), closing(Archives(chosen, target, traffic, report)) as origin:
         for clip in wanted:
             try:
                 located = found[clip.name] = _locate_in(clip, origin, chosen)

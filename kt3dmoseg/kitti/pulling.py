@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -18,12 +17,20 @@ from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes, write_text
-from kt3dmoseg.kitti.drive_archives import Archives, FileSet, Packed, TargetFolder, crc32_file, frames_of
+from kt3dmoseg.kitti.archives import (
+    Archives,
+    DamagedError,
+    FileSet,
+    Packed,
+    TargetFolder,
+    crc32_file,
+    frames_of,
+    megabytes,
+)
 from kt3dmoseg.kitti.http import AbsentError, ChangedError, RangesIgnoredError, Traffic
-from kt3dmoseg.kitti.locating import CORRELATION, PIXELS, NotLocatedError, drive_frames, locate_clip
+from kt3dmoseg.kitti.locating import CHECKSUM, NotLocatedError, drive_frames, locate_clip
 from kt3dmoseg.kitti.options import PullOptions
 from kt3dmoseg.kitti.raw import CALIBRATION_FILES, TRACKLET_FILE
-from kt3dmoseg.kitti.remote_zip import DamagedError
 from kt3dmoseg.options import from_mapping
 
 LICENCE = """\
@@ -32,7 +39,7 @@ IJRR 2013, https://www.cvlibs.net/datasets/kitti/
 Licence: Creative Commons Attribution-NonCommercial-ShareAlike 3.0 (CC BY-NC-SA 3.0),
 https://creativecommons.org/licenses/by-nc-sa/3.0/: give credit, no commercial use, share alike.
 """
-_RESERVE, _DISK_BLOCK = 16 << 20, 4096
+_DISK_BLOCK = 4096
 
 
 @dataclass
@@ -54,8 +61,8 @@ class PullReport:
     def __str__(self) -> str:
         """Give it in one line."""
         text = (
-            f"complete and verified: {self.files} files, {_megabytes(self.bytes)}; "
-            f"fetched {self.fetched}, {_megabytes(self.transferred)} in {self.requests} requests"
+            f"complete and verified: {self.files} files, {megabytes(self.bytes)}; "
+            f"fetched {self.fetched}, {megabytes(self.transferred)} in {self.requests} requests"
         )
         if self.lacking:
             text += f"; the source lacks {len(self.lacking)}: {', '.join(self.lacking[:3])}"
@@ -111,85 +118,79 @@ def pull(
     _show_licence(target, chosen, report)
     traffic = traffic or Traffic()
     with target.lock(), closing(Archives(chosen, target, traffic, report)) as origin:
-        run = _Pull(target, origin, wanted, chosen)
-        for line in run.plan():
+        parts = list(_parts(wanted, chosen))
+        for part in parts:
+            _choose(part, origin, target)
+        for line in _plan(parts, target):
             report(line)
         if not chosen.dry_run:
-            run.fetch_all()
-    failures = [failure for part in run.parts for failure in part.failures]
+            _fetch_all(parts, origin, target)
+    failures = [failure for part in parts for failure in part.failures]
     if len(failures) == 1:
         raise failures[0]
     if failures:
         raise InputFileError(f"{len(failures)} parts could not be fetched; the first: {failures[0]}")
-    run.report.requests, run.report.transferred = traffic.requests, traffic.bytes
+    done = PullReport(
+        files=sum(len(part.sums) for part in parts),
+        bytes=sum(part.bytes(part.sums) for part in parts),
+        fetched=sum(part.fetched for part in parts),
+        requests=traffic.requests,
+        transferred=traffic.bytes,
+        lacking=[name for part in parts for name in part.lacking],
+    )
     if not chosen.dry_run:
-        report(str(run.report))
-    return run.report
+        report(str(done))
+    return done
 
 
 @dataclass
 class _Part:
     """Files to fetch from one archive: a drive's frames, a day's calibration, a drive's tracklets.
 
-    `files` is None when the origin has none, or sends `whole` zips only: then what is wanted is chosen once
-    the zip is here.
+    `files` is None, and `extent` has the reason, when the origin has none or, in a dry run, sends whole zips.
     """
 
     title: str
     packed: Packed
     clips: list[Entry] = field(default_factory=list)
     files: FileSet | None = None
-    whole: RangesIgnoredError | None = None
+    extent: str = "none"
     sums: dict[str, tuple[int, int]] = field(default_factory=dict)  # size and CRC32 of the wanted files
     located: list[Entry] = field(default_factory=list)
     lacking: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     failures: list[KT3DMoSegError] = field(default_factory=list)
+    fetched: int = 0
 
     def choose(self, files: FileSet, target: TargetFolder) -> None:
         """Choose what is wanted of the files and compare it with the disk."""
-        self.files, self.whole, self.located, self.failures = files, None, [], []
+        self.files, self.located, self.failures = files, [], []
         known = target.located() if self.clips else {}
-        names = [f"{self.packed.folder}/{name}" for name in self.packed.names]
-        frames: list[str] = []
+        wanted = [f"{self.packed.folder}/{name}" for name in self.packed.names]
         for clip in self.clips:
             try:
-                located, mine = _locate(clip, files, known.get(clip.name))
+                located = _locate(clip, files, known.get(clip.name))
             except DamagedError:  # to be fetched again
                 raise
             except (NotLocatedError, FileFormatError) as error:
                 self.failures.append(error)
                 continue
             self.located.append(located)
-            frames += mine
             camera, packets = clip.drive.camera_folder(located.camera), f"{clip.drive.folder}/oxts"
-            names += [f"{camera}/timestamps.txt", f"{packets}/timestamps.txt"]
-            names += [f"{packets}/data/{n:010d}.txt" for n in located.numbers or ()]
-        self.lacking = [name for name in dict.fromkeys(names) if name not in files.sizes]
-        wanted = dict.fromkeys(frames + [name for name in names if name in files.sizes])
-        self.sums = {name: (files.sizes[name], files.crc32(name)) for name in wanted}
+            wanted += [f"{camera}/timestamps.txt", f"{packets}/timestamps.txt"]
+            for n in located.numbers or ():
+                wanted += [f"{camera}/data/{n:010d}.png", f"{packets}/data/{n:010d}.txt"]
+        wanted = list(dict.fromkeys(wanted))
+        self.lacking = [name for name in wanted if name not in files.sizes]
+        self.sums = {n: (files.sizes[n], files.crc32(n)) for n in wanted if n in files.sizes}
         self.missing = [name for name, sums in self.sums.items() if not _holds(target.root / name, sums)]
-
-    def bytes(self, names: Iterable[str], block: int = 1) -> int:
-        """Size of some of the files; or the room that they take on disk, in whole blocks."""
-        return sum(-(-self.sums[name][0] // block) * block for name in names)
-
-    def plan(self) -> Iterator[str]:
-        """Yield how much it is, then the clips."""
         here = len(self.sums) - len(self.missing)
         ready = f", {here} already here" if here else ""
-        extent = (
-            f"{len(self.sums)} files, {_megabytes(self.bytes(self.sums))}{ready}" if self.files else "none"
-        )
-        if self.whole:
-            known = _megabytes(self.whole.size) if self.whole.size is not None else "of unknown size"
-            extent = f"the server sends whole files only: all of the zip, {known}"
-        yield f"  {self.title}: {extent}"
-        for clip in self.located:
-            proof = f"by {clip.proof}" if clip.proof else "as given"
-            numbers = format_numbers(clip.numbers or ())
-            yield f"    {clip.name}: frames {numbers}, camera {clip.camera}, {proof}"
-        yield from (f"    {failure}" for failure in self.failures)
+        self.extent = f"{len(self.sums)} files, {megabytes(self.bytes(self.sums))}{ready}"
+
+    def bytes(self, names: Iterable[str], block: int = 1) -> int:
+        """Size of some of the files; with `block`, the room that they take on disk."""
+        return sum(-(-self.sums[name][0] // block) * block for name in names)
 
 
 def _parts(clips: list[Entry], options: PullOptions) -> Iterator[_Part]:
@@ -205,101 +206,70 @@ def _parts(clips: list[Entry], options: PullOptions) -> Iterator[_Part]:
         yield _Part(f"{date}: calibration", Packed(f"{date}_calib.zip", date, CALIBRATION_FILES))
 
 
-class _Pull:
-    """A pull: opening the parts decides what is missing, before anything is fetched."""
+def _choose(part: _Part, origin: Archives, target: TargetFolder, *, again: bool = False) -> None:
+    """Open a part's archive and choose what is wanted of it.
 
-    def __init__(
-        self, target: TargetFolder, origin: Archives, clips: list[Entry], options: PullOptions
-    ) -> None:
-        self.target, self.origin, self.report = target, origin, PullReport()
-        self.parts = list(_parts(clips, options))
-        for part in self.parts:
-            self._choose(part)
+    Clips that are not there and archives that are absent are kept as failures of the part, so that one clip
+    does not stop the others.
+    """
 
-    def plan(self) -> Iterator[str]:
-        """Yield the plan: every part with its clips, then files and bytes in all."""
-        for part in self.parts:
-            yield from part.plan()
-        whole = [part.whole.size or 0 for part in self.parts if part.whole]
-        more = f" and {len(whole)} whole zip(s)" if whole else ""
-        files = sum(len(part.missing) for part in self.parts)
-        cost = sum(part.files.cost(part.missing) for part in self.parts if part.files) + sum(whole)
-        yield f"plan: {files} files{more} to {self.target.root}, {_megabytes(cost)} to transfer"
+    def look(files: FileSet, again: bool) -> None:
+        part.choose(files, target)
+        if (part.failures or part.lacking) and files.fresh and not again:
+            # A directory holds no checksum of itself: a second reading confirms a gap.
+            raise DamagedError(files.name, expected="all that is wanted", found="gaps")
 
-    def fetch_all(self) -> None:
-        """Fetch what is missing, and keep a list of it."""
-        total = sum(part.bytes(part.missing) for part in self.parts)
-        self._check_space(sum(part.bytes(part.missing, _DISK_BLOCK) for part in self.parts))
-        with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
-            for part in self.parts:
-                try:
-                    self._fetch_part(part, bar)
-                finally:
-                    there = {n: s for n, s in part.sums.items() if (self.target.root / n).exists()}
-                    self.target.keep_files(there)
-                self.target.keep_located(part.located)
-                self.report.files += len(part.sums)
-                self.report.bytes += part.bytes(part.sums)
-                self.report.lacking += part.lacking
-        if not any(part.failures for part in self.parts):  # everything wanted is on disk
-            for pattern in ("*.zip", "*.part"):
-                for path in self.target.state.glob(pattern):
-                    path.unlink()
+    try:
+        origin.look(part.packed, look, again=again)
+    except RangesIgnoredError as error:
+        part.extent = str(error)
+    except AbsentError as error:
+        part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
 
-    def _choose(self, part: _Part, *, again: bool = False) -> None:
-        """Open a part's archive and choose what is wanted of it.
 
-        Clips that are not there and archives that are absent are kept as failures of the part, so that one
-        clip does not stop the others.
-        """
+def _plan(parts: list[_Part], target: TargetFolder) -> Iterator[str]:
+    """Yield the plan: every part with its clips, then files and bytes in all."""
+    for part in parts:
+        yield f"  {part.title}: {part.extent}"
+        for clip in part.located:
+            proof = f"by {clip.proof}" if clip.proof else "as given"
+            numbers = format_numbers(clip.numbers or ())
+            yield f"    {clip.name}: frames {numbers}, camera {clip.camera}, {proof}"
+        yield from (f"    {failure}" for failure in part.failures)
+    files = sum(len(part.missing) for part in parts)
+    cost = sum(part.files.cost(part.missing) for part in parts if part.files)
+    yield f"plan: {files} files to {target.root}, {megabytes(cost)} to transfer"
 
-        def look(files: FileSet, again: bool) -> None:
-            part.choose(files, self.target)
-            if (part.failures or part.lacking) and files.fresh and not again:
-                # A directory holds no checksum of itself: a second reading confirms a gap.
-                raise DamagedError(files.name, expected="all that is wanted", found="gaps")
 
-        try:
-            self.origin.look(part.packed, look, again=again)
-        except RangesIgnoredError as error:
-            part.files, part.whole = None, error
-        except AbsentError as error:
-            part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
+def _fetch_all(parts: list[_Part], origin: Archives, target: TargetFolder) -> None:
+    """Fetch what is missing, and keep a list of it."""
+    target.check_space(sum(part.bytes(part.missing, _DISK_BLOCK) for part in parts))
+    total = sum(part.bytes(part.missing) for part in parts)
+    with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
+        for part in parts:
+            try:
+                _fetch(part, target, bar)
+            except (DamagedError, ChangedError, RangesIgnoredError):
+                if origin.local is not None:
+                    raise
+                _choose(part, origin, target, again=True)
+                _fetch(part, target, bar)
+            finally:
+                target.keep_files({n: sums for n, sums in part.sums.items() if (target.root / n).exists()})
+            target.keep_located(part.located)
+    if not any(part.failures for part in parts):  # everything wanted is on disk
+        for path in [*target.state.glob("*.zip"), *target.state.glob("*.part")]:
+            path.unlink()
 
-    def _fetch_part(self, part: _Part, bar: tqdm[Any]) -> None:
-        """Fetch a part; once more, from the server, when it is damaged or the server ignores ranges."""
-        try:
-            self._fetch(part, bar)
-        except (DamagedError, ChangedError, RangesIgnoredError):
-            if self.origin.local is not None:
-                raise
-            self._choose(part, again=True)
-            self._fetch(part, bar)
 
-    def _fetch(self, part: _Part, bar: tqdm[Any]) -> None:
-        if part.whole:
-            there = self.target.path_for(part.whole.url, "part")
-            have = there.stat().st_size if there.is_file() else 0
-            self._check_space((part.whole.size or 0) - have)
-            part.choose(self.origin.download(part.whole.url, part.whole.size), self.target)
-            self._check_space(part.bytes(part.missing, _DISK_BLOCK))
-        if part.files is None:
-            return
-        for folder in {(self.target.root / name).parent for name in part.sums}:
-            for left in folder.glob(".*.part"):  # by a killed pull: the lock proves that none is alive
-                left.unlink(missing_ok=True)
-        for name, content in part.files.read(part.missing):
-            write_bytes(self.target.root / name, content)
-            bar.update(len(content))
-            self.report.fetched += 1
-
-    def _check_space(self, needed: int) -> None:
-        root = self.target.root
-        existing = next(path for path in (root, *root.absolute().parents) if path.exists())
-        free = shutil.disk_usage(existing).free
-        if needed > 0 and free < needed + _RESERVE:
-            expected = f"{_megabytes(needed + _RESERVE)} free"
-            raise InputFileError(f"{root}: disk", expected=expected, found=_megabytes(free))
+def _fetch(part: _Part, target: TargetFolder, bar: tqdm[Any]) -> None:
+    for folder in {(target.root / name).parent for name in part.sums}:
+        for left in folder.glob(".*.part"):  # by a killed pull: the lock proves that none is alive
+            left.unlink(missing_ok=True)
+    for name, content in part.files.read(part.missing) if part.files else ():
+        write_bytes(target.root / name, content)
+        bar.update(len(content))
+        part.fetched += 1
 
 
 def _show_licence(target: TargetFolder, options: PullOptions, report: Callable[[str], object]) -> None:
@@ -313,10 +283,13 @@ def _show_licence(target: TargetFolder, options: PullOptions, report: Callable[[
         write_text(path, LICENCE)
 
 
-def _locate(clip: Entry, files: FileSet, known: Entry | None) -> tuple[Entry, list[str]]:
-    """Locate by checksum, which costs nothing, or take what `locate` proved by pictures; name the frames."""
-    by_pictures = known is not None and known.proof in (PIXELS, CORRELATION)
-    if known and by_pictures and (known.drive, known.frames) == (clip.drive, clip.frames):
+def _locate(clip: Entry, files: FileSet, known: Entry | None) -> Entry:
+    """Locate by checksum, which costs nothing, or take what `locate` proved by pictures."""
+    if (
+        known
+        and known.proof not in ("", CHECKSUM)
+        and (known.drive, known.frames) == (clip.drive, clip.frames)
+    ):
         clip = known
     else:
         clip = locate_clip(clip, files, pixels=files.local)
@@ -328,7 +301,7 @@ def _locate(clip: Entry, files: FileSet, known: Entry | None) -> tuple[Entry, li
             expected=f"frames {format_numbers(absent)} of camera {clip.camera}",
             found=f"frames {format_numbers(frames) or 'none'}",
         )
-    return clip, [frames[n] for n in clip.numbers or ()]
+    return clip
 
 
 def _verify(target: TargetFolder, clips: list[Entry], report: Callable[[str], object]) -> PullReport:
@@ -350,7 +323,7 @@ def _verify(target: TargetFolder, clips: list[Entry], report: Callable[[str], ob
         what = f"{len(bad)} of {len(wanted)} files are damaged or missing"
         raise InputFileError(f"{root}: {what}", fix="pull again")
     verified = PullReport(len(wanted), sum(size for size, _ in wanted.values()))
-    report(f"verified {verified.files} files, {_megabytes(verified.bytes)}")
+    report(f"verified {verified.files} files, {megabytes(verified.bytes)}")
     return verified
 
 
@@ -360,7 +333,3 @@ def _holds(path: Path, sums: tuple[int, int]) -> bool:
         return path.stat().st_size == sums[0] and crc32_file(path) == sums[1]
     except OSError:
         return False
-
-
-def _megabytes(count: int) -> str:
-    return f"{count / 1e6:.1f} MB"

@@ -227,7 +227,7 @@ def test_drive_that_the_server_lacks_does_not_stop_the_others(world: World) -> N
 def test_server_without_ranges_sends_the_zip_once_for_locate_and_pull(world: World) -> None:
     world.server.ranges = False
     assert _locate(world)["Hidden"].numbers == HIDDEN
-    assert "ignores ranges; fetching all" in world.lines[0]
+    assert "sends whole files only; fetching all" in world.lines[0]
     world.server.reset()
     world.pull()
     world.check()

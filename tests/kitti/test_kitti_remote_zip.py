@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from kitti_world import World
 
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
-from kt3dmoseg.kitti.remote_zip import Archive, DamagedError
+from kt3dmoseg.kitti.archives import Archive, DamagedError
 
 CONTENT = {"a/one.txt": b"first " * 100, "a/two.txt": b"second", "b.bin": bytes(range(256)) * 300}
 

@@ -9,7 +9,7 @@ import pytest
 from kitti_world import CALIB, SYNC, World
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.kitti import locate, pulling
+from kt3dmoseg.kitti import archives, locate
 from kt3dmoseg.kitti.http import ChangedError, Client, Traffic
 from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.releases import fetch_release
@@ -65,7 +65,7 @@ def test_a_kept_zip_that_decayed_on_disk_is_fetched_again(world: World, part: fl
         world.pull(retries=0)
     world.server.fault = lambda count, path: ""
     url = f"{world.server.url}/{SYNC}"
-    copy = pulling.TargetFolder(world.root).path_for(url, "zip")
+    copy = archives.TargetFolder(world.root).path_for(url, "zip")
     content = bytearray(world.server.files[SYNC])
     content[int(part * len(content)) - 22 * (part > 0.9)] ^= 0x55
     copy.write_bytes(content)
