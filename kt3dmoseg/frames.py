@@ -111,9 +111,8 @@ class VideoFile:
         del colour  # a video is in colour by nature
         with open_video(self.file) as video:
             if not video.isOpened():
-                raise FileFormatError(
-                    f"{self.file}", expected="a video that OpenCV decodes", found="none", fix="check the file"
-                )
+                expected, fix = "a video that OpenCV decodes", "check the file"
+                raise FileFormatError(f"{self.file}", expected=expected, found="none", fix=fix)
             while (read := video.read())[0]:
                 yield gray(np.asarray(read[1]), f"{self.file}", "luma")
 
@@ -140,23 +139,18 @@ class KittiClip:
 
     def inspect(self) -> FrameInfo:
         """Check that the frames are there, hash them, and read their times and the calibration."""
-        numbers, camera = self._numbers(), self.drive.camera
-        description = {
-            "kind": "kitti",
-            "drive": self.drive.drive.name,
-            "camera": camera,
-            "first": numbers[0],
-            "last": numbers[-1],
-            "sha256": sha256_files([self.drive.frame_path(n) for n in numbers]),
-        }
-        times, intrinsics = self.drive.timestamps(numbers), self.drive.K
-        calibrated, size = self.drive.image_size, picture_size(self.drive.frame_path(numbers[0]))
-        if calibrated != size:
-            expected, found = ("{}x{} px".format(*size), "{}x{}".format(*calibrated))
-            where = f"{self.drive.folder}: calibration of camera {camera}"
+        drive, numbers = self.drive, self._numbers()
+        paths = [drive.frame_path(number) for number in numbers]
+        description = {"kind": "kitti", "drive": drive.drive.name, "camera": drive.camera}
+        description |= {"first": numbers[0], "last": numbers[-1], "sha256": sha256_files(paths)}
+        times, camera = drive.timestamps(numbers), Camera(f"image_{drive.camera:02d}", drive.K)
+        (width, height), calibrated = picture_size(paths[0]), drive.image_size
+        if calibrated != (width, height):
+            where = f"{drive.folder}: calibration of camera {drive.camera}"
+            expected, found = f"{width}x{height} px, as the frames", "{}x{}".format(*calibrated)
             fix = "it is of another day, or the frames were resized or cropped"
-            raise FileFormatError(where, expected=f"{expected}, as the frames", found=found, fix=fix)
-        return FrameInfo(numbers, description, times, Camera(f"image_{camera:02d}", intrinsics))
+            raise FileFormatError(where, expected=expected, found=found, fix=fix)
+        return FrameInfo(numbers, description, times, camera)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames; of the colour cameras 2 and 3 their luma."""
@@ -164,13 +158,12 @@ class KittiClip:
         return read_frames([self.drive.frame_path(n) for n in self._numbers()], wanted)
 
     def _numbers(self) -> Sequence[int]:
-        present = [int(n) for n in self.drive.numbers]
-        first = self.first if self.first is not None else min(present, default=0)
-        last = self.last if self.last is not None else max(present, default=0)
+        present = self.drive.numbers.tolist() or [0]
+        first = present[0] if self.first is None else self.first
+        last = present[-1] if self.last is None else self.last
         if last <= first:
-            raise InvalidValueError(
-                f"{self.where}: range", expected="at least two frames, FIRST-LAST", found=f"{first}-{last}"
-            )
+            expected, found = "at least two frames, FIRST-LAST", f"{first}-{last}"
+            raise InvalidValueError(f"{self.where}: range", expected=expected, found=found)
         return range(first, last + 1)
 
 
@@ -213,22 +206,23 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
         return [VideoFile(root)]
     if not root.is_dir():
         raise InputFileError(f"{root}", expected="frames, a video or a KITTI raw root", found="no such path")
+    found: list[FrameSource]
     if any(root.glob(_DRIVE_FOLDERS)):
         found = located_sources(root) or kitti_sources(root)
-        return sorted(found, key=lambda source: source.name)
-    if is_clip(root):
-        return [FrameFolder(root)]
-    _check_level(root)
-    inside = listed(root)
-    found = [FrameFolder(path) for path in inside if path.is_dir()]
-    found += [VideoFile(path) for path in inside if path.suffix.lower() in VIDEO_SUFFIXES]
-    if not found:
-        raise InputFileError(
-            f"{root}",
-            expected="numbered frames, or one folder of frames per clip",
-            found="an empty folder" if not inside else f"{inside[0].name}, no pictures",
-            fix="give the folder that holds them",
-        )
+    elif is_clip(root):
+        found = [FrameFolder(root)]
+    else:
+        _check_level(root)
+        inside = listed(root)
+        found = [FrameFolder(path) for path in inside if path.is_dir()]
+        found += [VideoFile(path) for path in inside if path.suffix.lower() in VIDEO_SUFFIXES]
+        if not found:
+            expected, fix = (
+                "numbered frames, or one folder of frames per clip",
+                "give the folder that holds them",
+            )
+            what = f"{inside[0].name}, no pictures" if inside else "an empty folder"
+            raise InputFileError(f"{root}", expected=expected, found=what, fix=fix)
     return sorted(found, key=lambda source: source.name)
 
 
@@ -249,7 +243,6 @@ def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
     no catalog, or a clip in it skips frames.
     """
     from kt3dmoseg import catalog
-    from kt3dmoseg.catalog import format_numbers
     from kt3dmoseg.kitti import RawDrive
     from kt3dmoseg.kitti.raw import LOCATED
 
@@ -259,15 +252,14 @@ def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
         numbers = clip.numbers or ()
         try:
             drive = RawDrive(root, clip.drive.date, clip.drive.number, clip.camera)
-            on_disk = np.isin(numbers, drive.numbers).any()
+            if not np.isin(numbers, drive.numbers).any():
+                continue
         except InputFileError:  # nothing of that drive or camera
             continue
-        if on_disk and numbers[-1] - numbers[0] + 1 != len(numbers):
-            raise FileFormatError(
-                f"{path}: {clip.name}", expected="consecutive frames", found=format_numbers(numbers)
-            )
-        if on_disk:
-            found.append(KittiClip(drive, numbers[0], numbers[-1], clip.name))
+        if numbers[-1] - numbers[0] + 1 != len(numbers):
+            where, listing = f"{path}: {clip.name}", catalog.format_numbers(numbers)
+            raise FileFormatError(where, expected="consecutive frames", found=listing)
+        found.append(KittiClip(drive, numbers[0], numbers[-1], clip.name))
     return found
 
 
@@ -306,27 +298,20 @@ def kitti_sources(
 
     span = _span(frames)
     wanted = None if drive is None else Drive(date or "2011_09_26", drive).number  # type: ignore[arg-type]  # it converts
-    found = [
-        match
-        for folder in sorted(Path(root).glob(_DRIVE_FOLDERS))
-        if (match := _DRIVE.fullmatch(folder.name.removesuffix("_sync")))
-        and date in (None, match[1])
-        and wanted in (None, int(match[2]))
-    ]
-    if not found:
+    names = (folder.name.removesuffix("_sync") for folder in sorted(Path(root).glob(_DRIVE_FOLDERS)))
+    matches = map(_DRIVE.fullmatch, names)
+    pairs = [(match[1], int(match[2])) for match in matches if match]
+    pairs = [pair for pair in pairs if date in (None, pair[0]) and wanted in (None, pair[1])]
+    if not pairs:
         asked = " ".join(str(part) for part in (date, drive) if part is not None)
-        raise InputFileError(
-            f"{os.fspath(root)}",
-            expected=f"a KITTI raw root with drive {asked}".rstrip(),
-            found="no such drive",
-            fix="fetch it with kt3dmoseg pull, or give the folder that holds the day's folder",
-        )
-    if len(found) > 1 and (span or name):
-        raise InvalidValueError(
-            "range and name", expected="one drive", found=f"{len(found)}", fix="give --date and --drive"
-        )
+        expected = f"a KITTI raw root with drive {asked}".rstrip()
+        fix = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
+        raise InputFileError(os.fspath(root), expected=expected, found="no such drive", fix=fix)
+    if len(pairs) > 1 and (span or name):
+        found, fix = f"{len(pairs)}", "give --date and --drive"
+        raise InvalidValueError("range and name", expected="one drive", found=found, fix=fix)
     first, last = span or (None, None)
-    return [KittiClip(RawDrive(root, match[1], match[2], camera), first, last, name) for match in found]
+    return [KittiClip(RawDrive(root, *pair, camera), first, last, name) for pair in pairs]
 
 
 def _span(frames: str | tuple[int, int] | None) -> tuple[int, int] | None:
@@ -340,7 +325,7 @@ def _span(frames: str | tuple[int, int] | None) -> tuple[int, int] | None:
 
 def frame_folder(clip: Clip, root: str | os.PathLike[str]) -> Path | None:
     """Find the folder of a clip's frames below `root`: ``ROOT/CLIP``, or its camera of a KITTI drive."""
-    below, source = [Path(root, clip.name)], _kitti_source(clip)
+    below, source = [Path(root, clip.name)], _source(clip.provenance, "kitti")
     drive = _DRIVE.fullmatch(str(source.get("drive")))
     if drive and source.get("camera") in (0, 1, 2, 3):
         from kt3dmoseg.kitti import Drive
@@ -358,19 +343,15 @@ def frames_of(clip: Clip, root: str | os.PathLike[str]) -> list[ByteArray]:
     `FileFormatError` is raised when they cannot be read, or are those of another clip.
     """
     folder = frame_folder(clip, root) or Path(root)
-    paths = _paths_of(clip, folder)
+    paths, size = _paths_of(clip, folder), clip.dense.image_size
     if len(paths) != clip.n_frames:
-        raise InputFileError(
-            f"{folder}", expected=f"the {clip.n_frames} frames of {clip.name}", found=f"{len(paths)}"
-        )
+        expected = f"the {clip.n_frames} frames of {clip.name}"
+        raise InputFileError(f"{folder}", expected=expected, found=f"{len(paths)}")
     frames = list(read_frames(paths, "luma"))
-    found, wanted = frames[0].shape[::-1], clip.dense.image_size
-    if wanted is not None and found != wanted:
-        raise InputFileError(
-            f"{folder}",
-            expected=f"frames of {wanted[0]}x{wanted[1]} px, as in {clip.name}",
-            found=f"{found[0]}x{found[1]}",
-        )
+    height, width = frames[0].shape
+    if size not in (None, (width, height)):
+        expected = "frames of {}x{} px, as in {}".format(*size, clip.name)
+        raise InputFileError(f"{folder}", expected=expected, found=f"{width}x{height}")
     check_frames(clip.provenance, clip.name, paths)
     return frames
 
@@ -386,33 +367,33 @@ def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]
         wanted = [str(tracked[name]) for name in sorted(tracked, key=frame_number)]
         found = [sha256_file(path) for path in paths]
     if wanted not in (None, found):
-        raise InputFileError(
-            f"{paths[0].parent}",
-            expected=f"the frames that {clip} was made from",
-            found="pictures with other contents (by their sha256)",
-            fix="give the folder that the clip was made from",
+        expected, found = (
+            f"the frames that {clip} was made from",
+            "pictures with other contents (by their sha256)",
         )
+        fix = "give the folder that the clip was made from"
+        raise InputFileError(f"{paths[0].parent}", expected=expected, found=found, fix=fix)
+
+
+def recorded_inputs(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what a built clip was made from, as recorded in its file; empty for other clips."""
+    inputs = provenance.get("inputs", provenance.get("fingerprint"))  # its name in 0.1.0
+    return inputs if isinstance(inputs, Mapping) else {}
+
+
+def _source(provenance: Mapping[str, Any], kind: str = "") -> Mapping[str, Any]:
+    """Return the recorded source of a built clip, if it is of this kind."""
+    source = recorded_inputs(provenance).get("source")
+    return source if isinstance(source, Mapping) and kind in ("", source.get("kind")) else {}
 
 
 def _paths_of(clip: Clip, folder: Path) -> list[Path]:
     """List a folder's numbered pictures, or of a KITTI drive those that the clip was built from."""
-    if _kitti_source(clip) and folder.is_dir():
+    if _source(clip.provenance, "kitti") and folder.is_dir():
         pictures, numbers = numbered_pictures(folder), clip.frame_numbers.tolist()
         if set(numbers) <= set(pictures):
             return [pictures[number] for number in numbers]
     return frame_paths(folder)
-
-
-def _source(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what a built clip comes from, as recorded in its file; empty for other clips."""
-    inputs = provenance.get("inputs", provenance.get("fingerprint"))  # its name in 0.1.0
-    source = inputs.get("source") if isinstance(inputs, Mapping) else None
-    return source if isinstance(source, Mapping) else {}
-
-
-def _kitti_source(clip: Clip) -> Mapping[str, Any]:
-    source = _source(clip.provenance)
-    return source if source.get("kind") == "kitti" else {}
 
 
 @dataclass(frozen=True)
@@ -432,39 +413,32 @@ def find_clips(
     frames: str | os.PathLike[str] | None = None,
     tracks: str | os.PathLike[str] | None = None,
 ) -> dict[str, ClipFiles]:
-    """Find the clips to label, sorted by name.
+    """Find the clips to label, sorted by name: a folder of frames, a clip file, or a folder of these.
 
-    They are in a folder of frames, a clip file (``.h5``, ``.mat``), or a dataset: a folder that holds one of
-    these per clip. `annotations` is the folder of ``<clip>.json``. Clip files need `frames`: a folder with a
-    sub-folder of frames per clip, the frames themselves, or the KITTI raw root that the clips were built
-    from. `tracks`, clip files too, adds trajectories to folders of frames. An `InputFileError` is raised when
-    `path` holds no clip, or the frames of a clip file are nowhere.
+    `annotations` is the folder of ``<clip>.json``. Clip files need `frames`: a folder with one folder of
+    frames per clip, the frames themselves, or the KITTI raw root that the clips were built from; by default
+    they are next to the files, or in ``frames`` next to their folder. `tracks`, clip files too, adds
+    trajectories to folders of frames.
     """
     given = Path(path)
-    folders, files = _picture_folders(given), _clip_files(given)
+    inside = listed(given) if given.is_dir() else []
+    folders = {folder.name: folder for folder in inside if has_pictures(folder)}
+    folders = {given.resolve().name: given} if is_clip(given) else folders
+    files = _clip_files(given)
     if tracks is not None:
         files = _clip_files(Path(tracks)) | files
         if folders and not folders.keys() & files.keys():
             expected = f"tracks of {', '.join(list(folders)[:3])}"
             raise InputFileError(f"{tracks}", expected=expected, found=", ".join(list(files)[:3]) or "none")
-    out = {}
-    for name in sorted(folders or files):
-        if name in folders:
-            paths = frame_paths(folders[name])
-        else:
-            paths = _frames_of_file(name, files[name], given, None if frames is None else Path(frames))
-        out[name] = ClipFiles(name, tuple(paths), files.get(name), Path(annotations, f"{name}.json"))
-    if not out:
+    if not folders and not files:
         expected = "a folder of frames, a clip file, or a folder of such"
         raise InputFileError(f"{given}", expected=expected, found="none of them")
+    out = {}
+    for name in sorted(folders or files):
+        known = folders.get(name)
+        paths = frame_paths(known) if known else _frames_of_file(name, files[name], given, frames)
+        out[name] = ClipFiles(name, tuple(paths), files.get(name), Path(annotations, f"{name}.json"))
     return out
-
-
-def _picture_folders(path: Path) -> dict[str, Path]:
-    if is_clip(path):
-        return {path.resolve().name: path}
-    inside = listed(path) if path.is_dir() else []
-    return {folder.name: folder for folder in inside if has_pictures(folder)}
 
 
 def _clip_files(path: Path) -> dict[str, Path]:
@@ -475,19 +449,14 @@ def _clip_files(path: Path) -> dict[str, Path]:
     return {}
 
 
-def _frames_of_file(name: str, file: Path, given: Path, frames: Path | None) -> list[Path]:
-    """List the frames of a clip file: below or at `frames`, else next to what was given."""
+def _frames_of_file(name: str, file: Path, given: Path, frames: str | os.PathLike[str] | None) -> list[Path]:
     dataset = given if given.is_dir() else given.parent
-    roots = [frames] if frames is not None else [dataset, dataset.parent / "frames"]
-    candidates = [root / name for root in roots] + ([frames] if frames is not None else [])
-    for folder in candidates:
+    roots = [dataset, dataset.parent / "frames"] if frames is None else [Path(frames)]
+    below = [root / name for root in roots]
+    for folder in below if frames is None else [*below, *roots]:
         if has_pictures(folder):
             return frame_paths(folder)
     if frames is not None and (drive := frame_folder(clip := load(file), frames)):
         return _paths_of(clip, drive)
-    raise InputFileError(
-        f"frames of {name}",
-        expected=f"a folder of pictures {' or '.join(str(root / name) for root in roots)}",
-        found="none",
-        fix="give their folder with --frames",
-    )
+    expected, fix = f"a folder of pictures {' or '.join(map(str, below))}", "give their folder with --frames"
+    raise InputFileError(f"frames of {name}", expected=expected, found="none", fix=fix)

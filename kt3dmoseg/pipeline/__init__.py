@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from kt3dmoseg.frames import find_sources as find_sources
     from kt3dmoseg.frames import kitti_sources as kitti_sources
     from kt3dmoseg.frames import located_sources as located_sources
-    from kt3dmoseg.pipeline.clip import build_clip as build_clip
     from kt3dmoseg.pipeline.dataset import Outcome as Outcome
+    from kt3dmoseg.pipeline.dataset import build_clip as build_clip
     from kt3dmoseg.pipeline.dataset import build_dataset as build_dataset
     from kt3dmoseg.pipeline.drives import SyntheticDrive as SyntheticDrive
     from kt3dmoseg.pipeline.drives import build_synthetic as build_synthetic
-    from kt3dmoseg.pipeline.masks import label_by_masks as label_by_masks
+    from kt3dmoseg.pipeline.labels import label_by_masks as label_by_masks
 
 ALGORITHM_VERSION = 1
 """Raised when the same tracks and annotations or masks get other labels, or other rows are evaluated."""
@@ -41,25 +41,14 @@ class BuildOptions:
 
 
 # Imported on first use: `kt3dmoseg build --help` reads the options without loading OpenCV.
-_PUBLIC = {
-    "build_clip": "clip",
-    "build_dataset": "dataset",
-    "Outcome": "dataset",
-    "SyntheticDrive": "drives",
-    "build_synthetic": "drives",
-    "label_by_masks": "masks",
-} | dict.fromkeys(
-    (
-        "FrameFolder",
-        "FrameSource",
-        "KittiClip",
-        "VideoFile",
-        "find_sources",
-        "kitti_sources",
-        "located_sources",
-    ),
-    "kt3dmoseg.frames",
-)
+_PLACES = {
+    "kt3dmoseg.frames": "FrameFolder FrameSource KittiClip VideoFile "
+    "find_sources kitti_sources located_sources",
+    "dataset": "Outcome build_clip build_dataset",
+    "drives": "SyntheticDrive build_synthetic",
+    "labels": "label_by_masks",
+}
+_PUBLIC = {name: module for module, names in _PLACES.items() for name in names.split()}
 
 __all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604
 

@@ -1,24 +1,38 @@
-"""A dataset: one HDF5 file per clip, in parallel, resumable, up to date or rebuilt with a reason."""
+"""From frames to dataset files: one HDF5 file per clip, in parallel, up to date or rebuilt with a reason."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import cv2
+import h5py
+import numpy as np
+import scipy
 
+import kt3dmoseg
+from kt3dmoseg import pipeline, tracking
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
-from kt3dmoseg.files import check_writable, hold_folder
-from kt3dmoseg.frames import FrameSource, find_sources
+from kt3dmoseg.files import check_writable, hold_folder, sha256_file, sha256_files
+from kt3dmoseg.flow import backend_identity, create
+from kt3dmoseg.frames import FrameSource, find_sources, recorded_inputs
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
+from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.parallel import Progress, run_tasks
-from kt3dmoseg.pipeline.clip import Job, Settings, check_label_paths, label_files, reason_to_build
-from kt3dmoseg.pipeline.masks import has_masks
+from kt3dmoseg.pipeline import BuildOptions
+from kt3dmoseg.pipeline.drives import SyntheticDrive
+from kt3dmoseg.pipeline.labels import check_labels, find_labels, label_clip
+from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.tracking import TrackOptions, subsample_background, track
+from kt3dmoseg.types import Clip, IntArray, Labels
+
+_LIBRARIES = {"kt3dmoseg": kt3dmoseg, "numpy": np, "scipy": scipy, "opencv": cv2, "h5py": h5py}
 
 
 @dataclass(frozen=True)
@@ -47,6 +61,59 @@ class Outcome:
     path: Path
     counts: Mapping[str, int]
     labels: str = ""
+
+
+def build_clip(
+    source: str | os.PathLike[str] | FrameSource,
+    *,
+    annotation: str | os.PathLike[str] | None = None,
+    masks: str | os.PathLike[str] | None = None,
+    flow_parameters: Mapping[str, Any] | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int | None], None] | None = None,
+    **options: Any,  # noqa: ANN401
+) -> Clip:
+    """Build one clip from its frames.
+
+    Parameters
+    ----------
+    source : path or FrameSource
+        A folder of frames, a video, or what `find_sources` and `kitti_sources` list.
+    annotation : path, optional
+        File that labels come from.
+    masks : path, optional
+        Folder of DAVIS or KITTI MOTS masks that labels come from.
+    flow_parameters : mapping, optional
+        Parameters of the flow backend.
+    cache : path, optional
+        Folder in which flow fields are kept and looked up by content.
+    progress : callable, optional
+        Called with (frames done, frames in all or None).
+    **options
+        Fields of `BuildOptions` and of `kt3dmoseg.tracking.TrackOptions`.
+
+    Returns
+    -------
+    Clip
+        With an annotation or masks: the labelled foreground and the drawn part of the background
+        are evaluated. Without: every trajectory is evaluated, label 0.
+
+    Raises
+    ------
+    InputFileError, FileFormatError
+        For frames, annotation or masks that cannot be read.
+    InvalidValueError, UnknownNameError
+        For a bad option.
+    """
+    settings = _Settings(annotation, masks, cache, flow_parameters, options)
+    if isinstance(source, (str, os.PathLike)):
+        found = find_sources(source)
+        if len(found) != 1:
+            number, fix = f"{len(found)}", "build_dataset builds many"
+            raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
+        source = found[0]
+    check_labels([source.name], annotation, masks)
+    return _Job(source, settings).build(progress)
 
 
 def build_dataset(
@@ -109,62 +176,33 @@ def build_dataset(
     MissingDependencyError
         When the flow backend needs a package that is not installed.
     """
-    settings = Settings.of(options, flow_parameters)
+    settings = _Settings(annotations, masks, cache, flow_parameters, options)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
-    _check_names(sources)
-    check_label_paths([source.name for source in sources], annotations, masks)
-    _check_masks(sources, masks)
+    names = _names(sources)
+    check_labels(names, annotations, masks)
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))
     count = workers or len(os.sched_getaffinity(0))
     with _sole_writer(Path(output)) as folder:
-        build = _Build(folder, annotations, masks, settings, cache, force)
+        work, lost = partial(_build_file, settings, folder, force), partial(_lost, folder)
         outcomes = []
-        for _, outcome in run_tasks(
-            build, sources, lost=build.lost, workers=count, dask=dask, progress=progress
-        ):
+        for _, outcome in run_tasks(work, sources, lost=lost, workers=count, dask=dask, progress=progress):
             outcomes.append(outcome)
             if report is not None:
                 report(outcome)
     return sorted(outcomes, key=lambda outcome: outcome.name)
 
 
-@dataclass(frozen=True)
-class _Build:
-    """What workers do with each clip; one that is up to date is left alone, an error is a failed outcome."""
-
-    output: Path
-    annotations: str | os.PathLike[str] | None
-    masks: str | os.PathLike[str] | None
-    settings: Settings
-    cache: str | os.PathLike[str] | None
-    force: bool
-
-    def __call__(self, source: FrameSource, progress: Progress) -> Outcome:
-        cv2.setNumThreads(1)  # also with one worker, which is the calling process
-        name, target = source.name, self.output / f"{source.name}.h5"
-        try:
-            files = label_files(name, self.annotations, self.masks)
-            job, labels = Job(source, files, self.settings), "".join(files)
-            reason = reason_to_build(target, job.inputs, force=self.force)
-            if not reason:
-                return Outcome(name, "up to date", "", target, {}, labels)
-            clip = job.build(self.cache, lambda done, total: progress(name, done, total))
-            for partial in self.output.glob(f".{target.name}.*.part"):  # of a build that was killed
-                partial.unlink(missing_ok=True)
-            hdf5.write(clip, target)
-        except MissingDependencyError:  # the same for every clip
-            raise
-        except KT3DMoSegError as error:
-            return Outcome(name, "failed", str(error), target, {})
-        sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
-        counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
-        return Outcome(name, "built", reason, target, counts, labels)
-
-    def lost(self, source: FrameSource, reason: str) -> Outcome:
-        advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
-        target = self.output / f"{source.name}.h5"
-        return Outcome(source.name, "failed", f"{reason}; {advice}", target, {})
+def _names(sources: Sequence[FrameSource]) -> list[str]:
+    """Return the clips' names, each of which becomes that of a file."""
+    names = [source.name for source in sources]
+    for name in names:
+        check_name(name, "name")
+        if names.count(name) > 1:
+            both = " and ".join(source.where for source in sources if source.name == name)
+            fix = "rename or remove one"
+            raise InvalidValueError(f"clip {name}", expected="one source", found=both, fix=fix)
+    return names
 
 
 @contextmanager
@@ -172,12 +210,8 @@ def _sole_writer(output: Path) -> Iterator[Path]:
     """Make the folder and hold it for this process; leave none where nothing came of it."""
 
     def refuse() -> None:
-        raise InputFileError(
-            f"{output}",
-            expected="no other build",
-            found="another build running in this folder",
-            fix="wait for it",
-        )
+        found, fix = "another build running in this folder", "wait for it"
+        raise InputFileError(f"{output}", expected="no other build", found=found, fix=fix)
 
     with hold_folder(output, busy=refuse) as folder:
         try:
@@ -188,31 +222,139 @@ def _sole_writer(output: Path) -> Iterator[Path]:
                 folder.rmdir()  # succeeds only when it is empty
 
 
-def _check_names(sources: Sequence[FrameSource]) -> None:
-    names = [source.name for source in sources]
-    for name in names:
-        check_name(name, "name")
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        both = " and ".join(source.where for source in sources if source.name == twice[0])
-        raise InvalidValueError(
-            f"clip {twice[0]}", expected="one source", found=both, fix="rename or remove one"
-        )
+class _Settings:
+    """What clips depend on apart from their frames; worker processes get it, too."""
+
+    def __init__(
+        self,
+        annotations: str | os.PathLike[str] | None,
+        masks: str | os.PathLike[str] | None,
+        cache: str | os.PathLike[str] | None,
+        flow_parameters: Mapping[str, Any] | None,
+        options: Mapping[str, Any],
+    ) -> None:
+        own, tracker = option_names(BuildOptions), option_names(TrackOptions)
+        for name in options:
+            if name not in (*own, *tracker):
+                raise unknown_name("option", name, [*own, *tracker])
+        self.annotations, self.masks, self.cache = annotations, masks, cache
+        self.build = from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own})
+        self.tracks = from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker})
+        self.flow = create(self.build.flow, **(flow_parameters or {}))
 
 
-def _check_masks(sources: Sequence[FrameSource], given: str | os.PathLike[str] | None) -> None:
-    """Check that masks belong to clips by name: one clip's must not label all, nor a wrong folder none."""
-    if given is None:
-        return
-    masks = Path(given)
-    if len(sources) > 1 and has_masks(masks):
-        raise InvalidValueError(
-            f"{masks}",
-            expected=f"one folder of masks per clip, as {masks / sources[0].name}",
-            found=f"masks, and {len(sources)} clips",
-            fix="build their clip alone, or move them into a folder of its name",
+def _build_file(
+    settings: _Settings, output: Path, force: bool, source: FrameSource, progress: Progress
+) -> Outcome:
+    """Build one clip unless its file is up to date; an error is a failed outcome."""
+    cv2.setNumThreads(1)  # also with one worker, which is the calling process
+    name, target = source.name, output / f"{source.name}.h5"
+    try:
+        job = _Job(source, settings)
+        reason, labels = _reason_to_build(target, job.inputs, force), "".join(job.files)
+        if not reason:
+            return Outcome(name, "up to date", "", target, {}, labels)
+        clip = job.build(partial(progress, name))
+        for unfinished in output.glob(f".{target.name}.*.part"):  # of a build that was killed
+            unfinished.unlink(missing_ok=True)
+        hdf5.write(clip, target)
+    except MissingDependencyError:  # the same for every clip
+        raise
+    except KT3DMoSegError as error:
+        return Outcome(name, "failed", str(error), target, {})
+    sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
+    counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
+    return Outcome(name, "built", reason, target, counts, labels)
+
+
+def _lost(output: Path, source: FrameSource, reason: str) -> Outcome:
+    advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
+    return Outcome(source.name, "failed", f"{reason}; {advice}", output / f"{source.name}.h5", {})
+
+
+class _Job:
+    """One clip to build, checked, without a frame decoded.
+
+    Its `inputs` are everything that the bytes of the clip depend on, as JSON values; a null flow means a
+    backend that depends on more than its parameters.
+    """
+
+    def __init__(self, source: FrameSource, settings: _Settings) -> None:
+        self.source, self.settings, self.info = source, settings, source.inspect()
+        self.files = find_labels(source.name, settings.annotations, settings.masks)
+        hashes = {"annotation": lambda paths: sha256_file(paths[0]), "masks": sha256_files}
+        self.inputs = {
+            "name": source.name,
+            "source": self.info.description,
+            "labels": {kind: hashes[kind](paths) for kind, paths in self.files.items()},
+            "options": asdict(settings.build) | asdict(settings.tracks),
+            "flow": backend_identity(settings.flow),
+            "versions": {name: library.__version__ for name, library in _LIBRARIES.items()},
+            "algorithms": {"tracking": tracking.ALGORITHM_VERSION, "pipeline": pipeline.ALGORITHM_VERSION},
+        }
+
+    def build(self, progress: Callable[[int, int | None], None] | None) -> Clip:
+        """Track, label, subsample."""
+        source, settings, numbers = self.source, self.settings, self.info.numbers
+        total = None if numbers is None else len(numbers)
+        report = None if progress is None else lambda done, _: progress(done, total)
+        frames, options = source.frames(settings.build.colour), asdict(settings.tracks)
+        try:
+            dense = track(frames, settings.flow, cache=settings.cache, progress=report, **options)
+        except InvalidValueError as error:  # of the frames' arrays: name their source
+            raise InvalidValueError(f"{source.where}: {error}") from None
+        provenance: dict[str, Any] = {"format": "kt3dmoseg-build", "inputs": self.inputs}
+        numbers = range(dense.n_frames) if numbers is None else numbers
+        if isinstance(source, SyntheticDrive):
+            labels: Labels | None = source.label(dense)
+            provenance["attributes"] = dict(source.measure())
+        else:
+            labels = label_clip(source.name, self.files, dense, numbers)
+        info, (rows, chosen) = self.info, self._evaluated(labels, len(dense))
+        return Clip(
+            source.name, dense, rows, chosen, np.array(numbers), info.timestamps, info.camera, provenance
         )
-    if not any(has_masks(folder) for folder in (masks, *(masks / source.name for source in sources))):
-        raise InputFileError(
-            f"{masks}", expected=f"masks (.png) there, or in {masks / sources[0].name}", found="none"
+
+    def _evaluated(self, labels: Labels | None, count: int) -> tuple[IntArray, Labels]:
+        if labels is None:
+            return np.arange(count), Labels(np.zeros(count, dtype=np.int64))
+        chosen = self.settings.build
+        # The clip's name takes part, so that a clip's draw does not depend on the others.
+        rng = np.random.default_rng([chosen.seed, *self.source.name.encode()])
+        rows = subsample_background(labels, rng, chosen.fraction, chosen.smallest)
+        return rows, Labels(labels.label[rows], labels.background, labels.names)
+
+
+def _reason_to_build(target: Path, wanted: Mapping[str, Any], force: bool) -> str:
+    """Explain why a clip's file must be written (with `force`, always); empty when it is up to date.
+
+    An intact clip that no build has made is refused, unless forced: it may be the only copy.
+    """
+    if not target.exists():
+        return "new"
+    try:
+        found = recorded_inputs(hdf5.provenance(target))
+    except KT3DMoSegError as error:
+        return f"the file there is no intact clip ({error})"
+    if not found and not force:
+        expected, fix = (
+            "no file, or a clip that was built from frames",
+            "give another output folder, or --force to write over it",
         )
+        raise InputFileError(f"{target}", expected=expected, found="another clip", fix=fix)
+    if wanted["flow"] is None:
+        return "the fields of this flow backend may depend on more than its parameters"
+    changes = list(_differences(found, wanted, "")) if found else []
+    more = f"; {len(changes) - 3} more changes" if len(changes) > 3 else ""
+    return "; ".join(changes[:3]) + more or "forced" * force
+
+
+def _differences(old: object, new: object, where: str) -> Iterator[str]:
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in sorted({*old, *new}):
+            yield from _differences(old.get(key), new.get(key), f"{where} {key}".strip())
+    elif old != new and (old is None or new is None):
+        yield f"{where} {'added' if old is None else 'removed'}"
+    elif old != new:
+        checksum = where.startswith("labels") or where.endswith("sha256")
+        yield f"{where} changed" if checksum else f"{where} was {old!r}, now {new!r}"

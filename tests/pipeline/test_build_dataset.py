@@ -22,10 +22,11 @@ import kt3dmoseg
 from kt3dmoseg import flow, pipeline, tracking
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.files import hold_folder
 from kt3dmoseg.frames import FrameFolder
 from kt3dmoseg.io import hdf5, load
 from kt3dmoseg.io.flow_files import write_flow
-from kt3dmoseg.pipeline import build_dataset, dataset
+from kt3dmoseg.pipeline import build_dataset
 from kt3dmoseg.tracking import RELIABLE
 
 FLOW = ["--flow", "dis_medium"]
@@ -333,7 +334,7 @@ def test_a_full_disk(frames, tmp_path):
 
 
 def test_two_builds_do_not_share_a_folder(frames, tmp_path):
-    with dataset._sole_writer(tmp_path / "out"), pytest.raises(InputFileError, match="another build running"):
+    with hold_folder(tmp_path / "out"), pytest.raises(InputFileError, match="another build running"):
         build(frames, tmp_path / "out")
 
 
