@@ -8,14 +8,17 @@ import io
 import json
 import os
 import re
+import secrets
 import stat
 import struct
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, NamedTuple
 
@@ -45,9 +48,9 @@ _LONG_KEY = re.compile(rb"(?<![\w-])[\w-]++(?:[ \t]*\.[ \t]*[\w-]++){%d}" % _DEP
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
 _REMEDIES = {
     errno.ENOSPC: "free some space, or write somewhere else",
-    errno.EEXIST: "a file is where a folder should be; remove it, or write somewhere else",
-    errno.ENOTDIR: "a file is where a folder should be; remove it, or write somewhere else",
+    **dict.fromkeys((errno.EEXIST, errno.ENOTDIR), "a file is where a folder should be; remove it"),
 }
+_UNWRITABLE, _ELSEWHERE = ": cannot write", "write somewhere else"
 # What zipfile raises on damaged content.
 _ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError, OSError)
 _ENCRYPTED = 0x1
@@ -55,34 +58,38 @@ _BOUNDED_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpa
 
 
 @contextmanager
+def _one_line(path: str | os.PathLike[str], problem: str = "") -> Iterator[None]:
+    """Turn what the system reports about a path in this block into an InputFileError."""
+    try:
+        yield
+    except InputFileError:
+        raise
+    except OSError as error:
+        fix = _REMEDIES.get(error.errno or 0, _ELSEWHERE) if problem else ""
+        raise InputFileError(f"{os.fspath(path)}{problem}: {error.strerror or error}", fix=fix) from error
+
+
+@contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path in the folder of `path`; on success it takes the name `path`, durably.
 
     The folder is created when missing. On any exception, and on ``kill -9``, `path` keeps its
-    former content or stays absent; the temporary file is removed when the process can. InputFileError
-    when the folder cannot be created or written, the disk is full, or `path` is no regular file.
+    former content or stays absent; the temporary file is removed when the process can.
     """
     target = Path(path)
     check_target(target)
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
-        os.close(handle)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)  # as any other program would make it
-    except OSError as error:
-        raise _unwritable(target, error) from error
-    temporary = Path(name)
-    try:
-        yield temporary
-        _sync(temporary)
-        os.replace(temporary, target)
-        _sync(target.parent)
-    except OSError as error:
-        raise error if isinstance(error, InputFileError) else _unwritable(target, error) from error
+        with _one_line(target, _UNWRITABLE):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            temporary.touch(exist_ok=False)
+            yield temporary
+            _sync(temporary)
+            os.replace(temporary, target)
+            _sync(target.parent)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def listed(folder: Path) -> list[Path]:
@@ -90,10 +97,8 @@ def listed(folder: Path) -> list[Path]:
 
     Hidden files, as macOS's ``._000001.png``, and the ``__MACOSX`` of its zips are passed over.
     """
-    try:
+    with _one_line(folder):
         paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith((".", "__MACOSX"))]
-    except OSError as error:
-        raise InputFileError(f"{folder}: {error.strerror or error}") from error
     for path in paths:
         if path.is_symlink() and not path.exists():
             found, fix = f"a link that leads nowhere ({path.readlink()})", "mend the link, or remove it"
@@ -118,41 +123,31 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise InputFileError when no files can be made in a folder, which need not exist yet."""
     folder = Path(path)
     existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    try:
-        with tempfile.TemporaryFile(dir=existing):
-            pass
-    except OSError as error:
-        raise _unwritable(folder, error) from error
+    with _one_line(folder, _UNWRITABLE), tempfile.TemporaryFile(dir=existing):
+        pass
 
 
 @contextmanager
-def hold_folder(path: str | os.PathLike[str], busy: Callable[[], object] | None = None) -> Iterator[Path]:
+def hold_folder(path: str | os.PathLike[str], busy: Callable[[], object] = lambda: None) -> Iterator[Path]:
     """Make a folder and hold it alone while the block runs, against other threads and processes.
 
-    The system releases the folder when the process ends, however it ends. Where there is no ``flock``
-    (Windows) nothing is held.
-
-    `busy` is called when somebody else holds it, before waiting for it; it may raise instead. InputFileError
-    when the folder cannot be created or opened.
+    The system releases it when the process ends, however it ends; on Windows nothing is held. `busy` is
+    called when somebody else holds the folder, before waiting for it; it may raise instead.
     """
     folder = Path(path)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY) if fcntl else None
-    except OSError as error:
-        raise _unwritable(folder, error) from error
-    try:
-        if handle is not None:
+    with ExitStack() as held:
+        with _one_line(folder, _UNWRITABLE):
+            folder.mkdir(parents=True, exist_ok=True)
+            if fcntl:
+                handle = os.open(folder, os.O_RDONLY)
+                held.callback(os.close, handle)
+        if fcntl:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                if busy is not None:
-                    busy()
+                busy()
                 fcntl.flock(handle, fcntl.LOCK_EX)
         yield folder
-    finally:
-        if handle is not None:
-            os.close(handle)
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
@@ -168,18 +163,13 @@ def write_text(path: str | os.PathLike[str], content: str) -> None:
 
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """Read a file; InputFileError when it cannot be read or is larger than `limit` bytes."""
-    try:
-        with open(path, "rb") as stream:
-            # By blocks: asking for n bytes at once allocates n, however small the file is.
-            blocks, room = [], limit + 1
-            while room > 0 and (block := stream.read(min(_BLOCK, room))):
-                blocks.append(block)
-                room -= len(block)
-    except OSError as error:
-        raise InputFileError(f"{os.fspath(path)}: {error.strerror or error}") from error
-    if room <= 0:
-        raise InputFileError(os.fspath(path), expected=f"at most {limit} bytes", found="more")
-    return b"".join(blocks)
+    with _one_line(path), open(path, "rb") as stream:
+        # By blocks: asking for n bytes at once allocates n, however small the file is.
+        blocks = iter(lambda: stream.read(_BLOCK), b"")
+        content = b"".join(islice(blocks, limit // _BLOCK + 1))
+        if len(content) > limit:
+            raise InputFileError(os.fspath(path), expected=f"at most {limit} bytes", found="more")
+    return content
 
 
 def parse_json(content: bytes | str, where: str, limit: int = JSON_BYTES) -> Any:  # noqa: ANN401  # JSON
@@ -187,26 +177,27 @@ def parse_json(content: bytes | str, where: str, limit: int = JSON_BYTES) -> Any
 
     NaN and Infinity, which are not JSON, and whole numbers of more than 300 digits are refused.
     """
-    text = _bounded(content, where, "JSON", limit, _JSON_STRINGS)
-    try:
-        return json.loads(text, parse_int=_integer, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(where, expected="JSON", found=str(error)) from None
+    load = partial(json.loads, parse_int=_integer, parse_constant=_refuse_constant)
+    return _parse(load, _JSON_STRINGS, "JSON", content, where, limit)
 
 
 def parse_toml(content: bytes | str, where: str, limit: int = TOML_BYTES) -> dict[str, Any]:
     """Parse TOML in UTF-8 of at most `limit` bytes and 64 levels; raises as `parse_json`."""
     import tomllib
 
-    text = _bounded(content, where, "TOML", limit, _TOML_STRINGS)
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(where, expected="TOML", found=str(error)) from None
+    found: dict[str, Any] = _parse(tomllib.loads, _TOML_STRINGS, "TOML", content, where, limit)
+    return found
 
 
-def _bounded(content: bytes | str, where: str, kind: str, limit: int, strings: re.Pattern[bytes]) -> str:
-    """Decode a text after checking its size and how deep it nests."""
+def _parse(
+    load: Callable[[str], Any],
+    strings: re.Pattern[bytes],
+    kind: str,
+    content: bytes | str,
+    where: str,
+    limit: int,
+) -> Any:  # noqa: ANN401
+    """Parse a text after checking its size and how deep it nests."""
     content = content.encode(errors="replace") if isinstance(content, str) else content
     if len(content) > limit:
         raise FileFormatError(where, expected=f"{kind} of at most {limit} bytes", found=f"{len(content)}")
@@ -217,10 +208,12 @@ def _bounded(content: bytes | str, where: str, kind: str, limit: int, strings: r
         expected, found = f"{kind} of at most {_DEPTH} levels", "more levels inside each other"
         raise FileFormatError(where, expected=expected, found=found)
     try:
-        return content.decode("utf-8-sig")
+        return load(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         found = f"byte {content[error.start]:#04x} at {error.start}"
         raise FileFormatError(where, expected=f"{kind} in UTF-8", found=found) from None
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(where, expected=kind, found=str(error)) from None
 
 
 def _integer(digits: str) -> int:
@@ -277,8 +270,8 @@ class SafeZip:
 
     `source` is its path, its content, or a binary file; `where` names it in messages. Files whose name is
     not `wanted` are passed over unchecked. What is wrong goes to the list `faults`, without the files
-    concerned; when there is no list, the first fault raises FileFormatError. InputFileError when the file
-    cannot be opened. `infos` has what the directory states about every file that may be read, by name.
+    concerned; when there is no list, the first fault raises FileFormatError. `infos` has what the directory,
+    which begins at `directory_start`, states about every file that may be read, by name; `sizes` their sizes.
     """
 
     def __init__(
@@ -293,25 +286,15 @@ class SafeZip:
         self.infos: dict[str, zipfile.ZipInfo] = {}
         self._archive: zipfile.ZipFile | None = None
         self._list(io.BytesIO(source) if isinstance(source, bytes) else source, wanted)
+        self.sizes = {name: info.file_size for name, info in sorted(self.infos.items())}
+        self.directory_start = self._archive.start_dir if self._archive else 0
 
     def __enter__(self) -> SafeZip:
-        """Return the archive itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the archive."""
         if self._archive is not None:
             self._archive.close()
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Name and size, as claimed and within the limits, of every file that may be read; sorted by name."""
-        return {name: info.file_size for name, info in sorted(self.infos.items())}
-
-    @property
-    def directory_start(self) -> int:
-        """Where the directory begins, after all files."""
-        return self._archive.start_dir if self._archive else 0
 
     @contextmanager
     def open(self, name: str) -> Iterator[IO[bytes]]:
@@ -328,7 +311,7 @@ class SafeZip:
 
     def read(self, name: str) -> bytes:
         """Return the content of one file; FileFormatError when it is damaged or its size is wrong."""
-        size = self.infos[name].file_size
+        size = self.sizes[name]
         with self.open(name) as stream:
             content = stream.read(size + 1)
         if len(content) != size:
@@ -399,11 +382,8 @@ def _stays_inside(name: str, depth: int) -> bool:
 
 def sha256_file(path: str | os.PathLike[str]) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
-    try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise InputFileError(f"{os.fspath(path)}: {error.strerror or error}") from error
+    with _one_line(path), open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def sha256_files(paths: Iterable[str | os.PathLike[str]]) -> str:
@@ -427,8 +407,3 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _unwritable(path: Path, error: OSError) -> InputFileError:
-    reason = f"{path}: cannot write: {error.strerror or error}"
-    return InputFileError(reason, fix=_REMEDIES.get(error.errno or 0, "write somewhere else"))

@@ -12,15 +12,15 @@ import sys
 import threading
 import traceback
 import zipfile
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -56,19 +56,13 @@ def run_tasks(
     dask: str = "",
     progress: Progress | None = None,
 ) -> Iterator[tuple[TaskT, ResultT]]:
-    """Run tasks here, in processes or on a Dask cluster, and yield each with its result as it finishes.
+    """Run ``work(task, progress)`` here, in processes or on a Dask cluster; yield each task with its result.
 
-    A worker process computes with one thread and ends with this process, however that ends. When one dies,
-    only its task is run again; an exception in a task ends the run and is raised here.
-
-    `work` is called as ``work(task, progress)`` and pickled when it leaves this process, as the tasks are;
-    `lost` as ``lost(task, reason)`` in this process, for the result of a task whose workers died three times.
-    With one worker, or for a single task, this process does the work. `dask` is the address of a scheduler,
-    ``"tcp://host:8786"``, and replaces `workers`. `progress` is called in this process with what tasks here
-    or in worker processes hand to theirs; Dask workers report none.
-
-    Raises a `KT3DMoSegError` when worker processes cannot start, a `MissingDependencyError` without Dask's
-    ``distributed``, and an `InputFileError` when no scheduler answers.
+    `work` and the tasks are pickled when they leave this process, which does the work itself with one worker
+    or a single task. A worker process computes with one thread and ends with this process, however that ends.
+    When one dies, only its task is run again; the third time ``lost(task, reason)`` is its result. An
+    exception in a task is raised here and ends the run. `dask` is the address of a scheduler, which replaces
+    `workers`; `progress` is called here with what tasks hand to theirs, Dask's apart.
     """
     report = progress or _ignore
     if dask:
@@ -79,22 +73,20 @@ def run_tasks(
         yield from ((task, work(task, report)) for task in tasks)
 
 
+@dataclass
 class _Pool(Generic[TaskT, ResultT]):
     """Worker processes, each with a pipe of its own: no lock that a dying worker could leave closed."""
 
-    def __init__(
-        self,
-        work: Callable[[TaskT, Progress], ResultT],
-        tasks: Sequence[TaskT],
-        workers: int,
-        progress: Progress,
-        lost: Callable[[TaskT, str], ResultT],
-    ) -> None:
-        self.work, self.tasks, self.workers, self.progress, self.lost = work, tasks, workers, progress, lost
-        self.waiting, self.deaths = deque(range(len(tasks))), [0] * len(tasks)
-        self.running: dict[Connection, int] = {}
+    work: Callable[[TaskT, Progress], ResultT]
+    tasks: Sequence[TaskT]
+    workers: int
+    progress: Progress
+    lost: Callable[[TaskT, str], ResultT]
+
+    def __post_init__(self) -> None:
+        self.waiting, self.deaths = deque(range(len(self.tasks))), Counter[int]()
         self.processes: dict[Connection, BaseProcess] = {}
-        self.retired: list[BaseProcess] = []
+        self.running: dict[Connection, int] = {}
 
     def results(self) -> Iterator[tuple[TaskT, ResultT]]:
         try:
@@ -106,7 +98,7 @@ class _Pool(Generic[TaskT, ResultT]):
         finally:
             for process in self.processes.values():
                 process.kill()
-            for process in (*self.processes.values(), *self.retired):
+            for process in self.processes.values():
                 process.join()
 
     def _start(self) -> None:
@@ -122,7 +114,8 @@ class _Pool(Generic[TaskT, ResultT]):
         try:
             kind, value = connection.recv()
         except (EOFError, OSError):
-            yield from self._dead(connection)
+            self._end(connection)
+            yield from self._dead(self.running.pop(connection, None))
             return
         if kind == "progress":
             self.progress(*value)
@@ -131,26 +124,21 @@ class _Pool(Generic[TaskT, ResultT]):
             raise value
         if kind == "result":
             yield self.tasks[self.running.pop(connection)], value
-        self._next_task(connection)
-
-    def _next_task(self, connection: Connection) -> None:
         if not self.waiting:
-            self.retired.append(self.processes.pop(connection))
-            connection.close()
+            self._end(connection)
             return
         index = self.running[connection] = self.waiting.popleft()
         with suppress(OSError):  # of a worker that just died: the next look at the pipe finds it
             connection.send(self.tasks[index])
 
-    def _dead(self, connection: Connection) -> Iterator[tuple[TaskT, ResultT]]:
+    def _end(self, connection: Connection) -> None:
         connection.close()
-        self.retired.append(self.processes.pop(connection))
-        index = self.running.pop(connection, None)
+        self.processes.pop(connection).join()
+
+    def _dead(self, index: int | None) -> Iterator[tuple[TaskT, ResultT]]:
         if index is None:
-            raise KT3DMoSegError(
-                "worker processes end before their first task",
-                fix="in a script, start the work under: if __name__ == '__main__'; or use one worker",
-            )
+            fix = "in a script, start the work under: if __name__ == '__main__'; or use one worker"
+            raise KT3DMoSegError("worker processes end before their first task", fix=fix)
         self.deaths[index] += 1
         if self.deaths[index] < _MAX_DEATHS:
             self.waiting.appendleft(index)
@@ -160,29 +148,24 @@ class _Pool(Generic[TaskT, ResultT]):
 
 
 def _serve(connection: Connection, work: Callable[[Any, Progress], Any]) -> None:
-    """Do one task after the other, in a worker process; on Ctrl-C its parent ends it."""
-    tasks: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_take_tasks, args=(connection, tasks), daemon=True).start()
-
-    def attempt(task: object) -> tuple[str, Any]:
-        try:
-            return "result", work(task, lambda *values: connection.send(("progress", values)))
-        except Exception as error:
-            error.add_note(traceback.format_exc())  # of this process, which the parent's does not show
-            return "error", error
-
+    """Do one task after the other, in a worker process, until the parent closes the pipe or ends."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     message: tuple[str, Any] = ("ready", None)
-    with suppress(BrokenPipeError):  # the parent has ended
-        while True:
-            connection.send(message)
-            message = attempt(tasks.get())
-
-
-def _take_tasks(connection: Connection, tasks: SimpleQueue[Any]) -> None:
-    """Take tasks until the other end closes: by the parent, or by the system when the parent is gone."""
     with suppress(EOFError, OSError):
         while True:
-            tasks.put(connection.recv())
+            connection.send(message)
+            task = connection.recv()
+            try:
+                message = "result", work(task, lambda *values: connection.send(("progress", values)))
+            except Exception as error:
+                error.add_note(traceback.format_exc())  # of this process, which the parent's does not show
+                message = "error", error
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
     os._exit(1)
 
 
@@ -216,22 +199,19 @@ def _on_cluster(
 ) -> Iterator[tuple[TaskT, ResultT]]:
     try:
         distributed: Any = import_module("distributed")  # it has no types
-    except ImportError as error:
-        raise MissingDependencyError(
-            "--dask needs distributed", fix="pip install 'kt3dmoseg[dask]'"
-        ) from error
-    try:
         client = distributed.Client(address, timeout=_CONNECT_SECONDS)
+    except ImportError as error:
+        fix = "pip install 'kt3dmoseg[dask]'"
+        raise MissingDependencyError("--dask needs distributed", fix=fix) from error
     except (OSError, ValueError) as error:
+        found = str(error) or "no answer"
         raise InputFileError(
-            address, expected="a Dask scheduler", found=str(error) or "no answer", fix="is it running?"
+            address, expected="a Dask scheduler", found=found, fix="is it running?"
         ) from error
+    # Impure: a task is run, never looked up by its arguments. When its worker dies, Dask runs it elsewhere.
+    options = {"pure": False, "retries": _MAX_DEATHS}
     with client:
-        # Impure: a task is run, never looked up by its arguments. Dask runs it again elsewhere when its
-        # worker dies.
-        futures = {
-            client.submit(work, task, _ignore, pure=False, retries=_MAX_DEATHS): task for task in tasks
-        }
+        futures = {client.submit(work, task, _ignore, **options): task for task in tasks}
         for future in distributed.as_completed(futures):
             task = futures[future]
             try:
@@ -242,11 +222,10 @@ def _on_cluster(
 
 
 class Cache:
-    """Arrays on disk by key, one ``.npz`` file each, written atomically.
+    """Arrays on disk by key, one ``.npz`` file each, written atomically; without a folder nothing is kept.
 
     Several processes may share a folder. What is damaged, or has got under another key's name, counts as
-    absent. Whatever the arrays depend on belongs into the key, so nothing here can be out of date. The folder
-    is made when something is put there; None keeps nothing.
+    absent. Whatever the arrays depend on belongs into the key, so nothing here can be out of date.
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None) -> None:
@@ -258,7 +237,7 @@ class Cache:
             return None
         try:
             # Not np.load of the file: that checks no checksum where it reads less than was written.
-            with zipfile.ZipFile(self._path(key)) as archive:
+            with zipfile.ZipFile(self.folder / key[:2] / f"{key}.npz") as archive:
                 arrays = {
                     name.removesuffix(".npy"): np.load(io.BytesIO(archive.read(name)), allow_pickle=False)
                     for name in archive.namelist()
@@ -268,18 +247,11 @@ class Cache:
         return arrays if str(arrays.pop("key", "")) == _contents(key, arrays) else None
 
     def put(self, key: str, arrays: Mapping[str, npt.ArrayLike]) -> None:
-        """Keep arrays by name; none may be called ``key`` or hold objects.
-
-        Raises an `InputFileError` when the folder cannot be written.
-        """
-        if self.folder is None:
-            return
-        with atomic_path(self._path(key)) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, key=_contents(key, arrays), **dict(arrays))  # type: ignore[arg-type]  # numpy 2.1 has a flag
-
-    def _path(self, key: str) -> Path:
-        assert self.folder is not None
-        return self.folder / key[:2] / f"{key}.npz"
+        """Keep arrays by name; none may be called ``key`` or hold objects."""
+        if self.folder is not None:
+            path = self.folder / key[:2] / f"{key}.npz"
+            with atomic_path(path) as temporary, temporary.open("wb") as stream:
+                np.savez(stream, key=_contents(key, arrays), **dict(arrays))  # type: ignore[arg-type]  # numpy 2.1 has a flag
 
 
 def _contents(key: str, names: Iterable[str]) -> str:
@@ -287,15 +259,12 @@ def _contents(key: str, names: Iterable[str]) -> str:
 
 
 def cache_key(description: Mapping[str, object]) -> str:
-    """Hexadecimal SHA-256 of everything that a result depends on.
+    """Hexadecimal SHA-256 of JSON values, arrays (dtype, shape, content), and others with a complete repr."""
 
-    That may be JSON values, arrays (by dtype, shape and content), and anything else with a complete ``repr``.
-    """
-    return hashlib.sha256(json.dumps(description, sort_keys=True, default=_described).encode()).hexdigest()
+    def described(value: object) -> str:
+        return sha256_arrays(value) if isinstance(value, np.ndarray) else repr(value)
 
-
-def _described(value: object) -> str:
-    return sha256_arrays(value) if isinstance(value, np.ndarray) else repr(value)
+    return hashlib.sha256(json.dumps(description, sort_keys=True, default=described).encode()).hexdigest()
 
 
 def algorithm_version(cls: type) -> str | None:
@@ -306,8 +275,7 @@ def algorithm_version(cls: type) -> str | None:
     """
     names = cls.__module__.split(".")
     modules = [sys.modules.get(".".join(names[:count])) for count in range(len(names), 0, -1)]
-    stated = [getattr(owner, "ALGORITHM_VERSION", None) for owner in (cls, *modules)]
-    algorithm = next((str(version) for version in stated if version is not None), None)
-    package = getattr(modules[-1], "__version__", None)
-    parts = [str(part) for part in (algorithm, package) if part is not None]
-    return "/".join(parts) if parts else None
+    versions = [getattr(owner, "ALGORITHM_VERSION", None) for owner in (cls, *modules)]
+    algorithm = next((version for version in versions if version is not None), None)
+    stated = algorithm, getattr(modules[-1], "__version__", None)
+    return "/".join(str(version) for version in stated if version is not None) or None
