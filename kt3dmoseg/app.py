@@ -110,19 +110,21 @@ def _flags(cls: type[Any]) -> Iterator[inspect.Parameter]:
     hints = typing.get_type_hints(cls)
     everyday = getattr(cls, "everyday", hints)
 
-    def flag(name: str, default: object, hint: object, **settings: Any) -> inspect.Parameter:  # noqa: ANN401
-        annotation = Annotated[hint, Parameter(**settings)]  # type: ignore[valid-type]
+    def flag(
+        name: str, default: object, hint: object, rare: bool, help: str, metavar: str = ""
+    ) -> inspect.Parameter:
+        about = Parameter(help=help, group=groups[rare], metavar=metavar or None)
+        annotation = Annotated[hint, about]  # type: ignore[valid-type]
         return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
     for name, preset in presets(cls).items():
         values = ", ".join(f"{key} {value}" for key, value in preset.values.items())
-        yield flag(name, False, Flag, help=f"{preset.help}: {values}", group=groups[False])
+        yield flag(name, False, Flag, False, f"{preset.help}: {values}")
     for spec in dataclasses.fields(cls):
         hint, about = hints[spec.name], spec.metadata
         metavar = about["metavar"] or {int: "N", float: "X"}.get(hint, spec.name.upper())
         kind = hint if hint is bool or typing.get_origin(hint) is Literal else str | hint
-        group = groups[spec.name not in everyday]
-        yield flag(spec.name, spec.default, kind, help=about["help"], metavar=metavar, group=group)
+        yield flag(spec.name, spec.default, kind, spec.name not in everyday, about["help"], metavar)
 
 
 class _Help:
@@ -155,13 +157,11 @@ def _row(entry: Any) -> str:  # noqa: ANN401
     text = text[:1].upper() + text[1:]
     if entry.default not in (None, '""', "None", "()"):
         text += f" (default: {entry.default})"
-    width, indent = shutil.get_terminal_size().columns - 2, " " * _LABELS
-    wrap = textwrap.TextWrapper(max(width, 60), initial_indent=indent, subsequent_indent=indent)
-    wrap.break_on_hyphens = wrap.break_long_words = False
-    body = wrap.fill(text)
-    return (
-        f"  {labels:<{_LABELS - 2}}{body[_LABELS:]}" if len(labels) < _LABELS - 3 else f"  {labels}\n{body}"
-    )
+    width, indent = max(shutil.get_terminal_size().columns - 2, 60), " " * _LABELS
+    lines = textwrap.wrap(text, width - _LABELS, break_on_hyphens=False, break_long_words=False)
+    if len(labels) < _LABELS - 3:
+        return f"  {labels:<{_LABELS - 2}}" + f"\n{indent}".join(lines)
+    return f"\n{indent}".join([f"  {labels}", *lines])
 
 
 _HELP = _Help()
@@ -208,7 +208,13 @@ def _failure(program: str, error: Exception) -> str:
 
 def _run(app: cyclopts.App, words: list[str]) -> int:
     words, file = _without_config(words)
-    app.config = [Dict(_tables(app, file), source=file)] if file else []
+    app.config = []
+    if file:
+        from kt3dmoseg.files import TOML_BYTES, parse_toml, read_bytes
+
+        tables = parse_toml(read_bytes(file, TOML_BYTES), file)
+        _check_tables(app, tables, file)
+        app.config = [Dict(tables, source=file)]
     _HELP.everything = "--help-all" in words
     words = ["--help" if word == "--help-all" else word for word in words]
     asks_help = not words or "--help" in words or "-h" in words
@@ -231,26 +237,17 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
 
 def _without_config(words: list[str]) -> tuple[list[str], str]:
     """Take ``--config FILE`` out of a command line, wherever it is."""
-    for number, word in enumerate(words):
-        flag, equals, file = word.partition("=")
-        if flag == "--config":
-            rest = words[number + 1 :]
-            if not equals and not rest:
-                raise InvalidValueError("--config", expected="a TOML file", found="none")
-            return words[:number] + (rest if equals else rest[1:]), file if equals else rest[0]
-    return words, ""
-
-
-def _tables(app: cyclopts.App, file: str) -> dict[str, Any]:
-    """Read a configuration file, one table per command; cyclopts checks the names of its options."""
-    from kt3dmoseg.files import TOML_BYTES, parse_toml, read_bytes
-
-    tables = parse_toml(read_bytes(file, TOML_BYTES), file)
-    _check_tables(app, tables, file)
-    return tables
+    at = next((k for k, word in enumerate(words) if word.partition("=")[0] == "--config"), None)
+    if at is None:
+        return words, ""
+    file, *rest = words[at].split("=", 1)[1:] + words[at + 1 :] or [""]
+    if not file:
+        raise InvalidValueError("--config", expected="a TOML file", found="none")
+    return words[:at] + rest, file
 
 
 def _check_tables(app: cyclopts.App, tables: dict[str, Any], where: str) -> None:
+    """Check a configuration file, one table per command; cyclopts checks the names of its options."""
     for name, table in tables.items():
         if name not in _commands(app):
             raise unknown_name("command", name, _commands(app), where=where)

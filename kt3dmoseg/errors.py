@@ -5,6 +5,8 @@ Every message is one line: where, what was expected, what was found and what to 
 
 from __future__ import annotations
 
+from functools import partial
+
 _LONGEST = 1000
 
 
@@ -24,19 +26,13 @@ class KT3DMoSegError(Exception):
     def __init__(self, where: str, *, expected: str = "", found: str = "", fix: str = "") -> None:
         found = found if len(found) <= _LONGEST else f"{found[:_LONGEST]} ..."  # what a damaged file holds
         self.where, self.expected, self.found, self.fix = where, expected, found, fix
-        detail = ", ".join(
-            f"{word} {value}" for word, value in (("expected", expected), ("found", found)) if value
-        )
-        message = ": ".join(part for part in (where, detail) if part)
+        parts = [f"expected {expected}"] * bool(expected) + [f"found {found}"] * bool(found)
+        message = ": ".join(part for part in (where, ", ".join(parts)) if part)
         super().__init__(" ".join(f"{message}; {fix}".split()) if fix else " ".join(message.split()))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Cross process boundaries intact: rebuild from the four parts, not from the message."""
-        return _rebuild, (type(self), self.where, self.expected, self.found, self.fix)
-
-
-def _rebuild(cls: type[KT3DMoSegError], where: str, expected: str, found: str, fix: str) -> KT3DMoSegError:
-    return cls(where, expected=expected, found=found, fix=fix)
+        return partial(type(self), expected=self.expected, found=self.found, fix=self.fix), (self.where,)
 
 
 class InvalidValueError(KT3DMoSegError, ValueError):

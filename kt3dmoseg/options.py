@@ -11,9 +11,10 @@ Grid(spacing=4)
 from __future__ import annotations
 
 import dataclasses
-import types
 import typing
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from numbers import Integral, Real
 from typing import Any, Literal, TypeVar
 
 from kt3dmoseg.errors import InvalidValueError
@@ -21,6 +22,11 @@ from kt3dmoseg.registry import unknown_name
 
 T = TypeVar("T")
 _BOOLEANS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+_SCALARS: dict[Any, tuple[str, tuple[type, ...]]] = {
+    int: ("a whole number", (Integral, str)),
+    float: ("a number", (Real, str)),
+    str: ("text", (str,)),
+}
 
 
 def option(
@@ -31,18 +37,9 @@ def option(
     high: float | None = None,
     metavar: str = "",
 ) -> Any:  # noqa: ANN401  # a dataclass field, which must pose as the field's own type
-    """Make a dataclass field with its help text and inclusive bounds.
+    """Make a dataclass field with its help (one line: meaning, unit, source) and inclusive bounds.
 
-    Parameters
-    ----------
-    default : object
-        Immutable default value.
-    help : str
-        One line: meaning, unit, source.
-    low, high : float, optional
-        Inclusive bounds of a number, checked by `check` and `from_mapping`.
-    metavar : str
-        Name of the value in ``--help``, for instance FOLDER.
+    `metavar` is the name of the value in ``--help``, for instance FOLDER.
     """
     about = {"help": help, "low": low, "high": high, "metavar": metavar}
     return dataclasses.field(default=default, metadata=about)
@@ -63,26 +60,20 @@ class Preset:
 def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") -> T:
     """Build an options dataclass from keywords, TOML keys or strings, converted to the fields' types.
 
-    The name of a `Preset` takes true or false; `where` is the context for messages, for instance a file name.
-
-    Raises
-    ------
-    UnknownNameError
-        For a misspelt key, with the nearest name.
-    InvalidValueError
-        For a value of the wrong type or out of bounds.
+    The name of a `Preset` takes true or false. A misspelt key is an UnknownNameError with the nearest name, a
+    value of the wrong type or out of bounds an InvalidValueError; they begin with `where`, as a file's name.
     """
     hints, known = typing.get_type_hints(cls), option_names(cls)
     given: dict[str, Any] = {}
+    preset: dict[str, Any] = {}
     for key, value in values.items():
         if key not in known:
             raise unknown_name("option" if where else f"option of {cls.__name__}", key, known, where=where)
-        if key in presets(cls):
-            asked = _convert(value, bool, _at(where, key))
-            given = {**presets(cls)[key].values, **given} if asked else given
-        else:
+        if key not in presets(cls):
             given[key] = _convert(value, hints[key], _at(where, key))
-    return check(cls(**given), where=where)
+        elif _convert(value, bool, _at(where, key)):
+            preset |= presets(cls)[key].values
+    return check(cls(**preset | given), where=where)
 
 
 def check(instance: T, *, where: str = "") -> T:
@@ -93,9 +84,8 @@ def check(instance: T, *, where: str = "") -> T:
             continue
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             bounds = [f"{sign} {bound}" for sign, bound in ((">=", low), ("<=", high)) if bound is not None]
-            raise InvalidValueError(
-                _at(where, spec.name), expected=f"a number {' and '.join(bounds)}", found=repr(value)
-            )
+            expected = f"a number {' and '.join(bounds)}"
+            raise InvalidValueError(_at(where, spec.name), expected=expected, found=repr(value))
     return instance
 
 
@@ -110,7 +100,7 @@ def presets(cls: type[Any]) -> Mapping[str, Preset]:
 
 def option_names(cls: type[Any]) -> list[str]:
     """Names of the options of a dataclass and of its presets, in order."""
-    return [*(spec.name for spec in dataclasses.fields(cls) if spec.init), *presets(cls)]
+    return [*(spec.name for spec in dataclasses.fields(cls)), *presets(cls)]
 
 
 def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
@@ -126,45 +116,38 @@ def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
 
 def describe(cls: type[Any]) -> list[tuple[str, str, str]]:
     """List (name, default, help) of every option, for help texts and docs."""
-    return [(s.name, repr(s.default), s.metadata.get("help", "")) for s in dataclasses.fields(cls) if s.init]
+    return [(s.name, repr(s.default), s.metadata.get("help", "")) for s in dataclasses.fields(cls)]
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):  # X | None
-        missing = value is None or (isinstance(value, str) and value in ("", "none", "None"))
-        return None if missing else _convert(value, inner[0], where)
+    if type(None) in inner:  # X | None
+        return None if str(value) in ("", "none", "None") else _convert(value, inner[0], where)
     if origin is tuple:  # tuple[X, ...]
         parts = [part.strip() for part in value.split(",")] if isinstance(value, str) else value
         if not isinstance(parts, Iterable):
             raise InvalidValueError(where, expected="several values", found=repr(value))
         return tuple(_convert(part, inner[0], where) for part in parts)
     if origin is Literal:
-        return _choice(value, {str(choice): choice for choice in inner}, where)
-    if hint is bool and not isinstance(value, bool):
+        choices = {str(choice): choice for choice in inner}
+        return _choice(value, choices, where, f"one of {', '.join(choices)}")
+    if hint is bool:
         return _choice(str(value).lower(), _BOOLEANS, where, "true or false")
-    return _scalar(value, hint, where) if hint in (int, float, str) else value
+    return _scalar(value, hint, where) if hint in _SCALARS else value
 
 
-def _choice(value: Any, choices: Mapping[str, Any], where: str, expected: str = "") -> Any:  # noqa: ANN401
+def _choice(value: Any, choices: Mapping[str, Any], where: str, expected: str) -> Any:  # noqa: ANN401
     if str(value) not in choices:
-        expected = expected or f"one of {', '.join(choices)}"
         raise InvalidValueError(where, expected=expected, found=repr(value))
     return choices[str(value)]
 
 
 def _scalar(value: Any, kind: type[Any], where: str) -> Any:  # noqa: ANN401
-    noun, allowed = {
-        int: ("a whole number", (int, str)),
-        float: ("a number", (int, float, str)),
-        str: ("text", (str,)),
-    }[kind]
-    try:
-        fits = (isinstance(value, allowed) or hasattr(value, "item")) and not isinstance(value, bool)
-        converted = kind(value) if fits else None
-    except (ValueError, TypeError, OverflowError):
-        converted = None
-    same = kind is not int or isinstance(value, str) or converted == value
-    if converted is None or converted != converted or not same:
+    noun, accepted = _SCALARS[kind]
+    converted = None
+    if isinstance(value, accepted) and not isinstance(value, bool):
+        with suppress(ValueError, OverflowError):
+            converted = kind(value)
+    if converted is None or converted != converted:
         raise InvalidValueError(where, expected=noun, found=repr(value))
     return converted

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,6 @@ from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.tracking.options import TrackOptions
 
 if TYPE_CHECKING:
-    from kt3dmoseg.frames import FrameSource
     from kt3dmoseg.pipeline import Outcome
 
 _ANNOTATIONS = Path("annotations")
@@ -88,36 +87,38 @@ def build(
     from kt3dmoseg.options import parse_assignments
     from kt3dmoseg.pipeline import build_dataset, find_sources, kitti_sources
 
-    sources: list[FrameSource]
-    if date or drive or range_ or camera or name:
-        sources = kitti_sources(frames, date=date, drive=drive, camera=camera, frames=range_, name=name)
-    else:
-        sources = find_sources(frames)
+    one: dict[str, Any] = {"date": date, "drive": drive, "camera": camera, "frames": range_, "name": name}
+    sources = kitti_sources(frames, **one) if any(one.values()) else find_sources(frames)
     names = {source.name.lower() for source in sources}  # one of another case is refused, not passed over
     if annotations is None and any(path.stem.lower() in names for path in _ANNOTATIONS.glob("*.json")):
         annotations = _ANNOTATIONS
-    with _outcomes(len(sources)) as (progress, report):
+    annotations = None if annotations == Path("none") else annotations
+    options |= {"annotations": annotations, "flow_parameters": parse_assignments(parameter)}
+    with _outcomes(len(sources)) as callbacks:
         outcomes = build_dataset(
-            sources,
-            output,
-            annotations=None if annotations == Path("none") else annotations,
-            masks=masks,
-            workers=workers,
-            force=force,
-            flow_parameters=parse_assignments(parameter),
-            cache=cache,
-            progress=progress,
-            report=report,
-            **options,
+            sources, output, masks=masks, cache=cache, workers=workers, force=force, **callbacks, **options
         )
-    _warn_of_empty(outcomes, options.get("min_length", TrackOptions.min_length))
-    if annotations != Path("none") and (given := annotations or masks):
-        _warn_of_unlabelled(outcomes, given)
+    empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
+    if empty:
+        shown = ", ".join(f"{outcome.name} ({outcome.counts['frames']} frames)" for outcome in empty)
+        least = options.get("min_length", TrackOptions.min_length)
+        _warn(
+            f"no trajectories in {shown}; a track must live --min-length {least} frames, and starts only "
+            "where the picture has structure"
+        )
+    unlabelled = [o.name for o in outcomes if o.status != "failed" and not o.labels]
+    if unlabelled and (given := annotations or masks):
+        more = " ..." * (len(unlabelled) > 9)
+        _warn(f"nothing in {given} labels {', '.join(unlabelled[:9])}{more}")
     return _sum_up(outcomes, output)
 
 
+def _warn(text: str) -> None:
+    print(f"kt3dmoseg: warning: {text}", file=sys.stderr)
+
+
 @contextmanager
-def _outcomes(total: int) -> Iterator[tuple[Callable[..., None], Callable[..., None]]]:
+def _outcomes(total: int) -> Iterator[dict[str, Any]]:
     """Give the two callbacks of a build, which show progress and print each outcome."""
     with progress_bar("clip") as show_progress:
         done: list[Outcome] = []
@@ -129,7 +130,7 @@ def _outcomes(total: int) -> Iterator[tuple[Callable[..., None], Callable[..., N
             done.append(outcome)
             _print_outcome(outcome)
 
-        yield progress, report
+        yield {"progress": progress, "report": report}
 
 
 def _sum_up(outcomes: list[Outcome], output: Path) -> int:
@@ -157,18 +158,9 @@ def synth(
     from kt3dmoseg.pipeline import build_synthetic
     from kt3dmoseg.synthetic.drives import PER_PART
 
-    with _outcomes(min(first or PER_PART, PER_PART) * (1 if part else 2)) as (progress, report):
-        outcomes = build_synthetic(
-            output,
-            part=part,
-            seed=seed,
-            first=first,
-            workers=workers,
-            dask=dask,
-            force=force,
-            progress=progress,
-            report=report,
-        )
+    options: dict[str, Any] = {"workers": workers, "dask": dask, "force": force}
+    with _outcomes(min(first or PER_PART, PER_PART) * (1 if part else 2)) as callbacks:
+        outcomes = build_synthetic(output, part=part, seed=seed, first=first, **callbacks, **options)
     return _sum_up(outcomes, output)
 
 
@@ -182,24 +174,6 @@ def _print_outcome(outcome: Outcome) -> None:
     numbers = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
     tqdm.write(f"{line}: {numbers}" if numbers else line)
     sys.stdout.flush()  # a log file shows how far a long build is
-
-
-def _warn_of_empty(outcomes: list[Outcome], min_length: int | str) -> None:
-    empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
-    if empty:
-        names = ", ".join(f"{outcome.name} ({outcome.counts['frames']} frames)" for outcome in empty)
-        print(
-            f"kt3dmoseg: warning: no trajectories in {names}; a track must live --min-length {min_length} "
-            "frames, and starts only where the picture has structure",
-            file=sys.stderr,
-        )
-
-
-def _warn_of_unlabelled(outcomes: list[Outcome], labels: Path) -> None:
-    names = [outcome.name for outcome in outcomes if outcome.status != "failed" and not outcome.labels]
-    if names:
-        shown = ", ".join(names[:9]) + (" ..." if len(names) > 9 else "")
-        print(f"kt3dmoseg: warning: nothing in {labels} labels {shown}", file=sys.stderr)
 
 
 @flags(TrackOptions)
