@@ -9,8 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,84 +73,75 @@ def run_demo(
     """
     from mseg import methods
 
-    chosen, started = options or DemoOptions(), time.perf_counter()
-    if not chosen.methods:
+    demo, started = _Demo(Path(output), options or DemoOptions(), report), time.perf_counter()
+    if not demo.options.methods:
         raise InvalidValueError("methods", expected="at least one name", found="none")
-    for name in chosen.methods:
+    for name in demo.options.methods:
         methods.create(name)
-    demo = _Demo(Path(output), chosen, report)
-    demo.claim_folder()
-    demo.build(demo.film())
+    _claim(demo.folder)
+    scenes = demo.render()
+    demo.annotate(scenes)
+    demo.build(scenes)
     submissions = demo.segment()
     demo.evaluate(submissions)
-    reports = demo.report(submissions)
+    reports = demo.write_reports(submissions)
     report(f"\nDone in {time.perf_counter() - started:.0f} s. Open a report in a browser, for instance:")
-    report(f"  {reports[chosen.methods[-1]].resolve()}")
+    report(f"  {reports[demo.options.methods[-1]].resolve()}")
     report(f"What is in a clip:  kt3dmoseg info {demo.dataset}")
     return reports
+
+
+def _claim(folder: Path) -> None:
+    """Make sure that nothing but a former demo is replaced."""
+    from kt3dmoseg.files import write_text
+
+    if folder.exists() and not (folder / _MARKER).exists():
+        found = "a file" if not folder.is_dir() else "other files" if any(folder.iterdir()) else ""
+        if found:
+            expected = "an empty folder, or a former demo's"
+            raise InputFileError(f"{folder}", expected=expected, found=found, fix="choose another")
+    write_text(folder / _MARKER, "kt3dmoseg demo replaces what is in this folder\n")
+    for name in ("kitti", "submissions", "frames"):
+        shutil.rmtree(folder / name, ignore_errors=True)
 
 
 class _Demo:
     """The steps, and the folders that they share."""
 
     def __init__(self, folder: Path, options: DemoOptions, report: Callable[[str], None]) -> None:
-        self.folder, self.options, self.print_line, self.steps = folder, options, report, 0
+        self.folder, self.options, self.report, self.steps = folder, options, report, 0
         self.kitti, self.annotations = folder / "kitti", folder / "annotations"
         self.dataset = folder / "dataset"
 
     def step(self, title: str, command: str) -> None:
         """Announce a step: what it does, and the command that does it on real data."""
         self.steps += 1
-        self.print_line(f"\n[{self.steps}/7] {title}")
-        self.print_line(f"      $ {command}")
+        self.report(f"\n[{self.steps}/7] {title}\n      $ {command}")
 
     def result(self, line: str) -> None:
-        self.print_line(f"      {line}")
+        self.report(f"      {line}")
 
-    @contextmanager
-    def progress(self, unit: str) -> Iterator[Callable[..., None]]:
-        """Give a function to be called after each unit of work; on a terminal it moves a bar."""
-        from tqdm import tqdm
-
-        with tqdm(unit=unit, leave=False, disable=None) as bar:
-
-            def done(*_: object) -> None:
-                bar.update()
-
-            yield done
-
-    def claim_folder(self) -> None:
-        """Make sure that nothing but a former demo is replaced."""
-        from kt3dmoseg.files import write_text
-
-        marker = self.folder / _MARKER
-        occupied = self.folder.is_dir() and not marker.exists() and any(self.folder.iterdir())
-        if occupied or (self.folder.exists() and not self.folder.is_dir()):
-            expected = "an empty folder, or a former demo's" if occupied else "a folder"
-            found = "other files" if occupied else "a file"
-            raise InputFileError(f"{self.folder}", expected=expected, found=found, fix="choose another")
-        write_text(marker, "kt3dmoseg demo replaces what is in this folder\n")
-        for name in ("kitti", "submissions", "frames"):
-            shutil.rmtree(self.folder / name, ignore_errors=True)
-
-    def film(self) -> dict[str, Scene]:
-        from kt3dmoseg.annotate import save_annotation
+    def render(self) -> dict[str, Scene]:
         from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
 
         self.step(
             f"Render {_DRIVES} synthetic drives in the layout of KITTI raw",
             "kt3dmoseg pull --accept-license          (real frames, from KITTI)",
         )
-        root, scenes, chosen = self.kitti, {}, self.options
+        scenes, chosen = {}, self.options
         size = {"width": chosen.width, "height": chosen.height, "frames": chosen.frames}
         for number in range(_DRIVES):
             seed = chosen.seed * _DRIVES + number
             scene = make_scene(SceneOptions(**size, objects=2 + number % 2, seed=seed))
-            with self.progress("frame") as done:
-                folder = write_drive(scene, root, drive=number + 1, progress=done)
+            folder = write_drive(scene, self.kitti, drive=number + 1)
             vehicles = ", ".join(v.name for v in scene.vehicles)
             self.result(f"{folder.relative_to(self.folder)}: {scene.n_frames} frames; moving: {vehicles}")
             scenes[folder.name.removesuffix("_sync")] = scene
+        return scenes
+
+    def annotate(self, scenes: dict[str, Scene]) -> None:
+        from kt3dmoseg.annotate import save_annotation
+
         self.step(
             "Outline the moving vehicles on every third frame (here: the scene's exact outlines)",
             "kt3dmoseg label FRAMES                   (a page in the browser)",
@@ -160,21 +150,16 @@ class _Demo:
             path = self.annotations / f"{name}.json"
             save_annotation(path, annotation_of(scene, name))
             self.result(f"{path.relative_to(self.folder)}: {len(scene.vehicles)} objects")
-        return scenes
 
     def build(self, scenes: dict[str, Scene]) -> None:
         from kt3dmoseg.io import load
-        from kt3dmoseg.pipeline import build_dataset, find_sources
+        from kt3dmoseg.pipeline import build_dataset
 
         self.step(
             "Track points through the frames, label the trajectories, write the dataset",
             f"kt3dmoseg build {self.kitti} --annotations {self.annotations} -o {self.dataset}",
         )
-        with self.progress("frame") as done:
-            outcomes = build_dataset(
-                find_sources(self.kitti), self.dataset, annotations=self.annotations, workers=1, progress=done
-            )
-        for outcome in outcomes:
+        for outcome in build_dataset(self.kitti, self.dataset, annotations=self.annotations, workers=1):
             if outcome.status == "failed":
                 raise InputFileError(f"{outcome.path}: {outcome.reason}")
             counts = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
@@ -186,18 +171,15 @@ class _Demo:
     def segment(self) -> dict[str, Path]:
         from mseg.benchmark import predict
 
-        runs, submissions = self.options.runs, self.folder / "submissions"
+        runs, folder, written = self.options.runs, self.folder / "submissions", {}
         self.step(
             "Segment the trajectories by their motion; the predictions of a method are a submission",
-            f"mseg run {self.dataset} --method METHOD --seeds {runs} -o {submissions / 'METHOD'}",
+            f"mseg run {self.dataset} --method METHOD --seeds {runs} -o {folder / 'METHOD'}",
         )
-        written = {}
         seeds = range(self.options.seed, self.options.seed + runs)
         for method in self.options.methods:
             begin = time.perf_counter()
-            folder = submissions / method
-            with self.progress("run") as done:
-                written[method] = predict(self.dataset, folder, method, seeds=seeds, progress=done)
+            written[method] = predict(self.dataset, folder / method, method, seeds=seeds)
             self.result(f"{method}: {runs} runs in {time.perf_counter() - begin:.1f} s")
         return written
 
@@ -220,17 +202,16 @@ class _Demo:
         for line in [*comparison_table(found).text().splitlines(), *(p.sentence for p in found.pairs)]:
             self.result(line)
 
-    def report(self, submissions: dict[str, Path]) -> dict[str, Path]:
+    def write_reports(self, submissions: dict[str, Path]) -> dict[str, Path]:
         from mseg.evaluation.report import write_report
 
-        frames = self.folder / "frames"
+        frames, reports = self.folder / "frames", {}
         self.step(
             "Write a report per method: tables, bars, trajectories on the frames",
             f"mseg report SUBMISSION {self.dataset} --frames {frames} -o report.html",
         )
         for drive in sorted(self.kitti.glob("*/*_sync")):
             shutil.copytree(drive / "image_00" / "data", frames / drive.name.removesuffix("_sync"))
-        reports = {}
         for method, folder in submissions.items():
             reports[method] = self.folder / f"report-{method}.html"
             write_report(folder, self.dataset, reports[method], frames=frames)

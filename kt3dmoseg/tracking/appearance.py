@@ -10,7 +10,6 @@ from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.tracking.linking import gradient, inside
 from kt3dmoseg.tracking.options import TrackOptions
@@ -52,64 +51,50 @@ class Window:
     def __init__(self, radius: int) -> None:
         side = np.arange(-radius - 1, radius + 2, dtype=np.float32)
         x, y = (axis.ravel() for axis in np.meshgrid(side, side))
-        self._disc = np.flatnonzero(x**2 + y**2 <= (radius + 0.5) ** 2)
-        self._side = len(side)
-        square = np.stack([x, y, np.ones_like(x)])
-        self.lattice = square[:, self._disc]
-        self._look_square, self._look_disc = _spread(square), _spread(self.lattice)
+        self._disc, self._side = np.flatnonzero(x**2 + y**2 <= (radius + 0.5) ** 2), len(side)
+        self._square = np.stack([x, y, np.ones_like(x)])
+        self.lattice = self._square[:, self._disc]
         weight = np.exp(-2 * (self.lattice[:2] ** 2).sum(axis=0) / radius**2)
         self.weight = cast(Float32Array, weight / weight.sum())
 
-    def look(self, image: Float32Array, pose: FloatArray) -> Float32Array:
+    def look(self, image: Float32Array, pose: FloatArray, square: bool = False) -> Float32Array:
         """Gray values (N, P) at A d + x for all offsets d in a `doubled` frame, whose edge is continued.
 
-        `pose` (N, 2, 3) float64 holds A and x in pixels, side by side.
+        `pose` (N, 2, 3) float64 holds A and x in pixels, side by side. Of a `square`, it is all pixels of the
+        square about the disc.
         """
-        return _look(image, pose, self._look_disc)
+        lattice = self._square if square else self.lattice
+        # What takes rows A, x to the positions A d + x in the doubled image, x and y in turns.
+        spread = (2 * np.eye(2, dtype=np.float32)[:, None, None] * lattice[..., None]).reshape(6, -1)
+        rows = pose.reshape(-1, 6).astype(np.float32)
+        out = np.empty((len(rows), lattice.shape[1]), dtype=np.float32)
+        for first in range(0, len(rows), _ROWS):
+            part = slice(first, first + _ROWS)
+            at = (rows[part] @ spread).reshape(-1, lattice.shape[1], 2)
+            out[part] = cv2.remap(  # type: ignore[call-overload]  # the stubs lack the form with one map
+                image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
+        return out
 
     def start(self, image: Float32Array, xy: FloatArray) -> Float32Array:
         """Upright patches about points (N, 2) and their x- and y-derivatives, (N, 3, P)."""
         upright = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
-        seen = _look(image, np.concatenate([upright, xy[..., None]], axis=2), self._look_square)
-        out = np.empty((len(xy), 3, len(self.weight)), dtype=np.float32)
-        out[:, 0] = seen[:, self._disc]
-        for row, step in ((1, 1), (2, self._side)):
-            out[:, row] = (seen[:, self._disc + step] - seen[:, self._disc - step]) / 2
-        return out
+        seen = self.look(image, np.concatenate([upright, xy[..., None]], axis=2), square=True)
+        disc = self._disc
+        slopes = ((seen[:, disc + step] - seen[:, disc - step]) / 2 for step in (1, self._side))
+        return np.ascontiguousarray(np.stack([seen[:, disc], *slopes], axis=1))
 
     def centred(self, patch: Float32Array) -> Float32Array:
         """Patches (N, P) less their weighted means, so that a change of brightness does not count."""
         return cast(Float32Array, patch - (patch @ self.weight)[:, None])
 
 
-def _spread(lattice: Float32Array) -> Float32Array:
-    """Matrix (6, 2 Q) that takes rows A, x to the positions A d + x in a doubled image, x and y in turns."""
-    return (2 * np.eye(2, dtype=np.float32)[:, None, None] * lattice[..., None]).reshape(6, -1)
-
-
-def _look(image: Float32Array, pose: FloatArray, spread: Float32Array) -> Float32Array:
-    rows, count = pose.reshape(-1, 6).astype(np.float32), spread.shape[1] // 2
-    out = np.empty((len(rows), count), dtype=np.float32)
-    for first in range(0, len(rows), _ROWS):
-        part = slice(first, first + _ROWS)
-        at = (rows[part] @ spread).reshape(-1, count, 2)
-        out[part] = cv2.remap(  # type: ignore[call-overload]  # the stubs lack the form with one map
-            image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-    return out
-
-
 class Starts(NamedTuple):
-    """What is known of N patches from their start.
+    """What is known of N patches from their start."""
 
-    `patch` (N, 3, P) holds T less its weighted mean and its x- and y-derivative, `variance` (N,) the weighted
-    mean of T^2, and `inverse` (N, 6, 6) takes the right side of the equations in `correction` to the change
-    of pose.
-    """
-
-    patch: Float32Array
-    variance: Float32Array
-    inverse: Float32Array
+    patch: Float32Array  # (N, 3, P): T less its weighted mean, its x- and its y-derivative
+    variance: Float32Array  # (N,): weighted mean of T^2
+    inverse: Float32Array  # (N, 6, 6): from the right side in `correction` to the change of pose
 
 
 def prepare(patch: Float32Array, window: Window, options: TrackOptions) -> Starts:
@@ -143,7 +128,7 @@ def _normal(patch: Float32Array, window: Window) -> FloatArray:
 
 
 def correction(rest: Float32Array, start: Starts, window: Window, options: TrackOptions) -> Float32Array:
-    """How far patches are off from their start: a step of inverse compositional Lucas-Kanade.
+    """How far patches are off from their start, (N, 2, 3): a step of inverse compositional Lucas-Kanade.
 
     Minimised, over the position x, the affine map A, the gain g and the brightness b, is
 
@@ -156,14 +141,11 @@ def correction(rest: Float32Array, start: Starts, window: Window, options: Track
         (H + P) q = sum of w s r / sum of w,    H = sum of weight s s^T,
         s = (dx Tx, dy Tx, Tx, dx Ty, dy Ty, Ty, T, 1),
 
-    and [A x] <- [A x] - A [B t] with the first six of q, row by row, as [B t]; g and b, which fit r best, are
-    taken out of it before, so the last two of the right side are 0. rho is the Lorentzian of scale
-    `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2) with the r of g = 0, so
-    what is hidden or belongs to another object counts less. That H is the one without rho, known from the
-    start, changes the length of the step, not where it ends. P holds A where the patch does not determine it:
-    `anchor_stiffness` on the diagonal at B.
-
-    `rest` (N, P) is r for g = 0, less its weighted mean. Returns [B t], (N, 2, 3), in pixels.
+    and [A x] <- [A x] - A [B t] with the first six of q as [B t], which is returned; g and b, which fit r
+    best, are taken out of it before. `rest` (N, P) is r for g = 0, less its weighted mean. rho is the
+    Lorentzian of scale `anchor_scale` (Black and Anandan, CVIU 1996): w = weight / (1 + (r / scale)^2) with
+    that r, so what is hidden or belongs to another object counts less; H without rho changes the length of
+    the step, not where it ends. P holds A where the patch does not determine it: `anchor_stiffness` at B.
     """
     weight = window.weight / (1 + (rest / options.anchor_scale) ** 2)
     total, texture, pull = weight.sum(axis=1), weight * start.patch[:, 0], weight * rest
@@ -190,10 +172,8 @@ class Appearance:
     def __init__(self, options: TrackOptions) -> None:
         self.options, self.window = options, Window(options.patch_radius)
         nothing = np.zeros((0, 3, len(self.window.weight)), dtype=np.float32)
-        self._starts = prepare(nothing, self.window, options)
-        self._row: npt.NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # of the live ones, in `_starts`
+        self._starts, self._row = prepare(nothing, self.window, options), np.arange(0)
         self._affine: FloatArray = np.zeros((0, 2, 2))
-        self._image: Float32Array = np.zeros((0, 0), dtype=np.float32)
         self._size: tuple[int, ...] = (0, 0)
 
     def look_at(self, frame: ByteArray) -> None:
@@ -202,22 +182,11 @@ class Appearance:
 
     def add(self, xy: FloatArray) -> None:
         """Keep how new trajectories (N, 2) look; they come after all that are alive."""
-        rows = self._free_rows(len(xy))
         new = prepare(self.window.start(self._image, xy), self.window, self.options)
-        for field, values in zip(self._starts, new, strict=True):
-            field[rows] = values
-        self._row = np.concatenate([self._row, rows])
+        both = zip(self._starts, new, strict=True)
+        self._starts = Starts(*(np.concatenate([old[self._row], more]) for old, more in both))
+        self._row = np.arange(len(self._row) + len(xy))
         self._affine = np.concatenate([self._affine, np.broadcast_to(np.eye(2), (len(xy), 2, 2))])
-
-    def _free_rows(self, count: int) -> npt.NDArray[np.intp]:
-        """Rows of `_starts` that no live trajectory has, of which more are made where there are too few."""
-        free = np.ones(len(self._starts.variance), dtype=np.bool_)
-        free[self._row] = False
-        if free.sum() < count:
-            more = (np.zeros((count, *field.shape[1:]), field.dtype) for field in self._starts)
-            self._starts = Starts(*map(np.concatenate, zip(self._starts, more, strict=True)))
-            free = np.concatenate([free, np.ones(count, dtype=np.bool_)])
-        return np.flatnonzero(free)[:count]
 
     def keep(self, alive: BoolArray) -> None:
         """Forget the trajectories (L,) that are not alive."""
@@ -228,18 +197,17 @@ class Appearance:
     ) -> tuple[FloatArray, BoolArray]:
         """Correct the step of the live trajectories into this frame; find which look like their start.
 
+        `forward` (H, W, 2) is the flow from the frame before, `xy` (L, 2) are the positions there and
+        `target` (L, 2) where it leads. Returns the positions (L, 2) in this frame, and which (L,) are alike:
+        all when `appearance` is 0.
+
         The affine map from the start's patch to the present one is carried along by the flow,
         A <- (1 + grad w) A: a camera that drives forward enlarges what it sees by some percent per frame.
         With `anchor`, position and map are then registered with the start. The result is taken where it lies
         at most `anchor` pixels off, and the change of the patch has fallen, and to `anchor_change` *
-        variance + `appearance_floor` at most; elsewhere the flow's point stays. Of the way from the flow's
-        point to the result the trajectory goes the share `anchor_gain`. Patches are alike where change <=
-        `appearance` * variance + `appearance_floor`. The change is the weighted mean of (I - T)^2, the
-        variance that of T^2, with the present patch I and the start's T, both less their means.
-
-        `forward` (H, W, 2) is the flow from the frame before, `xy` (L, 2) are the positions there and
-        `target` (L, 2) where it leads. Returns the positions (L, 2) in this frame, and which (L,) are alike:
-        all when `appearance` is 0.
+        variance + `appearance_floor` at most; elsewhere the flow's point stays. Patches are alike where
+        change <= `appearance` * variance + `appearance_floor`. The change is the weighted mean of (I - T)^2
+        with the present patch I and the start's T, both less their means.
         """
         affine = (np.eye(2) + gradient(forward, xy, _REACH)) @ self._affine
         pose, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)
@@ -251,20 +219,18 @@ class Appearance:
         return pose[..., 2].copy(), alike
 
     def _compared(self, pose: FloatArray, start: Starts) -> tuple[FloatArray, BoolArray]:
-        floor = self.options.appearance_floor
-        rest = self._rest(pose, start)
+        options, floor, rest = self.options, self.options.appearance_floor, self._rest(pose, start)
         change = rest**2 @ self.window.weight
-        if self.options.anchor:
-            step = -pose[..., :2] @ correction(rest, start, self.window, self.options)
+        if options.anchor:
+            step = -pose[..., :2] @ correction(rest, start, self.window, options)
             after = self._rest(pose + step, start) ** 2 @ self.window.weight
-            better = after < np.minimum(change, self.options.anchor_change * start.variance + floor)
-            better &= np.hypot(*step[..., 2].T) <= self.options.anchor
+            better = after < np.minimum(change, options.anchor_change * start.variance + floor)
+            better &= np.hypot(*step[..., 2].T) <= options.anchor
             better &= inside(pose[..., 2] + step[..., 2], self._size)
-            pose = pose + self.options.anchor_gain * np.where(better[:, None, None], step, 0)
+            pose = pose + options.anchor_gain * np.where(better[:, None, None], step, 0)
             change = np.where(better, after, change)
-        if not self.options.appearance:
-            return pose, np.ones(len(pose), dtype=np.bool_)
-        return pose, change <= self.options.appearance * start.variance + floor
+        limit = options.appearance * start.variance + floor if options.appearance else np.inf
+        return pose, change <= limit
 
     def _rest(self, pose: FloatArray, start: Starts) -> Float32Array:
         return self.window.centred(self.window.look(self._image, pose)) - start.patch[:, 0]

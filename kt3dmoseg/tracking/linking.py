@@ -1,4 +1,7 @@
-"""Where trajectories start, how they follow the flow, and where they stop."""
+"""Where trajectories start, how they follow the flow, and where they stop.
+
+Equations are those of Sundaram, Brox, Keutzer, ECCV 2010 (SBK).
+"""
 
 from __future__ import annotations
 
@@ -28,9 +31,8 @@ def new_seeds(frame: ByteArray, live: FloatArray, options: TrackOptions) -> Floa
 
 def grid(height: int, width: int, options: TrackOptions) -> FloatArray:
     """Points (G, 2) at offset, offset + spacing, ..., strictly inside the frame less the offset, by rows."""
-    x = np.arange(options.offset, width - options.offset, options.spacing, dtype=np.float64)
-    y = np.arange(options.offset, height - options.offset, options.spacing, dtype=np.float64)
-    return np.stack([np.tile(x, len(y)), np.repeat(y, len(x))], axis=1)
+    sides = (np.arange(options.offset, side - options.offset, options.spacing) for side in (width, height))
+    return np.stack(np.meshgrid(*sides), axis=2).reshape(-1, 2).astype(np.float64)
 
 
 def uncovered(cells: FloatArray, live: FloatArray, radius: float) -> FloatArray:
@@ -48,9 +50,8 @@ def uncovered(cells: FloatArray, live: FloatArray, radius: float) -> FloatArray:
 def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
     """Pixels (H, W) where a trajectory may start.
 
-    The smaller eigenvalue must reach a fraction of its mean over the frame (Sundaram, Brox, Keutzer
-    2010, eq. 3). The fraction grows towards the border of the frame, where a track is soon lost:
-    structure + border_gain * exp(-border_decay * distance).
+    The smaller eigenvalue must reach a fraction of its mean over the frame (SBK eq. 3). The fraction grows
+    towards the border, where a track is soon lost: structure + border_gain * exp(-border_decay * distance).
     """
     eigenvalue = smaller_eigenvalue(frame, options.presmoothing, options.integration)
     fraction = _fraction(*frame.shape, options.structure, options.border_gain, options.border_decay)
@@ -61,10 +62,8 @@ def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
 
 @lru_cache(maxsize=1)  # the same for all frames of a clip
 def _fraction(height: int, width: int, structure: float, gain: float, decay: float) -> Float32Array:
-    across = np.minimum(np.arange(width), np.arange(width)[::-1])
-    down = np.minimum(np.arange(height), np.arange(height)[::-1])
-    distance = np.minimum(down[:, None], across[None, :])
-    return (structure + gain * np.exp(-decay * distance)).astype(np.float32)
+    down, across = (np.minimum(np.arange(side), np.arange(side)[::-1]) for side in (height, width))
+    return (structure + gain * np.exp(-decay * np.minimum.outer(down, across))).astype(np.float32)
 
 
 def smaller_eigenvalue(frame: ByteArray, presmoothing: float, integration: float) -> Float32Array:
@@ -90,9 +89,8 @@ def step(
 ) -> tuple[FloatArray, BoolArray]:
     """Follow the forward flow from points (N, 2) of one frame to the next; the flows are (H, W, 2).
 
-    Returns the targets (N, 2), x + w(x) with w interpolated bilinearly (Sundaram, Brox, Keutzer 2010, eq. 2),
-    and which are alive (N,): trajectories stop outside the frame, where the backward flow disagrees, and at
-    motion boundaries.
+    Returns the targets (N, 2), x + w(x) with w interpolated bilinearly (SBK eq. 2), and which are alive (N,):
+    trajectories stop outside the frame, where the backward flow disagrees, and at motion boundaries.
     """
     w = sample(forward, xy)
     target = xy + w
@@ -104,27 +102,23 @@ def step(
 
 def inside(xy: FloatArray, shape: tuple[int, ...]) -> BoolArray:
     """Whether points (N, 2) lie on a pixel of a frame of shape (H, W); a pixel is 1 wide about its centre."""
-    height, width = shape
-    x, y = xy[:, 0], xy[:, 1]
-    return (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
+    return cast(BoolArray, ((xy >= -0.5) & (xy <= np.array(shape[::-1]) - 0.5)).all(axis=1))
 
 
 def consistent(w: FloatArray, back: FloatArray, options: TrackOptions) -> BoolArray:
     """Whether the way there and back ends near its start.
 
-    |w + w'|^2 < consistency * (|w|^2 + |w'|^2) + consistency_floor (Sundaram, Brox, Keutzer 2010,
-    eq. 5), with forward flow w (N, 2) at the point and backward flow w' (N, 2) at its target.
+    |w + w'|^2 < consistency * (|w|^2 + |w'|^2) + consistency_floor (SBK eq. 5), with forward flow w (N, 2) at
+    the point and backward flow w' (N, 2) at its target.
     """
-    gap = ((w + back) ** 2).sum(axis=1)
-    length = (w**2).sum(axis=1) + (back**2).sum(axis=1)
+    gap, length = ((w + back) ** 2).sum(axis=1), (w**2).sum(axis=1) + (back**2).sum(axis=1)
     return cast(BoolArray, gap < options.consistency * length + options.consistency_floor)
 
 
 def at_boundary(xy: FloatArray, w: FloatArray, forward: Float32Array, options: TrackOptions) -> BoolArray:
     """Whether the flow changes so fast at the points that they sit on a motion boundary.
 
-    |grad u|^2 + |grad v|^2 > boundary * |w|^2 + boundary_floor (Sundaram, Brox, Keutzer 2010, eq. 6);
-    gradients by central differences at the nearest pixel.
+    |grad u|^2 + |grad v|^2 > boundary * |w|^2 + boundary_floor (SBK eq. 6), at the nearest pixel.
     """
     change = (gradient(forward, xy, 1) ** 2).sum(axis=(1, 2))
     return cast(BoolArray, change > options.boundary * (w**2).sum(axis=1) + options.boundary_floor)
@@ -135,12 +129,10 @@ def gradient(forward: Float32Array, xy: FloatArray, reach: int) -> FloatArray:
 
     By differences between the pixels `reach` to either side of the nearest one.
     """
-    height, width = forward.shape[:2]
-    column = np.clip(np.rint(xy[:, 0]).astype(np.intp), 0, width - 1)
-    row = np.clip(np.rint(xy[:, 1]).astype(np.intp), 0, height - 1)
-    left, right = np.maximum(column - reach, 0), np.minimum(column + reach, width - 1)
-    above, below = np.maximum(row - reach, 0), np.minimum(row + reach, height - 1)
-    flat = forward.reshape(-1, 2)
-    along_x = flat.take(row * width + right, axis=0) - flat.take(row * width + left, axis=0)
-    along_y = flat.take(below * width + column, axis=0) - flat.take(above * width + column, axis=0)
-    return np.nan_to_num(np.stack([along_x, along_y], axis=2) / (2 * reach))
+    last = np.array(forward.shape[1::-1]) - 1
+    nearest = np.clip(np.rint(xy).astype(np.intp), 0, last)
+    slopes = []
+    for axis in np.eye(2, dtype=np.intp) * reach:
+        (x1, y1), (x0, y0) = np.minimum(nearest + axis, last).T, np.maximum(nearest - axis, 0).T
+        slopes.append(forward[y1, x1] - forward[y0, x0])
+    return np.nan_to_num(np.stack(slopes, axis=2) / (2 * reach))

@@ -100,14 +100,14 @@ def track(
     total = len(items) if isinstance(items, Sized) else None
     run = _Run(settings, None if seeds is None else _checked(seeds))
     before: ByteArray | None = None
-    for number, frame in enumerate(_gray_frames(items)):
+    for number, frame in enumerate(_gray_frames(items), start=1):
         run.look_at(frame)
         if before is not None:
             run.advance(*flow_pair(backend, before, frame, cache))
-        run.start(number, frame)
+        run.start(frame)
         before = frame
         if progress is not None:
-            progress(number + 1, total)
+            progress(number, total)
     return run.finish(before)
 
 
@@ -191,22 +191,24 @@ class _Run:
             self.looks.look_at(frame)
 
     def advance(self, forward: Float32Array, backward: Float32Array) -> None:
-        target, alive = step(self.xy, forward, backward, self.options)
-        before, self.ids, self.xy = self.xy[alive], self.ids[alive], target[alive]
+        before, (self.xy, alive) = self.xy, step(self.xy, forward, backward, self.options)
+        self.keep(alive)
+        if self.looks is not None:
+            self.xy, alike = self.looks.follow(forward, before[alive], self.xy)
+            self.keep(alike)
+
+    def keep(self, alive: BoolArray) -> None:
+        self.ids, self.xy = self.ids[alive], self.xy[alive]
         if self.looks is not None:
             self.looks.keep(alive)
-            self.xy, alike = self.looks.follow(forward, before, self.xy)
-            self.looks.keep(alike)
-            self.ids, self.xy = self.ids[alike], self.xy[alike]
 
-    def start(self, number: int, frame: ByteArray) -> None:
+    def start(self, frame: ByteArray) -> None:
         if self.seeds is None:
             xy = new_seeds(frame, self.xy, self.options)
             ids = np.arange(self.count, self.count + len(xy))
             self.count += len(xy)
         else:
-            now = self.seeds[:, 2] == number
-            height, width = frame.shape
+            now, (height, width) = self.seeds[:, 2] == len(self.frames), frame.shape
             outside = now & ~inside(self.seeds[:, :2], frame.shape)
             _reject(self.seeds, outside, f"a point in the {width}x{height} frame")
             ids = np.flatnonzero(now)
@@ -224,8 +226,7 @@ class _Run:
             late = self.seeds[:, 2] >= done
             _reject(self.seeds, late, f"a frame number below {done}, the number of frames")
         least = self.options.min_length if self.seeds is None else 0
-        height, width = last.shape
-        return RunTrajectories(self.frames, self.count, least, (width, height))
+        return RunTrajectories(self.frames, self.count, least, (last.shape[1], last.shape[0]))
 
 
 def _checked(seeds: npt.ArrayLike) -> FloatArray:
@@ -269,8 +270,7 @@ class RunTrajectories(Trajectories):
         self._start, self._lengths, self._n_frames = start[kept], length[kept], len(frames)
         self._points = np.concatenate([xy for _, xy in frames])[order]
         self._offset = np.cumsum(self._lengths) - self._lengths
-        object.__setattr__(self, "track_id", frozen(np.arange(len(self._start)), np.int64))
-        object.__setattr__(self, "image_size", image_size)
+        self._set(track_id=frozen(np.arange(len(self._start)), np.int64), image_size=image_size)
 
     def __len__(self) -> int:
         """Return the number of trajectories."""
@@ -289,16 +289,18 @@ class RunTrajectories(Trajectories):
     @cached_property
     def xy(self) -> FloatArray:
         """Positions (N, F, 2), NaN where invisible."""
-        return self._dense[0]
+        xy, _ = self.block(0, len(self))
+        xy.flags.writeable = False  # in place: it may be large
+        return xy
 
     @cached_property
     def visible(self) -> BoolArray:
         """Whether each exists in each frame, (N, F)."""
-        return self._dense[1]
+        return frozen(~np.isnan(self.xy[..., 0]), np.bool_)
 
     def block(self, first: int, last: int) -> tuple[FloatArray, BoolArray]:
         """Positions and visibility of some rows; see `Trajectories.block`."""
-        return self._laid_out(np.arange(first, min(last, len(self))))
+        return self._laid_out(np.arange(len(self))[first:last])
 
     def at(self, frame: int) -> tuple[IntArray, FloatArray]:
         """Rows and positions in one frame; see `Trajectories.at`."""
@@ -310,21 +312,13 @@ class RunTrajectories(Trajectories):
         index = np.arange(len(self))[np.asarray(rows)]
         return Trajectories(*self._laid_out(index), self.track_id[index], self.image_size)
 
-    @cached_property
-    def _dense(self) -> tuple[FloatArray, BoolArray]:
-        xy, visible = self._laid_out(np.arange(len(self)))
-        xy.flags.writeable = visible.flags.writeable = False
-        return xy, visible
-
     def _laid_out(self, rows: IntArray) -> tuple[FloatArray, BoolArray]:
         length = self._lengths[rows]
         row = np.repeat(np.arange(len(rows)), length)
         step = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
         xy = np.full((len(rows), self._n_frames, 2), np.nan)
         xy[row, self._start[rows][row] + step] = self._points[self._offset[rows][row] + step]
-        visible = np.zeros(xy.shape[:2], dtype=np.bool_)
-        visible[row, self._start[rows][row] + step] = True
-        return xy, visible
+        return xy, np.isfinite(xy[..., 0])
 
 
 def subsample_background(
@@ -363,16 +357,12 @@ def subsample_background(
     if not 0 <= fraction <= 1:
         raise InvalidValueError("fraction", expected="a number from 0 to 1", found=str(fraction))
     if labels.background is None and labels.n_motions:
-        raise InvalidValueError(
-            "labels.background", expected="the label of the static scene", found="none", fix="set it"
-        )
+        expected = "the label of the static scene"
+        raise InvalidValueError("labels.background", expected=expected, found="none", fix="set it")
     motions, size = np.unique(labels.label, return_counts=True)
     large = np.isin(labels.label, motions[size >= smallest])
     foreground = np.flatnonzero(large & (labels.label != 0) & (labels.label != labels.background))
     background = np.flatnonzero((labels.label != 0) & (labels.label == labels.background))
-    count = round(fraction * len(background))
-    if fraction > 0 and len(background):
-        count = max(1, count)
+    count = max(round(fraction * len(background)), int(fraction > 0 and len(background) > 0))
     drawn = rng.integers(0, max(1, len(background)), size=count)
-    rows = np.concatenate([foreground, background[np.unique(drawn)]])
-    return np.sort(rows).astype(np.int64)
+    return np.sort(np.concatenate([foreground, background[np.unique(drawn)]])).astype(np.int64)

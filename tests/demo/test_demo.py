@@ -80,7 +80,8 @@ def test_a_file_in_place_of_the_folder_is_one_line(tmp_path, capsys):
     (tmp_path / "file.txt").write_text("mine")
     assert cli.main(["demo", "-o", str(tmp_path / "file.txt")]) == 2
     message = capsys.readouterr().err
-    assert message == f"kt3dmoseg: {tmp_path}/file.txt: expected a folder, found a file; choose another\n"
+    expected = "an empty folder, or a former demo's"
+    assert message == f"kt3dmoseg: {tmp_path}/file.txt: expected {expected}, found a file; choose another\n"
     assert (tmp_path / "file.txt").read_text() == "mine"
 
 
