@@ -20,12 +20,9 @@ from kt3dmoseg.options import option
 if TYPE_CHECKING:
     from kt3dmoseg.annotate import Annotation, KeyFrame
     from kt3dmoseg.synthetic import Scene
-    from kt3dmoseg.types import Clip
 
 _DRIVES = 2
 _MARKER = ".kt3dmoseg-demo"
-_AFTER = 5  # frames after which tracks are compared with the truth
-_TRUE = 2.0  # pixels; a track that ends nearer to the truth has stayed on its point
 _KEY_EVERY = 3  # frames between key frames
 _LEAST_AREA = 24.0  # pixels; a smaller piece of an object is not outlined
 
@@ -79,9 +76,8 @@ def run_demo(
     for name in demo.options.methods:
         methods.create(name)
     _claim(demo.folder)
-    scenes = demo.render()
-    demo.annotate(scenes)
-    demo.build(scenes)
+    demo.render()
+    demo.build()
     submissions = demo.segment()
     demo.evaluate(submissions)
     reports = demo.write_reports(submissions)
@@ -121,7 +117,8 @@ class _Demo:
     def result(self, line: str) -> None:
         self.report(f"      {line}")
 
-    def render(self) -> dict[str, Scene]:
+    def render(self) -> None:
+        from kt3dmoseg.annotate import save_annotation
         from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
 
         self.step(
@@ -137,11 +134,6 @@ class _Demo:
             vehicles = ", ".join(v.name for v in scene.vehicles)
             self.result(f"{folder.relative_to(self.folder)}: {scene.n_frames} frames; moving: {vehicles}")
             scenes[folder.name.removesuffix("_sync")] = scene
-        return scenes
-
-    def annotate(self, scenes: dict[str, Scene]) -> None:
-        from kt3dmoseg.annotate import save_annotation
-
         self.step(
             "Outline the moving vehicles on every third frame (here: the scene's exact outlines)",
             "kt3dmoseg label FRAMES                   (a page in the browser)",
@@ -151,8 +143,7 @@ class _Demo:
             save_annotation(path, annotation_of(scene, name))
             self.result(f"{path.relative_to(self.folder)}: {len(scene.vehicles)} objects")
 
-    def build(self, scenes: dict[str, Scene]) -> None:
-        from kt3dmoseg.io import load
+    def build(self) -> None:
         from kt3dmoseg.pipeline import build_dataset
 
         self.step(
@@ -164,9 +155,6 @@ class _Demo:
                 raise InputFileError(f"{outcome.path}: {outcome.reason}")
             counts = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
             self.result(f"{outcome.path.relative_to(self.folder)}: {counts or outcome.status}")
-        for name, scene in scenes.items():
-            for line in _against_truth(load(self.dataset / f"{name}.h5"), scene):
-                self.result(f"{name}: {line}")
 
     def segment(self) -> dict[str, Path]:
         from mseg.benchmark import predict
@@ -217,26 +205,6 @@ class _Demo:
             write_report(folder, self.dataset, reports[method], frames=frames)
             self.result(str(reports[method]))
         return reports
-
-
-def _against_truth(clip: Clip, scene: Scene) -> list[str]:
-    """Compare tracks and labels with the exact truth of the synthetic scene."""
-    import numpy as np
-
-    from kt3dmoseg.synthetic import track_errors
-
-    middle, most = np.nanpercentile(track_errors(scene, clip.dense, _AFTER), [50, 90])
-    tracks = clip.evaluated_trajectories
-    true = track_errors(scene, tracks) < _TRUE
-    start = tracks.visible.argmax(axis=1)
-    seeds = np.column_stack([tracks.xy[np.arange(len(tracks)), start], start])
-    right = scene.labels(seeds).label == clip.labels.label
-    return [
-        f"{_AFTER} frames after their start tracks are off by {middle:.2f} px (median), "
-        f"{most:.1f} px (90th percentile)",
-        f"{100 * right[true].mean():.1f} % of the labels are right "
-        f"({true.sum()} tracks that stay on their point)",
-    ]
 
 
 def annotation_of(scene: Scene, clip: str) -> Annotation:

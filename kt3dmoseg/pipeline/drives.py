@@ -63,12 +63,11 @@ class SyntheticDrive:
         vehicles. A trajectory that slides from one object onto another has label 0.
         """
         votes = np.zeros((len(tracks), 2 + len(self.scene.vehicles)))
+        last = np.array(self.scene.image_size) - 1
         for frame in range(tracks.n_frames):
             rows, xy = tracks.at(frame)
-            x, y = np.rint(xy).astype(np.int64).T
-            width, height = self.scene.image_size
-            ids = self.scene.ids(frame)[y.clip(0, height - 1), x.clip(0, width - 1)]
-            votes[rows, np.maximum(ids, BACKGROUND)] += 1
+            x, y = np.rint(xy).astype(np.int64).clip(0, last).T
+            votes[rows, np.maximum(self.scene.ids(frame)[y, x], BACKGROUND)] += 1
         label = np.where(votes.max(axis=1) >= _ON_IT * tracks.lengths, votes.argmax(axis=1), 0)
         return Labels(label, BACKGROUND, self.scene.names)
 

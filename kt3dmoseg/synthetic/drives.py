@@ -52,14 +52,11 @@ _STILL = 0.02  # metres; a camera that moves less between two frames only turns
 
 @dataclass(frozen=True)
 class DrivePlan:
-    """What is intended for one drive of the benchmark.
+    """What is intended for one drive of the benchmark."""
 
-    `number` counts from 1 to 100 in either part. Drives of other seeds than 0 have it in their names.
-    """
-
-    seed: int
+    seed: int  # other than 0 it is in the drive's name
     part: Part
-    number: int
+    number: int  # from 1 to 100 in either part
     motions: int  # with the static scene
     camera: CameraKind
     trait: Trait
@@ -97,12 +94,11 @@ def make_drive(plan: DrivePlan) -> Scene:
     for _ in range(_TRIES):
         frames, textures = int(rng.integers(10, 21)), int(rng.integers(1 << 31))
         layout = _draw_layout(plan, (frames - 1) / FRAMES_PER_SECOND, rng)
-        if layout is not None:
-            scene = Scene(SceneOptions(frames=frames, seed=textures, noise=noise, samples=SAMPLES), layout)
-            if _in_view(scene):
-                moved = measure_drive(scene).get("motion", _LEAST_MOTION)
-                if _LEAST_MOTION <= moved < np.inf:
-                    return scene
+        if layout is None:
+            continue
+        scene = Scene(SceneOptions(frames=frames, seed=textures, noise=noise, samples=SAMPLES), layout)
+        if _in_view(scene) and _LEAST_MOTION <= measure_drive(scene).get("motion", _LEAST_MOTION) < np.inf:
+            return scene
     raise KT3DMoSegError(f"{plan.name}: no such drive in {_TRIES} tries")
 
 
@@ -218,11 +214,8 @@ def measure_drive(scene: Scene) -> Mapping[str, float]:
     static = scene.depth(frames[1])[scene.ids(frames[1]) == 1]
     facts = {"depth": float(np.divide(*np.percentile(static, [95, 5])))}
     bodies = range(1, len(scene.vehicles) + 1)
-    movers = [
-        {"size": max(np.count_nonzero(seen == k) for _, seen in found)}
-        | _measure_vehicle(scene, points[body == k], k)
-        for k in bodies
-    ]
+    sizes = [float(max(np.count_nonzero(seen == k) for _, seen in found)) for k in bodies]
+    movers = [_measure_vehicle(scene, points[body == k], k) | {"size": sizes[k - 1]} for k in bodies]
     hardest = {"size": min, "epipolar": min, "motion": min, "standing": max, "occlusion": max}
     if movers:
         facts |= {name: float(worst(m[name] for m in movers)) for name, worst in hardest.items()}

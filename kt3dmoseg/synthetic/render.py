@@ -74,14 +74,16 @@ def box(
 
 def placed(faces: Sequence[Face], x: float, z: float, yaw: float) -> list[Face]:
     """Give the faces of a body that stays at a place in the world."""
-    turn, shift = rotation_y(yaw), np.array([x, 0.0, z])
+    turn, shift = rotation(1, yaw), np.array([x, 0.0, z])
     return [f._replace(origin=turn @ f.origin + shift, eu=turn @ f.eu, ev=turn @ f.ev) for f in faces]
 
 
-def rotation_y(angle: float) -> FloatArray:
-    """Rotate about the vertical axis: +z towards +x for a positive angle."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+def rotation(axis: int, angle: float) -> FloatArray:
+    """Rotate about x, y or z; about the vertical axis, y, a positive angle turns +z towards +x."""
+    turn, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
+    turn[i, i] = turn[j, j] = np.cos(angle)
+    turn[j, i], turn[i, j] = np.sin(angle), -np.sin(angle)
+    return turn
 
 
 class Mesh(NamedTuple):
@@ -141,59 +143,31 @@ def _along(vector: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(vector[0] * x + (vector[1] * y + vector[2]))
 
 
-class Rays(NamedTuple):
-    """Directions (X, Y, 1) in camera coordinates.
-
-    Of a grid, X (W,) of its columns and Y (H,) of its rows, ascending; else X and Y (R,) of single rays.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    grid: bool
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(H, W) or (R,)."""
-        return (len(self.y), len(self.x)) if self.grid else self.x.shape
-
-    def directions(self) -> tuple[FloatArray, FloatArray]:
-        """X and Y of every ray, row by row, flat."""
-        x, y = np.meshgrid(self.x, self.y) if self.grid else (self.x, self.y)
-        return x.ravel(), y.ravel()
-
-    def within(self, low: FloatArray, high: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
-        """Give (index into the results, X, Y) of the rays with low <= (X, Y) <= high."""
-        (x0, y0), (x1, y1) = low, high
-        if not self.grid:
-            rows = np.flatnonzero((self.x >= x0) & (self.x <= x1) & (self.y >= y0) & (self.y <= y1))
-            return rows, self.x[rows], self.y[rows]
-        across = slice(np.searchsorted(self.x, x0), np.searchsorted(self.x, x1, "right"))
-        down = slice(np.searchsorted(self.y, y0), np.searchsorted(self.y, y1, "right"))
-        return (down, across), self.x[None, across], self.y[down, None]
-
-
-def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
-    """Find the nearest face along every ray.
+def cast(mesh: Mesh, x: FloatArray, y: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Find the nearest face along every ray (x, y, 1): single ones (R,), or a grid of (1, W) and (H, 1).
 
     A ray r meets the plane of a face (corner o, normal n) at depth z = n.o / n.r; the hit counts where its
-    coordinates on the face, (z r - o).eu and (z r - o).ev, are inside the extent. Both results have the
-    shape of the rays: depth z, infinite where nothing is hit, and row of the mesh, or `SKY`.
+    coordinates on the face, (z r - o).eu and (z r - o).ev, are inside the extent. Both results, (R,) or
+    (H, W), are of the nearest: depth z, infinite where nothing is hit, and row of the mesh, or `SKY`.
     """
-    depth, face = np.full(rays.shape, np.inf), np.full(rays.shape, SKY, dtype=np.int64)
-    normal, corners = mesh.normals(), mesh.corners()
+    shape = np.broadcast_shapes(x.shape, y.shape)
+    depth, face = np.full(shape, np.inf), np.full(shape, SKY, dtype=np.int64)
+    normal = mesh.normals()
     distance = np.einsum("fi,fi->f", normal, mesh.origin)
-    (low, high), nearest = _bounds(corners), corners[..., 2].min(axis=1)
-    first = rays.x.min(initial=np.inf), rays.y.min(initial=np.inf)
-    last = rays.x.max(initial=-np.inf), rays.y.max(initial=-np.inf)
+    low, high, nearest = _bounds(mesh)
+    first, last = (
+        (x.min(initial=np.inf), y.min(initial=np.inf)),
+        (x.max(initial=-np.inf), y.max(initial=-np.inf)),
+    )
     rows = np.flatnonzero((distance < 0) & (low <= last).all(axis=1) & (high >= first).all(axis=1))
     for row in rows[np.argsort(nearest[rows], kind="stable")].tolist():
-        where, x, y = rays.within(low[row], high[row])
+        where, x_in, y_in = _within(x, y, low[row], high[row])
         known = depth[where]
         if not known.size or known.max() < nearest[row]:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):  # rays parallel to the face
-            z = distance[row] / _along(normal[row], x, y)
-            u, v = mesh.surface(row, x, y, z)
+            z = distance[row] / _along(normal[row], x_in, y_in)
+            u, v = mesh.surface(row, x_in, y_in, z)
             (width, height), (left, right) = mesh.extent[row], mesh.lean[row]
             inside = (z > NEAR) & (z < known) & (v >= 0) & (v <= height)
             inside &= (u >= left * v) & (u <= width - right * v)
@@ -202,11 +176,26 @@ def cast(mesh: Mesh, rays: Rays) -> tuple[FloatArray, IntArray]:
     return depth, face
 
 
-def _bounds(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest (X, Y) of the parts of quadrilaterals (F, 4, 3) in front of the camera.
+def _within(
+    x: FloatArray, y: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[Any, FloatArray, FloatArray]:
+    """Give (index into the results, X, Y) of the rays with low <= (X, Y) <= high; those of a grid ascend."""
+    if x.ndim == 1:
+        rows = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
+        return rows, x[rows], y[rows]
+    across, down = (
+        slice(np.searchsorted(side.ravel(), first), np.searchsorted(side.ravel(), last, "right"))
+        for side, first, last in zip((x, y), low, high, strict=True)
+    )
+    return (down, across), x[:, across], y[down]
+
+
+def _bounds(mesh: Mesh) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Lowest and highest (X, Y), (F, 2), of what is in front of the camera, and smallest depth (F,).
 
     Where nothing is in front, lowest is +inf and highest -inf.
     """
+    corners = mesh.corners()
     ahead, following = corners[..., 2] > NEAR, np.roll(corners, -1, axis=1)
     crossing = ahead != np.roll(ahead, -1, axis=1)
     rise = np.where(crossing, following[..., 2] - corners[..., 2], 1.0)
@@ -214,8 +203,8 @@ def _bounds(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     points = np.concatenate([corners, corners + share[..., None] * (following - corners)], axis=1)
     counts = np.concatenate([ahead, crossing], axis=1)[..., None]
     flat = points[..., :2] / np.maximum(points[..., 2:], NEAR)
-    low = np.where(counts, flat, np.inf).min(axis=1) - _MARGIN
-    return low, np.where(counts, flat, -np.inf).max(axis=1) + _MARGIN
+    low, high = np.where(counts, flat, np.inf).min(axis=1), np.where(counts, flat, -np.inf).max(axis=1)
+    return low - _MARGIN, high + _MARGIN, corners[..., 2].min(axis=1)
 
 
 class Painter:
@@ -230,22 +219,24 @@ class Painter:
         self._materials = [face.material for face in faces]
         self._grain, self._cloud = Noise(rng, 0.55), Noise(rng, 1.1)
 
-    def paint(self, mesh: Mesh, rays: Rays, camera: FloatArray, spacing: float) -> FloatArray:
-        """Light of every ray of a grid, `spacing` apart on the plane z = 1, by ``T_world_cam``."""
-        depth, hit = cast(mesh, rays)
-        (x, y), z, face = rays.directions(), depth.ravel(), hit.ravel()
-        light = np.empty(x.shape)
-        order = np.argsort(face.astype(np.int16), kind="stable")
-        starts = np.flatnonzero(np.diff(face[order], prepend=SKY - 1))
-        for where in np.split(order, starts[1:]):
-            row, at = int(face[where[0]]), (x[where], y[where], z[where])
+    def paint(
+        self, mesh: Mesh, x: FloatArray, y: FloatArray, camera: FloatArray, spacing: float
+    ) -> FloatArray:
+        """Light (H, W) of a grid of rays, see `cast`, that are `spacing` apart; by ``T_world_cam``."""
+        depth, face = cast(mesh, x, y)
+        rays = np.stack([part.ravel() for part in np.broadcast_arrays(x, y, depth)])
+        order = np.argsort(face.ravel().astype(np.int16), kind="stable")
+        row_of, light = face.ravel()[order], np.empty(depth.size)
+        starts = np.flatnonzero(np.diff(row_of, prepend=SKY - 1))
+        for row, where in zip(row_of[starts].tolist(), np.split(order, starts[1:]), strict=True):
+            x, y, z = rays[:, where]
             if row == SKY:
-                light[where] = self._sky(at[0], at[1], camera)
+                light[where] = self._sky(x, y, camera)
                 continue
-            sizes = mesh.footprint(row, *at, spacing)
-            patch = Patch(*mesh.surface(row, *at), *sizes, self._grain, self._cloud)
+            place, sizes = mesh.surface(row, x, y, z), mesh.footprint(row, x, y, z, spacing)
+            patch = Patch(*place, *sizes, self._grain, self._cloud)
             light[where] = self._light[row] * self._materials[row](patch)
-        return light.reshape(rays.shape)
+        return light.reshape(depth.shape)
 
     def _sky(self, x: FloatArray, y: FloatArray, camera: FloatArray) -> FloatArray:
         right, down, ahead = camera[:3, :3] @ np.stack([x, y, np.ones_like(x)])

@@ -11,7 +11,18 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import check, option
-from kt3dmoseg.synthetic.render import NEAR, SKY, Face, Mesh, Painter, Rays, cast, expose, gather, ray_offsets
+from kt3dmoseg.synthetic.render import (
+    NEAR,
+    SKY,
+    Face,
+    Mesh,
+    Painter,
+    cast,
+    expose,
+    gather,
+    ray_offsets,
+    rotation,
+)
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, Vehicle, traffic, vehicle_faces
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Labels, Trajectories
@@ -92,8 +103,7 @@ class Scene:
     """
 
     def __init__(self, options: SceneOptions, layout: Layout | None = None) -> None:
-        self.options = options
-        rng = np.random.default_rng([options.seed, 0, 0])
+        self.options, rng = options, np.random.default_rng([options.seed, 0, 0])
         self.camera, self.vehicles, faces, self._shake = layout or usual_layout(options, rng)
         for body, vehicle in enumerate(self.vehicles, start=1):
             faces = [*faces, *(face._replace(body=body) for face in vehicle_faces(vehicle.kind, rng))]
@@ -135,23 +145,20 @@ class Scene:
 
         The camera is mounted on a car that nods and rolls a little.
         """
-        time, phase = self.time(self._checked(frame)), float(self.options.seed % 7)
+        if frame != int(frame) or not 0 <= frame < self.n_frames:
+            expected = f"a whole number in 0..{self.n_frames - 1}"
+            raise InvalidValueError("frame", expected=expected, found=f"{frame}")
+        time, phase = self.time(frame), float(self.options.seed % 7)
         pitch = self._shake * _PITCH * np.sin(7.0 * time + phase)
         roll = self._shake * _ROLL * np.sin(5.0 * time + 2 * phase)
         mount = np.eye(4)
-        (cx, sx), (cz, sz) = ((np.cos(angle), np.sin(angle)) for angle in (pitch, roll))
-        mount[:3, :3] = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ [
-            [cz, -sz, 0],
-            [sz, cz, 0],
-            [0, 0, 1],
-        ]
+        mount[:3, :3] = rotation(0, pitch) @ rotation(2, roll)
         mount[1, 3] = -_CAMERA_HEIGHT + self._shake * _BOUNCE * np.sin(9.0 * time + 3 * phase)
         return self.camera.pose(time) @ mount
 
     def body_poses(self, frame: int) -> FloatArray:
         """``T_cam_body`` (1 + vehicles, 4, 4): the static scene first, then every vehicle."""
-        inverse = np.linalg.inv(self.camera_pose(frame))
-        time = self.time(frame)
+        inverse, time = np.linalg.inv(self.camera_pose(frame)), self.time(frame)
         return np.stack([inverse, *(inverse @ vehicle.drive.pose(time) for vehicle in self.vehicles)])
 
     def frame(self, frame: int) -> ByteArray:
@@ -163,8 +170,8 @@ class Scene:
         offsets = ray_offsets(self.options.samples)
         light = np.zeros(self.image_size[::-1])
         for offset in offsets:
-            rays = self._rays(x + offset[0], y + offset[1], grid=True)
-            light += gather(self._painter.paint(mesh, rays, camera, spacing), offset)
+            rays = self._rays((x + offset[0])[None], (y + offset[1])[:, None])
+            light += gather(self._painter.paint(mesh, *rays, camera, spacing), offset)
         rng = np.random.default_rng([self.options.seed, 1 + frame])
         return expose(light / len(offsets), self.options.noise, rng)
 
@@ -174,12 +181,12 @@ class Scene:
 
     def ids(self, frame: int) -> ByteArray:
         """Object id at every pixel centre, (H, W) uint8."""
-        face = cast(self._mesh_at(frame), self._pixels())[1]
+        face = cast(self._mesh_at(frame), *self._pixels())[1]
         return np.where(face == SKY, 0, self._mesh.body[face] + BACKGROUND).astype(np.uint8)
 
     def depth(self, frame: int) -> FloatArray:
         """Depth (z in metres) at every pixel centre, (H, W) float64; infinite in the sky."""
-        return cast(self._mesh_at(frame), self._pixels())[0]
+        return cast(self._mesh_at(frame), *self._pixels())[0]
 
     def flow(self, i: int, j: int) -> tuple[Float32Array, BoolArray]:
         """Exact optical flow from frame `i` to frame `j`.
@@ -193,7 +200,7 @@ class Scene:
             Whether the point is seen in `j`: inside the image and not hidden.
         """
         width, height = self.image_size
-        xy, visible = self.project(j, *self._locate(i, self._pixels()))
+        xy, visible = self.project(j, *self._locate(i, *self._pixels()))
         moved = xy.reshape(height, width, 2) - np.dstack(np.meshgrid(np.arange(width), np.arange(height)))
         return np.nan_to_num(moved).astype(np.float32), visible.reshape(height, width)
 
@@ -212,41 +219,38 @@ class Scene:
             it is inside the image and not hidden, so there may be gaps.
         """
         surface = self.surface_points(points)
-        shape = len(surface[1]), self.n_frames
-        xy, visible = np.full((*shape, 2), np.nan), np.zeros(shape, dtype=bool)
-        for frame in range(self.n_frames):
-            where, seen = self.project(frame, *surface)
-            xy[seen, frame], visible[:, frame] = where[seen], seen
-        return Trajectories(xy, visible, image_size=self.image_size)
+        found = [self.project(frame, *surface) for frame in range(self.n_frames)]
+        xy, visible = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+        return Trajectories(np.where(visible[..., None], xy, np.nan), visible, image_size=self.image_size)
 
     def labels(self, points: npt.ArrayLike) -> Labels:
         """Motion labels of the surface points at `points` (S, 3).
 
         1 = background, the sky too; 2, 3, ... = ``vehicles[0]``, ``vehicles[1]``, ...
         """
-        _, body = self.surface_points(points)
-        return Labels(body + BACKGROUND, background=BACKGROUND, names=self.names)
+        return Labels(self.surface_points(points)[1] + BACKGROUND, BACKGROUND, self.names)
 
     def _mesh_at(self, frame: int) -> Mesh:
         """All faces in camera coordinates."""
         return self._mesh.moved(self.body_poses(frame))
 
-    def _rays(self, x: FloatArray, y: FloatArray, *, grid: bool) -> Rays:
-        """Rays through image positions."""
-        return Rays((x - self.K[0, 2]) / self.K[0, 0], (y - self.K[1, 2]) / self.K[1, 1], grid)
+    def _rays(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rays through image positions, see `cast`."""
+        return (x - self.K[0, 2]) / self.K[0, 0], (y - self.K[1, 2]) / self.K[1, 1]
 
-    def _pixels(self) -> Rays:
+    def _pixels(self) -> tuple[FloatArray, FloatArray]:
         """Rays through all pixel centres."""
-        return self._rays(*(np.arange(size, dtype=np.float64) for size in self.image_size), grid=True)
+        x, y = (np.arange(size, dtype=np.float64) for size in self.image_size)
+        return self._rays(x[None], y[:, None])
 
-    def _locate(self, frame: int, rays: Rays) -> tuple[FloatArray, IntArray]:
+    def _locate(self, frame: int, x: FloatArray, y: FloatArray) -> tuple[FloatArray, IntArray]:
         """Find the surface points (R, 4) that rays hit, and their bodies (R,).
 
         Points are homogeneous, in the coordinates of their bodies. The sky is at infinity and part of the
         static scene: its points are directions, with last coordinate 0.
         """
-        depth, face = (part.ravel() for part in cast(self._mesh_at(frame), rays))
-        sky, (x, y) = face == SKY, rays.directions()
+        depth, face = (part.ravel() for part in cast(self._mesh_at(frame), x, y))
+        sky, (x, y) = face == SKY, (part.ravel() for part in np.broadcast_arrays(x, y))
         z = np.where(sky, 1.0, depth)
         seen = np.stack([x * z, y * z, z, np.where(sky, 0.0, 1.0)], axis=1)
         body = np.where(sky, 0, self._mesh.body[face])
@@ -256,11 +260,10 @@ class Scene:
     def project(self, frame: int, points: FloatArray, body: IntArray) -> tuple[FloatArray, BoolArray]:
         """Find where surface points are in a frame, (R, 2), NaN behind the camera, and which are seen."""
         seen = _transform(self.body_poses(frame), body, points)
-        z = np.where(seen[:, 2] > NEAR * seen[:, 3], seen[:, 2], np.nan)
-        z[z <= 0] = np.nan
+        z = np.where(seen[:, 2] > np.maximum(NEAR * seen[:, 3], 0), seen[:, 2], np.nan)
         xy = np.stack([seen[:, k] / z * self.K[k, k] + self.K[k, 2] for k in (0, 1)], axis=1)
         inside = np.flatnonzero(((xy >= -0.5) & (xy < np.array(self.image_size) - 0.5)).all(axis=1))
-        nearest, _ = cast(self._mesh_at(frame), self._rays(*xy[inside].T, grid=False))
+        nearest, _ = cast(self._mesh_at(frame), *self._rays(*xy[inside].T))
         with np.errstate(divide="ignore"):
             own = seen[inside, 2] / seen[inside, 3]  # infinite in the sky
         visible = np.zeros(len(xy), dtype=np.bool_)
@@ -276,14 +279,8 @@ class Scene:
         found, body = np.zeros((len(seeds), 4)), np.zeros(len(seeds), dtype=np.int64)
         for frame in np.unique(seeds[:, 2]):
             rows = np.flatnonzero(seeds[:, 2] == frame)
-            found[rows], body[rows] = self._locate(frame, self._rays(*seeds[rows, :2].T, grid=False))
+            found[rows], body[rows] = self._locate(frame, *self._rays(*seeds[rows, :2].T))
         return found, body
-
-    def _checked(self, frame: float) -> int:
-        if frame != int(frame) or not 0 <= frame < self.n_frames:
-            expected = f"a whole number in 0..{self.n_frames - 1}"
-            raise InvalidValueError("frame", expected=expected, found=f"{frame}")
-        return int(frame)
 
 
 def _transform(poses: FloatArray, body: IntArray, points: FloatArray) -> FloatArray:

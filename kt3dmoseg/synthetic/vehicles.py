@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from kt3dmoseg.synthetic.materials import Mark, Material, Plain, block_letters, painted
-from kt3dmoseg.synthetic.render import Face, box, rotation_y
+from kt3dmoseg.synthetic.render import Face, box, rotation
 from kt3dmoseg.types import FloatArray
 
 Kind: TypeAlias = Literal["car", "van", "truck", "cyclist", "pedestrian"]
@@ -55,8 +55,8 @@ class Drive:
         time = min(max(time, self.during[0]), self.during[1])
         weave = max(_SLOWEST_WEAVE, np.sqrt(self.speed * abs(self.yaw_rate) / _SWAY))
         aside = self.speed * self.yaw_rate / weave**2 * (1 - np.cos(weave * time))
-        pose, base = np.eye(4), rotation_y(self.yaw)
-        pose[:3, :3] = base @ rotation_y(np.arctan(self.yaw_rate / weave * np.sin(weave * time)))
+        pose, base = np.eye(4), rotation(1, self.yaw)
+        pose[:3, :3] = base @ rotation(1, np.arctan(self.yaw_rate / weave * np.sin(weave * time)))
         pose[:3, 3] = [self.x, 0.0, self.z] + base @ [aside, 0.0, self.speed * time]
         return pose
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kt3dmoseg.synthetic.materials import _TABLE, Noise, Patch, Plain, _cells, _mosaic, band, stripes
-from kt3dmoseg.synthetic.render import SKY, Mesh, Rays, box, cast, expose, gather, ray_offsets, respond
+from kt3dmoseg.synthetic.render import SKY, Mesh, box, cast, expose, gather, ray_offsets, respond
 from kt3dmoseg.synthetic.vehicles import Drive
 
 GREY = Plain(100.0)
@@ -15,7 +15,7 @@ GREY = Plain(100.0)
 def test_a_box_straight_ahead_has_the_expected_depth_and_outline():
     mesh = Mesh.of(box((-1, -1, 4), (1, 1, 6), GREY))
     x = np.linspace(-0.5, 0.5, 101)
-    depth, face = cast(mesh, Rays(x, x, grid=True))
+    depth, face = cast(mesh, x[None], x[:, None])
     inside = (np.abs(x[:, None]) <= 0.25) & (np.abs(x) <= 0.25)  # the front at z = 4 is 2 m wide
     assert np.array_equal(face != SKY, inside)
     assert np.allclose(depth[inside], 4.0)
@@ -30,10 +30,10 @@ def test_convex_bodies_are_hit_where_the_half_spaces_say(seed):
     inset = tuple(rng.uniform(-0.2, 0.2, 3))
     faces = box(low, low + size, GREY, inset, floor=Plain(50.0))
     mesh = Mesh.of(faces)
-    rays = Rays(rng.uniform(-1, 1, 200), rng.uniform(-1, 1, 200), grid=False)
-    depth, face = cast(mesh, rays)
+    x, y = rng.uniform(-1, 1, (2, 200))
+    depth, face = cast(mesh, x, y)
     normals = np.cross(mesh.eu, mesh.ev)
-    direction = np.stack([rays.x, rays.y, np.ones(200)])
+    direction = np.stack([x, y, np.ones(200)])
     along, offset = normals @ direction, np.einsum("fi,fi->f", normals, mesh.origin)[:, None]
     with np.errstate(divide="ignore"):
         at = offset / along
@@ -46,9 +46,9 @@ def test_convex_bodies_are_hit_where_the_half_spaces_say(seed):
 
 
 def test_grid_and_points_agree(scene):
-    mesh, grid = scene._mesh_at(2), scene._pixels()
-    depth, face = cast(mesh, grid)
-    flat_depth, flat_face = cast(mesh, Rays(*grid.directions(), grid=False))
+    mesh, (x, y) = scene._mesh_at(2), scene._pixels()
+    depth, face = cast(mesh, x, y)
+    flat_depth, flat_face = cast(mesh, *(part.ravel() for part in np.broadcast_arrays(x, y)))
     assert np.array_equal(depth.ravel(), flat_depth)
     assert np.array_equal(face.ravel(), flat_face)
 
