@@ -7,8 +7,8 @@ are checked before anything is read.
 from __future__ import annotations
 
 import io
-import math
 import os
+import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,16 +21,18 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes
-from kt3dmoseg.types import BoolArray, Clip, IntArray
+from kt3dmoseg.types import Clip, IntArray
 
 MAX_FILE_BYTES = 32 << 20
 MAX_ROWS = 200_000
 _NAMES = ("track", "label")
+_WHOLE = re.compile(r"\s*[+-]?[0-9]{1,16}\s*")
 _MAX_CELL = 64
+_NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _MAX_NPY_HEADER = 4096
 _HUGE = 2**53
 _SAME = 0.5
-_FIX_BIG = "keep below 2^53"
+_FIX_NAN = "give every trajectory a label; if 0 is meant as outlier, set outliers = true in meta.toml"
 _FIX_ROWS = "write one row per evaluated trajectory"
 _FIX_NAME = "write the motion's number, not its name"
 _FIX_ARRAYS = "save two integer vectors: np.savez(file, track=ids, label=labels)"
@@ -111,27 +113,25 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
     if array.ndim != 1:
         found = f"{type(values).__name__} of shape {array.shape}"
         raise InvalidValueError(name, expected="a vector of labels", found=found)
-    expected, good = "whole numbers, of every trajectory", _is_whole(array, name)
+    if array.dtype.kind not in "iufO":
+        found = f"values of type {array.dtype}"
+        raise InvalidValueError(name, expected="a vector of labels, whole numbers", found=found)
+    expected, good = "whole numbers, of every trajectory", _is_whole(array)
     if type(values).__module__.startswith("numpy.ma"):  # asked so, since numpy.ma is slow to import
         good &= ~np.ma.getmaskarray(values).ravel()
     if good.all():
         expected, good = "labels >= 0", (array >= 0) & (array < _HUGE)
     if not good.all():
         row = int(np.argmin(good))
-        value = array[row].item() if isinstance(array[row], np.generic) else array[row]
-        found = "NaN" if value != value else repr(value)
+        found = "NaN" if array[row] != array[row] else str(array[row])
         raise InvalidValueError(name, expected=expected, found=f"{found:.40} in row {row}")
     return array.astype(np.int64)
 
 
-def _is_whole(array: npt.NDArray[Any], name: str) -> BoolArray:
-    """Find the whole numbers of a vector (n,), which must be one of numbers."""
+def _is_whole(array: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     if array.dtype.kind == "O":  # of a data frame that can miss some, or of more than 64 bits
         return np.array([type(v) is not bool and isinstance(v, Integral) for v in array], dtype=np.bool_)
-    if array.dtype.kind not in "iuf":
-        found = f"values of type {array.dtype}"
-        raise InvalidValueError(name, expected="a vector of labels, whole numbers", found=found)
-    return np.asarray(np.isfinite(array) & (array == np.round(array)))
+    return np.isfinite(array) & (array == np.round(array))
 
 
 def clip_labels(values: Any, clip: Clip, name: str) -> IntArray:  # noqa: ANN401  # checked
@@ -163,21 +163,17 @@ def label_table(values: Any, name: str) -> Prediction | None:  # noqa: ANN401  #
     """
     names = getattr(values, "columns", getattr(getattr(values, "dtype", None), "names", None))
     if isinstance(values, Mapping):
-        if not {*_NAMES} <= {*values}:
-            return None
-        names = _NAMES
-    index = _index(values)
-    if names is None:
-        if index is None:
-            return None
-        track, label = index, values
-    else:
+        names = _NAMES if {*_NAMES} <= {*values} else None
+    track = index = _index(values)
+    if names is None and index is None:
+        return None
+    if names is not None:
         by_index = "track" not in names and getattr(index, "name", None) == "track"
         if "label" not in names or not ("track" in names or by_index):
             expected, found = "the columns track and label", first_few(list(names)) or "none"
             raise InvalidValueError(name, expected=expected, found=found)
-        track, label = index if by_index else values["track"], values["label"]
-    track, label = (np.asarray(column) for column in (track, label))
+        track, values = index if by_index else values["track"], values["label"]
+    track, label = np.asarray(track), np.asarray(values)
     return Prediction(label_vector(track, f"{name}: track"), label_vector(label, f"{name}: label"))
 
 
@@ -201,14 +197,11 @@ def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
         reason = str(error) if isinstance(error, KT3DMoSegError) else type(error).__name__
         found = f"a file that starts with {content[:8]!r} and cannot be read ({reason[:200]})"
         return Prediction(problems=[Problem("unreadable", file, clip, kind, found, _FIX_ARRAYS)])
-    track, label = columns.arrays.get("track"), columns.arrays.get("label")
-    if track is not None and label is not None:
-        if not len(track):
-            columns.bad("empty-file", "one label per trajectory", "empty vectors", "write them")
-        columns.check_values()
-        if not columns.problems:
-            return Prediction(track.astype(np.int64), label.astype(np.int64))
-    return Prediction(problems=columns.problems)
+    columns.check_values()
+    if columns.problems:
+        return Prediction(problems=columns.problems)
+    track, label = (columns.arrays[name].astype(np.int64) for name in _NAMES)
+    return Prediction(track, label)
 
 
 def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | None, list[Problem]]:
@@ -225,44 +218,33 @@ def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | No
         fix = "keep one row per trajectory"
         problems.append(Problem("duplicate-rows", file, clip.name, "each trajectory once", text, fix))
     if not np.array_equal(ids, np.sort(wanted)):
-        code, text, fix = _usual_mistake(ids, label, wanted, clip) or _difference(ids, wanted)
+        code, text, fix = _mismatch(ids, label, wanted, clip)
         expected = f"the {len(wanted)} evaluated trajectories"
         problems.append(Problem(code, file, clip.name, expected, text, fix))
     return (None, problems) if problems else (label[np.searchsorted(ids, wanted)], [])
 
 
-def _usual_mistake(
-    ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip
-) -> tuple[str, str, str] | None:
-    """Recognise what is often written instead of the ids: code, what was found, repair."""
+def _mismatch(ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip) -> tuple[str, str, str]:
+    """Recognise what is written instead of the ids: code, what was found, repair."""
     n, found = len(wanted), len(ids)
     if found > n and np.array_equal(ids, np.sort(clip.dense.track_id)):
         text = f"{found} labels: those are all trajectories of the clip"
         return "all-trajectories", text, "keep the evaluated ones (clip.dense.track_id[clip.evaluated])"
     if 0 < 2 * found < n and np.isin(label, wanted).mean() > _SAME:
-        fix = "swap the columns: track first, then label"
-        return "swapped-columns", "the ids in the column label", fix
+        return "swapped-columns", "the ids in the column label", "swap the columns: track first, then label"
     if found == n and np.array_equal(ids - 1, np.sort(wanted)):
         text = "ids that are each one larger, counted from 1 as in MATLAB"
         return "one-based-ids", text, "subtract 1 from every track"
     if found == n and ids[0] in (0, 1) and np.array_equal(ids - ids[0], np.arange(n)):
         text = f"row numbers {ids[0]}..{ids[-1]} instead of track ids"
         return "row-numbers", text, "write clip.dense.track_id[clip.evaluated] as track"
-    return None
-
-
-def _difference(ids: IntArray, wanted: IntArray) -> tuple[str, str, str]:
-    """Report which ids are missing and which do not belong: code, what was found, repair."""
-    missing, extra = np.setdiff1d(wanted, ids), np.setdiff1d(ids, wanted)
-    parts = [
-        f"{len(missing)} missing (track {first_few(missing.tolist())})" if len(missing) else "",
-        f"{len(extra)} that are not evaluated (track {first_few(extra.tolist())})" if len(extra) else "",
-    ]
-    found = " and ".join(part for part in parts if part)
-    if len(missing) > _SAME * len(wanted):
+    missing, extra = np.setdiff1d(wanted, ids).tolist(), np.setdiff1d(ids, wanted).tolist()
+    parts = [f"{len(missing)} missing (track {first_few(missing)})"] if missing else []
+    parts += [f"{len(extra)} that are not evaluated (track {first_few(extra)})"] if extra else []
+    if len(missing) > _SAME * n:
         fix = "most ids do not fit: these look like labels for another clip or another version of the data"
-        return "other-trajectories", found, fix
-    return "trajectories", found, "write one row per evaluated trajectory, by its track id"
+        return "other-trajectories", " and ".join(parts), fix
+    return "trajectories", " and ".join(parts), "write one row per evaluated trajectory, by its track id"
 
 
 class _Columns:
@@ -276,21 +258,31 @@ class _Columns:
     def bad(self, code: str, expected: str, found: str, fix: str) -> None:
         self.problems.append(Problem(code, self.file, self.clip, expected, found, fix))
 
-    def check_names(self, present: Sequence[str]) -> None:
+    def named(self, present: Sequence[str]) -> list[str]:
+        """Return the columns that are there, after reporting the others."""
         missing = " and ".join(f"'{name}'" for name in _NAMES if name not in present)
         if missing:
             found = first_few(present) or "no array"
             self.bad("missing-array", f"arrays named {missing}", found, _FIX_ARRAYS)
+        return [name for name in _NAMES if name in present]
 
-    def accepts_shape(self, shape: tuple[int, ...], name: str) -> bool:
+    def accepts(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
+        """Check type and shape of a column before it is read."""
         rows = len(self.arrays["track"]) if name == "label" and "track" in self.arrays else None
-        if len(shape) != 1:
-            fix = "transpose or flatten it: labels.ravel()" if len(shape) == 2 else _FIX_ARRAYS
+        if dtype.hasobject:
+            found = "an array of Python objects (a pickle), which is never opened"
+            self.bad("object-array", f"integers in '{name}'", found, "save labels.astype(np.int64)")
+        elif dtype.kind not in "iuf":
+            self.bad("not-a-number", f"integers in '{name}'", f"values of type {dtype}", "write integers")
+        elif len(shape) != 1:
+            fix = "transpose or flatten it: labels.ravel()"
             self.bad("transposed", f"'{name}' of shape (n,)", f"shape {shape}", fix)
         elif shape[0] > MAX_ROWS:
-            self.bad("too-large", f"at most {MAX_ROWS} values in '{name}'", f"{shape[0]}", _FIX_ARRAYS)
+            self.bad("too-large", f"at most {MAX_ROWS} values in '{name}'", f"{shape[0]}", _FIX_ROWS)
         elif rows not in (None, shape[0]):
             self.bad("ragged", f"as many labels as tracks ({rows})", f"{shape[0]}", _FIX_ARRAYS)
+        elif not shape[0]:
+            self.bad("empty-file", "one label per trajectory", "none", _FIX_ROWS)
         else:
             return True
         return False
@@ -298,58 +290,32 @@ class _Columns:
     def check_values(self) -> None:
         """Name every kind of value that is no whole number >= 0."""
         for name, values in self.arrays.items():
-            wanted = f"whole numbers >= 0 as {name}"
-            if values.dtype.kind not in "iuf":
-                self.bad("not-a-number", wanted, f"values of type {values.dtype}", "write integers")
-                continue
-            before = len(self.problems)
+            wanted, before = f"whole numbers >= 0 as {name}", len(self.problems)
             numbers = values.astype(np.float64)
-            finite = np.isfinite(numbers)
-            huge = np.abs(np.where(finite, numbers, 0)) >= _HUGE
-            outlier = (
-                "give every trajectory a label; if 0 is meant as outlier, set outliers = true in meta.toml"
-            )
+            huge = np.isfinite(numbers) & (np.abs(numbers) >= _HUGE)
             for code, wrong, what, fix in (
-                ("nan", np.isnan(numbers), "NaN", outlier),
+                ("nan", np.isnan(numbers), "NaN", _FIX_NAN),
                 ("infinite", np.isinf(numbers), "infinite values", "write whole numbers"),
-                ("too-big", huge, "huge numbers", _FIX_BIG),
+                ("too-big", huge, "huge numbers", "keep below 2^53"),
                 ("negative", numbers < 0, "negative numbers", "motions are 1, 2, ...; 0 is an outlier"),
             ):
                 if wrong.any():
                     self.bad(code, wanted, f"{what} in {int(wrong.sum())} of {len(wrong)} rows", fix)
             if values.dtype.kind == "f" and len(self.problems) == before:
-                fractions = numbers[numbers != np.round(numbers)]
-                example = float((fractions if len(fractions) else numbers)[0])
+                example = float(numbers[np.argmax(numbers % 1)])
                 found = f"floating-point numbers such as {example!r}"
                 self.bad("float", wanted, found, "write integers, 2 and not 2.0")
 
 
 def _npz(content: bytes, out: _Columns) -> None:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        files = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        out.check_names(list(files))
-        for name in _NAMES:
-            if name in files:
-                with archive.open(files[name]) as stream:
-                    _npy(stream, files[name].file_size, name, out)
-
-
-def _npy(stream: Any, size: int, name: str, out: _Columns) -> None:  # noqa: ANN401  # a binary stream
-    version = np.lib.format.read_magic(stream)
-    read_header = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }[version]
-    shape, _, dtype = read_header(stream, max_header_size=_MAX_NPY_HEADER)
-    if dtype.hasobject:
-        found = "an array of Python objects (a pickle), which is never opened"
-        out.bad("object-array", f"integers in '{name}'", found, "save labels.astype(np.int64)")
-    elif out.accepts_shape(shape, name):
-        count = math.prod(shape)
-        if dtype.itemsize * count > size:
-            out.bad("truncated", f"{count} values in '{name}'", "fewer bytes", _FIX_ARRAYS)
-        else:
-            out.arrays[name] = np.frombuffer(stream.read(dtype.itemsize * count), dtype=dtype, count=count)
+        for name in out.named([file.removesuffix(".npy") for file in archive.namelist()]):
+            with archive.open(f"{name}.npy") as stream:
+                read_header = _NPY_HEADERS[np.lib.format.read_magic(stream)]
+                shape, _, dtype = read_header(stream, max_header_size=_MAX_NPY_HEADER)
+                if out.accepts(name, shape, dtype):
+                    values = stream.read(dtype.itemsize * shape[0])
+                    out.arrays[name] = np.frombuffer(values, dtype, count=shape[0])
 
 
 def _h5(content: bytes, out: _Columns) -> None:
@@ -359,18 +325,11 @@ def _h5(content: bytes, out: _Columns) -> None:
     from kt3dmoseg.io.hdf5 import read_array
 
     with h5py.File(io.BytesIO(content), "r") as file:
-        present = [name for name in file if name in _NAMES] or list(file)[:10]
-        out.check_names(present)
-        for name in _NAMES:
-            if name not in present:
-                continue
+        for name in out.named([name for name in file if name in _NAMES] or list(file)[:10]):
             dataset = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
             if not isinstance(dataset, h5py.Dataset):
-                expected = f"a dataset '{name}' in this file"
-                out.bad("not-a-dataset", expected, "a link or group", _FIX_ARRAYS)
-            elif dataset.dtype.kind not in "iuf":
-                out.bad("not-a-number", f"integers in '{name}'", f"type {dataset.dtype}", _FIX_ARRAYS)
-            elif out.accepts_shape(dataset.shape, name):
+                out.bad("not-a-dataset", f"a dataset '{name}' in this file", "a link or group", _FIX_ARRAYS)
+            elif out.accepts(name, dataset.shape, dataset.dtype):
                 out.arrays[name] = read_array(file, name, "file", dataset.dtype.str, 1)
 
 
@@ -384,10 +343,9 @@ def _csv(content: bytes, out: _Columns) -> None:
     if n_cells > 4 * MAX_ROWS:  # checked first: every cell becomes an object
         return out.bad("too-large", f"at most {MAX_ROWS} rows", f"{n_cells} cells", _FIX_ROWS)
     try:
-        text = content.decode("utf-8-sig")
+        lines = io.StringIO(content.decode("utf-8-sig"), newline=None)
     except UnicodeDecodeError:
         return out.bad("encoding", "UTF-8 text", "other bytes", "save the file as plain UTF-8 CSV")
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows = {i: line.split(",") for i, line in enumerate(lines, start=1) if line.strip()}
     if not rows:
         return out.bad("empty-file", "'track,label' and rows", "an empty file", _FIX_HEADER)
@@ -396,32 +354,28 @@ def _csv(content: bytes, out: _Columns) -> None:
     if sorted(head) == sorted(_NAMES):
         del rows[first]
         return _csv_columns(out, rows, head)
-    if head[0] in _NAMES and len(head) > 2:
-        found = f"{len(rows)} lines of up to {len(head)} values"
-        fix = "transpose the table: two columns, track and label"
-        return out.bad("transposed", "one row per trajectory", found, fix)
-    return _csv_without_header(out, rows, head, lines[first - 1])
+    code, *problem = _header_problem(head, len(rows))
+    out.bad(code, *problem)
+    return _csv_columns(out, rows, list(_NAMES)) if code == "no-header" else None
 
 
-def _csv_without_header(out: _Columns, rows: dict[int, list[str]], head: list[str], line: str) -> None:
-    """Report why the first line is not the header, then read on as far as it makes sense."""
-    separator = next((s for s in ";\t |" if s in line.strip()), "")
+def _header_problem(head: list[str], n_rows: int) -> tuple[str, str, str, str]:
+    """Report why the first line, given in cells, is not the header."""
+    line, numbers = ",".join(head), None not in map(_number, head)
+    separator = next((s for s in ";\t |" if s in line), "")
     if len(head) == 1 and separator:
-        name = {" ": "blanks", "\t": "tabs"}.get(separator, f"'{separator}'")
-        out.bad("separator", "values separated by commas", name, "separate the values by commas")
-    elif len(head) == 1 and _number(head[0]) is not None:
-        fix = (
-            f"{_FIX_HEADER}; or turn label files into a submission with "
-            "'mseg example-submission DATA --from FOLDER -o OUT'"
-        )
-        out.bad("label-only", "two columns, track and label", f"{len(rows)} lines of one value", fix)
-    elif len(head) > 2 and len(rows) <= 2:
-        out.bad("transposed", "one row per trajectory", f"{len(rows)} long lines", "transpose the table")
-    elif len(head) == 2 and None not in map(_number, head):
-        out.bad("no-header", "the first line 'track,label'", f"'{','.join(head)}'", _FIX_HEADER)
-        _csv_columns(out, rows, list(_NAMES))
-    else:
-        out.bad("header", "the first line 'track,label'", repr(line[:60]), _FIX_HEADER)
+        fix = "separate the values by commas"
+        return "separator", "values separated by commas", f"{separator!r} between them", fix
+    if len(head) == 1 and numbers:
+        command = "'mseg example-submission DATA --from FOLDER -o OUT'"
+        fix = f"{_FIX_HEADER}; or turn label files into a submission with {command}"
+        return "label-only", "two columns, track and label", f"{n_rows} lines of one value", fix
+    if len(head) > 2 and (n_rows <= 2 or head[0] in _NAMES):
+        found = f"{n_rows} lines of up to {len(head)} values"
+        fix = "transpose the table: two columns, track and label"
+        return "transposed", "one row per trajectory", found, fix
+    code = "no-header" if len(head) == 2 and numbers else "header"
+    return code, "the first line 'track,label'", repr(line[:60]), _FIX_HEADER
 
 
 def _csv_columns(out: _Columns, rows: dict[int, list[str]], names: list[str]) -> None:
@@ -429,43 +383,24 @@ def _csv_columns(out: _Columns, rows: dict[int, list[str]], names: list[str]) ->
     if ragged:
         found = f"another number in line {first_few(ragged)}"
         return out.bad("ragged", "two values in every line", found, _FIX_HEADER)
-    if not 0 < len(rows) <= MAX_ROWS:
-        code, found = ("too-large", f"{len(rows)} rows") if rows else ("empty-file", "only a header")
-        return out.bad(code, f"one row per trajectory, at most {MAX_ROWS}", found, _FIX_HEADER)
-    for name, cells in zip(names, zip(*rows.values(), strict=True), strict=True):
-        values = _numbers(cells)
-        wrong = {line: cell for line, cell, v in zip(rows, cells, values, strict=True) if v is None}
+    for name, cells in zip(names, zip(*rows.values(), strict=True) if rows else ((), ()), strict=True):
+        whole = all(map(_WHOLE.fullmatch, cells))
+        values = list(map(int if whole else _number, cells))
+        wrong = {i: cell for i, cell, value in zip(rows, cells, values, strict=True) if value is None}
         if wrong:
-            cell = next(iter(wrong.values())).strip()
-            found = f"{cell[:40]!r} (line {first_few(list(wrong))})"
-            if cell.lstrip("+-").replace(".", "").isdecimal():
-                out.bad("too-big", f"whole numbers >= 0 as {name}", found, _FIX_BIG)
-            else:
-                out.bad("not-a-number", f"whole numbers as {name}", found, _FIX_NAME)
-        elif all(type(value) is int and abs(value) < _HUGE for value in values):
-            out.arrays[name] = np.array(values, dtype=np.int64)
-        else:
-            out.arrays[name] = np.array(list(map(float, values)), dtype=np.float64)  # type: ignore[arg-type]
+            found = f"{next(iter(wrong.values())).strip()[:40]!r} (line {first_few(list(wrong))})"
+            out.bad("not-a-number", f"whole numbers below 2^53 as {name}", found, _FIX_NAME)
+        elif out.accepts(name, (len(values),), np.dtype(np.int64)):
+            out.arrays[name] = np.array(values, dtype=np.int64 if whole else np.float64)
     return None
 
 
-def _numbers(cells: Sequence[str]) -> Sequence[int | float | None]:
-    """Convert cells, fast where all are plain digits."""
-    plain = all(cells) and max(map(len, cells)) <= _MAX_CELL and "".join(cells).isdecimal()
-    return list(map(int, cells)) if plain and "".join(cells).isascii() else [*map(_number, cells)]
-
-
-def _number(cell: str) -> int | float | None:
+def _number(cell: str) -> float | None:
     """Convert a cell to a number; None when it is none, or of more digits than any number needs."""
-    # Python would take 1_0 for 10.
-    if len(cell) > _MAX_CELL or "_" in cell or not cell.isascii():
+    try:  # Python would take 1_0 for 10
+        return float(cell) if len(cell) <= _MAX_CELL and "_" not in cell and cell.isascii() else None
+    except ValueError:
         return None
-    for kind in (int, float):
-        try:
-            return kind(cell)
-        except ValueError:
-            pass
-    return None
 
 
 _PARSERS: dict[str, tuple[str, Callable[[bytes, _Columns], None]]] = {
