@@ -87,10 +87,9 @@ def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
     another form or not of this clip.
     """
     file = Path(path)
-    suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
+    if file.suffix.lower() not in SUFFIXES:
         raise InvalidValueError(f"{file}", expected=f"a suffix of {', '.join(SUFFIXES)}", found=file.suffix)
-    found = parse_prediction(read_bytes(file, MAX_FILE_BYTES), file.name.lower(), clip.name)
+    found = parse_prediction(read_bytes(file, MAX_FILE_BYTES), file.name, clip.name)
     labels, problems = join_labels(found, clip, file.name)
     if labels is None:
         raise FileFormatError(f"{file}: {numbered(problems)}")
@@ -131,7 +130,7 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
 def _is_whole(array: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     if array.dtype.kind == "O":  # of a data frame that can miss some, or of more than 64 bits
         return np.array([type(v) is not bool and isinstance(v, Integral) for v in array], dtype=np.bool_)
-    return np.isfinite(array) & (array == np.round(array))
+    return np.asarray(np.isfinite(array) & (array == np.round(array)))
 
 
 def clip_labels(values: Any, clip: Clip, name: str) -> IntArray:  # noqa: ANN401  # checked
@@ -189,7 +188,7 @@ def _index(values: Any) -> Any | None:  # noqa: ANN401  # of pandas
 def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
     """Read a prediction file of a clip, listing everything that is wrong; the ending chooses the format."""
     columns = _Columns(file, clip)
-    kind, parse = _PARSERS[Path(file).suffix]
+    kind, parse = _PARSERS[Path(file).suffix.lower()]
     foreign = () if parse is _csv else (Exception,)  # an error of our own parser is a bug, and must show
     try:
         parse(content, columns)

@@ -100,8 +100,7 @@ def run(
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
     from mseg.evaluation.protocol import count
-    from mseg.evaluation.reading import parse_meta
-    from mseg.evaluation.submission import FAILED, META, prediction_files
+    from mseg.evaluation.submission import FAILED, META, parse_meta, prediction_files
 
     with progress_bar("task", quiet=quiet) as progress:
         folder = predict(

@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from mseg.evaluation.protocol import Protocol as Protocol
     from mseg.evaluation.protocol import list_protocols as list_protocols
     from mseg.evaluation.protocol import load_protocol as load_protocol
-    from mseg.evaluation.reading import Submission as Submission
-    from mseg.evaluation.reading import read_submission as read_submission
     from mseg.evaluation.report import write_report as write_report
     from mseg.evaluation.scoring import ClipScore as ClipScore
     from mseg.evaluation.scoring import ScoreTable as ScoreTable
     from mseg.evaluation.scoring import score as score
     from mseg.evaluation.scoring import score_submission as score_submission
+    from mseg.evaluation.submission import Submission as Submission
     from mseg.evaluation.submission import SubmissionMeta as SubmissionMeta
     from mseg.evaluation.submission import clip_checksum as clip_checksum
     from mseg.evaluation.submission import fingerprint as fingerprint
+    from mseg.evaluation.submission import read_submission as read_submission
     from mseg.evaluation.submission import write_failure as write_failure
     from mseg.evaluation.submission import write_meta as write_meta
     from mseg.evaluation.submission import write_prediction as write_prediction
@@ -46,10 +46,9 @@ _MODULES = {
     "label_import": "read_label_files",
     "leaderboard": "Leaderboard",
     "protocol": "Group Protocol list_protocols load_protocol",
-    "reading": "Submission read_submission",
     "report": "write_report",
     "scoring": "ClipScore ScoreTable score score_submission",
-    "submission": "SubmissionMeta clip_checksum fingerprint"
+    "submission": "Submission SubmissionMeta clip_checksum fingerprint read_submission"
     " write_failure write_meta write_prediction write_submission",
     "validation": "Validation validate_submission",
 }

@@ -41,9 +41,8 @@ from mseg.evaluation.protocol import (
     load_protocol,
     protocol_of_clips,
 )
-from mseg.evaluation.reading import wrong_fields
 from mseg.evaluation.statistics import Summary, summarise
-from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs
+from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs, wrong_fields
 from mseg.evaluation.validation import Validation, choose_protocol, load_clips, validate_submission
 from mseg.types import Segmentation
 

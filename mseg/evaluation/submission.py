@@ -1,4 +1,4 @@
-"""A submission, format version 1: its layout and how to write one.
+"""A submission, format version 1: its layout, writing one, and reading one without trusting it.
 
 ::
 
@@ -12,30 +12,69 @@ Predictions of several seeds lie in one folder per seed, ``seed-0/Seq005_Clip01.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+import stat
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import atomic_path, check_writable, sha256_arrays, write_text
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import (
+    SafeZip,
+    ZipFault,
+    ZipLimits,
+    atomic_path,
+    check_writable,
+    parse_toml,
+    read_bytes,
+    sha256_arrays,
+    write_text,
+)
 from kt3dmoseg.io.npz import write_npz
-from kt3dmoseg.io.predictions import SUFFIXES, clip_labels, first_few, label_table
+from kt3dmoseg.io.predictions import (
+    MAX_FILE_BYTES,
+    SUFFIXES,
+    Prediction,
+    Problem,
+    clip_labels,
+    first_few,
+    label_table,
+    parse_prediction,
+)
 from kt3dmoseg.registry import nearest
 from kt3dmoseg.types import Clip, IntArray, Labels
+from mseg.evaluation.protocol import list_protocols
 from mseg.types import Segmentation
 
 FORMAT_VERSION = 1
 META = "meta.toml"
 FAILED = ".failed"
+LIMITS = ZipLimits(files=50_000, file_bytes=MAX_FILE_BYTES, total_bytes=512 << 20, depth=4)
 FileFormat: TypeAlias = Literal["csv", "npz", "h5"]
 _CLIP_NAME = re.compile(r"\w[\w .-]{0,127}")
+_ENDINGS = (*SUFFIXES, FAILED)
+# Seed, clip and ending of a file of predictions.
+_PLACE = re.compile(rf"(?:seed-(\d{{1,18}})/)?([^/]+)((?i:{'|'.join(map(re.escape, _ENDINGS))}))")
+_PASSED_OVER = re.compile(r"(?i:(?:readme|licen)[^.]*(?:\.txt|\.md)?)")
+_LITTER = {"__MACOSX", "Thumbs.db", "desktop.ini"}
+_TEXT_LIMIT = 2000
+_EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
+_FIX_LARGE = "only meta.toml and prediction files belong here, with one label per evaluated trajectory"
+_FIXES = {"not-a-zip": "make it with: cd my-submission && zip -r ../my-submission.zip ."}
+_FIXES["too-large"] = _FIX_LARGE
+
+
+def _are_texts(value: object) -> bool:
+    texts = value if isinstance(value, list) else [None]
+    return len(texts) <= _TEXT_LIMIT and all(isinstance(t, str) and len(t) <= _TEXT_LIMIT for t in texts)
 
 
 @dataclass(frozen=True)
@@ -56,6 +95,22 @@ class SubmissionMeta:
     parameters: Mapping[str, str] = field(default_factory=dict)  # options of the method, free
     # Clip -> what one must know to trust its labels, such as a method that did not converge.
     notes: Mapping[str, str] = field(default_factory=dict)
+
+
+# Of each type of a field of meta.toml, and of each field, what its value must be, in words and as a check.
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "str": ("a text", lambda v: _are_texts([v])),
+    "bool": ("true or false", lambda v: isinstance(v, bool)),
+    "float": ("seconds >= 0", lambda v: type(v) in (int, float) and 0 <= v <= sys.float_info.max),
+    "tuple[str, ...]": ('a list of names, ["A. Author"]', _are_texts),
+    "Mapping[str, str]": ("a table of texts", lambda v: isinstance(v, dict) and _are_texts([*v.values()])),
+}
+_FIELDS = {each.name: _KINDS[str(each.type)] for each in fields(SubmissionMeta)} | {
+    "format_version": (f"{FORMAT_VERSION}", lambda v: type(v) is int and v == FORMAT_VERSION),
+    "n_motions_given": ("true if the method was given the number of motions, or false", _KINDS["bool"][1]),
+    "benchmark": (f"one of {', '.join(list_protocols())}", lambda v: v in ("", "custom", *list_protocols())),
+}
+_REQUIRED = ("format_version", "method", "authors", "n_motions_given", "dataset_version")
 
 
 def clip_checksum(clip: Clip) -> str:
@@ -130,7 +185,7 @@ def write_prediction(
         with atomic_path(path) as temporary, h5py.File(temporary, "w") as stream:
             stream.create_dataset("track", data=track)
             stream.create_dataset("label", data=label)
-    for ending in {*SUFFIXES, FAILED} - {path.suffix}:  # what an earlier run wrote about the clip
+    for ending in {*_ENDINGS} - {path.suffix}:  # what an earlier run wrote about the clip
         file_of(folder, clip.name, seed, ending).unlink(missing_ok=True)
     return path
 
@@ -175,7 +230,7 @@ def write_submission(
     if not isinstance(meta, SubmissionMeta):
         raise InvalidValueError("meta", expected="a SubmissionMeta", found=type(meta).__name__)
     check_writable(folder)
-    by_name = clips_by_name(clips.values() if isinstance(clips, Mapping) else clips)
+    by_name = clips_by_name(clips)
     labels: dict[tuple[int | None, str], IntArray] = {}
     for seed, run in prediction_runs(predictions).items():
         check_names(run, by_name, "predictions")
@@ -197,7 +252,7 @@ def write_submission(
 
 def prediction_files(folder: str | os.PathLike[str]) -> list[Path]:
     """List the files of predictions and failures in a folder, sorted; hidden ones do not count."""
-    files = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in (*SUFFIXES, FAILED))
+    files = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in _ENDINGS)
     return [path for path in files if not any(p.startswith(".") for p in path.relative_to(folder).parts)]
 
 
@@ -210,20 +265,15 @@ def bare_labels(values: Any) -> Any:  # noqa: ANN401  # as clip_labels takes the
 
 def prediction_runs(predictions: Any) -> dict[int | None, Mapping[str, Any]]:  # noqa: ANN401
     """Sort out whether predictions are of clips, one run without a seed (None), or of seeds and clips."""
-    if not isinstance(predictions, Mapping):
-        found = type(predictions).__name__
-        raise InvalidValueError("predictions", expected="a mapping of clip names to labels", found=found)
-    nested = [isinstance(v, Mapping) and label_table(v, "predictions") is None for v in predictions.values()]
-    if predictions and not any(nested):
+    values = predictions.values() if isinstance(predictions, Mapping) else ()
+    nested = [isinstance(v, Mapping) and label_table(v, "predictions") is None for v in values]
+    if nested and not any(nested):
         return {None: predictions}
-    seeds = [
-        s for s in predictions if isinstance(s, (int, np.integer)) and not isinstance(s, bool) and s >= 0
-    ]
-    if not all(nested) or len(seeds) != len(predictions) or not seeds:
-        expected = "clip names with their labels, or seeds (0, 1, ...) with these"
-        raise InvalidValueError(
-            "predictions", expected=expected, found=first_few(list(predictions)) or "none"
-        )
+    seeds = predictions if nested and all(nested) else [None]
+    if not all(isinstance(s, (int, np.integer)) and not isinstance(s, bool) and s >= 0 for s in seeds):
+        expected = "a mapping of clip names to their labels, or of seeds (0, 1, ...) to such mappings"
+        found = first_few(list(predictions)) if values else f"an empty or other {type(predictions).__name__}"
+        raise InvalidValueError("predictions", expected=expected, found=found)
     return {int(seed): run for seed, run in predictions.items()}
 
 
@@ -233,16 +283,21 @@ def check_names(names: Iterable[str], clips: Iterable[str], where: str, *, compl
     extra = [name for name in given if name not in wanted]
     missing = [name for name in wanted if name not in given] if complete else []
     if extra or missing:
-        meant = nearest(str(extra[0]), wanted) if extra else ""
         found = f"{first_few(extra)}, which is no clip" if extra else f"nothing for {first_few(missing)}"
-        expected, fix = f"labels of {first_few(wanted)}", f"did you mean {meant!r}?" if meant else ""
-        raise InvalidValueError(where, expected=expected, found=found, fix=fix)
+        fix = did_you_mean(str(extra[0]), wanted) if extra else ""
+        raise InvalidValueError(where, expected=f"labels of {first_few(wanted)}", found=found, fix=fix)
 
 
-def clips_by_name(clips: Iterable[Clip]) -> dict[str, Clip]:
-    """Return clips by name; InvalidValueError when two have one name, or one is no clip."""
+def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:
+    """Propose the known word that a misspelt one is most like."""
+    meant = nearest(word, known)
+    return f"did you mean {meant!r}?" if meant else otherwise
+
+
+def clips_by_name(clips: Mapping[str, Clip] | Iterable[Clip]) -> dict[str, Clip]:
+    """Return clips by their names; InvalidValueError when two have one name, or one is no clip."""
     out: dict[str, Clip] = {}
-    for clip in clips:
+    for clip in clips.values() if isinstance(clips, Mapping) else clips:
         if not isinstance(clip, Clip) or clip.name in out:
             found = f"two named {clip.name}" if isinstance(clip, Clip) else type(clip).__name__
             raise InvalidValueError("clips", expected="clips, each of its own name", found=found)
@@ -253,12 +308,8 @@ def clips_by_name(clips: Iterable[Clip]) -> dict[str, Clip]:
 def file_of(folder: str | os.PathLike[str], clip: str, seed: int | None, ending: str) -> Path:
     """Path of a clip's file in a submission; InvalidValueError when its name cannot be a file name."""
     if not _CLIP_NAME.fullmatch(clip) or ".." in clip:
-        raise InvalidValueError(
-            "clip name",
-            expected="a plain file name: letters, digits, space, '.', '_', '-'",
-            found=repr(clip),
-            fix="rename the clip",
-        )
+        expected = "a plain file name: letters, digits, space, '.', '_', '-'"
+        raise InvalidValueError("clip name", expected=expected, found=repr(clip), fix="rename the clip")
     return (Path(folder) if seed is None else Path(folder) / f"seed-{seed}") / f"{clip}{ending}"
 
 
@@ -266,3 +317,191 @@ def _toml(value: object) -> str:
     """Write a value as TOML does: of numbers, texts and lists, as JSON does."""
     known = value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
     return json.dumps(known, ensure_ascii=False, default=str).replace("\x7f", "\\u007f")
+
+
+@dataclass(eq=False)
+class Submission:
+    """What a submission holds, before it is compared with the data; keys are (seed, clip)."""
+
+    meta: SubmissionMeta
+    predictions: dict[tuple[int, str], Prediction] = field(default_factory=dict)  # seed 0 without folders
+    failures: dict[tuple[int, str], str] = field(default_factory=dict)  # where the method failed, and why
+    files: dict[tuple[int, str], str] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)  # everything that is wrong so far
+    sha256: str = ""  # over names and contents, the same for a folder and its zip
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds, ascending."""
+        return sorted({seed for seed, _ in self.files})
+
+    @property
+    def clips(self) -> list[str]:
+        """Names of the clips, of any seed, sorted."""
+        return sorted({clip for _, clip in self.files})
+
+    def bad(self, code: str, file: str, expected: str, found: str, fix: str) -> None:
+        """Add a problem."""
+        self.problems.append(Problem(code, file, "", expected, found, fix))
+
+
+def read_submission(path: str | os.PathLike[str]) -> Submission:
+    """Read a submission from a folder or a zip, in memory; what is wrong with it is listed, not raised.
+
+    Raises
+    ------
+    InputFileError
+        When there is nothing at `path`.
+    """
+    root, out = Path(path), Submission(SubmissionMeta("unnamed"))
+    if not root.exists():
+        raise InputFileError(f"{root}", expected="a submission (folder or zip)", found="nothing there")
+    names, content_of = _files_of_folder(root, out) if root.is_dir() else _files_of_zip(root, out)
+    if out.problems and not names:  # no zip, or too large: nothing more can be checked
+        return out
+    prefix = _root(names, out)
+    inner = sorted(name.removeprefix(prefix) for name in names if name.startswith(prefix))
+    places = {name: _PLACE.fullmatch(name) for name in sorted(inner, key=lambda name: name != META)}
+    digest = hashlib.sha256()
+    for name, place in places.items():
+        if place is None and name != META:
+            _report_stray(name, out)
+            continue
+        try:
+            content = content_of(prefix + name)
+        except KT3DMoSegError as error:
+            out.bad("unreadable", prefix + name, "a readable file", str(error), "make the archive again")
+            continue
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+        if place is not None:
+            _add_file(prefix + name, place, content, out)
+        else:
+            out.meta, problems = parse_meta(content)
+            out.problems += problems
+    out.sha256 = digest.hexdigest()
+    _check_layout([place[1] is not None for place in places.values() if place], out)
+    return out
+
+
+def _files_of_folder(root: Path, out: Submission) -> tuple[list[str], Callable[[str], bytes]]:
+    """List the plain files of moderate size."""
+    sizes: dict[str, int] = {}
+    for path in sorted(root.rglob("*")):
+        name, status = path.relative_to(root).as_posix(), path.lstat()
+        if _ignored(name) or stat.S_ISDIR(status.st_mode):
+            continue
+        if stat.S_ISLNK(status.st_mode):
+            fix = "put the file itself there (zip follows links by default; cp -L does too)"
+            out.bad("symlink", name, "a plain file", "a symbolic link", fix)
+        elif not stat.S_ISREG(status.st_mode):
+            out.bad("special-file", name, "a plain file", "a device or pipe", "remove it")
+        elif status.st_size > MAX_FILE_BYTES:
+            expected, found = f"at most {MAX_FILE_BYTES >> 20} MiB", f"{status.st_size} bytes"
+            out.bad("too-large", name, expected, found, _FIX_LARGE)
+        else:
+            sizes[name] = status.st_size
+    if len(sizes) > LIMITS.files or sum(sizes.values()) > LIMITS.total_bytes:
+        expected = f"at most {LIMITS.files} files and {LIMITS.total_bytes >> 20} MiB"
+        out.bad("too-large", "", expected, f"{len(sizes)} files, {sum(sizes.values())} bytes", _FIX_LARGE)
+        sizes.clear()
+    return list(sizes), lambda name: read_bytes(root / name, MAX_FILE_BYTES)
+
+
+def _files_of_zip(path: Path, out: Submission) -> tuple[list[str], Callable[[str], bytes]]:
+    faults: list[ZipFault] = []
+    archive = SafeZip(path, LIMITS, path.name, faults=faults)
+    for code, file, expected, found, fix in faults:
+        out.bad(code, file or path.name, expected, found, fix or _FIXES.get(code, ""))
+    return [name for name in archive.sizes if not _ignored(name)], archive.read
+
+
+def _ignored(name: str) -> bool:
+    """Whether the file is hidden, or an operating system left it there: no part of the submission."""
+    return any(part in _LITTER or part.startswith(".") for part in PurePosixPath(name).parts)
+
+
+def _root(names: list[str], out: Submission) -> str:
+    """Find where meta.toml lies: at the top, or one folder down when the folder itself was zipped."""
+    if META in names:
+        return ""
+    below = [name for name in names if name.endswith(f"/{META}")]
+    if len(below) == 1 and len({name.partition("/")[0] for name in names}) == 1:
+        folder = below[0].removesuffix(f"/{META}")
+        fix = f"zip the content, not the folder: cd {folder} && zip -r ../{folder}.zip ."
+        out.bad("wrapped-folder", below[0], f"{META} at the top", f"everything inside {folder}/", fix)
+        return f"{folder}/"
+    out.bad("no-meta", META, f"{META} (in lower case) at the top", "none", _EXAMPLE)
+    return ""
+
+
+def _report_stray(name: str, out: Submission) -> None:
+    """Report a file that is none of a submission's; readmes and licences are passed over."""
+    folder, _, file = name.rpartition("/")
+    if folder and not re.fullmatch(r"seed-\d{1,18}", folder):
+        expected = "files at the top, or in folders seed-0, seed-1, ..."
+        fix = "name the folders seed-<number>, or move the files to the top"
+        out.bad("unknown-folder", name, expected, f"the folder {folder}", fix)
+    elif not _PASSED_OVER.fullmatch(file):
+        fix = "remove it; 'mseg example-submission DATA --from FILES -o OUT' converts label files"
+        found = PurePosixPath(file).suffix or "no ending"
+        out.bad("unknown-file", name, f"{META} and files ending in {', '.join(_ENDINGS)}", found, fix)
+
+
+def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission) -> None:
+    key = int(place[1] or 0), place[2]
+    if key in out.files:
+        found, fix = f"also {out.files[key]}", "keep one of them"
+        return out.bad("duplicate-clip", name, "one file per clip and seed", found, fix)
+    out.files[key] = name
+    if place[3].lower() == FAILED:
+        reason = " ".join(content.decode("utf-8", "replace").split())[:300]
+        out.failures[key] = reason or "no reason given"
+    else:
+        out.predictions[key] = parse_prediction(content, name, key[1])
+        out.problems += out.predictions[key].problems
+    return None
+
+
+def _check_layout(in_seed_folder: list[bool], out: Submission) -> None:
+    if not in_seed_folder:
+        out.bad("no-predictions", "", f"one file per clip ({', '.join(SUFFIXES)})", "none", _EXAMPLE)
+    elif len(set(in_seed_folder)) == 2:
+        expected = "all predictions at the top, or all in seed-<number> folders"
+        found = f"{in_seed_folder.count(False)} at the top and {sum(in_seed_folder)} in seed folders"
+        fix = "move the files at the top into a seed folder of their own"
+        out.bad("mixed-seeds", "", expected, found, fix)
+
+
+def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
+    """Read ``meta.toml``: with defaults where a field is missing or wrong, and the problems."""
+    problems: list[Problem] = []
+
+    def bad(expected: str, found: str, fix: str = _EXAMPLE) -> None:
+        problems.append(Problem("meta-field", META, "", expected, found[:80], fix))
+
+    try:
+        raw = parse_toml(content, META)
+    except FileFormatError as error:
+        problem = Problem("meta-syntax", META, "", error.expected, error.found[:160], _EXAMPLE)
+        return SubmissionMeta("unnamed"), [problem]
+    values: dict[str, Any] = {"method": "unnamed", "authors": ["unnamed"]}
+    for name, value in raw.items():
+        if name not in _FIELDS:
+            otherwise = f"put it under [parameters]; {_EXAMPLE}"
+            bad("a known field", repr(name), did_you_mean(name, _FIELDS, otherwise))
+        elif _FIELDS[name][1](value):
+            values[name] = value
+        else:
+            names = list_protocols() if name == "benchmark" else []
+            bad(f"{name} = {_FIELDS[name][0]}", repr(value), did_you_mean(str(value), names, _EXAMPLE))
+    for name in _REQUIRED:
+        if raw.get(name) in (None, "", []) and not (name == "dataset_version" and raw.get("fingerprints")):
+            bad(f"{name} = {_FIELDS[name][0]}", "nothing")
+    values.pop("format_version", None)
+    return SubmissionMeta(**{**values, "authors": tuple(values["authors"])}), problems
+
+
+def wrong_fields(meta: Mapping[str, Any]) -> list[str]:
+    """Name the fields of a `SubmissionMeta`, as a mapping, with a value that ``meta.toml`` could not have."""
+    values = {name: list(value) if isinstance(value, tuple) else value for name, value in meta.items()}
+    return [name for name in values if not _FIELDS[name][1](values[name])] + ["method"] * (not meta["method"])

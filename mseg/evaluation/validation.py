@@ -22,8 +22,14 @@ from mseg.evaluation.protocol import (
     load_protocol,
     protocol_of_clips,
 )
-from mseg.evaluation.reading import Submission, read_submission
-from mseg.evaluation.submission import META, SubmissionMeta, clip_checksum, clips_by_name
+from mseg.evaluation.submission import (
+    META,
+    Submission,
+    SubmissionMeta,
+    clip_checksum,
+    clips_by_name,
+    read_submission,
+)
 
 # With these a submission is invalid but can be scored: a missing clip counts as fully wrong, a clip
 # with one label as what it is. Anything else forbids scoring.

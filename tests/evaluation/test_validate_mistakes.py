@@ -191,7 +191,7 @@ MISTAKES = [
     ("meta-field", meta_text(GOOD + 'autors = ["a"]\n'), "did you mean 'authors'?"),
     ("meta-field", meta_text(GOOD.replace("= 1", "= 2")), "format_version = 1"),
     ("meta-field", meta_text(GOOD + "seconds = nan\n"), "seconds >= 0"),
-    ("meta-field", meta_text(GOOD.replace("n_motions_given = true\n", "")), "whether the method was given"),
+    ("meta-field", meta_text(GOOD.replace("n_motions_given = true\n", "")), "if the method was given"),
     ("meta-field", meta(benchmark="Hopkins-155"), "did you mean 'hopkins155'?"),
     ("dataset-version", meta(fingerprints={ONE: "0" * 16}), "another version of the data"),
 ]
