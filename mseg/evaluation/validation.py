@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,14 +15,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import Problem, first_few, is_zero_based, join_labels, numbered
 from kt3dmoseg.registry import nearest
 from kt3dmoseg.types import Clip, IntArray
-from mseg.evaluation.protocol import (
-    Protocol,
-    count,
-    guess_protocol,
-    list_protocols,
-    load_protocol,
-    protocol_of_clips,
-)
+from mseg.evaluation.protocol import Protocol, count, guess_protocol, load_protocol, protocol_of_clips
 from mseg.evaluation.submission import (
     META,
     Submission,
@@ -34,7 +28,6 @@ from mseg.evaluation.submission import (
 # With these a submission is invalid but can be scored: a missing clip counts as fully wrong, a clip
 # with one label as what it is. Anything else forbids scoring.
 _SCORABLE = frozenset({"missing-clip", "one-label"})
-_ORDER = "on the command line give the data last, to mseg.score(truth, pred) first"
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +109,7 @@ def validate_submission(
     """
     read = submission if isinstance(submission, Submission) else read_submission(submission)
     given = load_clips(data)
-    own = read.meta.benchmark if read.meta.benchmark in ("custom", *list_protocols()) else ""
-    protocol = choose_protocol(benchmark or own, given)
+    protocol = choose_protocol(benchmark or read.meta.benchmark, given)
     clips = {name: clip for name, clip in given.items() if protocol.holds(name) and clip.n_motions}
     out = Validation(read, protocol, clips, problems=list(read.problems))
     if not clips:
@@ -127,79 +119,71 @@ def validate_submission(
     for name in read.clips:
         if name not in clips:
             _check_extra(name, given, out)
-    for seed in read.seeds:
-        for name in clips:
-            if (seed, name) not in read.predictions and (seed, name) not in read.failures:
-                out.problems.append(_missing(name, f"seed-{seed}" if len(read.seeds) > 1 else ""))
-    if clips:
-        _check_version(read.meta, out)
-    _check_labels(out)
+    for seed, name in itertools.product(read.seeds, clips):
+        if (seed, name) not in read.files:
+            folder = f"seed-{seed}" if len(read.seeds) > 1 else ""
+            fix = f"add it, or {name}.failed with the reason; as it is the clip counts as fully wrong"
+            out.problems.append(Problem("missing-clip", folder, name, f"a file for clip {name}", "none", fix))
+    _check_version(out)
+    for (seed, name), file in read.files.items():
+        if name in clips:
+            _check_labels(seed, name, file, out)
     return out
 
 
 def load_clips(data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip]) -> dict[str, Clip]:
     """Return clips by name, in the order of their names, from a path, a mapping or clips."""
-    if isinstance(data, (str, os.PathLike)):
-        from kt3dmoseg.io import load, load_dataset
+    if not isinstance(data, (str, os.PathLike)):
+        return dict(sorted(clips_by_name(data).items()))
+    from kt3dmoseg.io import load, load_dataset
 
-        path = Path(data)
-        if (path / META).is_file() or path.suffix == ".json":
-            found = "a submission" if path.is_dir() else "scores"
-            raise InvalidValueError(
-                f"{path}", expected="the data (a folder of clips)", found=found, fix=_ORDER
-            )
-        return clips_by_name([load(path)]) if path.is_file() else load_dataset(path)
-    named = data if isinstance(data, Mapping) else clips_by_name(data)
-    clips_by_name(named.values())
-    return dict(sorted(named.items()))
+    path = Path(data)
+    if (path / META).is_file() or path.suffix == ".json":
+        found = "a submission" if path.is_dir() else "scores"
+        fix = "on the command line give the data last, to mseg.score(truth, pred) first"
+        raise InvalidValueError(f"{path}", expected="the data (a folder of clips)", found=found, fix=fix)
+    return clips_by_name([load(path)]) if path.is_file() else load_dataset(path)
 
 
 def choose_protocol(name: str, clips: Iterable[str]) -> Protocol:
     """Return the protocol of that name; without one, the protocol that the clips belong to."""
-    names = list(clips)
     if name == "custom":
-        return protocol_of_clips(names)
-    return load_protocol(name) if name else guess_protocol(names)
+        return protocol_of_clips(clips)
+    return load_protocol(name) if name else guess_protocol(clips)
 
 
-def _check_labels(out: Validation) -> None:
-    """Join every prediction to its clip, and keep the labels that can be scored."""
-    read = out.submission
-    for (seed, name), prediction in read.predictions.items():
-        if name not in out.clips or prediction.problems:
-            continue
-        file = read.files[seed, name]
-        found, problems = join_labels(prediction, out.clips[name], file)
-        if found is not None:
-            problems = _label_problems(found, out.clips[name], file, read.meta)
+def _check_labels(seed: int, name: str, file: str, out: Validation) -> None:
+    """Join a prediction to its clip, and keep labels that can be scored."""
+    read, clip = out.submission, out.clips[name]
+    if (seed, name) in read.failures:
+        found, fix = read.failures[seed, name], "it counts as fully wrong"
+        out.notes.append(Problem("failed", file, name, found=found, fix=fix))
+    elif not read.predictions[seed, name].problems:
+        labels, problems = join_labels(read.predictions[seed, name], clip, file)
+        if labels is not None:
+            problems = list(_label_problems(labels, clip, file, read.meta))
             if all(problem.code in _SCORABLE for problem in problems):
-                out.labels[seed, name] = found
+                out.labels[seed, name] = labels
         out.problems.extend(problems)
-    for key, reason in read.failures.items():
-        if key[1] in out.clips:
-            fix = "it counts as fully wrong"
-            out.notes.append(Problem("failed", read.files[key], key[1], found=reason, fix=fix))
 
 
-def _label_problems(label: IntArray, clip: Clip, file: str, meta: SubmissionMeta) -> list[Problem]:
-    """Find labels that cannot be meant: counted from 0, all the same, nearly all different."""
-    out = []
+def _label_problems(label: IntArray, clip: Clip, file: str, meta: SubmissionMeta) -> Iterator[Problem]:
+    """Yield what cannot be meant: labels counted from 0, all the same, nearly all different."""
     groups = np.unique(label)
     if groups[0] == 0 and not meta.outliers:
         based = is_zero_based(label)
         found = f"labels {first_few(groups.tolist())}" + (", which look 0-based" if based else "")
         fix = "add 1 to every label; if 0 is meant as outlier: outliers = true in meta.toml"
         code = "zero-based" if based else "zero-label"
-        out.append(Problem(code, file, clip.name, "motions 1, 2, ...", found, fix))
+        yield Problem(code, file, clip.name, "motions 1, 2, ...", found, fix)
     if len(groups) == 1 and min(len(label), clip.n_motions) > 1 and not meta.baseline:
         found = f"all {len(label)} labels are {groups[0]}"
         fix = "check that the labels were written at all; if it is meant: baseline = true in meta.toml"
-        out.append(Problem("one-label", file, clip.name, "two motions or more", found, fix))
+        yield Problem("one-label", file, clip.name, "two motions or more", found, fix)
     if len(groups) > max(2, len(label) // 2):
         found = f"{len(groups)} different labels for {len(label)} trajectories"
         fix = "check whether the columns track and label are swapped"
-        out.append(Problem("too-many-groups", file, clip.name, "a few groups", found, fix))
-    return out
+        yield Problem("too-many-groups", file, clip.name, "a few groups", found, fix)
 
 
 def _check_extra(name: str, given: Mapping[str, Clip], out: Validation) -> None:
@@ -210,26 +194,19 @@ def _check_extra(name: str, given: Mapping[str, Clip], out: Validation) -> None:
         reason = "it never counts" if name in protocol.exclude else "no labels for it in the data here"
         out.notes.append(Problem("not-scored", file, name, found=reason))
         return
-    same = next((n for n in given if n.lower() == name.lower()), None)
-    if same:
-        problem = Problem("wrong-case", file, name, f"the name {same}", name, f"rename the file to {same}")
-    else:
-        stem = name.removesuffix("_Tracks").removesuffix("_truth")
-        meant = stem if stem in given else nearest(name, given)
-        fix = f"did you mean {meant}?" if meant else "remove it"
-        problem = Problem("extra-clip", file, name, f"one of {first_few(list(given))}", name, fix)
-    out.problems.append(problem)
+    stem = name.removesuffix("_Tracks").removesuffix("_truth")
+    meant = stem if stem in given else nearest(name, given)
+    code, fix = "extra-clip", f"did you mean {meant}?" if meant else "remove it"
+    if meant.lower() == name.lower():
+        code, fix = "wrong-case", f"rename the file to {meant}"
+    out.problems.append(Problem(code, file, name, f"one of {first_few(list(given))}", name, fix))
 
 
-def _missing(name: str, folder: str) -> Problem:
-    fix = f"add it, or {name}.failed with the reason; as it is the clip counts as fully wrong"
-    return Problem("missing-clip", folder, name, f"a file for clip {name}", "none", fix)
-
-
-def _check_version(meta: SubmissionMeta, out: Validation) -> None:
+def _check_version(out: Validation) -> None:
     """Recognise a submission that was made on other trajectories, by their checksums or the version."""
+    meta = out.submission.meta
     for name, found in meta.fingerprints.items():
-        if name in out.checksums and found != out.checksums[name]:
+        if name in out.clips and found != out.checksums[name]:
             expected = f"trajectories with checksum {out.checksums[name]}"
             fix = "the submission was made on another version of the data: segment these trajectories"
             out.problems.append(Problem("dataset-version", META, name, expected, found[:40], fix))
