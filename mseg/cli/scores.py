@@ -6,7 +6,7 @@ import dataclasses
 import json as json_
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 from cyclopts.validators import MutuallyExclusive
@@ -64,13 +64,16 @@ def example_submission(
     from mseg.evaluation import example
     from mseg.evaluation.protocol import count
 
-    options: dict[str, Any] = {"format": format, "benchmark": benchmark} | (
-        {"method": method} if method else {}
+    wrote = example.example_submission(
+        data,
+        output,
+        seeds=seeds,
+        format=format,
+        method=method,
+        benchmark=benchmark,
+        source=source,
+        zero=zero or "",
     )
-    if source is not None:
-        wrote = example.from_label_files(source, data, output, zero=zero or "", **options)
-    else:
-        wrote = example.example_submission(data, output, seeds=seeds, **options)
     if wrote.note:
         print(f"note: {wrote.note}", file=sys.stderr)
     print(f"wrote {wrote.folder} ({count(wrote.clips, 'clip')})", file=sys.stderr)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,16 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.label_import import Zero, labels_and_note
-from mseg.evaluation.protocol import Protocol
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
 from mseg.evaluation.validation import choose_protocol, load_clips
+
+_EXAMPLE: dict[str, Any] = {
+    "method": "example: left and right",
+    "authors": ("Your Name",),
+    "n_motions_given": False,
+    "link": "https://example.org/paper-or-code",
+    "hardware": "one CPU core",
+}
 
 
 class Written(NamedTuple):
@@ -35,10 +43,12 @@ def example_submission(
     *,
     seeds: int = 1,
     format: FileFormat = "csv",
-    method: str = "example: left and right",
+    method: str = "",
     benchmark: str = "",
+    source: str | os.PathLike[str] | None = None,
+    zero: Zero = "",
 ) -> Written:
-    """Write a valid submission whose labels cut each clip in a left and a right part.
+    """Write a valid submission whose labels cut each clip in a left and a right part, or come from files.
 
     Parameters
     ----------
@@ -52,64 +62,41 @@ def example_submission(
         File format of the predictions.
     method, benchmark : str
         For ``meta.toml``.
+    source, zero
+        Label files, and what their label 0 is; see `mseg.evaluation.read_label_files`.
 
     Raises
     ------
     InvalidValueError
-        For fewer than one seed, or when `output` exists.
+        For fewer than one seed, label files without data, or when `output` exists.
     """
     if seeds < 1:
         raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
+    if data is None and source is not None:
+        expected = "the folder of clips that the labels are for"
+        raise InvalidValueError("data", expected=expected, found="nothing")
     with _new_folder(output) as folder:
-        source = Path(data) if data is not None else folder.with_name(folder.name + "-data")
+        place = Path(data) if data is not None else folder.with_name(folder.name + "-data")
         if data is None:
             for clip in made_up_clips().values():
-                save(clip, source / f"{clip.name}.h5")
-        clips = load_clips(source)
+                save(clip, place / f"{clip.name}.h5")
+        clips = load_clips(place)
         protocol = choose_protocol(benchmark, clips)
-        counted = {name: clip for name, clip in clips.items() if protocol.holds(name)}
-        runs = {seed: {n: _left_right(c, seed) for n, c in counted.items()} for seed in range(seeds)}
-        meta = SubmissionMeta(
-            method,
-            ("Your Name",),
-            dataset_version=_version(protocol, counted),
-            benchmark=protocol.name,
-            n_motions_given=False,
-            link="https://example.org/paper-or-code",
-            hardware="one CPU core",
-        )
-        write_submission(folder, counted.values(), runs[0] if seeds == 1 else runs, meta, format=format)
-        return Written(folder, source, len(counted))
-
-
-def from_label_files(
-    source: str | os.PathLike[str],
-    data: str | os.PathLike[str] | None,
-    output: str | os.PathLike[str],
-    *,
-    method: str = "unnamed",
-    benchmark: str = "",
-    format: FileFormat = "csv",
-    zero: Zero = "",
-) -> Written:
-    """Turn label files into a submission; see `mseg.evaluation.label_import`."""
-    if data is None:
-        raise InvalidValueError(
-            "data", expected="the folder of clips that the labels are for", found="nothing"
-        )
-    with _new_folder(output) as folder:
-        clips = load_clips(data)
-        protocol = choose_protocol(benchmark, clips)
-        labels, note = labels_and_note(source, clips, names=protocol.clips, zero=zero)
-        used = {name: clips[name] for name in labels}
-        meta = SubmissionMeta(
-            method,
-            dataset_version=_version(protocol, used),
-            benchmark=protocol.name,
-            outliers=any(0 in v for v in labels.values()),
-        )
+        meta, note = SubmissionMeta(method or "unnamed", benchmark=protocol.name), ""
+        labels: Any
+        if source is not None:
+            labels, note = labels_and_note(source, clips, names=protocol.clips, zero=zero)
+            used = {name: clips[name] for name in labels}
+            meta = replace(meta, outliers=any(0 in v for v in labels.values()))
+        else:
+            used = {name: clip for name, clip in clips.items() if protocol.holds(name)}
+            runs = {seed: {n: _left_right(c, seed) for n, c in used.items()} for seed in range(seeds)}
+            labels = runs[0] if seeds == 1 else runs
+            meta = replace(meta, **_EXAMPLE | ({"method": method} if method else {}))
+        version = protocol.version_of({name: clip_checksum(clip) for name, clip in used.items()})
+        meta = replace(meta, dataset_version=version or "unnamed")
         write_submission(folder, used.values(), labels, meta, format=format)
-        return Written(folder, Path(data), len(used), note)
+        return Written(folder, place, len(used), note)
 
 
 def made_up_clips() -> dict[str, Clip]:
@@ -124,18 +111,15 @@ def _made_up(name: str, motions: int) -> Clip:
     start = rng.uniform((0, 40), (200, 200), size=(n, 2))
     velocity = np.array([[1.0, 0.0], [4.0, 2.0], [-2.0, -3.0]])[label - 1]
     xy = start[:, None] + velocity[:, None] * np.arange(frames)[:, None]
-    visible = np.ones((n, frames), dtype=np.bool_)
-    visible[::7, frames // 2 :] = False
-    xy[~visible] = np.nan
-    dense = Trajectories(xy, visible, image_size=(320, 240))
+    xy[::7, frames // 2 :] = np.nan
+    dense = Trajectories(xy, ~np.isnan(xy[..., 0]), image_size=(320, 240))
     rows = np.flatnonzero(np.arange(n) % 3 > 0)
     return Clip(name, dense, rows, Labels(label[rows], background=1))
 
 
 def _left_right(clip: Clip, seed: int) -> IntArray:
     tracks = clip.evaluated_trajectories
-    seen = np.maximum(tracks.visible.sum(axis=1), 1)
-    x = np.where(tracks.visible, np.nan_to_num(tracks.xy[..., 0]), 0.0).sum(axis=1) / seen
+    x = np.nan_to_num(tracks.xy[..., 0]).sum(axis=1) / np.maximum(tracks.visible.sum(axis=1), 1)
     share = np.random.default_rng(seed).uniform(0.35, 0.65)
     cut = min(max(1, round(share * len(x))), len(x) - 1)
     label = np.full(len(x), 2, dtype=np.int64)
@@ -143,18 +127,13 @@ def _left_right(clip: Clip, seed: int) -> IntArray:
     return label
 
 
-def _version(protocol: Protocol, clips: Mapping[str, Clip]) -> str:
-    return protocol.version_of({n: clip_checksum(c) for n, c in clips.items()}) or "unnamed"
-
-
 @contextmanager
 def _new_folder(output: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a folder to fill; of one that could not be filled, nothing stays."""
     folder = Path(output)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InvalidValueError(
-            f"{folder}", expected="a new or empty folder", found="something there", fix="choose another -o"
-        )
+        expected, fix = "a new or empty folder", "choose another -o"
+        raise InvalidValueError(f"{folder}", expected=expected, found="something there", fix=fix)
     try:
         yield folder
     except BaseException:

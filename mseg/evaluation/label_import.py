@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,9 @@ from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.predictions import MAX_FILE_BYTES, first_few, is_zero_based, label_vector
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.protocol import count
+
+if TYPE_CHECKING:
+    import h5py
 
 Zero: TypeAlias = Literal["", "first", "outlier"]
 CELLS = "ClusterIdx"
@@ -73,24 +76,25 @@ def labels_and_note(
 ) -> tuple[dict[str, IntArray], str]:
     """Read labels as `read_label_files` does, with a sentence on what was done to them, or none."""
     path = Path(source)
-    settled, open_ = _folder(path, clips) if path.is_dir() else ({}, _cells_by_name(path, clips, names))
-    if not settled and not open_:
+    files = _label_files(path, clips) if path.is_dir() else {}
+    vectors = {name: _READERS[file.suffix.lower()](file) for name, file in files.items()}
+    if not path.is_dir():
+        vectors = _cells_by_name(path, clips, names)
+    if not vectors:
         raise InputFileError(f"{path}", expected=_FORMATS, found="labels of none of the clips")
-    fitted, labels = (
-        {name: fit_to_clip(vector, clips[name], f"{path}: {name}") for name, vector in each.items()}
-        for each in (settled, open_)
-    )
-    with_zero = [name for name, label in labels.items() if (label == 0).any()]
-    note = ""
-    if with_zero and zero != "outlier":
-        contiguous = all(is_zero_based(v) and v.max() < clips[n].n_motions for n, v in labels.items())
-        if zero != "first" and not contiguous:
-            found = f"label 0 in {first_few(with_zero)} ({len(with_zero)} of {count(len(labels), 'clip')})"
-            fix = "state what it is: --zero first (1 is added to all labels) or --zero outlier"
-            raise InvalidValueError(f"{path}", expected="labels 1, 2, ...", found=found, fix=fix)
-        labels = {name: label + 1 for name, label in labels.items()}
-        note = f"labels count from 0: 1 was added to every label of {count(len(labels), 'clip')}"
-    return fitted | labels, note
+    labels = {name: fit_to_clip(vector, clips[name], f"{path}: {name}") for name, vector in vectors.items()}
+    brox = {name for name, file in files.items() if file.suffix.lower() == ".dat"}
+    others = {name: label for name, label in labels.items() if name not in brox}
+    with_zero = [name for name, label in others.items() if (label == 0).any()]
+    if not with_zero or zero == "outlier":
+        return labels, ""
+    contiguous = all(is_zero_based(label) and label.max() < clips[n].n_motions for n, label in others.items())
+    if zero != "first" and not contiguous:
+        found = f"label 0 in {first_few(with_zero)} ({len(with_zero)} of {count(len(others), 'clip')})"
+        fix = "state what it is: --zero first (1 is added to all labels) or --zero outlier"
+        raise InvalidValueError(f"{path}", expected="labels 1, 2, ...", found=found, fix=fix)
+    note = f"labels count from 0: 1 was added to every label of {count(len(others), 'clip')}"
+    return labels | {name: label + 1 for name, label in others.items()}, note
 
 
 def fit_to_clip(labels: npt.ArrayLike, clip: Clip, where: str) -> IntArray:
@@ -131,32 +135,22 @@ def read_brox_labels(path: Path) -> IntArray:
     There, clusters count from 0 and -1 means none; a file without a label below 1 is taken as
     counting from 1.
     """
-    labels = _brox(path)
+    from kt3dmoseg.io.brox import read_labels
+
+    labels = read_labels(path)
     return labels + int(labels.min(initial=1) < 1)
 
 
-def _brox(path: Path) -> IntArray:
-    from kt3dmoseg.io.brox import read_labels
-
-    return read_labels(path)
-
-
-def _folder(
-    folder: Path, clips: Mapping[str, Clip]
-) -> tuple[dict[str, npt.NDArray[Any]], dict[str, npt.NDArray[Any]]]:
-    """Read one file per clip: labels of Brox files, counted from 1, and those of others as they are."""
+def _label_files(folder: Path, clips: Mapping[str, Clip]) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for file in sorted(folder.iterdir()):
-        name = next((n for n in (file.stem, file.stem.removesuffix("_Tracks")) if n in clips), None)
-        if name is not None and file.suffix.lower() in _READERS:
+        name = file.stem if file.stem in clips else file.stem.removesuffix("_Tracks")
+        if name in clips and file.suffix.lower() in _READERS:
             if name in files:
                 expected, found = f"one label file for clip {name}", f"also {files[name].name}"
                 raise FileFormatError(f"{file}", expected=expected, found=found)
             files[name] = file
-    labels = {name: _READERS[file.suffix.lower()](file) for name, file in files.items()}
-    brox = {name: labels.pop(name) for name, file in files.items() if file.suffix.lower() == ".dat"}
-    first = min((label.min(initial=1) for label in brox.values()), default=1)
-    return {name: label + (first < 1) for name, label in brox.items()}, labels
+    return files
 
 
 def _cells_by_name(
@@ -168,12 +162,11 @@ def _cells_by_name(
     cells = read_cluster_idx(path)
     order = list(names) if len(names) == len(cells) else sorted(clips)
     if len(order) != len(cells):
-        raise FileFormatError(
-            f"{path}: {CELLS}",
-            expected=f"{len(order)} cells, one per clip of the data",
-            found=f"{len(cells)}",
-            fix="save one label file per clip in a folder instead",
+        expected, fix = (
+            f"{len(order)} cells, one per clip",
+            "save one label file per clip in a folder instead",
         )
+        raise FileFormatError(f"{path}: {CELLS}", expected=expected, found=f"{len(cells)} cells", fix=fix)
     return {name: v for name, v in zip(order, cells, strict=True) if v.size and name in clips}
 
 
@@ -191,42 +184,37 @@ def _single_vector(path: Path) -> npt.NDArray[Any]:
 
 def _matlab(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Read the variables of a MAT-file of any version, cells included."""
-    if not path.is_file():
-        raise InputFileError(f"{path}", expected="a MAT-file", found="no such file")
-    with path.open("rb") as stream:
-        is_hdf5 = b"\x89HDF" in stream.read(1024)
-    try:
-        if is_hdf5:
-            return _matlab73(path)
-        from scipy.io import loadmat
+    import h5py
+    from scipy.io import loadmat
 
+    try:
+        if h5py.is_hdf5(path):
+            with h5py.File(path, "r") as file:
+                return _matlab73(file)
         return {k: np.asarray(v) for k, v in loadmat(f"{path}").items() if not k.startswith("__")}
     except Exception as error:  # scipy and h5py raise anything on damaged files
-        found = f"a file that cannot be read as one ({type(error).__name__})"
+        found = f"what cannot be read as one ({type(error).__name__})"
         raise FileFormatError(f"{path}", expected="a MAT-file", found=found) from None
 
 
-def _matlab73(path: Path) -> dict[str, npt.NDArray[Any]]:
+def _matlab73(file: h5py.File) -> dict[str, npt.NDArray[Any]]:
     import h5py
 
     out: dict[str, npt.NDArray[Any]] = {}
-    with h5py.File(path, "r") as file:
-        for name, item in file.items():
-            if not isinstance(item, h5py.Dataset) or name.startswith("#"):
-                continue
-            if item.dtype == h5py.ref_dtype:
-                # MATLAB stores arrays transposed, cells as references into the same file.
-                cells = [np.asarray(file[ref]).ravel() for ref in np.asarray(item).T.ravel()]
-                out[name] = np.empty(len(cells), dtype=object)
-                out[name][:] = cells
-            elif item.dtype.kind in "iuf":
-                out[name] = np.asarray(item)
+    for name, item in file.items():
+        if isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype:
+            # MATLAB stores arrays transposed, cells as references into the same file.
+            cells = [np.asarray(file[ref]).ravel() for ref in np.asarray(item).T.ravel()]
+            out[name] = np.empty(len(cells), dtype=object)
+            out[name][:] = cells
+        elif isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf":
+            out[name] = np.asarray(item)
     return out
 
 
 _READERS: dict[str, Callable[[Path], npt.NDArray[Any]]] = {
     ".txt": read_label_text,
     ".csv": read_label_text,
-    ".dat": _brox,
+    ".dat": read_brox_labels,
     ".mat": _single_vector,
 }
