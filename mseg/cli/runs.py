@@ -12,10 +12,16 @@ from cyclopts import Parameter
 
 from kt3dmoseg.app import Either, Flag, Folder, Name, Parameters, Positive, progress_bar
 
+_N_MOTIONS = "Number of motions of every clip (default: that of its labels)."
+_DATA = "Folders of clips (default: the protocol's folder in $KT3DMOSEG_DATA or ../shared/data)."
+_JSON = "Everything as JSON: written to FILE in addition to the tables, or printed in their place."
+_PUBLISH = "Write the scores there, one file per method and dataset version: BENCHMARK/VERSION/METHOD.json."
+_NUMBER = "Give the methods the number of motions of each clip, or let them find it."
 _PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 
 Names = Annotated[
-    tuple[str, ...], Parameter(metavar="NAME", consume_multiple=(1, None), show_default=" ".join)
+    tuple[str, ...],
+    Parameter(metavar="NAME", consume_multiple=(1, None), show_default=" ".join, help="Methods."),
 ]
 Settings = Annotated[
     Parameters, Parameter(help="Parameter of a method, see 'mseg methods NAME'; may be repeated.")
@@ -25,16 +31,13 @@ Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://h
 Quiet = Annotated[Flag, Parameter(help="No progress bar.")]
 
 
-def methods(method: str = "", /, *, json: Flag = False) -> None:
-    """List the methods, or describe one: source, input, cost and parameters.
-
-    Parameters
-    ----------
-    method : str
-        Describe this one.
-    json : bool
-        Print JSON.
-    """
+def methods(
+    method: Annotated[str, Parameter(help="Describe this one.")] = "",
+    /,
+    *,
+    json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
+) -> None:
+    """List the methods, or describe one: source, input, cost and parameters."""
     from mseg.methods import METHODS
 
     names = [method] if method else METHODS.names()
@@ -66,13 +69,13 @@ def _described(name: str) -> dict[str, Any]:
 
 
 def run(
-    data: Either,
+    data: Annotated[Either, Parameter(help="Folder of clips, or one clip.")],
     /,
     *,
-    output: Annotated[Folder, Parameter(alias="-o")],
-    method: Name = "subset",
-    n_motions: Positive | None = None,
-    seeds: Positive = 1,
+    output: Annotated[Folder, Parameter(alias="-o", help="Where predictions go.")],
+    method: Annotated[Name, Parameter(help="Method.")] = "subset",
+    n_motions: Annotated[Positive | None, Parameter(help=_N_MOTIONS)] = None,
+    seeds: Annotated[Positive, Parameter(help="Number of seeds; several go to seed-0/, seed-1/, ...")] = 1,
     parameter: Settings = (),
     workers: Workers = 1,
     dask: Dask = "",
@@ -83,19 +86,6 @@ def run(
     The output is a submission: 'mseg validate' and 'mseg score' read it. What is there already is kept,
     so an interrupted run goes on; a folder that holds other predictions is refused. Exit code 1 when the
     method failed on every clip.
-
-    Parameters
-    ----------
-    data : path
-        Folder of clips, or one clip.
-    output : path
-        Where predictions go.
-    method : str
-        Method.
-    n_motions : int
-        Number of motions of every clip (default: that of its labels).
-    seeds : int
-        Number of seeds; several go to seed-0/, seed-1/, ...
     """
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
@@ -126,19 +116,21 @@ def run(
 
 
 def benchmark(
-    benchmark: str,
+    benchmark: Annotated[str, Parameter(help="Protocol: kt3dmoseg, hopkins155, hopkins12 or mtpv62.")],
     /,
     *,
     methods: Names = _PAPER,
-    data: Annotated[tuple[Folder, ...], Parameter(consume_multiple=(1, None))] = (),
-    cache: Folder = Path("out/benchmark"),
-    no_cache: Flag = False,
-    kernels: Folder | None = None,
-    json: Annotated[list[str] | None, Parameter(metavar="FILE", consume_multiple=(0, 1))] = None,
-    markdown: Flag = False,
-    publish: Folder | None = None,
-    number: Literal["given", "found"] = "given",
-    seeds: Positive = 1,
+    data: Annotated[tuple[Folder, ...], Parameter(consume_multiple=(1, None), help=_DATA)] = (),
+    cache: Annotated[Folder, Parameter(help="Outcomes.")] = Path("out/benchmark"),
+    no_cache: Annotated[Flag, Parameter(help="Run everything, keep nothing.")] = False,
+    kernels: Annotated[
+        Folder | None, Parameter(help="Keep kernels there, for sweeps over alpha or fusion.")
+    ] = None,
+    json: Annotated[list[str] | None, Parameter(metavar="FILE", consume_multiple=(0, 1), help=_JSON)] = None,
+    markdown: Annotated[Flag, Parameter(help="Print Markdown tables.")] = False,
+    publish: Annotated[Folder | None, Parameter(help=_PUBLISH)] = None,
+    number: Annotated[Literal["given", "found"], Parameter(help=_NUMBER)] = "given",
+    seeds: Annotated[Positive, Parameter(help="Number of seeds, counted from 0.")] = 1,
     parameter: Settings = (),
     workers: Workers = 1,
     dask: Dask = "",
@@ -149,31 +141,6 @@ def benchmark(
     Outcomes are kept in a folder (--cache), so that a re-run, or one with more methods or seeds, runs
     only what is new. What is missing of the benchmark is listed; the published rows are for all of it.
     Exit code 1 when every run failed.
-
-    Parameters
-    ----------
-    benchmark : str
-        Protocol: kt3dmoseg, hopkins155, hopkins12 or mtpv62.
-    methods : strings
-        Methods.
-    data : paths
-        Folders of clips (default: the protocol's folder in $KT3DMOSEG_DATA or ../shared/data).
-    cache : path
-        Outcomes.
-    no_cache : bool
-        Run everything, keep nothing.
-    kernels : path
-        Keep kernels there, for sweeps over alpha or fusion.
-    json : str
-        Everything as JSON: written to FILE in addition to the tables, or printed in their place.
-    markdown : bool
-        Print Markdown tables.
-    publish : path
-        Write the scores there, one file per method and dataset version: BENCHMARK/VERSION/METHOD.json.
-    number : str
-        Give the methods the number of motions of each clip, or let them find it.
-    seeds : int
-        Number of seeds, counted from 0.
     """
     from kt3dmoseg.files import write_text
     from kt3dmoseg.options import parse_assignments
