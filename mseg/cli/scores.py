@@ -14,52 +14,37 @@ from cyclopts.validators import MutuallyExclusive
 from kt3dmoseg.app import Either, File, Flag, Folder, Name, Positive, group
 
 if TYPE_CHECKING:
+    from mseg.evaluation.leaderboard import Leaderboard
     from mseg.evaluation.scoring import ScoreTable
 
 Submission = Annotated[Path, Parameter(help="Folder or zip.")]
 Data = Annotated[Path, Parameter(help="Folder of clips with labels (or one clip file).")]
 Benchmark = Annotated[Name, Parameter(help="Protocol (default: the submission's own).")]
 _FORM = Group.create_ordered("Form", validator=MutuallyExclusive())  # type: ignore[no-untyped-call]
-Form = Annotated[Flag, Parameter(group=_FORM)]
 Json = Annotated[Flag, Parameter(help="Print the result as JSON.")]
 Force = Annotated[Flag, Parameter(help="Count clips with problems as fully wrong.")]
+_LABELS = "Label files: .mat with ClusterIdx, or a folder of <clip>.txt, .csv, .mat or .dat."
+_ZERO = "What label 0 of label files is: the first cluster (1 is added to all) or an outlier."
 
 
 def example_submission(
-    data: Folder | None = None,
+    data: Annotated[
+        Folder | None, Parameter(help="Folder of clips; without it, small ones are made up.")
+    ] = None,
     /,
     *,
-    output: Annotated[Folder, Parameter(alias="-o")] = Path("example-submission"),
-    seeds: Positive = 1,
-    format: Literal["csv", "npz", "h5"] = "csv",
-    source: Annotated[Path | None, Parameter(name="--from", metavar="FILES")] = None,
-    zero: Literal["first", "outlier"] | None = None,
-    method: Name = "",
-    benchmark: Name = "",
+    output: Annotated[Folder, Parameter(alias="-o", help="Folder to write.")] = Path("example-submission"),
+    seeds: Annotated[Positive, Parameter(help="Write N runs, in seed-0, seed-1, ...")] = 1,
+    format: Annotated[Literal["csv", "npz", "h5"], Parameter(help="File format.")] = "csv",
+    source: Annotated[Path | None, Parameter(name="--from", metavar="FILES", help=_LABELS)] = None,
+    zero: Annotated[Literal["first", "outlier"] | None, Parameter(help=_ZERO)] = None,
+    method: Annotated[Name, Parameter(help="Name of the method, for meta.toml.")] = "",
+    benchmark: Annotated[Name, Parameter(help="Protocol, for meta.toml.")] = "",
 ) -> None:
     """Write a valid submission to start from, or turn label files you already have into one.
 
     Without --from the labels are a simple example: each clip is cut at the median horizontal position.
     Without DATA a small made-up dataset is written as well, in OUT-data.
-
-    Parameters
-    ----------
-    data : path
-        Folder of clips; without it, small ones are made up.
-    output : path
-        Folder to write.
-    seeds : int
-        Write N runs, in seed-0, seed-1, ...
-    format : {"csv", "npz", "h5"}
-        File format.
-    source : path
-        Label files: .mat with ClusterIdx, or a folder of <clip>.txt, .csv, .mat or .dat.
-    zero : {"first", "outlier"}
-        What label 0 of label files is: the first cluster (1 is added to all) or an outlier.
-    method : str
-        Name of the method, for meta.toml.
-    benchmark : str
-        Protocol, for meta.toml.
     """
     from mseg.evaluation import example
     from mseg.evaluation.protocol import count
@@ -100,29 +85,18 @@ def score(
     *,
     benchmark: Benchmark = "",
     force: Force = False,
-    output: Annotated[File | None, Parameter(alias="-o")] = None,
-    json: Form = False,
-    csv: Form = False,
-    markdown: Form = False,
-    latex: Form = False,
+    output: Annotated[File | None, Parameter(alias="-o", help="Write there instead of printing.")] = None,
+    json: Annotated[
+        Flag, Parameter(group=_FORM, help="Everything, as JSON ('mseg compare' reads it).")
+    ] = False,
+    csv: Annotated[Flag, Parameter(group=_FORM, help="One row per clip, as CSV.")] = False,
+    markdown: Annotated[Flag, Parameter(group=_FORM, help="The headline table in Markdown.")] = False,
+    latex: Annotated[Flag, Parameter(group=_FORM, help="The headline table in LaTeX.")] = False,
 ) -> int:
     """Score a submission: the headline table, every clip, every metric.
 
     A missing clip, or one on which the method failed, counts as fully wrong and is listed. A submission
     with other problems is rejected with all of them (exit code 1); --force scores it all the same.
-
-    Parameters
-    ----------
-    output : path
-        Write there instead of printing.
-    json : bool
-        Everything, as JSON ('mseg compare' reads it).
-    csv : bool
-        One row per clip, as CSV.
-    markdown : bool
-        The headline table in Markdown.
-    latex : bool
-        The headline table in LaTeX.
     """
     from kt3dmoseg.files import write_text
     from mseg.evaluation.scoring import score_validated
@@ -165,29 +139,21 @@ def _rendered(scores: ScoreTable, form: str) -> str:
 
 
 def compare(
-    first: Either,
+    first: Annotated[Either, Parameter(help="Submission or score file.")],
     /,
-    *others: Either,
-    data: Annotated[Folder | None, Parameter(metavar="DATA")] = None,
+    *others: Annotated[Either, Parameter(help="More of them, then the data.")],
+    data: Annotated[
+        Folder | None,
+        Parameter(metavar="DATA", help="Folder of clips with labels; by default the last argument."),
+    ] = None,
     benchmark: Benchmark = "",
-    metric: str = "error",
+    metric: Annotated[str, Parameter(help="What to compare by.")] = "error",
     json: Json = False,
 ) -> None:
     """Compare submissions: a table and paired statistics, and whether the seed noise explains it.
 
     Each of FIRST OTHERS... is a submission, or a file written by 'mseg score --json'. For submissions, the
     data come last: mseg compare A B DATA (or --data DATA).
-
-    Parameters
-    ----------
-    first : path
-        Submission or score file.
-    others : path
-        More of them, then the data.
-    data : path
-        Folder of clips with labels; by default the last argument.
-    metric : str
-        What to compare by.
     """
     from mseg.evaluation.comparison import compare, comparison_table, pairs_table
     from mseg.evaluation.scoring import load_scores, score_submission
@@ -219,44 +185,30 @@ def report(
     submission: Submission,
     data: Data,
     /,
-    frames: Folder | None = None,
+    frames: Annotated[Folder | None, Parameter(help="Pictures, one sub-folder per clip.")] = None,
     *,
     benchmark: Benchmark = "",
-    output: Annotated[File, Parameter(alias="-o")] = Path("report.html"),
+    output: Annotated[File, Parameter(alias="-o", help="The page.")] = Path("report.html"),
     force: Force = False,
-    latex: Flag = False,
-    markdown: Flag = False,
-    csv: Flag = False,
-    json: Flag = False,
+    latex: Annotated[Flag, Parameter(help="Also write the table as .tex.")] = False,
+    markdown: Annotated[Flag, Parameter(help="Also write the table as .md.")] = False,
+    csv: Annotated[
+        Flag, Parameter(help="Also write .csv, global_results-*.csv and per-sequence_results-*.csv.")
+    ] = False,
+    json: Annotated[Flag, Parameter(help="Also write all scores as .json.")] = False,
 ) -> None:
     """Write one self-contained HTML page about a submission, which opens offline.
 
     With --frames the trajectories are drawn on the pictures (FRAMES/<clip>/000001.png, ...). The table
     is also written next to the page on request.
-
-    Parameters
-    ----------
-    frames : path
-        Pictures, one sub-folder per clip.
-    output : path
-        The page.
-    latex : bool
-        Also write the table as .tex.
-    markdown : bool
-        Also write the table as .md.
-    csv : bool
-        Also write .csv, global_results-*.csv and per-sequence_results-*.csv.
-    json : bool
-        Also write all scores as .json.
     """
     from mseg.evaluation.report import write_report
 
     wanted = {"latex": latex, "markdown": markdown, "csv": csv, "json": json}
     extras = [name for name, asked in wanted.items() if asked]
-    wrote = write_report(
+    for path in write_report(
         submission, data, output, frames=frames, benchmark=benchmark, force=force, extras=extras
-    )
-    for path in wrote:
+    ):
         size = path.stat().st_size / 1000
         shown = f"{size:.1f} kB" if size < 1000 else f"{size / 1000:.1f} MB"
         print(f"wrote {path} ({shown})", file=sys.stderr)
@@ -265,32 +217,28 @@ def report(
 leaderboard = group("leaderboard", "Keep scored submissions in an SQLite file and rank them per benchmark.")
 Board = Annotated[File, Parameter(help="The leaderboard.")]
 Only = Annotated[Name, Parameter(help="Only this one.")]
+_SCORED = "Folder or zip, or a file written by 'mseg score --json'."
 _BOARD = Path("leaderboard.sqlite")
+
+
+def _open(db: Path, *, create: bool = False) -> Leaderboard:
+    from mseg.evaluation.leaderboard import Leaderboard
+
+    return Leaderboard(db, create=create)
 
 
 @leaderboard.command
 def add(
-    submission: Either,
-    data: Folder | None = None,
+    submission: Annotated[Either, Parameter(help=_SCORED)],
+    data: Annotated[Folder | None, Parameter(help="Folder of clips with labels.")] = None,
     /,
     *,
     benchmark: Benchmark = "",
-    replace: Positive | None = None,
+    replace: Annotated[Positive | None, Parameter(help="Number of the entry whose place it takes.")] = None,
     db: Board = _BOARD,
 ) -> None:
-    """Score a submission and keep the scores; those of a score file are marked as claimed.
-
-    Parameters
-    ----------
-    submission : path
-        Folder or zip, or a file written by 'mseg score --json'.
-    data : path
-        Folder of clips with labels.
-    replace : int
-        Number of the entry whose place it takes.
-    """
+    """Score a submission and keep the scores; those of a score file are marked as claimed."""
     from kt3dmoseg.errors import InvalidValueError
-    from mseg.evaluation.leaderboard import Leaderboard
     from mseg.evaluation.scoring import load_scores, score_submission
 
     if data is not None:
@@ -300,33 +248,27 @@ def add(
     else:
         fix = "give it after the submission"
         raise InvalidValueError("data", expected="a folder of clips", found="nothing", fix=fix)
-    board = Leaderboard(db, create=replace is None)
-    number, new = board.add(scores, claimed=data is None, replace=replace)
+    number, new = _open(db, create=replace is None).add(scores, claimed=data is None, replace=replace)
     state = "complete" if scores.complete else f"{scores.benchmark.coverage(scores.names)}"
     print(f"{'added' if new else 'already there'}: entry {number}, {scores.meta.method}, {state}")
 
 
 @leaderboard.command
-def remove(number: Positive, /, *, db: Board = _BOARD) -> None:
-    """Remove an entry.
-
-    Parameters
-    ----------
-    number : int
-        Number of the entry, see 'mseg leaderboard list'.
-    """
-    from mseg.evaluation.leaderboard import Leaderboard
-
-    Leaderboard(db, create=False).remove(number)
+def remove(
+    number: Annotated[Positive, Parameter(help="Number of the entry, see 'mseg leaderboard list'.")],
+    /,
+    *,
+    db: Board = _BOARD,
+) -> None:
+    """Remove an entry."""
+    _open(db).remove(number)
     print(f"removed entry {number}", file=sys.stderr)
 
 
 @leaderboard.command(name="list")
 def list_entries(*, db: Board = _BOARD, json: Json = False) -> None:
     """Print everything that is kept, oldest first."""
-    from mseg.evaluation.leaderboard import Leaderboard
-
-    board = Leaderboard(db, create=False)
+    board = _open(db)
     if json:
         print(json_.dumps([dataclasses.asdict(entry) for entry in board.entries()], indent=1))
     else:
@@ -340,9 +282,7 @@ def rank(*, benchmark: Only = "", db: Board = _BOARD, json: Json = False) -> Non
     A partial submission, or one with failed clips, is listed below the complete ones, without a rank.
     Scores on different data are never ranked together.
     """
-    from mseg.evaluation.leaderboard import Leaderboard
-
-    boards = Leaderboard(db, create=False).boards(benchmark)
+    boards = _open(db).boards(benchmark)
     if json:
         print(json_.dumps([dataclasses.asdict(board) for board in boards], indent=1))
     else:
@@ -351,16 +291,13 @@ def rank(*, benchmark: Only = "", db: Board = _BOARD, json: Json = False) -> Non
 
 @leaderboard.command
 def export(
-    *, output: Annotated[File, Parameter(alias="-o")], benchmark: Only = "", db: Board = _BOARD
+    *,
+    output: Annotated[File, Parameter(alias="-o", help="Ends in .html or .md.")],
+    benchmark: Only = "",
+    db: Board = _BOARD,
 ) -> None:
-    """Write the ranks as a page or Markdown.
+    """Write the ranks as a page or Markdown."""
+    from mseg.evaluation.leaderboard import export
 
-    Parameters
-    ----------
-    output : path
-        Ends in .html or .md.
-    """
-    from mseg.evaluation.leaderboard import Leaderboard, export
-
-    export(Leaderboard(db, create=False), output, benchmark=benchmark)
+    export(_open(db), output, benchmark=benchmark)
     print(f"wrote {output}", file=sys.stderr)
