@@ -6,12 +6,13 @@ import hashlib
 import json
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_text
@@ -20,7 +21,6 @@ from mseg.evaluation.report import render
 from mseg.evaluation.results import ResultsTable
 from mseg.evaluation.scoring import ScoreTable, from_json, to_json
 
-_VERSION = 2
 _WAIT_SECONDS = 60.0
 # The first also when a column is missing, or holds a text that is not UTF-8.
 _DAMAGE = (sqlite3.SQLITE_ERROR, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
@@ -59,8 +59,18 @@ class Entry:
         """The mean as tables print it, in per cent, by which entries are ranked."""
         return round(100 * self.mean, 2)
 
+    @property
+    def scored(self) -> str:
+        """Where the scores come from, for tables."""
+        return "claimed" if self.claimed else "here"
+
 
 _COLUMNS = [each.name for each in fields(Entry)]
+_TYPED = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:-1]]
+_ALL = ", ".join(["id INTEGER PRIMARY KEY", *_TYPED, *_CLAIMED, "scores TEXT NOT NULL"])
+_VERSION_2 = "PRAGMA user_version = 2"
+_CREATE = (f"CREATE TABLE entries ({_ALL}, UNIQUE ({', '.join(_SAME)}))", _VERSION_2)
+_UPDATE = (*(f"ALTER TABLE entries ADD COLUMN {column}" for column in _CLAIMED), _VERSION_2)
 
 
 @dataclass(frozen=True)
@@ -76,8 +86,7 @@ class Board:
         rows = []
         for rank, e in self.ranked:
             errors = [f"{e.shown:.2f}", f"{100 * e.median:.2f}"]
-            scored = "claimed" if e.claimed else "here"
-            facts = [str(e.seeds), str(e.failed or ""), scored, e.added[:10], e.submission_sha256[:8]]
+            facts = [str(e.seeds), str(e.failed or ""), e.scored, e.added[:10], e.submission_sha256[:8]]
             rows.append([str(rank or "-"), e.method, *errors, *facts])
         columns = ["rank", "method", "mean", "median", "seeds", "failed", "scored", "added", "submission"]
         return ResultsTable(f"{self.title}: {self.about}", columns, rows)
@@ -114,7 +123,7 @@ class Leaderboard:
             found = "a folder" if self.path.is_dir() else "a pipe or device"
             raise InputFileError(f"{path}: cannot write", expected="an SQLite file", found=found)
         new = not self.path.exists() or (create and not self.path.stat().st_size)
-        with self._transaction(write=new):
+        with self._open(write=new):
             pass
 
     def add(
@@ -127,29 +136,13 @@ class Leaderboard:
         take the place of entry `replace`. InvalidValueError when an entry of the same submission, or for
         claimed ones of the same data, contradicts them; InputFileError when there is none to replace.
         """
-        summary = scores.summary()
-        row: dict[str, object] = {
-            "added": datetime.now(UTC).isoformat(timespec="seconds"),
-            "benchmark": scores.benchmark.name,
-            "method": scores.meta.method,
-            **asdict(scores.provenance),
-            "clips": len(scores.names),
-            "clips_in_full": scores.benchmark.n_clips,
-            "failed": len(scores.failures),
-            "seeds": len(scores.seeds),
-            "mean": summary.mean,
-            "median": summary.median,
-            "claimed": int(claimed),
-            "scores": json.dumps(to_json(scores)),
-        }
-        row["sha256"] = _checksum([*(row[name] for name in _COLUMNS[1:]), row["scores"]])
-        with self._transaction(write=True) as connection:
-            entries = _read(connection, self.path)
-            same = next((e for e in entries if all(getattr(e, n) == row[n] for n in _SAME)), None)
-            if replace is not None and replace not in [e.id for e in entries]:
+        row = _row(scores, claimed=claimed)
+        with self._open(write=True) as (connection, kept):
+            same = next((e for e in kept if all(getattr(e, name) == row[name] for name in _SAME)), None)
+            if replace is not None and replace not in [e.id for e in kept]:
                 raise self._no_entry(replace)
             if claimed or (same and not same.claimed):
-                self._check_agreement(connection, entries, same, scores, row)
+                self._check_agreement(kept, same, scores, row)
             if same and replace not in (None, same.id):
                 connection.execute("DELETE FROM entries WHERE id = ?", (same.id,))
             elif same and replace is None and same.claimed <= int(claimed):
@@ -160,52 +153,44 @@ class Leaderboard:
             return int(done.lastrowid or 0), True
 
     def _check_agreement(
-        self,
-        connection: sqlite3.Connection,
-        entries: Sequence[Entry],
-        same: Entry | None,
-        scores: ScoreTable,
-        row: Mapping[str, object],
+        self, kept: Mapping[Entry, str], same: Entry | None, scores: ScoreTable, row: Mapping[str, object]
     ) -> None:
         """Refuse scores that an entry of the same submission, or on data of the same hash, contradicts."""
-        peers = [e for e in entries if all(getattr(e, name) == row[name] for name in _SAME[:2])]
+        peers = [e for e in kept if all(getattr(e, name) == row[name] for name in _SAME[:2])]
         peer = same or min(peers, key=lambda e: e.claimed, default=None)
         if peer is None:
             return
-        other = self._scores(connection, peer.id)
-        wrong = "other clips or trajectories" if _clip_sizes(other) != _clip_sizes(scores) else ""
+        other = from_json(kept[peer], f"{self.path}: entry {peer.id}")
+        sizes, own = ({(c.clip, c.n, c.n_motions) for c in table.clips} for table in (other, scores))
+        wrong = "other clips or trajectories" if sizes != own else ""
         if same and other.matrix().tolist() != scores.matrix().tolist():
             wrong = "other errors"
         if wrong:
             what = "the same submission" if same else "data of the same checksum"
+            expected = f"those of entry {peer.id}, which is of {what}"
+            fix = f"score the submission itself; if the entry is wrong: mseg leaderboard remove {peer.id}"
             raise InvalidValueError(
-                f"scores of {scores.meta.method}",
-                expected=f"those of entry {peer.id}, which is of {what}",
-                found=wrong,
-                fix=f"score the submission itself; if the entry is wrong: mseg leaderboard remove {peer.id}",
+                f"scores of {scores.meta.method}", expected=expected, found=wrong, fix=fix
             )
 
     def remove(self, number: int) -> None:
         """Remove an entry; InputFileError when there is none of that number."""
-        with self._transaction(write=True) as connection:
+        with self._open(write=True) as (connection, _):
             if not connection.execute("DELETE FROM entries WHERE id = ?", (number,)).rowcount:
                 raise self._no_entry(number)
 
     def entries(self) -> list[Entry]:
         """Everything that is kept, oldest first."""
-        with self._transaction() as connection:
-            return _read(connection, self.path)
+        with self._open() as (_, kept):
+            return list(kept)
 
     def scores(self, number: int) -> ScoreTable:
         """Return the full scores of an entry."""
-        with self._transaction() as connection:
-            return self._scores(connection, number)
-
-    def _scores(self, connection: sqlite3.Connection, number: int) -> ScoreTable:
-        row = connection.execute("SELECT scores FROM entries WHERE id = ?", (number,)).fetchone()
-        if row is None:
-            raise self._no_entry(number)
-        return from_json(row[0], f"{self.path}: entry {number}")
+        with self._open() as (_, kept):
+            for entry, scores in kept.items():
+                if entry.id == number:
+                    return from_json(scores, f"{self.path}: entry {number}")
+        raise self._no_entry(number)
 
     def _no_entry(self, number: int) -> InputFileError:
         return InputFileError(f"{self.path}", expected=f"entry {number}", found="none of that number")
@@ -222,15 +207,14 @@ class Leaderboard:
         rows = []
         for e in self.entries():
             scored = [f"{100 * e.mean:.2f}", f"{e.clips}/{e.clips_in_full}", str(e.failed), e.dataset_version]
-            source = [e.dataset_sha256[:8], e.submission_sha256[:8], e.toolkit_version]
-            source.append("claimed" if e.claimed else "here")
+            source = [e.dataset_sha256[:8], e.submission_sha256[:8], e.toolkit_version, e.scored]
             rows.append([str(e.id), e.added, e.benchmark, e.method, *scored, *source])
         columns = ["id", "added", "benchmark", "method", "mean %", "clips", "failed", "version", "data"]
         return ResultsTable(self.path.name, [*columns, "submission", "toolkit", "scored"], rows)
 
     @contextmanager
-    def _transaction(self, *, write: bool = False) -> Iterator[sqlite3.Connection]:
-        """Open the file and check it; what is not committed is rolled back."""
+    def _open(self, *, write: bool = False) -> Iterator[tuple[sqlite3.Connection, dict[Entry, str]]]:
+        """Give a transaction and every entry with its scores; what is not committed is rolled back."""
         connection = None
         try:
             if write:
@@ -238,22 +222,42 @@ class Leaderboard:
             address = f"{self.path.absolute().as_uri()}?mode={'rwc' if write else 'ro'}"
             connection = sqlite3.connect(address, timeout=_WAIT_SECONDS, isolation_level=None, uri=True)
             connection.execute("BEGIN IMMEDIATE" if write else "BEGIN")
-            _check(connection, self.path, write=write)
-            yield connection
+            yield connection, _kept(connection, self.path, write=write)
             connection.execute("COMMIT")
         except (sqlite3.Error, OSError) as error:
-            raise error if isinstance(error, KT3DMoSegError) else _failure(self.path, error) from None
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # without the details
+            if isinstance(error, sqlite3.Error) and code in _DAMAGE:
+                raise _damaged(self.path, str(error)) from None
+            if isinstance(error, KT3DMoSegError):
+                raise
+            fix = "check the permissions of the folder and the space on the disk"
+            raise InputFileError(f"{self.path}: cannot write or read", found=str(error), fix=fix) from None
         finally:
             if connection is not None:
                 connection.close()
 
 
-def _failure(path: Path, error: sqlite3.Error | OSError) -> KT3DMoSegError:
-    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # without the details
-    if isinstance(error, sqlite3.Error) and code in _DAMAGE:
-        return _damaged(path, str(error))
-    fix = "check the permissions of the folder and the space on the disk"
-    return InputFileError(f"{path}: cannot write or read", found=str(error), fix=fix)
+def _row(scores: ScoreTable, *, claimed: bool) -> dict[str, Any]:
+    summary = scores.summary()
+    row: dict[str, Any] = {
+        "added": datetime.now(UTC).isoformat(timespec="seconds"),
+        "benchmark": scores.benchmark.name,
+        "method": scores.meta.method,
+        **asdict(scores.provenance),
+        "clips": len(scores.names),
+        "clips_in_full": scores.benchmark.n_clips,
+        "failed": len(scores.failures),
+        "seeds": len(scores.seeds),
+        "mean": summary.mean,
+        "median": summary.median,
+        "claimed": int(claimed),
+        "scores": json.dumps(to_json(scores)),
+    }
+    return row | {"sha256": _checksum(row.values())}
+
+
+def _checksum(values: Iterable[object]) -> str:
+    return hashlib.sha256(json.dumps(list(values)).encode()).hexdigest()
 
 
 def _damaged(path: Path, what: str) -> FileFormatError:
@@ -261,43 +265,31 @@ def _damaged(path: Path, what: str) -> FileFormatError:
     return FileFormatError(f"{path}", expected="a leaderboard", found=found, fix="restore it from a copy")
 
 
-def _check(connection: sqlite3.Connection, path: Path, *, write: bool) -> None:
-    """Refuse another or a damaged database; when writing, make the table or bring it to this version."""
+def _kept(connection: sqlite3.Connection, path: Path, *, write: bool) -> dict[Entry, str]:
+    """Read entries and their scores, oldest first; when writing, make the table or bring it to this version.
+
+    Another or a damaged database is refused. Entries of version 1 are claims, since it does not record it.
+    """
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     tables = {r[0] for r in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    if write and not version and not tables:
-        kinds = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:-1]]
-        columns = ["id INTEGER PRIMARY KEY", *kinds, *_CLAIMED, "scores TEXT NOT NULL"]
-        connection.execute(f"CREATE TABLE entries ({', '.join(columns)}, UNIQUE ({', '.join(_SAME)}))")
-    elif version not in (1, _VERSION) or "entries" not in tables:
-        expected = f"a leaderboard of version {_VERSION}"
-        raise FileFormatError(f"{path}", expected=expected, found=f"version {version} of {path.name}")
-    elif (state := connection.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+    new = write and not version and not tables
+    if not new and (version not in (1, 2) or "entries" not in tables):
+        raise FileFormatError(
+            f"{path}", expected="a leaderboard of version 2", found=f"version {version} of {path.name}"
+        )
+    if (state := connection.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise _damaged(path, state)
-    elif write and version == 1:
-        for column in _CLAIMED:
-            connection.execute(f"ALTER TABLE entries ADD COLUMN {column}")
     if write:
-        connection.execute(f"PRAGMA user_version = {_VERSION}")
-
-
-def _read(connection: sqlite3.Connection, path: Path) -> list[Entry]:
-    """Read the entries, oldest first; those of version 1 are claims, since it does not record it."""
-    present = {row[1] for row in connection.execute("PRAGMA table_info(entries)")}
-    missing = {"claimed": "1", "sha256": "''"}
-    wanted = [n if n in present else missing.get(n, n) for n in (*_COLUMNS, "scores", "sha256")]
-    entries = []
-    for *values, scores, sha256 in connection.execute(f"SELECT {', '.join(wanted)} FROM entries ORDER BY id"):
-        kinds = [{"str": str, "int": int, "float": float}[str(each.type)] for each in fields(Entry)]
-        fine = all(type(value) is kind for value, kind in zip(values, kinds, strict=True))
-        if not fine or sha256 not in ("", _checksum([*values[1:], scores])):
+        for statement in _CREATE if new else _UPDATE if version == 1 else ():
+            connection.execute(statement)
+    newer = "1, ''" if version == 1 and not write else "claimed, sha256"
+    kept = {}
+    query = f"SELECT {', '.join(_COLUMNS[:-1])}, {newer}, scores FROM entries ORDER BY id"
+    for *values, sha256, scores in connection.execute(query):
+        if sha256 not in ("", _checksum([*values[1:], scores])):
             raise _damaged(path, f"entry {values[0]} is not what was written")
-        entries.append(Entry(*values))
-    return entries
-
-
-def _checksum(values: Sequence[object]) -> str:
-    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
+        kept[Entry(*values)] = scores
+    return kept
 
 
 def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str = "") -> None:
@@ -311,10 +303,6 @@ def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str =
         write_text(path, "\n\n".join(["# Leaderboard", *(b.table().markdown() for b in boards), note]) + "\n")
     else:
         raise InvalidValueError(os.fspath(path), expected="a file ending in .html or .md", found=repr(suffix))
-
-
-def _clip_sizes(scores: ScoreTable) -> set[tuple[str, int, int]]:
-    return {(each.clip, each.n, each.n_motions) for each in scores.clips}
 
 
 def _board(entries: list[Entry]) -> Board:
