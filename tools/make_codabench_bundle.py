@@ -23,8 +23,7 @@ from kt3dmoseg.files import write_bytes, zip_bytes
 from kt3dmoseg.io import dataset_paths
 from kt3dmoseg.io.images import encode_indices
 from mseg.evaluation.metrics import all_metrics
-from mseg.evaluation.protocol import load_protocol
-from mseg.evaluation.validation import choose_protocol
+from mseg.evaluation.protocol import choose_protocol, load_protocol
 
 # What the scoring program imports; the other sub-packages (methods, trackers, servers) stay out.
 _PARTS = {

@@ -115,22 +115,22 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
     if array.dtype.kind not in "iufO":
         found = f"values of type {array.dtype}"
         raise InvalidValueError(name, expected="a vector of labels, whole numbers", found=found)
-    expected, good = "whole numbers, of every trajectory", _is_whole(array)
+    good = _are_labels(array)
     if type(values).__module__.startswith("numpy.ma"):  # asked so, since numpy.ma is slow to import
         good &= ~np.ma.getmaskarray(values).ravel()
-    if good.all():
-        expected, good = "labels >= 0", (array >= 0) & (array < _HUGE)
     if not good.all():
         row = int(np.argmin(good))
-        found = "NaN" if array[row] != array[row] else str(array[row])
-        raise InvalidValueError(name, expected=expected, found=f"{found:.40} in row {row}")
+        found = f"{'NaN' if array[row] != array[row] else array[row]!s:.40} in row {row}"
+        expected = "labels >= 0, whole numbers, of every trajectory"
+        raise InvalidValueError(name, expected=expected, found=found)
     return array.astype(np.int64)
 
 
-def _is_whole(array: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+def _are_labels(array: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     if array.dtype.kind == "O":  # of a data frame that can miss some, or of more than 64 bits
-        return np.array([type(v) is not bool and isinstance(v, Integral) for v in array], dtype=np.bool_)
-    return np.asarray(np.isfinite(array) & (array == np.round(array)))
+        whole = [type(v) is not bool and isinstance(v, Integral) and 0 <= int(v) < _HUGE for v in array]
+        return np.array(whole, dtype=np.bool_)
+    return np.asarray((array >= 0) & (array < _HUGE) & (array == np.round(array)))
 
 
 def clip_labels(values: Any, clip: Clip, name: str) -> IntArray:  # noqa: ANN401  # checked

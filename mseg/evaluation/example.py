@@ -16,8 +16,9 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.label_import import Zero, labels_and_note
+from mseg.evaluation.protocol import choose_protocol
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
-from mseg.evaluation.validation import choose_protocol, load_clips
+from mseg.evaluation.validation import load_clips
 
 _EXAMPLE: dict[str, Any] = {
     "method": "example: left and right",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -45,16 +46,11 @@ class Axis:
         if not self.bounds:
             kinds = sorted(set(values.values()))  # all of them numbers, or all texts
             return {str(kind): [clip for clip, v in values.items() if v == kind] for kind in kinds}
-        edges = [float("-inf"), *self.bounds, float("inf")]
-        titles = [
-            f"under {self.bounds[0]:g}",
-            *(f"{low:g} to {high:g}" for low, high in pairwise(self.bounds)),
-            f"{self.bounds[-1]:g} and over",
-        ]
-        bins = {
-            title: [clip for clip, value in values.items() if low <= float(value) < high]
-            for title, (low, high) in zip(titles, pairwise(edges), strict=True)
-        }
+        between = [f"{low:g} to {high:g}" for low, high in pairwise(self.bounds)]
+        titles = [f"under {self.bounds[0]:g}", *between, f"{self.bounds[-1]:g} and over"]
+        bins: dict[str, list[str]] = {title: [] for title in titles}
+        for clip, value in values.items():
+            bins[titles[bisect_right(self.bounds, float(value))]].append(clip)
         return {title: clips for title, clips in bins.items() if clips}
 
 
@@ -178,10 +174,14 @@ def protocol_of_clips(clips: Iterable[str]) -> Protocol:
     return Protocol("custom", "clips of no benchmark", len(names), (group,))
 
 
-def guess_protocol(clips: Iterable[str]) -> Protocol:
-    """Return the benchmark to which most of the clips belong by name; else `protocol_of_clips`."""
-    names = list(clips)
-    known = [load_protocol(name) for name in list_protocols()]
+def choose_protocol(name: str, clips: Iterable[str]) -> Protocol:
+    """Return the protocol of that name; without one, the benchmark to which most of the clips belong by name.
+
+    Clips of no benchmark, or for the name "custom", have a protocol of their own.
+    """
+    if name not in ("", "custom"):
+        return load_protocol(name)
+    names, known = list(clips), list(map(load_protocol, list_protocols()))
     counts = [sum(map(protocol.recognises, names)) for protocol in known]
-    best = max(range(len(known)), key=counts.__getitem__)
-    return known[best] if 2 * counts[best] > len(names) else protocol_of_clips(names)
+    most = max(counts)
+    return protocol_of_clips(names) if name or 2 * most <= len(names) else known[counts.index(most)]

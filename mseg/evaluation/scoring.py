@@ -36,6 +36,7 @@ from mseg.evaluation.metrics import METRICS, all_metrics, evaluate, per_motion
 from mseg.evaluation.protocol import (
     Group,
     Protocol,
+    choose_protocol,
     count,
     list_protocols,
     load_protocol,
@@ -43,7 +44,7 @@ from mseg.evaluation.protocol import (
 )
 from mseg.evaluation.statistics import Summary, summarise
 from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs, wrong_fields
-from mseg.evaluation.validation import Validation, choose_protocol, load_clips, validate_submission
+from mseg.evaluation.validation import Validation, load_clips, validate_submission
 from mseg.types import Segmentation
 
 if TYPE_CHECKING:

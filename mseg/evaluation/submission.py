@@ -67,9 +67,12 @@ _PASSED_OVER = re.compile(r"(?i:(?:readme|licen)[^.]*(?:\.txt|\.md)?)")
 _LITTER = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _TEXT_LIMIT = 2000
 _EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
+_MOST = f"{LIMITS.files} files of at most {MAX_FILE_BYTES >> 20} MiB, {LIMITS.total_bytes >> 20} MiB together"
 _FIX_LARGE = "only meta.toml and prediction files belong here, with one label per evaluated trajectory"
-_FIXES = {"not-a-zip": "make it with: cd my-submission && zip -r ../my-submission.zip ."}
-_FIXES["too-large"] = _FIX_LARGE
+_ZIP_FIXES = {
+    "not-a-zip": "make it with: cd my-submission && zip -r ../my-submission.zip .",
+    "too-large": _FIX_LARGE,
+}
 
 
 def _are_texts(value: object) -> bool:
@@ -391,18 +394,15 @@ def _files_of_folder(root: Path, out: Submission) -> tuple[list[str], Callable[[
         if _ignored(name) or stat.S_ISDIR(status.st_mode):
             continue
         if stat.S_ISLNK(status.st_mode):
-            fix = "put the file itself there (zip follows links by default; cp -L does too)"
-            out.bad("symlink", name, "a plain file", "a symbolic link", fix)
+            out.bad("symlink", name, "a plain file", "a symbolic link", "put the file itself there (cp -L)")
         elif not stat.S_ISREG(status.st_mode):
             out.bad("special-file", name, "a plain file", "a device or pipe", "remove it")
         elif status.st_size > MAX_FILE_BYTES:
-            expected, found = f"at most {MAX_FILE_BYTES >> 20} MiB", f"{status.st_size} bytes"
-            out.bad("too-large", name, expected, found, _FIX_LARGE)
+            out.bad("too-large", name, _MOST, f"{status.st_size} bytes", _FIX_LARGE)
         else:
             sizes[name] = status.st_size
     if len(sizes) > LIMITS.files or sum(sizes.values()) > LIMITS.total_bytes:
-        expected = f"at most {LIMITS.files} files and {LIMITS.total_bytes >> 20} MiB"
-        out.bad("too-large", "", expected, f"{len(sizes)} files, {sum(sizes.values())} bytes", _FIX_LARGE)
+        out.bad("too-large", "", _MOST, f"{len(sizes)} files, {sum(sizes.values())} bytes", _FIX_LARGE)
         sizes.clear()
     return list(sizes), lambda name: read_bytes(root / name, MAX_FILE_BYTES)
 
@@ -411,7 +411,7 @@ def _files_of_zip(path: Path, out: Submission) -> tuple[list[str], Callable[[str
     faults: list[ZipFault] = []
     archive = SafeZip(path, LIMITS, path.name, faults=faults)
     for code, file, expected, found, fix in faults:
-        out.bad(code, file or path.name, expected, found, fix or _FIXES.get(code, ""))
+        out.bad(code, file or path.name, expected, found, fix or _ZIP_FIXES.get(code, ""))
     return [name for name in archive.sizes if not _ignored(name)], archive.read
 
 
@@ -442,9 +442,11 @@ def _report_stray(name: str, out: Submission) -> None:
         fix = "name the folders seed-<number>, or move the files to the top"
         out.bad("unknown-folder", name, expected, f"the folder {folder}", fix)
     elif not _PASSED_OVER.fullmatch(file):
-        fix = "remove it; 'mseg example-submission DATA --from FILES -o OUT' converts label files"
+        fix = "remove it, or convert label files: mseg example-submission DATA --from FILES -o OUT"
         found = PurePosixPath(file).suffix or "no ending"
-        out.bad("unknown-file", name, f"{META} and files ending in {', '.join(_ENDINGS)}", found, fix)
+        out.bad(
+            "unknown-file", name, f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}", found, fix
+        )
 
 
 def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission) -> None:
@@ -466,10 +468,8 @@ def _check_layout(in_seed_folder: list[bool], out: Submission) -> None:
     if not in_seed_folder:
         out.bad("no-predictions", "", f"one file per clip ({', '.join(SUFFIXES)})", "none", _EXAMPLE)
     elif len(set(in_seed_folder)) == 2:
-        expected = "all predictions at the top, or all in seed-<number> folders"
-        found = f"{in_seed_folder.count(False)} at the top and {sum(in_seed_folder)} in seed folders"
         fix = "move the files at the top into a seed folder of their own"
-        out.bad("mixed-seeds", "", expected, found, fix)
+        out.bad("mixed-seeds", "", "all predictions at the top, or all in seed-<number> folders", "both", fix)
 
 
 def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:

@@ -15,7 +15,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import Problem, first_few, is_zero_based, join_labels, numbered
 from kt3dmoseg.registry import nearest
 from kt3dmoseg.types import Clip, IntArray
-from mseg.evaluation.protocol import Protocol, count, guess_protocol, load_protocol, protocol_of_clips
+from mseg.evaluation.protocol import Protocol, choose_protocol, count
 from mseg.evaluation.submission import (
     META,
     Submission,
@@ -143,13 +143,6 @@ def load_clips(data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip
         fix = "on the command line give the data last, to mseg.score(truth, pred) first"
         raise InvalidValueError(f"{path}", expected="the data (a folder of clips)", found=found, fix=fix)
     return clips_by_name([load(path)]) if path.is_file() else load_dataset(path)
-
-
-def choose_protocol(name: str, clips: Iterable[str]) -> Protocol:
-    """Return the protocol of that name; without one, the protocol that the clips belong to."""
-    if name == "custom":
-        return protocol_of_clips(clips)
-    return load_protocol(name) if name else guess_protocol(clips)
 
 
 def _check_labels(seed: int, name: str, file: str, out: Validation) -> None:

@@ -5,7 +5,7 @@ import kt3dmoseg
 from kt3dmoseg.errors import UnknownNameError
 from kt3dmoseg.io import dataset_paths
 from mseg.evaluation import fingerprint, list_protocols, load_protocol
-from mseg.evaluation.protocol import guess_protocol
+from mseg.evaluation.protocol import choose_protocol
 
 
 def test_the_five_benchmarks():
@@ -74,7 +74,7 @@ def test_a_complete_benchmark_is_called_complete():
 def test_real_data_fall_into_their_groups(data_root, folder, name, coverage, groups):
     paths = dataset_paths(data_root / folder)
     protocol = load_protocol(name)
-    assert guess_protocol(paths) == protocol
+    assert choose_protocol("", paths) == protocol
     motions = {n: kt3dmoseg.load(p).n_motions if name == "hopkins155" else 2 for n, p in paths.items()}
     assert protocol.coverage(motions) == coverage
     assert {g.name: len(protocol.clips_of(g, motions)) for g in protocol.groups} == groups
