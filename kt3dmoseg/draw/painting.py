@@ -16,7 +16,7 @@ from kt3dmoseg.draw.palette import Colour, label_colour
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import read_prediction
 from kt3dmoseg.matching import match_labels
-from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Trajectories
+from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Labels, Trajectories
 
 _SHIFT = 4  # OpenCV draws at 1/16 px
 _FONT, _FONT_SCALE, _LINE = cv2.FONT_HERSHEY_SIMPLEX, 0.42, 15
@@ -36,21 +36,24 @@ class Painting:
     ringed: BoolArray | None = None  # (N,): whose points have a white ring
 
 
+def groups(labels: Labels) -> list[tuple[int, str, int]]:
+    """Value, name and size of every label that occurs, ascending."""
+    called = {labels.background: "background", 0: "unlabelled"} | dict(labels.names)
+    values, sizes = np.unique(labels.label, return_counts=True)
+    return [(v, called.get(v, ""), n) for v, n in zip(values.tolist(), sizes.tolist(), strict=True)]
+
+
 def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None = None) -> Painting:
     """Colour the evaluated trajectories by their labels (n,).
 
     With ``names``, the labels are the clip's own: its background is named and gray. Without, they are any.
     """
-    values = np.asarray(label, dtype=np.int64)
-    background = None if names is None else clip.labels.background
-    called = {0: "unlabelled"} | dict(names or {})
-    if background is not None:
-        called.setdefault(background, "background")
-    legend = []
-    for value, count in zip(*(part.tolist() for part in np.unique(values, return_counts=True)), strict=True):
-        text = f"{value} {called.get(value, '')}".rstrip()
-        legend.append((f"{text}: {count}", label_colour(value, background)))
-    return Painting(clip.evaluated_trajectories, _label_colours(values, background), legend)
+    labels = Labels(np.asarray(label), None if names is None else clip.labels.background, names or {})
+    legend = [
+        (f"{value} {name}".rstrip() + f": {size}", label_colour(value, labels.background))
+        for value, name, size in groups(labels)
+    ]
+    return Painting(clip.evaluated_trajectories, _label_colours(labels.label, labels.background), legend)
 
 
 def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
@@ -124,37 +127,31 @@ def draw_frame(
 
 
 def _canvas(trajectories: Trajectories, picture: ByteArray | None, options: DrawOptions) -> ByteArray:
-    given = None if picture is None else (picture.shape[1], picture.shape[0])
+    given = None if picture is None else picture.shape[::-1]
     width, height = given or trajectories.image_size or _extent(trajectories)
     if width * height * options.scale**2 > _MAX_PIXELS:
-        raise InvalidValueError(
-            "scale",
-            expected=f"pictures of at most {_MAX_PIXELS} pixels",
-            found=f"{width}x{height}, enlarged {options.scale} times",
-        )
+        found = f"{width}x{height}, enlarged {options.scale} times"
+        raise InvalidValueError("scale", expected=f"pictures of at most {_MAX_PIXELS} pixels", found=found)
     if picture is None:
         return np.zeros((height * options.scale, width * options.scale, 3), dtype=np.uint8)
     dimmed = np.rint(picture * options.dim).astype(np.uint8)
-    large = np.repeat(np.repeat(dimmed, options.scale, axis=0), options.scale, axis=1)
-    return np.ascontiguousarray(np.repeat(large[..., None], 3, axis=2))
+    large = dimmed.repeat(options.scale, axis=0).repeat(options.scale, axis=1)
+    return np.repeat(large[..., None], 3, axis=2)
 
 
 def _extent(trajectories: Trajectories) -> tuple[int, int]:
     """Width and height that hold every point, for clips without an image size."""
-    if not trajectories.visible.any():
-        return 64, 48
-    furthest = np.ceil(trajectories.xy[trajectories.visible].max(axis=0)) + 1
-    width, height = np.clip(furthest, (64, 48), _MAX_EXTENT).astype(np.int64).tolist()
-    return width, height
+    points = trajectories.xy[trajectories.visible]
+    width, height = np.clip(np.ceil(points.max(axis=0, initial=0)) + 1, (64, 48), _MAX_EXTENT).tolist()
+    return int(width), int(height)
 
 
 def _draw_trails(canvas: ByteArray, painting: Painting, frame: int, options: DrawOptions) -> None:
-    tracks = painting.trajectories
-    start = max(0, frame - options.trail)
+    tracks, start = painting.trajectories, max(0, frame - options.trail)
     for row in np.flatnonzero(tracks.visible[:, frame]).tolist():
-        seen = tracks.visible[row, start : frame + 1]
         # Only the unbroken run that ends here: a trail must not bridge a gap.
-        begin = start + (len(seen) - int(np.argmin(seen[::-1]))) if not seen.all() else start
+        gaps = np.flatnonzero(~tracks.visible[row, start:frame])
+        begin = start + int(gaps.max(initial=-1)) + 1
         points = _fixed_point(tracks.xy[row, begin : frame + 1], options.scale)
         if len(points) > 1:
             colour = painting.colours[row].tolist()
@@ -162,12 +159,10 @@ def _draw_trails(canvas: ByteArray, painting: Painting, frame: int, options: Dra
 
 
 def _draw_points(canvas: ByteArray, painting: Painting, frame: int, options: DrawOptions) -> None:
-    rows = np.flatnonzero(painting.trajectories.visible[:, frame])
-    points = _fixed_point(painting.trajectories.xy[rows, frame], options.scale)
+    rows, xy = painting.trajectories.at(frame)
     radius = round(options.radius * options.scale * (1 << _SHIFT))
-    for row, point in zip(rows.tolist(), points.tolist(), strict=True):
-        colour = painting.colours[row].tolist()
-        cv2.circle(canvas, point, radius, colour, cv2.FILLED, cv2.LINE_AA, _SHIFT)
+    for row, point in zip(rows.tolist(), _fixed_point(xy, options.scale).tolist(), strict=True):
+        cv2.circle(canvas, point, radius, painting.colours[row].tolist(), cv2.FILLED, cv2.LINE_AA, _SHIFT)
         if painting.ringed is not None and painting.ringed[row]:
             cv2.circle(canvas, point, 2 * radius, _WHITE, options.scale, cv2.LINE_AA, _SHIFT)
 
@@ -179,17 +174,13 @@ def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int3
 
 
 def _draw_legend(canvas: ByteArray, title: str, legend: Legend, scale: int) -> None:
-    lines: list[tuple[str, Colour | None]] = [(title, None)] if title else []
-    lines += legend
-    if not lines:
-        return
+    lines = [*([(title, None)] if title else []), *legend]
     size, line = _FONT_SCALE * scale, _LINE * scale
-    widest = max(cv2.getTextSize(text, _FONT, size, scale)[0][0] for text, _ in lines)
-    canvas[: line * len(lines) + 8 * scale, : min(widest + 30 * scale, canvas.shape[1])] //= 4
+    widest = max((cv2.getTextSize(text, _FONT, size, scale)[0][0] for text, _ in lines), default=0)
+    if lines:
+        canvas[: line * len(lines) + 8 * scale, : widest + 30 * scale] //= 4
     for number, (text, colour) in enumerate(lines):
-        left, top = 6 if colour is None else 22, line * number + 5 * scale
-        cv2.putText(
-            canvas, text, (left * scale, line * (number + 1)), _FONT, size, _WHITE, scale, cv2.LINE_AA
-        )
+        left, top = (6 if colour is None else 22) * scale, line * number + 5 * scale
+        cv2.putText(canvas, text, (left, line * (number + 1)), _FONT, size, _WHITE, scale, cv2.LINE_AA)
         if colour is not None:
             cv2.rectangle(canvas, (7 * scale, top), (17 * scale, top + 9 * scale), colour, cv2.FILLED)
