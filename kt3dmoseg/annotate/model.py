@@ -26,6 +26,7 @@ from pydantic import (
     ConfigDict,
     FailFast,
     Field,
+    PlainSerializer,
     TypeAdapter,
     ValidationError,
 )
@@ -52,6 +53,7 @@ MAX_SIDE = 100_000
 _MAX_BYTES = 32 << 20
 _MAX_VALUES = 3_000_000
 _DECIMALS = 2
+_ORDER = ("clip", "revision", "protocol", "annotator", "image_size", "n_frames", "objects", "marks")
 
 
 def _check_motion(value: object) -> object:
@@ -80,7 +82,12 @@ Motion: TypeAlias = Annotated[
 ]
 Coordinate: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_SIDE, le=MAX_SIDE, allow_inf_nan=False)]
 Point: TypeAlias = tuple[Coordinate, Coordinate]
-Polygon: TypeAlias = Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_POINTS), FailFast()]
+Polygon: TypeAlias = Annotated[
+    tuple[Point, ...],
+    Field(min_length=3, max_length=MAX_POINTS),
+    FailFast(),
+    PlainSerializer(lambda polygon: [[round(x, _DECIMALS), round(y, _DECIMALS)] for x, y in polygon]),
+]
 _Frame: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAMES)]
 _Count: TypeAlias = Annotated[int, Field(strict=True, ge=1, le=MAX_FRAMES)]
 _Side: TypeAlias = Annotated[int, Field(strict=True, ge=1, le=MAX_SIDE)]
@@ -310,24 +317,28 @@ def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annot
 
 def dumps(annotation: Annotation) -> str:
     """Return the JSON text of an annotation, one polygon a line."""
-    return _indented(to_json(annotation), 0) + "\n"
+    return _indented(to_json(annotation), "\n") + "\n"
+
+
+def _indented(value: Any, line: str) -> str:  # noqa: ANN401  # whatever JSON holds
+    first = value[0] if isinstance(value, list) and value else None
+    if isinstance(value, dict):
+        parts = [f"{json.dumps(key)}: {_indented(item, line + ' ')}" for key, item in value.items()]
+    elif isinstance(first, dict) or (isinstance(first, list) and isinstance(first[0], list)):
+        parts = [_indented(item, line + " ") for item in value]
+    else:
+        return json.dumps(value, ensure_ascii=False)
+    opening, closing = "{}" if isinstance(value, dict) else "[]"
+    return f"{opening}{line} " + f",{line} ".join(parts) + line + closing
 
 
 def to_json(annotation: Annotation) -> dict[str, Any]:
     """Return an annotation as JSON-able values; coordinates rounded to 1/100 pixel."""
-    marks = annotation.marks
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "clip": annotation.clip,
-        "revision": annotation.revision,
-        "protocol": annotation.protocol,
-        "annotator": annotation.annotator,
-        "image_size": list(annotation.image_size),
-        "n_frames": annotation.n_frames,
-        "objects": [_object_to_json(item) for item in annotation.objects],
-        "marks": [{"frame": m.frame, "motion": m.motion, "polygon": _rounded(m.polygon)} for m in marks],
-    }
+    data = _ANNOTATION.dump_python(annotation, mode="json")
+    for item in data["objects"]:
+        note, keys = item.pop("note"), item.pop("key_frames")
+        item |= {"note": note, "key_frames": keys} if note else {"key_frames": keys}
+    return {"format": FORMAT, "version": VERSION} | {name: data[name] for name in _ORDER}
 
 
 def from_json(data: object) -> Annotation:
@@ -421,34 +432,3 @@ def _refusal(detail: ErrorDetails, where: str) -> InvalidValueError:
     meant = nearest(str(detail["input"]), get_args(Kind)) if detail["type"] == "literal_error" else ""
     found = "nothing" if detail["type"] == "missing" else found
     return InvalidValueError(where, expected=expected, found=found, fix=meant and f"did you mean {meant!r}?")
-
-
-def _indented(value: Any, depth: int) -> str:  # noqa: ANN401  # whatever JSON holds
-    """Lay JSON out one item a line, but lists of numbers and of points on one line each."""
-    inner, outer = "\n" + " " * (depth + 1), "\n" + " " * depth
-    if isinstance(value, dict) and value:
-        items = [f"{json.dumps(key)}: {_indented(item, depth + 1)}" for key, item in value.items()]
-        return "{" + inner + f",{inner}".join(items) + outer + "}"
-    if isinstance(value, list) and value and not _is_flat(value):
-        return "[" + inner + f",{inner}".join(_indented(item, depth + 1) for item in value) + outer + "]"
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _is_flat(value: list[Any]) -> bool:
-    first = value[0]
-    return isinstance(first, (int, float)) or (isinstance(first, list) and not isinstance(first[0], list))
-
-
-def _object_to_json(item: AnnotatedObject) -> dict[str, Any]:
-    out: dict[str, Any] = {"id": item.id, "name": item.name, "kind": item.kind, "motion": item.motion}
-    if item.note:
-        out["note"] = item.note
-    out["key_frames"] = [
-        {"frame": key.frame, "visibility": key.visibility, "polygons": [_rounded(p) for p in key.polygons]}
-        for key in item.key_frames
-    ]
-    return out
-
-
-def _rounded(polygon: Polygon) -> list[list[float]]:
-    return [[round(x, _DECIMALS), round(y, _DECIMALS)] for x, y in polygon]
