@@ -10,22 +10,13 @@ import numpy as np
 from kt3dmoseg.annotate.model import Polygon
 from kt3dmoseg.types import BoolArray, FloatArray
 
-_BLOCK = 1 << 20
-_MANY = 200
-_TINY = 1e-12
 # Largest root mean square shift of corners, as a share of the outline's size, of one edited outline.
 _SAME_CORNERS = 0.15
 
 
 def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Find which of the points (N, 2) lie in a closed polygon (P, 2), by the even-odd rule: (N,) bool."""
-    x, y = points[:, :1], points[:, 1:]
-    ax, ay = polygon.T
-    bx, by = np.roll(polygon, -1, axis=0).T
-    crosses = (ay > y) != (by > y)
-    run = by - ay
-    at = ax + (y - ay) * (bx - ax) / np.where(run == 0, 1.0, run)
-    return np.asarray((crosses & (x < at)).sum(axis=1) % 2 == 1)
+    """Find which of the points (N, 2) lie in a polygon (P, 2) or on it, by the even-odd rule: (N,) bool."""
+    return np.asarray(signed_distance(points, [polygon], reach=0.0) >= 0)
 
 
 def signed_distance(points: FloatArray, polygons: Sequence[FloatArray], reach: float = np.inf) -> FloatArray:
@@ -39,17 +30,10 @@ def signed_distance(points: FloatArray, polygons: Sequence[FloatArray], reach: f
         left, top, right, bottom = bounds([polygon])
         low, high = (left - reach, top - reach), (right + reach, bottom + reach)
         near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        if len(polygon) > _MANY:  # a person draws fewer; OpenCV needs 1/10 of the time, and rounds to float32
-            contour = polygon.astype(np.float32)[:, None]
-            depths = [cv2.pointPolygonTest(contour, point, True) for point in points[near].tolist()]
-            best[near] = np.maximum(best[near], depths)
-            continue
-        step = max(1, _BLOCK // len(polygon))
-        for start in range(0, len(near), step):
-            rows = near[start : start + step]
-            distance = _boundary_distance(points[rows], polygon)
-            signed = np.where(inside(points[rows], polygon), distance, -distance)
-            best[rows] = np.maximum(best[rows], signed)
+        # OpenCV rounds to float32, which is finest around 0.
+        contour = (polygon - polygon[0]).astype(np.float32)[:, None]
+        depths = [cv2.pointPolygonTest(contour, p, True) for p in (points[near] - polygon[0]).tolist()]
+        best[near] = np.maximum(best[near], depths)
     best[best < -reach] = -np.inf
     return best
 
@@ -114,11 +98,3 @@ def _same_outline(a: FloatArray, b: FloatArray) -> bool:
     """Whether vertex k of both is the same corner: one was edited from the other."""
     gap = (a - a.mean(axis=0)) - (b - b.mean(axis=0))
     return bool(np.sqrt((gap**2).sum(axis=1).mean()) <= _SAME_CORNERS * np.sqrt(abs(area(a)) + 1))
-
-
-def _boundary_distance(points: FloatArray, polygon: FloatArray) -> FloatArray:
-    edge = np.roll(polygon, -1, axis=0) - polygon
-    to_point = points[:, None, :] - polygon[None]
-    share = (to_point * edge).sum(axis=2) / np.maximum((edge**2).sum(axis=1), _TINY)
-    gap = to_point - np.clip(share, 0.0, 1.0)[..., None] * edge
-    return np.asarray(np.sqrt((gap**2).sum(axis=2).min(axis=1)))

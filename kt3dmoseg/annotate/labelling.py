@@ -23,7 +23,7 @@ A mark overrules all else for the trajectories that it encloses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -31,7 +31,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.geometry import inside, signed_distance
-from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Motion, Visibility
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Motion
 from kt3dmoseg.annotate.propagation import ImageMotion, Region, TrackMotion, fit_similarities, propagate
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import from_mapping, option
@@ -147,20 +147,24 @@ def label_tracks_detailed(
     votes = np.zeros((len(trajectories), len(candidates)))
     contested = np.zeros(len(trajectories), dtype=np.bool_)
     for frame in range(trajectories.n_frames):
-        rows = np.flatnonzero(trajectories.visible[:, frame])
-        inner = [
-            (item.motion, regions[item.id][frame].visibility, depths[item.id][rows, frame])
-            for item in annotation.objects
-        ]
-        weight, torn = _votes(len(rows), inner, candidates, rule.margin)
+        rows, _ = trajectories.at(frame)
+        depth = np.full((len(rows), len(candidates)), -np.inf)
+        hidden = np.zeros(len(rows), dtype=np.bool_)
+        for item in annotation.objects:
+            inner, column = depths[item.id][rows, frame], candidates.index(item.motion)
+            if regions[item.id][frame].visibility == "occluded":
+                hidden |= inner > 0
+            else:
+                depth[:, column] = np.maximum(depth[:, column], inner)
+        weight, torn = _votes(depth, hidden, rule.margin)
         votes[rows] += weight
         contested[rows] |= torn
     choice, reason = _decide(votes, contested, trajectories.lengths > 0, rule)
-    for row, winner in _decide_by_motion(trajectories, annotation.objects, depths, rule).items():
-        choice[row], reason[row] = candidates.index(winner), _LABELLED
+    for rows, motion_there in _decide_by_motion(trajectories, annotation.objects, depths, rule):
+        choice[rows], reason[rows] = candidates.index(motion_there), _LABELLED
     for mark in annotation.marks:
-        rows = np.flatnonzero(trajectories.visible[:, mark.frame])
-        held = rows[inside(trajectories.xy[rows, mark.frame], np.array(mark.polygon))]
+        rows, xy = trajectories.at(mark.frame)
+        held = rows[inside(xy, np.array(mark.polygon))]
         choice[held] = candidates.index(mark.motion)
         reason[held] = _REJECTED if mark.motion == REJECT else _LABELLED
     number = np.array([0 if motion == REJECT else motion + 1 for motion in candidates], dtype=np.int64)
@@ -168,21 +172,8 @@ def label_tracks_detailed(
     return LabelledTracks(labels, reason, votes, candidates)
 
 
-def _votes(
-    count: int,
-    regions: Sequence[tuple[Motion, Visibility, FloatArray]],
-    candidates: Sequence[Motion],
-    margin: float,
-) -> tuple[FloatArray, BoolArray]:
-    """Weights (n, K) of votes in one frame, and where two motions claim a point (n,), from depths (n,)."""
-    depth = np.full((count, len(candidates)), -np.inf)
-    hidden = np.zeros(count, dtype=np.bool_)
-    for motion, visibility, inner in regions:
-        if visibility == "occluded":
-            hidden |= inner > 0
-        else:
-            column = candidates.index(motion)
-            depth[:, column] = np.maximum(depth[:, column], inner)
+def _votes(depth: FloatArray, hidden: BoolArray, margin: float) -> tuple[FloatArray, BoolArray]:
+    """Weights (n, K) of votes in one frame, and where two motions claim a point (n,), from depths (n, K)."""
     static, moving, rejected = depth[:, 0], depth[:, 1:-1], depth[:, -1]
     outside = -np.maximum(moving.max(axis=1, initial=-np.inf), rejected)
     background = np.maximum(np.minimum(static, -rejected), outside)
@@ -231,93 +222,62 @@ def _decide_by_motion(
     objects: Sequence[AnnotatedObject],
     depths: Mapping[int, FloatArray],
     rule: LabelRule,
-) -> dict[int, Motion]:
-    """Return row to motion (0 = background) of the trajectories that the rule decides.
-
-    `depths` are those of `_region_depths`, per object, with a reach of at least `halo`.
-    """
-    behind = trajectories.visible.copy()
+) -> Iterator[tuple[IntArray, Motion]]:
+    """Yield rows of the trajectories that the rule decides, and their motion (0 = background)."""
+    steps = range(trajectories.n_frames - 1)
     with np.errstate(invalid="ignore"):
-        for depth in depths.values():
-            behind &= depth < -rule.halo
-    decided: dict[int, Motion] = {}
+        behind = trajectories.visible & np.all([depth < -rule.halo for depth in depths.values()], axis=0)
     for item in objects:
-        if item.motion in (BACKGROUND, REJECT):
+        depth = depths[item.id]
+        with np.errstate(invalid="ignore"):
+            clear = depth > rule.margin
+            # Along the outline: within `halo` outside and about as near inside, in most frames.
+            close = (depth >= -rule.halo) & (depth <= 2 * rule.margin)
+        rows = np.flatnonzero(2 * close.sum(axis=1) > trajectories.lengths)
+        if item.motion in (BACKGROUND, REJECT) or not len(rows) or not steps:
             continue
-        depth = np.where(depths[item.id] < -rule.halo, -np.inf, depths[item.id])
-        clear = np.nan_to_num(depth, nan=-np.inf) > rule.margin
-        rows = _along(depth, rule.halo, rule.margin)
-        errors = np.array(
-            [_errors(trajectories, rows, clear, behind, f) for f in range(trajectories.n_frames - 1)]
-        ).reshape(trajectories.n_frames - 1, len(rows), 3)
-        for k, row in enumerate(rows.tolist()):
-            with_object = _winner(errors[~np.isnan(errors[:, k, 0]), k], rule.ratio, rule.least_gap)
-            if with_object is not None:
-                decided[row] = item.motion if with_object else BACKGROUND
-    return decided
+        errors = np.stack([_errors(trajectories, rows, clear, behind, frame) for frame in steps])
+        errors[np.isnan(errors).any(axis=2)] = np.nan
+        known = np.isfinite(errors[..., 0]).sum(axis=0) >= _MIN_STEPS
+        of_object, of_background, gap = np.nanmedian(errors[:, known], axis=0).T
+        told = gap >= rule.least_gap
+        yield rows[known][told & (of_background * rule.ratio <= of_object)], BACKGROUND
+        yield rows[known][told & (of_object * rule.ratio <= of_background)], item.motion
 
 
 def _region_depths(trajectories: Trajectories, regions: Sequence[Region], reach: float) -> FloatArray:
     """Signed distance (N, F) to the outline, positive inside; -inf beyond `reach`, NaN where unseen."""
     depth = np.where(trajectories.visible, -np.inf, np.nan)
     for frame, region in enumerate(regions):
-        rows = np.flatnonzero(trajectories.visible[:, frame])
-        depth[rows, frame] = signed_distance(trajectories.xy[rows, frame], region.polygons, reach)
+        rows, xy = trajectories.at(frame)
+        depth[rows, frame] = signed_distance(xy, region.polygons, reach)
     return depth
-
-
-def _along(depth: FloatArray, halo: float, margin: float) -> IntArray:
-    """Rows that keep to the outline: within `halo` outside and about as near inside, in most frames."""
-    seen = ~np.isnan(depth)
-    with np.errstate(invalid="ignore"):
-        close = (depth >= -halo) & (depth <= 2 * margin)
-    return np.flatnonzero((close.sum(axis=1) * 2 > seen.sum(axis=1)) & seen.any(axis=1))
-
-
-def _winner(errors: FloatArray, ratio: float, least_gap: float) -> bool | None:
-    """Whether a row moves with the object, with the background (False), or neither is clear (None)."""
-    if len(errors) < _MIN_STEPS:
-        return None
-    of_object, of_background, gap = np.median(errors, axis=0)
-    if gap < least_gap:
-        return None
-    if of_object * ratio <= of_background:
-        return True
-    return False if of_background * ratio <= of_object else None
 
 
 def _errors(
     trajectories: Trajectories, rows: IntArray, clear: BoolArray, behind: BoolArray, frame: int
 ) -> FloatArray:
     """Errors (n, 3) of one step: of the object's prediction, of the background's, and their difference."""
-    out = np.full((len(rows), 3), np.nan)
     both = trajectories.visible[:, frame] & trajectories.visible[:, frame + 1]
-    here = np.flatnonzero(both[rows])
-    if not len(here):
-        return out
-    asked = rows[here]
-    step = trajectories.xy[asked, frame + 1] - trajectories.xy[asked, frame]
-    of_object, object_ok = _predict(trajectories, clear[:, frame] & both, asked, frame)
-    of_background, background_ok = _predict(trajectories, behind[:, frame] & both, asked, frame)
-    known = object_ok & background_ok
+    step = trajectories.xy[rows, frame + 1] - trajectories.xy[rows, frame]
+    of_object = _predict(trajectories, clear[:, frame] & both, rows, frame)
+    of_background = _predict(trajectories, behind[:, frame] & both, rows, frame)
     vectors = (step - of_object, step - of_background, of_object - of_background)
-    out[here[known]] = np.stack([np.hypot(*vector[known].T) for vector in vectors], axis=1)
-    return out
+    return np.stack([np.hypot(*vector.T) for vector in vectors], axis=1)
 
 
-def _predict(
-    trajectories: Trajectories, usable: BoolArray, rows: IntArray, frame: int
-) -> tuple[FloatArray, BoolArray]:
-    """Displacements (n, 2) at the rows from the nearest usable others, and where there are enough (n,)."""
-    others = np.flatnonzero(usable)
-    here = trajectories.xy[rows, frame]
-    if not len(others):
-        return np.zeros_like(here), np.zeros(len(rows), dtype=np.bool_)
-    count = min(_NEIGHBOURS + 1, len(others))
+def _predict(trajectories: Trajectories, usable: BoolArray, rows: IntArray, frame: int) -> FloatArray:
+    """Displacements (n, 2) at the rows from the nearest usable others; NaN where these are too few."""
+    out, others = np.full((len(rows), 2), np.nan), np.flatnonzero(usable)
+    seen = np.flatnonzero(trajectories.visible[rows, frame])
+    if not len(others) or not len(seen):
+        return out
+    here, count = trajectories.xy[rows[seen], frame], min(_NEIGHBOURS + 1, len(others))
     _, nearest = cKDTree(trajectories.xy[others, frame]).query(here, k=range(1, count + 1))
     found = others[nearest]
-    known = found != rows[:, None]
+    known = found != rows[seen, None]
     # One more than needed, because a row may find itself.
     known &= np.cumsum(known, axis=1) <= _NEIGHBOURS
     models, ok = fit_similarities(trajectories.xy[found, frame], trajectories.xy[found, frame + 1], known)
-    return (models[:, :, :2] @ here[..., None])[..., 0] + models[:, :, 2] - here, ok
+    out[seen[ok]] = ((models[:, :, :2] @ here[..., None])[..., 0] + models[:, :, 2] - here)[ok]
+    return out

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from kt3dmoseg.annotate import formats
 from kt3dmoseg.annotate.formats.foreign import SkippedWarning
 from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of
-from kt3dmoseg.annotate.geometry import inside
 from kt3dmoseg.errors import KT3DMoSegError
 
 EMPTY = replace(scene(), objects=(), marks=())
@@ -150,6 +149,15 @@ def test_the_worst_files_stay_within_the_bounds_of_time_and_memory():
     done = subprocess.run([sys.executable, "-c", _HOSTILE], capture_output=True, text=True, timeout=110)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) << 10 < 300 << 20
+
+
+def inside(points, polygon):
+    """The even-odd rule, edge by edge; of a boundary, the left and the upper part are inside."""
+    (x, y), odd = points.T, np.zeros(len(points), bool)
+    for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if ay != by:
+            odd ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * (bx - ax) / (by - ay))
+    return odd
 
 
 @settings(max_examples=60, deadline=None)
