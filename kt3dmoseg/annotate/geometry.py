@@ -12,6 +12,7 @@ from kt3dmoseg.types import BoolArray, FloatArray
 
 # Largest root mean square shift of corners, as a share of the outline's size, of one edited outline.
 _SAME_CORNERS = 0.15
+_SAMPLES = 72
 
 
 def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
@@ -56,6 +57,11 @@ def area(polygon: FloatArray) -> float:
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
+def size(polygons: Sequence[FloatArray]) -> float:
+    """Area of polygons together, in square pixels."""
+    return sum(abs(area(polygon)) for polygon in polygons)
+
+
 def resample(polygon: FloatArray, count: int) -> FloatArray:
     """Return `count` points at equal distances along the boundary, starting at the first vertex."""
     closed = np.concatenate([polygon, polygon[:1]])
@@ -64,9 +70,7 @@ def resample(polygon: FloatArray, count: int) -> FloatArray:
     return np.stack([np.interp(at, length, closed[:, axis]) for axis in (0, 1)], axis=1)
 
 
-def blend(
-    first: Sequence[FloatArray], second: Sequence[FloatArray], weight: float, count: int = 72
-) -> list[FloatArray]:
+def blend(first: Sequence[FloatArray], second: Sequence[FloatArray], weight: float) -> list[FloatArray]:
     """Blend two outlines of one region: 0 gives the first, 1 the second.
 
     Polygons with the same corners are blended vertex by vertex. Others are resampled, turned the
@@ -75,26 +79,19 @@ def blend(
     """
     if len(first) != len(second):
         return list(first if weight < 0.5 else second)
-    return [
-        (1 - weight) * a + weight * b
-        for a, b in (_matched(a, b, count) for a, b in zip(first, second, strict=True))
-    ]
+    return [(1 - weight) * a + weight * b for a, b in map(_matched, first, second)]
 
 
-def _matched(a: FloatArray, b: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    if len(a) == len(b) and _same_outline(a, b):
-        return a, b
-    a, b = resample(a, count), resample(b, count)
+def _matched(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if len(a) == len(b):
+        gap = (a - a.mean(axis=0)) - (b - b.mean(axis=0))
+        if np.sqrt((gap**2).sum(axis=1).mean()) <= _SAME_CORNERS * np.sqrt(abs(area(a)) + 1):
+            return a, b  # vertex k of both is the same corner: one was edited from the other
+    a, b = resample(a, _SAMPLES), resample(b, _SAMPLES)
     if area(a) * area(b) < 0:
         b = b[::-1]
     centred = (a - a.mean(axis=0)) @ (b - b.mean(axis=0)).T
     # The best cyclic shift maximises the sum of inner products along a wrapped diagonal.
-    index = np.arange(count)
-    fits = [centred[index, (index + shift) % count].sum() for shift in range(count)]
+    index = np.arange(_SAMPLES)
+    fits = [centred[index, (index + shift) % _SAMPLES].sum() for shift in index]
     return a, np.roll(b, -int(np.argmax(fits)), axis=0)
-
-
-def _same_outline(a: FloatArray, b: FloatArray) -> bool:
-    """Whether vertex k of both is the same corner: one was edited from the other."""
-    gap = (a - a.mean(axis=0)) - (b - b.mean(axis=0))
-    return bool(np.sqrt((gap**2).sum(axis=1).mean()) <= _SAME_CORNERS * np.sqrt(abs(area(a)) + 1))

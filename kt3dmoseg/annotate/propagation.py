@@ -18,7 +18,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, signed_distance
+from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, signed_distance, size
 from kt3dmoseg.annotate.model import Annotation, KeyFrame, Visibility
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
 
@@ -85,15 +85,12 @@ def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict
 
 def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion | None) -> list[Region]:
     """Return the region in every frame of an object with these key frames; see `propagate`."""
-    regions: list[Region] = []
-    first = keys[0]
-    if first.frame:
-        carried = _carry(first, 0, None, motion)
-        regions += [Region(first.visibility, tuple(polygons)) for polygons in reversed(carried[1:])]
+    before = _carry(keys[0], 0, None, motion)[1:]
+    regions = [Region(keys[0].visibility, tuple(polygons)) for polygons in reversed(before)]
     for key, after in zip(keys, (*keys[1:], None), strict=True):
         regions.append(Region(key.visibility, tuple(arrays(key.polygons)), key=True))
-        end = after.frame if after else n_frames
-        regions += [Region(key.visibility, tuple(polygons)) for polygons in _between(key, after, end, motion)]
+        between = _between(key, after, n_frames, motion)
+        regions += [Region(key.visibility, tuple(polygons)) for polygons in between]
     return regions
 
 
@@ -118,19 +115,14 @@ def _doubt(before: Region, here: Region, matches: Callable[..., Any], i: int, j:
     x1, x2 = matches(before.polygons, i, j)
     if len(x1) < _FEW:
         return f"follows {len(x1)} trajectories"
-    (model,), _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
-    error = np.hypot(*(apply(model, x1) - x2).T)
+    error = np.hypot(*(apply(_fit(x1, x2), x1) - x2).T)
     inliers = error < _OTHERWISE
     if inliers.mean() < _MAJORITY:
         return f"{len(x1) - inliers.sum()} of {len(x1)} trajectories move otherwise"
     if np.median(error[inliers]) > _LARGE_ERROR:
         return f"error {np.median(error[inliers]):.1f} px"
-    growth = sum(map(_size, here.polygons)) / max(1.0, sum(map(_size, before.polygons)))
+    growth = size(here.polygons) / max(1.0, size(before.polygons))
     return "" if 1 / _JUMP < growth < _JUMP else f"area changes by {abs(growth - 1):.0%}"
-
-
-def _size(polygon: FloatArray) -> float:
-    return abs(area(polygon))
 
 
 class ImageMotion(Protocol):
@@ -241,20 +233,19 @@ def _median(values: FloatArray, known: BoolArray) -> FloatArray:
 
 
 def _between(
-    key: KeyFrame, after: KeyFrame | None, end: int, motion: ImageMotion | None
+    key: KeyFrame, after: KeyFrame | None, n_frames: int, motion: ImageMotion | None
 ) -> list[list[FloatArray]]:
-    """Polygons of the frames strictly between `key` and `end`."""
+    """Polygons of the frames strictly between a key frame and the next one, or the end."""
+    end = n_frames if after is None else after.frame
     span = end - key.frame
-    if span <= 1:
-        return []
-    if not key.polygons:
-        return [[] for _ in range(span - 1)]
-    both = after is not None and after.visibility == key.visibility and bool(after.polygons)
-    target = after if both else None
-    forward = _carry(key, end if both else end - 1, target, motion)
-    if target is None:
-        return forward[1:]
-    backward = _carry(target, key.frame, key, motion)[::-1]
+    if (
+        after is None
+        or after.visibility != key.visibility
+        or not (key.polygons and after.polygons)
+        or span < 2
+    ):
+        return _carry(key, end - 1, None, motion)[1:]
+    forward, backward = _carry(key, end, after, motion), _carry(after, key.frame, key, motion)[::-1]
     return [blend(forward[k], backward[k], k / span) for k in range(1, span)]
 
 
@@ -287,12 +278,15 @@ def _step(region: Sequence[FloatArray], i: int, j: int, motion: ImageMotion | No
     x1, x2 = motion.matches(region, i, j)
     if len(x1) < _ENOUGH:
         return None
-    (model,), _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
-    growth = float(np.hypot(model[0, 0], model[1, 0]))
-    return np.asarray(model) if 1 / _MAX_GROWTH <= growth <= _MAX_GROWTH else None
+    model = _fit(x1, x2)
+    return model if 1 / _MAX_GROWTH <= np.hypot(model[0, 0], model[1, 0]) <= _MAX_GROWTH else None
+
+
+def _fit(x1: FloatArray, x2: FloatArray) -> FloatArray:
+    models, _ = fit_similarities(x1[None], x2[None], np.ones((1, len(x1)), dtype=np.bool_))
+    return np.asarray(models[0])
 
 
 def _centre(polygons: Sequence[FloatArray]) -> FloatArray:
-    weights = np.array([abs(area(polygon)) + 1.0 for polygon in polygons])
-    centres = np.array([polygon.mean(axis=0) for polygon in polygons])
-    return np.asarray((weights[:, None] * centres).sum(axis=0) / weights.sum())
+    weights = [abs(area(polygon)) + 1.0 for polygon in polygons]
+    return np.average([polygon.mean(axis=0) for polygon in polygons], axis=0, weights=weights)
