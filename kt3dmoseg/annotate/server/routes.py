@@ -1,21 +1,4 @@
-"""The requests that the labelling server answers.
-
-``GET  /api/clips``                          the clips and how far each is
-``GET  /api/clips/C``                        size, annotation, names of kinds, formats, proposers
-``GET  /api/clips/C/frames/K``               one frame as a picture
-``GET  /api/clips/C/tracks``                 trajectories as float32 (N, F, 2); 202 while they are computed
-``GET  /api/clips/C/moving``                 the group of each trajectory that moves by itself, else 1
-``GET  /api/clips/C/trouble``                why saving would fail, or ""
-``PUT  /api/clips/C/state``                  how far its annotator is: {"state", "by"}
-``GET  /api/clips/C/annotation``             the saved annotation, its revision as ETag
-``PUT  /api/clips/C/annotation``             save; If-Match names the revision it was made from
-``POST /api/clips/C/regions``                where the objects of the body are in each frame, and why in doubt
-``POST /api/clips/C/labels``                 label the trajectories by the annotation in the body
-``POST /api/clips/C/proposals/P``            regions proposed by P
-``POST /api/clips/C/compare``                the annotation in the body against the other annotator's
-``POST /api/clips/C/export/F``               the annotation in the body as a file of format F
-``POST /api/clips/C/import/F``               a file of format F as an annotation, not saved, and under "plan"
-                                           what that does; ?shift=N&scale=X decide about frames and size
+"""The requests that the labelling server answers; `Routes.table` lists them.
 
 Saves and frames have threads of their own; what computes waits for its turn in others.
 """
@@ -38,19 +21,11 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from kt3dmoseg.annotate import formats, proposals
+from kt3dmoseg.annotate import formats, model, proposals
 from kt3dmoseg.annotate.agreement import agree
 from kt3dmoseg.annotate.formats.foreign import Choices
 from kt3dmoseg.annotate.labelling import LabelledTracks
-from kt3dmoseg.annotate.model import (
-    KINDS,
-    Annotation,
-    from_json,
-    load_annotation,
-    parse_document,
-    save_revision,
-    to_json,
-)
+from kt3dmoseg.annotate.model import KINDS, Annotation
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, NotTrackedError
 from kt3dmoseg.errors import InvalidValueError
@@ -59,6 +34,7 @@ from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.types import Trajectories
 
 Answer: TypeAlias = Response | dict[str, Any]
+Work: TypeAlias = Callable[[Request, ClipSession, bytes], Answer]
 
 # What every browser shows as it is; other pictures are sent as PNG.
 _SHOWN = {f".{kind}": f"image/{kind}" for kind in ("png", "jpeg", "webp", "bmp")} | {".jpg": "image/jpeg"}
@@ -96,33 +72,28 @@ class Routes:
         self.proposers = {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
 
     def table(self) -> list[Route]:
-        """Return the routes for starlette."""
+        """Return the routes for starlette; what is posted to all but the last is an annotation, not saved."""
+        quick, slow = self.quick, self.slow
         return [
-            Route("/api/clips", self._clips),
-            self._route("GET", "", self._clip),
+            Route("/api/clips", self._clips),  # all of them, and how far each is
+            self._route("GET", "", self._clip),  # size, annotation, names of kinds, formats, proposers
             self._route("GET", "/frames/{frame:int}", self._frame),
-            self._route("GET", "/tracks", self._tracks),
-            self._route("GET", "/moving", self._moving, self.quick),
-            self._route("GET", "/trouble", self._trouble),
-            self._route("PUT", "/state", self._set_state),
-            self._route("GET", "/annotation", self._annotation),
-            self._route("PUT", "/annotation", self._save),
-            self._route("POST", "/regions", self._regions, self.quick),
-            self._route("POST", "/labels", self._labels, self.quick),
-            self._route("POST", "/proposals/{proposer}", self._propose, self.slow),
-            self._route("POST", "/compare", self._compare, self.quick),
-            self._route("POST", "/export/{format}", self._export, self.quick),
-            self._route("POST", "/import/{format}", self._import, self.quick),
+            self._route("GET", "/tracks", self._tracks),  # float32 (N, F, 2); 202 while they are computed
+            self._route("GET", "/moving", self._moving, quick),  # groups that move by themselves, else 1
+            self._route("GET", "/trouble", self._trouble),  # why saving would fail, or ""
+            self._route("PUT", "/state", self._set_state),  # how far its annotator is: {"state", "by"}
+            self._route("GET", "/annotation", self._annotation),  # as saved, its revision as ETag
+            self._route("PUT", "/annotation", self._save),  # If-Match: the revision that was edited
+            self._route("POST", "/regions", self._regions, quick),  # in each frame, and why in doubt
+            self._route("POST", "/labels", self._labels, quick),
+            self._route("POST", "/proposals/{proposer}", self._propose, slow),
+            self._route("POST", "/compare", self._compare, quick),  # with the other annotator's
+            self._route("POST", "/export/{format}", self._export, quick),
+            self._route("POST", "/import/{format}", self._import, quick),  # ?shift=N&scale=X
         ]
 
-    def _route(
-        self,
-        method: str,
-        path: str,
-        work: Callable[[Request, ClipSession, bytes], Answer],
-        pool: Executor | None = None,
-    ) -> Route:
-        """Give `work` the clip and the body of a request; it runs in `pool`, else where nothing waits."""
+    def _route(self, method: str, path: str, work: Work, pool: Executor | None = None) -> Route:
+        """Let `work` answer the requests about a clip; it runs in `pool`, else where nothing waits."""
 
         async def endpoint(request: Request) -> Response:
             session = self.sessions.get(request.path_params["clip"])
@@ -143,7 +114,7 @@ class Routes:
             "image_size": session.image_size,
             "n_frames": len(session.source.frames),
             "frame_names": session.frame_names,
-            "annotation": to_json(session.annotation()),
+            "annotation": model.to_json(session.annotation()),
             "annotator": self.annotator,
             "work": session.work_state(),
             "states": WORK_STATES,
@@ -177,19 +148,19 @@ class Routes:
         return {"trouble": session.trouble()}
 
     def _set_state(self, _: Request, session: ClipSession, body: bytes) -> Answer:
-        given = parse_document(body, "body")
+        given = model.parse_document(body, "body")
         if not isinstance(given, dict):
             raise InvalidValueError("body", expected="state and by", found=repr(given)[:80])
         return {"work": session.set_work_state(given.get("state"), self.annotator or given.get("by"))}
 
     def _annotation(self, _: Request, session: ClipSession, __: bytes) -> Answer:
         found = session.annotation()
-        return JSONResponse(to_json(found), headers=_etag(found))
+        return JSONResponse(model.to_json(found), headers=_etag(found))
 
     def _save(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given = _given(session, body)
         mine = replace(given, revision=_if_match(request), annotator=self.annotator or given.annotator)
-        saved = save_revision(session.source.annotation, mine)
+        saved = model.save_revision(session.source.annotation, mine)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
     def _regions(self, _: Request, session: ClipSession, body: bytes) -> Answer:
@@ -211,15 +182,15 @@ class Routes:
         name, frames = session.source.name, session.source.frames
         asked = proposals.Request(name, given, tracks, frames, self.masks, self.kitti)
         objects = proposals.propose(request.path_params["proposer"], asked)
-        return {"objects": to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]}
+        return {"objects": model.to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]}
 
     def _compare(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         given = _given(session, body)
         if self.other is None:
             raise HTTPException(404, "start with --compare FOLDER to compare two annotators")
-        theirs = session.checked(load_annotation(self.other / f"{session.source.name}.json"))
+        theirs = session.checked(model.load_annotation(self.other / f"{session.source.name}.json"))
         labelled = session.labelled(given), session.labelled(theirs)
-        shown = {"theirs": to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}
+        shown = {"theirs": model.to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}
         return _comparison(session.trajectories(), *labelled) | shown
 
     def _export(self, request: Request, session: ClipSession, body: bytes) -> Answer:
@@ -235,11 +206,11 @@ class Routes:
         name, choices = request.path_params["format"], _choices(request)
         plan = formats.plan(name, body, session.annotation(), session.frame_names, choices)
         found = {"lines": plan.lines(), "skipped": plan.skipped, "doubts": plan.doubts}
-        return to_json(plan.annotation) | {"plan": found}
+        return model.to_json(plan.annotation) | {"plan": found}
 
 
 def _given(session: ClipSession, body: bytes) -> Annotation:
-    return session.checked(from_json(parse_document(body, "body")))
+    return session.checked(model.from_json(model.parse_document(body, "body")))
 
 
 def _choices(request: Request) -> Choices:
