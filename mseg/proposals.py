@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
+from kt3dmoseg.types import Clip, Labels
 from mseg.errors import TooFewPointsError
 from mseg.methods import segment
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 _MOST = 700
 _FEWEST = 50
 _SHORTEST = 5
-_METHOD = "multibody"
 
 
 def propose(request: Request) -> Labels:
@@ -39,19 +38,14 @@ def propose(request: Request) -> Labels:
         When the method cannot segment the clip.
     """
     tracks = request.trajectories
-    rows = _sample(tracks)
+    rows = np.flatnonzero(tracks.lengths >= _SHORTEST)
+    if len(rows) < _FEWEST:
+        raise TooFewPointsError("mseg", expected=f"{_FEWEST} trajectories of 5 frames", found=str(len(rows)))
+    if len(rows) > _MOST:
+        rows = np.sort(np.random.default_rng(0).choice(rows, _MOST, replace=False))
     clip = Clip(request.clip, tracks, rows, Labels(np.zeros(len(rows), dtype=np.int64)))
-    found = segment(clip, _METHOD, seed=0).labels
+    found = segment(clip, "multibody", seed=0).labels
     largest = int(np.argmax(np.bincount(found, minlength=2)[1:])) + 1
     label = np.zeros(len(tracks), dtype=np.int64)
     label[rows] = np.where(found == largest, 1, np.where(found > 0, found + 1, 0))
     return Labels(label, background=1)
-
-
-def _sample(tracks: Trajectories) -> IntArray:
-    rows = np.flatnonzero(tracks.lengths >= _SHORTEST)
-    if len(rows) < _FEWEST:
-        raise TooFewPointsError("mseg", expected=f"{_FEWEST} trajectories of 5 frames", found=str(len(rows)))
-    if len(rows) <= _MOST:
-        return rows
-    return np.sort(np.random.default_rng(0).choice(rows, _MOST, replace=False))

@@ -8,6 +8,7 @@ trajectories of each label). Third parties register theirs in the entry point gr
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,14 +16,14 @@ import cv2
 import numpy as np
 
 from kt3dmoseg.annotate.formats import load
+from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
 from kt3dmoseg.annotate.formats.masks import polygons_of
-from kt3dmoseg.annotate.geometry import area, arrays
-from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, KeyFrame, Polygon
+from kt3dmoseg.annotate.geometry import arrays, size
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Polygon
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import read_bytes, zip_bytes
-from kt3dmoseg.matching import is_hidden
+from kt3dmoseg.files import listed, read_bytes, zip_bytes
 from kt3dmoseg.registry import Registry
-from kt3dmoseg.types import BoolArray, FloatArray, Labels, Trajectories
+from kt3dmoseg.types import FloatArray, Labels, Trajectories
 
 PROPOSERS = Registry(
     "proposer",
@@ -34,7 +35,6 @@ PROPOSERS = Registry(
     group="kt3dmoseg.proposers",
 )
 _MAX_FILE = 64 << 20
-_MASK_FORMATS = ("davis", "mots_png")
 # Seeds lie 8 pixels apart where there is texture; smooth parts of a car leave gaps of some 30 pixels.
 _REACH = 16
 _SHRINK = 13
@@ -75,53 +75,57 @@ def propose(name: str, request: Request) -> list[AnnotatedObject]:
 
     Raises UnknownNameError, or another KT3DMoSegError with why the proposer cannot work on this clip.
     """
-    answer = PROPOSERS.load(name)(request)
-    found = objects_from_labels(request.trajectories, answer) if isinstance(answer, Labels) else list(answer)
-    first_id = max((item.id for item in request.annotation.objects), default=0) + 1
+    found = PROPOSERS.load(name)(request)
+    if isinstance(found, Labels):
+        found = objects_from_labels(request.trajectories, found, request.annotation)
+    first = max((item.id for item in request.annotation.objects), default=0) + 1
     used = max(request.annotation.motions, default=0)
-    shifted = [o.motion if o.motion in (BACKGROUND, REJECT) else o.motion + used for o in found]
-    return [
-        replace(item, id=first_id + k, motion=motion)
-        for k, (item, motion) in enumerate(zip(found, shifted, strict=True))
-    ]
+    motions = [o.motion if o.motion in (BACKGROUND, REJECT) else o.motion + used for o in found]
+    return [replace(item, id=first + k, motion=motions[k]) for k, item in enumerate(found)]
 
 
 def propose_masks(request: Request) -> list[AnnotatedObject]:
     """Read ``<masks>/<clip>/*.png`` (DAVIS or MOTS) or ``<masks>/<clip>.txt`` (MOTS), as an import does."""
     if request.masks is None:
         raise InputFileError("masks", found="no folder of masks", fix="start with --masks FOLDER")
-    text = request.masks / f"{request.clip}.txt"
+    text, folder = request.masks / f"{request.clip}.txt", request.masks / request.clip
     empty, names = request.annotation.emptied(), [frame.name for frame in request.frames]
     if text.is_file():
         return list(load("mots_txt").parse(read_bytes(text, _MAX_FILE), empty, names).objects)
-    files = [f for f in sorted((request.masks / request.clip).glob("*.png")) if not is_hidden(f.name)]
+    files = [path for path in (listed(folder) if folder.is_dir() else []) if path.suffix == ".png"]
     if not files:
-        raise InputFileError(f"{request.masks / request.clip}", expected="masks, *.png", found="none")
+        raise InputFileError(f"{folder}", expected="masks, *.png", found="none")
     content = zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in files})
-    problems = []
-    for name in _MASK_FORMATS:
-        try:
-            return list(load(name).parse(content, empty, names).objects)
-        except FileFormatError as error:
-            problems.append(error)
-    raise problems[0]
+    try:
+        return list(load("davis").parse(content, empty, names).objects)
+    except FileFormatError as error:
+        with suppress(FileFormatError):
+            return list(load("mots_png").parse(content, empty, names).objects)
+        raise error
 
 
-def objects_from_labels(trajectories: Trajectories, labels: Labels) -> list[AnnotatedObject]:
+def objects_from_labels(
+    trajectories: Trajectories, labels: Labels, like: Annotation
+) -> list[AnnotatedObject]:
     """Outline the trajectories of every label but 0 and the background, by default 1; the largest first.
 
     Key frames are on every 4th frame and where visibility changes. Labels with fewer than 8 trajectories
     in every frame are left out.
     """
-    motions = [int(m) for m in labels.motions if m != (labels.background or 1)]
-    motions.sort(key=lambda m: -int((labels.label == m).sum()))
     objects: list[AnnotatedObject] = []
-    for motion in motions:
-        keys = _key_frames(trajectories, labels.label == motion)
-        if any(key.polygons for key in keys):
-            number = len(objects) + 1
-            name = labels.names.get(motion, f"proposal {number}")
-            objects.append(AnnotatedObject(number, name, "other", number, keys))
+    motions = [motion for motion in labels.motions.tolist() if motion != (labels.background or 1)]
+    for motion in sorted(motions, key=lambda motion: -int((labels.label == motion).sum())):
+        rows, number = labels.label == motion, len(objects) + 1
+        shown = np.pad(trajectories.visible[rows].sum(axis=0) >= _FEWEST, 1)
+        item, last = ForeignObject(labels.names.get(motion, f"proposal {number}"), motion=number), -_EVERY
+        for frame in np.flatnonzero(shown[1:-1]).tolist():
+            if frame - last >= _EVERY or not shown[frame] or not shown[frame + 2]:  # the padded neighbours
+                points = trajectories.xy[rows & trajectories.visible[:, frame], frame]
+                if polygons := outline(points, like.image_size):
+                    item.add(frame, polygons)
+                    last = frame
+        if item.polygons:
+            objects += assemble({number: item}, like, np.flatnonzero(~shown[1:-1]).tolist()).objects
     return objects
 
 
@@ -129,29 +133,11 @@ def outline(points: FloatArray, image_size: tuple[int, int]) -> list[Polygon]:
     """Outline the union of discs around points, shrunk back: a hull that follows concave shapes."""
     width, height = image_size
     canvas = np.zeros((height + 2 * _REACH, width + 2 * _REACH), dtype=np.uint8)
-    for x, y in np.rint(points).astype(int) + _REACH:
-        cv2.circle(canvas, (int(x), int(y)), _REACH, 1, -1)
+    for point in np.rint(points).astype(int) + _REACH:
+        cv2.circle(canvas, point.tolist(), _REACH, 1, -1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _SHRINK + 1, 2 * _SHRINK + 1))
     inner = cv2.erode(canvas, disc)[_REACH:-_REACH, _REACH:-_REACH].astype(np.bool_)
     polygons = polygons_of(inner, tolerance=1.0)
-    sizes = [abs(area(polygon)) for polygon in arrays(polygons)]
+    sizes = [size([polygon]) for polygon in arrays(polygons)]
     # Parts smaller than a tenth of the largest are single stray trajectories.
-    return [polygon for polygon, size in zip(polygons, sizes, strict=True) if size >= 0.1 * max(sizes)]
-
-
-def _key_frames(trajectories: Trajectories, rows: BoolArray) -> tuple[KeyFrame, ...]:
-    assert trajectories.image_size is not None
-    keys: list[KeyFrame] = []
-    counts = (trajectories.visible & rows[:, None]).sum(axis=0)
-    for frame, count in enumerate(counts):
-        if count < _FEWEST:
-            if not keys or keys[-1].visibility != "outside":
-                keys.append(KeyFrame(frame, "outside"))
-            continue
-        last = frame + 1 == len(counts) or counts[frame + 1] < _FEWEST
-        if not keys or keys[-1].visibility == "outside" or last or frame - keys[-1].frame >= _EVERY:
-            points = trajectories.xy[rows & trajectories.visible[:, frame], frame]
-            polygons = outline(points, trajectories.image_size)
-            if polygons:
-                keys.append(KeyFrame(frame, "visible", tuple(polygons)))
-    return tuple(keys) or (KeyFrame(0, "outside"),)
+    return [polygon for polygon, area in zip(polygons, sizes, strict=True) if area >= 0.1 * max(sizes)]

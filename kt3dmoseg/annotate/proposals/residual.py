@@ -41,10 +41,9 @@ def moving_groups(tracks: Trajectories) -> IntArray:
 
     InvalidValueError when there are too few trajectories to know the scene's motion.
     """
-    votes = np.zeros(len(tracks))
-    seen = np.zeros(len(tracks))
+    votes, seen = np.zeros((2, len(tracks)))
     gap = min(_GAP, tracks.n_frames - 1)
-    for frame in range(0, tracks.n_frames - gap):
+    for frame in range(tracks.n_frames - gap):
         rows, x1, x2 = tracks.pair(frame, frame + gap)
         if len(rows) >= 2 * _FEWEST:
             votes[rows] += _independent(x1, x2)
@@ -52,8 +51,7 @@ def moving_groups(tracks: Trajectories) -> IntArray:
     if not seen.any():
         expected = f"{2 * _FEWEST} trajectories over {gap} frames"
         raise InvalidValueError("residual", expected=expected, found="fewer")
-    moving = (seen > 0) & (votes > _SHARE * np.maximum(seen, 1))
-    return _grouped(tracks, moving)
+    return _grouped(tracks, np.flatnonzero(votes > _SHARE * seen))
 
 
 def _independent(x1: FloatArray, x2: FloatArray) -> BoolArray:
@@ -64,43 +62,37 @@ def _independent(x1: FloatArray, x2: FloatArray) -> BoolArray:
     if fundamental is None or np.shape(fundamental) != (3, 3):
         return np.zeros(len(x1), dtype=np.bool_)
     matrix = np.asarray(fundamental, dtype=np.float64)
-    return np.asarray((_off_line(x1, x2, matrix) > _TOLERANCE) | _against_flow(x1, x2, matrix))
+    return np.asarray((_off_line(x1, x2, matrix) > _TOLERANCE) | (_against_flow(x1, x2, matrix) > _TOLERANCE))
 
 
 def _off_line(x1: FloatArray, x2: FloatArray, fundamental: FloatArray) -> FloatArray:
     """Sampson distance in pixels (Hartley and Zisserman 2004, equation 11.9)."""
-    one = np.ones((len(x1), 1))
-    h1, h2 = np.hstack([x1, one]), np.hstack([x2, one])
+    h1, h2 = (np.column_stack([x, np.ones(len(x))]) for x in (x1, x2))
     line2, line1 = h1 @ fundamental.T, h2 @ fundamental
-    scale = np.sqrt((line2[:, :2] ** 2).sum(axis=1) + (line1[:, :2] ** 2).sum(axis=1))
+    scale = np.linalg.norm(np.hstack([line1[:, :2], line2[:, :2]]), axis=1)
     return np.asarray(np.abs((h2 * line2).sum(axis=1)) / np.maximum(scale, 1e-12))
 
 
-def _against_flow(x1: FloatArray, x2: FloatArray, fundamental: FloatArray) -> BoolArray:
-    """Points that move towards the epipole while the scene moves away from it, or the other way."""
-    epipole = np.linalg.svd(fundamental)[2][-1]
-    if abs(epipole[2]) < 1e-9:
-        return np.zeros(len(x1), dtype=np.bool_)
-    away = x1 - epipole[:2] / epipole[2]
+def _against_flow(x1: FloatArray, x2: FloatArray, fundamental: FloatArray) -> FloatArray:
+    """Pixels by which points move towards the epipole while the scene moves away, or the other way."""
+    x, y, w = np.linalg.svd(fundamental)[2][-1]
+    away = x1 - np.array([x, y]) / w if abs(w) >= 1e-9 else np.zeros_like(x1)
     outward = ((x2 - x1) * away).sum(axis=1) / np.maximum(np.hypot(*away.T), 1.0)
-    if abs(np.median(np.sign(outward))) < 0.5:
-        return np.zeros(len(x1), dtype=np.bool_)
-    return np.asarray(outward * np.sign(np.median(outward)) < -_TOLERANCE)
+    return np.asarray(-outward * np.median(np.sign(outward)))
 
 
-def _grouped(tracks: Trajectories, moving: BoolArray) -> IntArray:
-    """Labels (N,): 1 for what does not move, 2, 3, ... for groups of near trajectories that move alike."""
+def _grouped(tracks: Trajectories, rows: IntArray) -> IntArray:
+    """Labels (N,): 1 for all but the rows; 2, 3, ... for groups of near rows that move alike, else 0."""
     label = np.ones(len(tracks), dtype=np.int64)
-    rows = np.flatnonzero(moving)
     label[rows] = 0
     pairs = _neighbours(tracks, rows)
     alike = pairs[_alike(tracks, pairs)]
     links = coo_array((np.ones(len(alike)), alike.T), shape=(len(tracks), len(tracks)))
     group = connected_components(links, directed=False)[1][rows]
     names, sizes = np.unique(group, return_counts=True)
-    large = names[np.argsort(-sizes, kind="stable")][: int((sizes >= _SMALLEST_GROUP).sum())]
-    for number, name in enumerate(large, start=2):
-        label[rows[group == name]] = number
+    large = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= _SMALLEST_GROUP]
+    for number, k in enumerate(large, start=2):
+        label[rows[group == names[k]]] = number
     return label
 
 
@@ -111,7 +103,7 @@ def _neighbours(tracks: Trajectories, rows: IntArray) -> IntArray:
         here = rows[tracks.visible[rows, frame]]
         if len(here) > 1:
             near = cKDTree(tracks.xy[here, frame]).query_pairs(_REACH, output_type="ndarray")
-            found.append(here[near].reshape(-1, 2))
+            found.append(here[near])
     return np.unique(np.concatenate(found), axis=0)
 
 
