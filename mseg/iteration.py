@@ -9,21 +9,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Convergence:
-    """How an iteration ended.
+    """How an iteration ended."""
 
-    Parameters
-    ----------
-    converged : bool
-        Whether the residual fell to the tolerance before the cap on iterations.
-    iterations : int
-        Number of steps taken.
-    residual : float
-        Residual after the last step.
-    """
-
-    converged: bool
-    iterations: int
-    residual: float
+    converged: bool  # whether the residual fell to the tolerance before the cap on iterations
+    iterations: int  # steps taken
+    residual: float  # after the last step
 
     def report(self, prefix: str = "") -> dict[str, Any]:
         """Return the fields as items of ``Segmentation.report``, names prefixed by `prefix`."""
@@ -31,17 +21,7 @@ class Convergence:
 
 
 def iterate(step: Callable[[], float], *, tolerance: float, max_iterations: int) -> Convergence:
-    """Call `step` until the residual that it returns is at most `tolerance`.
-
-    Parameters
-    ----------
-    step : callable
-        Advances its own state once and returns the residual after it.
-    tolerance : float
-        Largest residual that counts as converged. NaN never does.
-    max_iterations : int
-        Cap; at least one step is taken.
-    """
+    """Call `step`, at least once, until the residual that it returns is at most `tolerance`; NaN never is."""
     residual, iterations = float("inf"), 0
     while iterations < max(max_iterations, 1) and not residual <= tolerance:
         residual = float(step())

@@ -32,11 +32,8 @@ class Hypotheses:
 
     def __post_init__(self) -> None:
         if self.models.shape != (len(self.pair), 3, 3) or self.pair.shape[1:] != (2,):
-            raise InvalidValueError(
-                "hypotheses",
-                expected="models (K, 3, 3) and pair (K, 2)",
-                found=f"{self.models.shape} and {self.pair.shape}",
-            )
+            expected, found = "models (K, 3, 3) and pair (K, 2)", f"{self.models.shape} and {self.pair.shape}"
+            raise InvalidValueError("hypotheses", expected=expected, found=found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +54,8 @@ class Segmentation:
 
     def __post_init__(self) -> None:
         given = np.asarray(self.labels)
-        numbers = given.dtype.kind in "iuf"
-        whole = not given.size or (numbers and given.min() >= 0 and bool((given == np.round(given)).all()))
-        if given.ndim != 1 or not whole:
+        numbers = not given.size or given.dtype.kind in "iuf"
+        if given.ndim != 1 or not numbers or ((given < 0) | (given != np.round(given))).any():
             found = f"{given.dtype} of shape {given.shape}"
             raise InvalidValueError("labels", expected="(n,) integers >= 0", found=found)
         labels = np.array(given, dtype=np.int64)
@@ -125,10 +121,8 @@ class Segmentation:
         """Give one row per trajectory: `label`; with `clip` also `track`, by which `mseg.score` joins."""
         import pandas as pd
 
-        if clip is None:
-            return pd.DataFrame({"label": self.labels})
-        labels = self._checked_labels(clip)
-        return pd.DataFrame({"track": clip.dense.track_id[clip.evaluated], "label": labels})
+        tracks = {} if clip is None else {"track": clip.dense.track_id[clip.evaluated]}
+        return pd.DataFrame({**tracks, "label": self.labels if clip is None else self._checked_labels(clip)})
 
     def _checked_labels(self, clip: Clip) -> IntArray:
         if len(clip.evaluated) != len(self.labels):
@@ -167,10 +161,7 @@ class Method(Protocol):
 def required_count(n_motions: int | None, method: object) -> int:
     """Return the number of motions, for a method that cannot find it; InvalidValueError when it is None."""
     if n_motions is None:
-        raise InvalidValueError(
-            "n_motions",
-            expected=f"a number: {type(method).__name__} cannot find it",
-            found="none",
-            fix="give --n-motions N, or segment(..., n_motions=N)",
-        )
+        expected = f"a number: {type(method).__name__} cannot find it"
+        fix = "give --n-motions N, or segment(..., n_motions=N)"
+        raise InvalidValueError("n_motions", expected=expected, found="none", fix=fix)
     return n_motions

@@ -141,18 +141,17 @@ def run(
     paths, others = find_clips(protocol, data)
     clips = {name: load(path) for name, path in paths.items()}
     motions = {name: clip.n_motions for name, clip in clips.items()}
-    given = motions if number == "given" else {}
-    keys = _keys(configurations, clips, given, wanted)
+    runs = _Runs(configurations, clips, motions if number == "given" else {}, wanted)
     store = Cache(cache)
-    outcomes = {key: kept for key in keys.values() if (kept := read_outcome(store, key))}
-    work = (keys, configurations, clips, given, set(outcomes), progress, workers, dask)
-    for key, outcome in _outcomes(*work, str(kernels or "")):
+    outcomes = {key: kept for key in runs.keys.values() if (kept := read_outcome(store, key))}
+    where: Any = {"kernels": str(kernels or ""), "workers": workers, "dask": dask}
+    for key, outcome in runs.outcomes(set(outcomes), progress, **where):
         outcomes[key] = outcome
         keep_outcome(store, key, outcome)
     shape = (len(configurations), len(clips), len(wanted))
     errors, seconds, found = np.ones(shape), np.full(shape, np.nan), np.zeros(shape, dtype=np.int64)
     failures, notes = [], []
-    for index, ((m, name, seed), key) in zip(np.ndindex(shape), keys.items(), strict=True):
+    for index, ((m, name, seed), key) in zip(np.ndindex(shape), runs.keys.items(), strict=True):
         labels, seconds[index], reason, note = outcomes[key]
         if reason:
             failures.append((configurations[m], name, seed, reason))
@@ -232,7 +231,7 @@ def predict(
     made: Any = create(method, **configuration.parameters)
     clips = load_clips(data)
     given = {name: n_motions or clip.n_motions or None for name, clip in clips.items()}
-    keys = _keys([configuration], clips, given, wanted)
+    runs = _Runs([configuration], clips, given, wanted)
     check_writable(folder)
     values, layout = asdict(made), "seed-N" if len(wanted) > 1 else "flat"
     description = {
@@ -244,15 +243,14 @@ def predict(
     }
     record = _open_record(folder, description)
     files: dict[str, list[tuple[str, int | None]]] = {}  # key of an outcome -> clips and seeds of its files
-    for (_, name, seed), key in keys.items():
+    for (_, name, seed), key in runs.keys.items():
         files.setdefault(key, []).append((name, None if layout == "flat" else seed))
     kept = {
         key
         for key in record["done"].keys() & files.keys()
         if all(any(file_of(folder, *run, e).is_file() for e in (".csv", FAILED)) for run in files[key])
     }
-    work = (keys, [configuration], clips, given, kept, progress, workers, dask)
-    for key, outcome in _outcomes(*work):
+    for key, outcome in runs.outcomes(kept, progress, workers=workers, dask=dask):
         for name, place in files[key]:
             if outcome.reason:
                 file_of(folder, name, place, ".csv").unlink(missing_ok=True)
@@ -262,8 +260,8 @@ def predict(
         if not np.isnan(outcome.seconds):  # else its workers died: the next run tries again
             record["done"][key], record["notes"][key] = outcome.seconds, outcome.notes
         write_text(folder / _RECORD, json.dumps(record, indent=1))
-    seconds = sum(record["done"].get(key, 0.0) for key in keys.values()) / len(wanted)
-    noted = {(name, seed): record["notes"].get(key, "") for (_, name, seed), key in keys.items()}
+    seconds = sum(record["done"].get(key, 0.0) for key in runs.keys.values()) / len(wanted)
+    noted = {(name, seed): record["notes"].get(key, "") for (_, name, seed), key in runs.keys.items()}
     meta = SubmissionMeta(
         configuration.title,
         authors=("mseg",),
@@ -367,50 +365,47 @@ def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
 # --- running ----------------------------------------------------------------------------------------
 
 
-def _keys(
-    configurations: Sequence[Configuration],
-    clips: Mapping[str, Clip],
-    numbers: Mapping[str, int | None],
-    seeds: Sequence[int],
-) -> dict[tuple[int, str, int], str]:
-    """Keys of the outcomes, by number of the configuration, clip and seed."""
-    return {
-        (m, name, seed): outcome_key(configuration, clip, numbers.get(name), seed)
-        for m, configuration in enumerate(configurations)
-        for name, clip in clips.items()
-        for seed in seeds
-    }
+class _Runs:
+    """Configurations x clips x seeds; `keys` of outcomes by number of the configuration, clip and seed."""
 
+    def __init__(
+        self,
+        configurations: Sequence[Configuration],
+        clips: Mapping[str, Clip],
+        numbers: Mapping[str, int | None],
+        seeds: Sequence[int],
+    ) -> None:
+        self.configurations, self.clips, self.numbers = configurations, clips, numbers
+        self.keys = {
+            (m, name, seed): outcome_key(configuration, clip, numbers.get(name), seed)
+            for m, configuration in enumerate(configurations)
+            for name, clip in clips.items()
+            for seed in seeds
+        }
 
-def _outcomes(
-    keys: Mapping[tuple[int, str, int], str],
-    configurations: Sequence[Configuration],
-    clips: Mapping[str, Clip],
-    numbers: Mapping[str, int | None],
-    kept: Container[str],
-    progress: Progress | None,
-    workers: int,
-    dask: str,
-    kernels: str = "",
-) -> Iterator[tuple[str, Outcome]]:
-    """Run what is not kept, large clips first, and yield outcomes with their keys as they finish."""
-    todo: dict[tuple[str, int], dict[str, Configuration]] = {}
-    claimed = set[str]()
-    for (m, name, seed), key in keys.items():
-        if key not in claimed and key not in kept:
-            claimed.add(key)
-            todo.setdefault((name, seed), {})[key] = configurations[m]
-    tasks = [
-        Task(clips[name].without_labels(), numbers.get(name), seed, work, kernels)
-        for (name, seed), work in todo.items()
-    ]
-    tasks.sort(key=lambda task: -len(task.clip.evaluated) * task.clip.n_frames)
-    for done, (task, made) in enumerate(
-        run_tasks(run_task, tasks, lost=lost_task, workers=workers, dask=dask), 1
-    ):
-        yield from made.items()
-        if progress:
-            progress(done, len(tasks), task.name)
+    def outcomes(
+        self,
+        kept: Container[str],
+        progress: Progress | None,
+        kernels: str = "",
+        **where: Any,  # noqa: ANN401
+    ) -> Iterator[tuple[str, Outcome]]:
+        """Run what is not kept, large clips first, and yield outcomes with their keys as they finish."""
+        todo: dict[tuple[str, int], dict[str, Configuration]] = {}
+        claimed = set[str]()
+        for (m, name, seed), key in self.keys.items():
+            if key not in claimed and key not in kept:
+                claimed.add(key)
+                todo.setdefault((name, seed), {})[key] = self.configurations[m]
+        tasks = [
+            Task(self.clips[name].without_labels(), self.numbers.get(name), seed, work, kernels)
+            for (name, seed), work in todo.items()
+        ]
+        tasks.sort(key=lambda task: -len(task.clip.evaluated) * task.clip.n_frames)
+        for done, (task, made) in enumerate(run_tasks(run_task, tasks, lost=lost_task, **where), 1):
+            yield from made.items()
+            if progress:
+                progress(done, len(tasks), task.name)
 
 
 def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[str, Outcome]:

@@ -1,6 +1,6 @@
 """One self-contained page about a submission: tables, bars, confusions, overlays.
 
-The page is ``static/report.html``, a jinja2 template with automatic escaping; here is what it shows.
+The page is ``static/report.html``, a jinja2 template with automatic escaping; here is what it computes with.
 """
 
 from __future__ import annotations
@@ -14,25 +14,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.files import check_target, write_text
-from kt3dmoseg.types import ByteArray, Clip, IntArray
+from kt3dmoseg.types import ByteArray, Clip
 from mseg.evaluation import results
 from mseg.evaluation.contingency import Contingency
 from mseg.evaluation.metrics import per_motion
 from mseg.evaluation.protocol import count
-from mseg.evaluation.scoring import ClipScore, ScoreTable, score_validated, to_json
+from mseg.evaluation.scoring import ScoreTable, score_validated, to_json
 from mseg.evaluation.validation import Validation, validate_submission
 
-# What identifies a run rather than describes it: behind a click.
-_ORIGIN = ("parameters", "dataset sha256", "submission sha256", "toolkit")
 _STEPS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20, 0.25)
 _MISSING = -32768
 _MAX_WIDTH = 960
 _QUALITY = 72
-_TALL = 2.0
 
 
 def write_report(
@@ -107,52 +105,34 @@ def report_html(
 
     Without `overlays` it holds scores only: nothing from which true labels could be read.
     """
-    error = scores.matrix()
-    ranks = sorted(range(len(error)), key=lambda i: -error[i].mean())
-    order = [scores.names[i] for i in ranks]
-    pictures = _pictures(checked, order, Path(frames)) if frames is not None else {}
-    shown = [_section(checked, scores, name, pictures.get(name, [])) for name in order if overlays]
-    facts = {name: value for name, value in _facts(scores) if name != "method"}
+    errors = dict(zip(scores.names, scores.matrix(), strict=True))
+    order = sorted(errors, key=lambda name: -errors[name].mean())
+    pictures = _pictures([checked.clips[name] for name in order], Path(frames)) if frames is not None else {}
+    prevalence = {name: scores.of(name).prevalence for name in order}
+    published = []  # per group of the benchmark, the mean error among the published means, best first
+    for group, names in scores.groups():
+        parts = {method: parts.get(group.name) for method, parts in scores.benchmark.published.items()}
+        rows = [(known["mean"] / 100, method, "") for method, known in parts.items() if known]
+        if names and rows:
+            own = (scores.summary("error", names).mean, f"{scores.meta.method} (this submission)", "own")
+            published.append((group.title, sorted([own, *rows])))
     return render(
         "report.html",
         scores=scores,
         benchmark=scores.benchmark,
         palette=css_palette(),
         coverage=scores.benchmark.coverage(scores.names),
-        origin={name: facts.pop(name) for name in _ORIGIN if name in facts},
-        facts=facts,
-        cards=_cards(scores),
-        failures=scores.failures,
+        summary=scores.summary(),
         failed={each.clip for each in scores.failures},
-        order=order,
-        errors=error[ranks],
-        step=_step(float(error.max()), *(scores.of(name).prevalence for name in order)),
-        published=_published(scores),
-        sections=shown,
+        errors={name: errors[name] for name in order},
+        prevalence=prevalence,
+        published=published,
+        sections=[_section(checked, scores, n, pictures.get(n, [])) for n in order if overlays],
         headline=results.headline(scores),
         by_axis=results.by_axis(scores),
         all_means=results.all_means(scores),
         per_clip=results.per_clip(scores),
     )
-
-
-def _facts(scores: ScoreTable) -> list[tuple[str, str]]:
-    """List the meta data of the submission and what it was scored on, as (name, value)."""
-    meta, source = scores.meta, scores.provenance
-    lines = [
-        ("method", meta.method),
-        ("authors", ", ".join(meta.authors)),
-        ("link", meta.link),
-        ("number of motions", "given" if meta.n_motions_given else "found by the method"),
-        ("hardware", meta.hardware),
-        ("time per seed", f"{meta.seconds:g} s" if meta.seconds else ""),
-        ("parameters", ", ".join(f"{k} = {v}" for k, v in meta.parameters.items())),
-        ("dataset version", source.dataset_version),
-        ("dataset sha256", source.dataset_sha256[:16]),
-        ("submission sha256", source.submission_sha256[:16]),
-        ("toolkit", source.toolkit_version),
-    ]
-    return [(name, value) for name, value in lines if value]
 
 
 def render(template: str, **values: object) -> str:
@@ -169,58 +149,21 @@ def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
     made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     made.filters["mean"] = np.mean
     made.filters["percent"] = lambda value, digits=2: f"{100 * value:.{digits}f}"
-    # Where a value lies along a bar's axis, which four steps fill.
+    # The round distance of the lines of a bar's axis, four of which hold all values, and where a value lies.
+    made.filters["step"] = lambda top: next((step for step in _STEPS if 4 * step >= top), _STEPS[-1])
     made.filters["along"] = lambda value, step: f"{25 * min(4.0, value / step):.2f}%"
     return made
 
 
-def _step(*values: float) -> float:
-    """Round distance of the axis' lines, four of which hold all values."""
-    return next((step for step in _STEPS if 4 * step >= max(values)), _STEPS[-1])
-
-
-def _cards(scores: ScoreTable) -> list[tuple[str, str]]:
-    summary = scores.summary()
-    low, high = summary.interval
-    prevalence = sum(scores.of(n).prevalence for n in scores.names) / len(scores.names)
-    cards = [
-        (f"{100 * summary.mean:.2f} %", f"mean error, {scores.benchmark.coverage(scores.names)}"),
-        (f"{100 * summary.median:.2f} %", "median error"),
-        (f"{100 * low:.1f}–{100 * high:.1f} %", "95 % interval of the mean, over clips"),
-        (f"{100 * prevalence:.2f} %", "prevalence baseline, same clips"),
-    ]
-    if summary.seed_sd is not None:
-        cards.insert(2, (f"± {100 * summary.seed_sd:.2f}", f"sd over {len(scores.seeds)} seeds"))
-    if scores.failures:
-        cards.append((f"{len({c.clip for c in scores.failures})}", "failed or missing clips"))
-    return cards
-
-
-def _published(scores: ScoreTable) -> list[dict[str, Any]]:
-    """Per group of the benchmark, the mean error among the published means, best first."""
-    groups = []
-    for group, names in scores.groups():
-        published = scores.benchmark.published.items()
-        known = {method: parts[group.name] for method, parts in published if parts.get(group.name)}
-        if names and known:
-            own = (scores.summary("error", names).mean, f"{scores.meta.method} (this submission)", "own")
-            rows = sorted([own, *((v["mean"] / 100, method, "") for method, v in known.items())])
-            groups.append({"title": group.title, "rows": rows, "step": _step(*(v for v, *_ in rows))})
-    return groups
-
-
-def _pictures(checked: Validation, order: Sequence[str], folder: Path) -> dict[str, list[ByteArray]]:
+def _pictures(clips: Sequence[Clip], folder: Path) -> dict[str, list[ByteArray]]:
     """Read the frames of every clip that has some in the folder, (H, W) gray."""
     from kt3dmoseg.frames import frame_folder, frames_of
 
-    clips = [checked.clips[name] for name in order]
     found = {clip.name: frames_of(clip, folder) for clip in clips if frame_folder(clip, folder)}
     if not found:
-        raise InputFileError(
-            f"{folder}",
-            expected=f"a folder of pictures per clip, such as {order[0]}, or the KITTI raw root of the build",
-            found="none of any clip",
-        )
+        names = f"a folder of pictures per clip, such as {clips[0].name}"
+        expected = f"{names}, or the KITTI raw root of the build"
+        raise InputFileError(f"{folder}", expected=expected, found="none of any clip")
     return found
 
 
@@ -230,8 +173,7 @@ def _section(
     """Collect what is shown of a clip; tables are of the first seed, the overlay offers all."""
     clip = checked.clips[name]
     runs = [scores.of(name, seed) for seed in scores.seeds]
-    first = next((run for run in runs if run.table is not None), None)
-    drawn = {run.seed: labels for run in runs if (labels := _drawn(checked, clip, run))}
+    tables = {run.seed: run.table for run in runs if run.table is not None}
     width, height = _size(clip, pictures)
     scale = min(10.0, 32000 / max(width, height))
     section = {
@@ -239,9 +181,9 @@ def _section(
         "run": runs[0],
         "errors": [run.values["error"] for run in runs],
         "failed": [run for run in runs if run.reason],
-        "drawn": list(drawn),
-        "tall": width < _TALL * height,
-        "canvases": ("truth", "prediction") if drawn else ("truth",),
+        "drawn": list(tables),
+        "tall": width < 2 * height,
+        "canvases": ("truth", "prediction") if tables else ("truth",),
         "middle": clip.n_frames // 2,  # where most trajectories are visible
         "payload": {
             "width": width,
@@ -252,21 +194,26 @@ def _section(
             "numbers": clip.frame_numbers.tolist(),
             "xy": _packed_positions(clip, scale),
             "truth": _packed(clip.labels.label),
-            "runs": list(drawn.values()),
+            "runs": [_drawn(checked, clip, seed, table) for seed, table in tables.items()],
             "frames": [_jpeg(picture) for picture in pictures],
         },
     }
-    if first is None or first.table is None:
+    if not tables:
         return section
-    table, names, colours = first.table, clip.labels.names, _group_colours(first.table)
-    static = int(table.motions[table.background]) if table.background is not None else None
-    titles = [names.get(m, "") or ("background" if m == static else "") for m in table.motions.tolist()]
+    seed, table = next(iter(tables.items()))
+    colours, static = (
+        _group_colours(table),
+        table.motions[table.static] if table.background is not None else 0,
+    )
+    titles = [
+        clip.labels.names.get(m, "") or ("background" if m == static else "") for m in table.motions.tolist()
+    ]
     return section | {
         "table": table,
-        "note": f", seed {first.seed}" if len(runs) > 1 else "",
+        "note": f", seed {seed}" if len(runs) > 1 else "",
         "groups": list(colours),
         "colours": colours,
-        "motions": [f"{m} {title}".rstrip() for m, title in zip(table.motions, titles, strict=True)],
+        "motions": [f"{m} {names.get(m, '')}".rstrip() for m in table.motions.tolist()],
         "scores": list(per_motion(table).values()),
         "found": count(len(table.groups), "group"),
     }
@@ -284,19 +231,17 @@ def _group_colours(table: Contingency) -> dict[int, int]:
 # --- the overlay: positions, labels and frames packed for the page's script -------------------------
 
 
-def _drawn(checked: Validation, clip: Clip, run: ClipScore) -> dict[str, str] | None:
-    """Colours and errors of a run's trajectories; None when it has no labels."""
-    labels, table = checked.labels.get((run.seed, run.clip)), run.table
-    if labels is None or table is None:
-        return None
+def _drawn(checked: Validation, clip: Clip, seed: int, table: Contingency) -> dict[str, str]:
+    """Colours and errors of a run's trajectories."""
+    labels, truth = checked.labels[seed, clip.name], clip.labels.label
     colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
     for j, value in _group_colours(table).items():
         colour[table.groups[j]] = value
-    shown, truth = colour[labels], clip.labels.label
-    return {"shown": _packed(shown), "wrong": _packed(((truth > 0) & (shown != truth)).astype(np.int64))}
+    shown = colour[labels]
+    return {"shown": _packed(shown), "wrong": _packed((truth > 0) & (shown != truth))}
 
 
-def _packed(values: IntArray) -> str:
+def _packed(values: npt.NDArray[Any]) -> str:
     return base64.b64encode(np.minimum(values, 255).astype(np.uint8).tobytes()).decode()
 
 
@@ -309,14 +254,15 @@ def _packed_positions(clip: Clip, scale: float) -> str:
 
 
 def _size(clip: Clip, pictures: Sequence[ByteArray]) -> tuple[int, int]:
+    """Width and height of the pictures; else of what holds all points."""
     if clip.dense.image_size is not None:
         return clip.dense.image_size
     if pictures:
         height, width = pictures[0].shape
         return width, height
     xy = clip.dense.xy[clip.dense.visible]
-    far = np.ceil(xy.max(axis=0)) if len(xy) else np.ones(2)
-    return int(max(1, far[0] + 1)), int(max(1, far[1] + 1))
+    width, height = np.maximum(1, np.ceil(xy.max(axis=0, initial=0)) + 1).astype(int).tolist()
+    return width, height
 
 
 def _jpeg(picture: ByteArray) -> str:
