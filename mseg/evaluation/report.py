@@ -201,13 +201,10 @@ def _section(
     if not tables:
         return section
     seed, table = next(iter(tables.items()))
-    colours, static = (
-        _group_colours(table),
-        table.motions[table.static] if table.background is not None else 0,
-    )
-    titles = [
-        clip.labels.names.get(m, "") or ("background" if m == static else "") for m in table.motions.tolist()
-    ]
+    colours, names = _group_colours(table), dict(clip.labels.names)
+    if table.background is not None:
+        static = int(table.motions[table.background])
+        names[static] = names.get(static) or "background"
     return section | {
         "table": table,
         "note": f", seed {seed}" if len(runs) > 1 else "",
