@@ -84,7 +84,16 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
         raise InvalidValueError("compare", expected="two submissions or more", found=str(len(tables)))
     if metric not in all_metrics():
         raise unknown_name("metric", metric, all_metrics())
-    _check_same_data(tables)
+    first = tables[0]
+    for table in tables[1:]:
+        data, here = table.provenance.dataset_sha256, first.provenance.dataset_sha256
+        if data != here or table.names != first.names:
+            raise InvalidValueError(
+                f"{table.meta.method} and {first.meta.method}",
+                expected="scores on the same clips and labels",
+                found=f"dataset {data[:16]} and {here[:16]}",
+                fix="score both on the same data; versions are never mixed",
+            )
     methods = [table.meta.method for table in tables]
     names = [  # numbered where they occur more than once
         f"{name} ({methods[: i + 1].count(name)})" if methods.count(name) > 1 else name
@@ -106,12 +115,11 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
 
 def comparison_table(comparison: Comparison) -> ResultsTable:
     """Lay out the submissions, one column each: every clip, mean and median, with the spread over seeds."""
-    spec = all_metrics()[comparison.metric]
-    first = comparison.tables[0]
-    named = dict(zip(comparison.names, comparison.tables, strict=True))
-    values = {name: table.matrix(comparison.metric) for name, table in named.items()}
-    failures = [note for name, table in named.items() for note in failure_notes(table, name)]
-    notes = [f"Scored: {first.benchmark.coverage(first.names)}.", *failures]
+    spec, first = all_metrics()[comparison.metric], comparison.tables[0]
+    values, notes = {}, [f"Scored: {first.benchmark.coverage(first.names)}."]
+    for name, table in zip(comparison.names, comparison.tables, strict=True):
+        values[name] = table.matrix(comparison.metric)
+        notes += failure_notes(table, name)
     unit = " in %" if spec.percent else ""
     title = f"{first.benchmark.title}: {spec.title}{unit}, {spec.better} is better"
     return clip_table(title, values, first.motions, scale=spec.scale, notes=notes)
@@ -135,19 +143,6 @@ def _signed(value: float) -> str:
     """Show a difference with its sign, unless it is shown as 0.00."""
     text = f"{value:+.2f}"
     return "0.00" if float(text) == 0 else text
-
-
-def _check_same_data(tables: Sequence[ScoreTable]) -> None:
-    first = tables[0]
-    for table in tables[1:]:
-        data, here = table.provenance.dataset_sha256, first.provenance.dataset_sha256
-        if data != here or table.names != first.names:
-            raise InvalidValueError(
-                f"{table.meta.method} and {first.meta.method}",
-                expected="scores on the same clips and labels",
-                found=f"dataset {data[:16]} and {here[:16]}",
-                fix="score both on the same data; versions are never mixed",
-            )
 
 
 def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:

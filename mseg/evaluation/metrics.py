@@ -39,9 +39,10 @@ class Metric:
         """Compute the metric."""
         return self.function(table)
 
-    def allows(self, value: float) -> bool:
-        """Whether a clip's value is possible: of a fraction, between the worst and 1; else not negative."""
-        return min(0.0, self.worst(1)) - 1e-9 <= value <= (1 + 1e-9 if self.percent else np.inf)
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and largest possible value of a clip."""
+        return min(0.0, self.worst(1)), 1.0 if self.percent else np.inf
 
     def show(self, value: float) -> str:
         """Give a value as tables print it."""

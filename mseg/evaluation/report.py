@@ -22,9 +22,7 @@ from kt3dmoseg.files import check_target, write_text
 from kt3dmoseg.types import ByteArray, Clip
 from mseg.evaluation import results
 from mseg.evaluation.contingency import Contingency
-from mseg.evaluation.metrics import per_motion
-from mseg.evaluation.protocol import count
-from mseg.evaluation.scoring import ScoreTable, score_validated, to_json
+from mseg.evaluation.scoring import ScoreTable, clip_json, score_validated, to_json
 from mseg.evaluation.validation import Validation, validate_submission
 
 _STEPS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20, 0.25)
@@ -200,29 +198,25 @@ def _section(
     }
     if not tables:
         return section
-    seed, table = next(iter(tables.items()))
-    colours, names = _group_colours(table), dict(clip.labels.names)
-    if table.background is not None:
-        static = int(table.motions[table.background])
-        names[static] = names.get(static) or "background"
+    seed, names = next(iter(tables)), dict(clip.labels.names)
+    motions = clip_json(scores.of(name, seed))["motions"]
+    for each in motions:
+        names.setdefault(each["motion"], "background" if each["background"] else "")
     return section | {
-        "table": table,
-        "note": f", seed {seed}" if len(runs) > 1 else "",
-        "groups": list(colours),
-        "colours": colours,
-        "motions": [f"{m} {names.get(m, '')}".rstrip() for m in table.motions.tolist()],
-        "scores": list(per_motion(table).values()),
-        "found": count(len(table.groups), "group"),
+        "seed": seed,
+        "names": names,
+        "motions": motions,
+        "colours": _group_colours(tables[seed]),
     }
 
 
 def _group_colours(table: Contingency) -> dict[int, int]:
     """Give an assigned group the colour number of its motion, the others, by size, numbers of their own."""
-    motions = table.motions.tolist()
-    colours = {int(j): m for m, j in zip(motions, table.assignment, strict=True) if j >= 0}
-    free = [j for j in range(len(table.groups)) if j not in colours]
-    free.sort(key=lambda j: -int(table.counts[:, j].sum()))
-    return colours | {j: i for i, j in enumerate(free, max(motions, default=0) + 1)}
+    motions, groups = table.motions.tolist(), table.groups.tolist()
+    colours = {groups[j]: m for m, j in zip(motions, table.assignment, strict=True) if j >= 0}
+    sizes = dict(zip(groups, table.counts.sum(axis=0).tolist(), strict=True))
+    free = sorted(sizes.keys() - colours, key=lambda group: (-sizes[group], group))
+    return colours | {group: i for i, group in enumerate(free, max(motions) + 1)}
 
 
 # --- the overlay: positions, labels and frames packed for the page's script -------------------------
@@ -232,8 +226,8 @@ def _drawn(checked: Validation, clip: Clip, seed: int, table: Contingency) -> di
     """Colours and errors of a run's trajectories."""
     labels, truth = checked.labels[seed, clip.name], clip.labels.label
     colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
-    for j, value in _group_colours(table).items():
-        colour[table.groups[j]] = value
+    for group, number in _group_colours(table).items():
+        colour[group] = number
     shown = colour[labels]
     return {"shown": _packed(shown), "wrong": _packed((truth > 0) & (shown != truth))}
 

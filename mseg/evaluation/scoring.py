@@ -77,16 +77,11 @@ class ClipScore:
     seed: int
     n_motions: int  # true ones
     n: int  # scored trajectories
+    n_found: int  # predicted groups among the scored trajectories
+    prevalence: float  # classification error of putting every trajectory into the largest motion
+    reason: str  # why there are no labels; empty when there are
     values: Mapping[str, float]  # every metric by name
-    n_found: int = 0  # predicted groups among the scored trajectories
-    prevalence: float = 1.0  # classification error of putting every trajectory into the largest motion
-    reason: str = ""  # why there are no labels; empty when there are
     table: Contingency | None = None  # the counts behind the values, where they are at hand
-
-    def facts(self) -> dict[str, Any]:
-        """Everything but the values and the counts behind them."""
-        names = ("clip", "seed", "n_motions", "n", "n_found", "prevalence", "reason")
-        return {name: getattr(self, name) for name in names}
 
 
 _BARE, _UNKNOWN = SubmissionMeta("labels"), Provenance("", "", "", "")
@@ -131,7 +126,7 @@ class ScoreTable:
         """Give one row per clip and seed: counts, `prevalence`, `reason`, and every metric (no per cent)."""
         import pandas as pd
 
-        return pd.DataFrame([c.facts() | dict(c.values) for c in self.clips])
+        return pd.DataFrame([vars(c) | dict(c.values) for c in self.clips]).drop(columns=["values", "table"])
 
     def __getitem__(self, metric: str) -> float:
         """Mean of a metric over clips and seeds; UnknownNameError when there is no such metric."""
@@ -354,9 +349,8 @@ def _clip_score(
     prevalence = (n - int(table.sizes.max())) / n
     if predicted is None:
         worst = {key: metric.worst(motions) for key, metric in all_metrics().items()}
-        return ClipScore(name, seed, motions, n, worst, 0, prevalence, reason)
-    values, found = evaluate(table), len(table.groups)
-    return ClipScore(name, seed, motions, n, values, found, prevalence, table=table)
+        return ClipScore(name, seed, motions, n, 0, prevalence, reason, worst)
+    return ClipScore(name, seed, motions, n, len(table.groups), prevalence, "", evaluate(table), table)
 
 
 def score_submission(
@@ -437,14 +431,16 @@ def to_json(scores: ScoreTable) -> dict[str, Any]:
         "provenance": asdict(scores.provenance),
         "seeds": scores.seeds,
         "groups": groups,
-        "clips": [_clip_json(score) for score in scores.clips],
+        "clips": [clip_json(score) for score in scores.clips],
         "problems": [asdict(problem) for problem in scores.problems],
     }
 
 
-def _clip_json(score: ClipScore) -> dict[str, Any]:
-    out, table = score.facts() | {"values": dict(score.values), "motions": []}, score.table
-    if table is not None:  # every motion with its group, its confusion and its own scores; not read back
+def clip_json(score: ClipScore) -> dict[str, Any]:
+    """Give the scores of a clip, and of every motion with its group, which are not read back."""
+    out, table = {**vars(score), "motions": []}, score.table
+    del out["table"]
+    if table is not None:
         scores, groups = per_motion(table), table.groups.tolist()
         out["motions"] = [
             {
@@ -502,9 +498,9 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
     clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
     protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
     table = ScoreTable(clips, read.meta, protocol, read.provenance)
-    wrong = next(_contradictions(table, dict(read)), "")
+    wrong = next(_impossible(table, dict(read)), "")
     if wrong:
-        raise FileFormatError(where, expected=expected, found=wrong[:200])
+        raise FileFormatError(where, expected=expected, found=f"{wrong:.200}: this cannot be true")
     return table
 
 
@@ -520,65 +516,60 @@ def read_model(model: type[ModelT], content: str | bytes, where: str, expected: 
         raise FileFormatError(where, expected=expected, found=found[:200]) from None
 
 
-def _contradictions(table: ScoreTable, claimed: Mapping[str, Any]) -> Iterator[str]:
-    """Yield where claimed scores cannot be true."""
+def _impossible(table: ScoreTable, claimed: Mapping[str, Any]) -> Iterator[str]:
+    """Name the fields whose claims cannot be true."""
     runs = {(c.clip, c.seed) for c in table.clips}
     if not len(runs) == len(table.clips) == len(table.names) * len(table.seeds):
-        yield "not every clip for every seed, once"
+        yield "clips that are not in every seed, once"
         return
     for clip in table.clips:
-        wrong = _clip_contradictions(clip, table.of(clip.clip))
-        yield from (f"clip {clip.clip}, seed {clip.seed}: {each}" for each in wrong)
-    yield from _source_contradictions(table, claimed["benchmark"])
-    for name, own in to_json(table).items():
-        if name in ("seeds", "coverage", "complete", "groups") and claimed[name] is not None:
-            yield from _differences(claimed[name], own, name)
+        where = f"clip {clip.clip} in seed {clip.seed}: "
+        if not clip.values.keys() >= METRICS.keys():
+            yield f"{where}values without a metric"
+        yield from _differences(asdict(clip), _corrected(clip, table.of(clip.clip)), where)
+    yield from _impossible_source(table, claimed["benchmark"])
+    summary = to_json(table)
+    for name in ("seeds", "coverage", "complete", "groups"):
+        if claimed[name] is not None:
+            yield from _differences(claimed[name], summary[name], f"{name}.")
 
 
-def _clip_contradictions(clip: ClipScore, first: ClipScore) -> Iterator[str]:
-    values, n, known = clip.values, clip.n, all_metrics()
-    missing = [name for name in METRICS if name not in values]
-    if missing:
-        yield f"values without {first_few(missing)}"
-        return
-    out = [name for name in known.keys() & values if not known[name].allows(values[name])]
-    yield from (f"values.{name} = {values[name]:g} is out of range" for name in out)
-    if (n, clip.n_motions, clip.prevalence) != (first.n, first.n_motions, first.prevalence):
-        yield f"other trajectories than in seed {first.seed}"
-    if max(clip.n_motions, clip.n_found) > n:
-        yield f"more motions or groups than trajectories ({n})"
-    for name, value in (("values.error", values["error"]), ("prevalence", clip.prevalence)):
-        if abs(value * n - round(value * n)) > 1e-6 * n:
-            yield f"{name} = {value:g} is no fraction of {n} trajectories"
-    name, wanted = ("error", 1) if clip.reason else ("count_error", abs(clip.n_found - clip.n_motions))
-    if values[name] != wanted:
-        yield f"values.{name} = {values[name]:g}, but {wanted} for {clip.n_found} groups {clip.reason}"
-
-
-def _source_contradictions(table: ScoreTable, benchmark: str) -> Iterator[str]:
-    """Compare the benchmark, the provenance and the meta data with the clips."""
+def _impossible_source(table: ScoreTable, benchmark: str) -> Iterator[str]:
     protocol, source = table.benchmark, table.provenance
     if benchmark not in ("custom", *list_protocols()):
-        yield f"the benchmark {benchmark!r:.40}, which is none of {', '.join(list_protocols())}"
+        yield f"benchmark {benchmark!r:.40}"
     known = protocol.recognises if table.protocol else protocol.holds
     foreign = [name for name in table.names if not (known(name) and protocol.holds(name))]
-    yield from (f"clip {name}, which is none of {protocol.title}" for name in foreign)
+    yield from (f"clip {name} in {protocol.title}" for name in foreign)
     checksums = {name: value for name, value in table.meta.fingerprints.items() if name in table.motions}
     if protocol.contradicts(source.dataset_version, checksums):
-        yield f"dataset version {source.dataset_version!r}, of which the checksums of the clips are not"
+        yield f"dataset version {source.dataset_version!r}"
     hashes = (source.dataset_sha256, source.submission_sha256)
     if not all(re.fullmatch("([0-9a-f]{64})?", each) for each in hashes):
-        yield "provenance with hashes that are none"
+        yield "provenance, in which a sha256 is none"
     yield from (f"meta.{name}" for name in wrong_fields(asdict(table.meta)))
 
 
+def _corrected(clip: ClipScore, first: ClipScore) -> dict[str, Any]:
+    """Give the figures of a clip as they would have to be; `first` is its first seed."""
+    n, motions = first.n, min(first.n, first.n_motions)
+    found = 0 if clip.reason else min(n, clip.n_found)
+    values = {name: metric.worst(motions) for name, metric in all_metrics().items()}
+    if not clip.reason:
+        values = {
+            name: float(np.clip(clip.values.get(name, 0), *all_metrics()[name].bounds)) for name in values
+        }
+        values |= {"error": round(values["error"] * n) / n, "count_error": float(abs(found - motions))}
+    prevalence = round(first.prevalence * n) / n
+    return {"n": n, "n_motions": motions, "n_found": found, "prevalence": prevalence, "values": values}
+
+
 def _differences(claimed: Any, own: Any, where: str) -> Iterator[str]:  # noqa: ANN401  # JSON values
-    """Yield where a claim is not what follows from the clips; what is left out claims nothing."""
-    if isinstance(claimed, dict) and isinstance(own, dict):
+    """Name what is not as it must be; what is left out claims nothing."""
+    if isinstance(claimed, Mapping) and isinstance(own, Mapping):
         for name in (claimed.keys() & own.keys()) - {"interval"}:  # which is of numpy's random numbers
-            yield from _differences(claimed[name], own[name], f"{where}.{name}")
-    elif isinstance(claimed, float) and isinstance(own, float):
-        if not math.isclose(claimed, own, rel_tol=1e-9, abs_tol=1e-9):
-            yield f"{where} {claimed:g}, but {own:g} by its clips"
-    elif claimed != own:
-        yield f"{where}, which is {own!r:.60} by its clips"
+            yield from _differences(claimed[name], own[name], f"{where}{name}.")
+        return
+    numbers = isinstance(claimed, float) and isinstance(own, float)
+    if not (math.isclose(claimed, own, rel_tol=1e-9, abs_tol=1e-9) if numbers else claimed == own):
+        yield f"{where[:-1]}, which must be {own!r:.60}"
