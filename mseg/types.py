@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io.predictions import label_vector
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -53,12 +54,7 @@ class Segmentation:
     report: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.labels)
-        numbers = not given.size or given.dtype.kind in "iuf"
-        if given.ndim != 1 or not numbers or ((given < 0) | (given != np.round(given))).any():
-            found = f"{given.dtype} of shape {given.shape}"
-            raise InvalidValueError("labels", expected="(n,) integers >= 0", found=found)
-        labels = np.array(given, dtype=np.int64)
+        labels = label_vector(self.labels, "labels")
         labels.flags.writeable = False
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
@@ -70,9 +66,8 @@ class Segmentation:
         The others join the largest motion: without evidence that is the best guess. Where all that took part
         are outliers, so are they.
         """
-        sizes = np.bincount(labels)
-        largest = int(sizes[1:].argmax()) + 1 if len(sizes) > 1 else 0
-        everywhere = np.full(len(used), largest, dtype=np.int64)
+        sizes = np.bincount(labels)[1:]
+        everywhere = np.full(len(used), sizes.argmax() + 1 if len(sizes) else 0, dtype=np.int64)
         everywhere[used] = labels
         return cls(everywhere, report)
 

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import scipy
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import read_bytes, write_text
@@ -37,11 +37,7 @@ _LARGEST = 4 << 20
 _Count = Annotated[int, Field(ge=0)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
-
-
-class ClipResult(_Model):
+class ClipResult(BaseModel, strict=True, extra="forbid", frozen=True):
     """One clip; lists have one item per seed."""
 
     motions: int = Field(ge=1, description="true number of motions")
@@ -52,7 +48,7 @@ class ClipResult(_Model):
     failures: dict[str, str] = Field(default_factory=dict, description="seed -> why the method failed")
 
 
-class PublishedResult(_Model):
+class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
     """Scores of one method on one version of a benchmark's data."""
 
     format: Literal["mseg-result"] = "mseg-result"
@@ -78,10 +74,8 @@ class PublishedResult(_Model):
                 raise ValueError(f"clips.{name}: expected a clip of {self.protocol.title}")
             if not len(clip.wrong) == len(clip.found) == len(self.seeds) == len(set(self.seeds)):
                 raise ValueError(f"clips.{name}: expected {count(len(self.seeds), 'figure')}, one per seed")
-            if max(clip.wrong) > clip.scored:
-                raise ValueError(
-                    f"clips.{name}.wrong: expected at most {clip.scored}, found {max(clip.wrong)}"
-                )
+            if (most := max(clip.wrong)) > clip.scored:
+                raise ValueError(f"clips.{name}.wrong: expected at most {clip.scored}, found {most}")
         return self
 
     @property

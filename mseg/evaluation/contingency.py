@@ -59,9 +59,7 @@ class Contingency:
     @cached_property
     def with_outliers(self) -> IntArray:
         """The counts with the trajectories predicted 0 as one more group, when there are any."""
-        if not self.unassigned.any():
-            return self.counts
-        return np.column_stack([self.counts, self.unassigned])
+        return np.column_stack([self.counts, self.unassigned]) if self.unassigned.any() else self.counts
 
 
 def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | None = None) -> Contingency:
@@ -70,8 +68,6 @@ def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | 
     Truth 0 = not scored; prediction 0 = outlier. InvalidValueError when the vectors are no labels, differ in
     length, or no trajectory has a true label.
 
-    Examples
-    --------
     >>> contingency([1, 1, 2, 2, 0], [5, 5, 5, 9, 9]).counts.tolist()
     [[2, 0], [1, 1]]
     """
@@ -94,13 +90,8 @@ def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | 
 def best_assignment(counts: IntArray) -> IntArray:
     """Choose a different group for each motion so that most trajectories agree: columns (M,), -1 = none.
 
-    Solves max sum_i counts[i, a(i)] over one-to-one maps a (Kuhn 1955); of equally good ones, that with the
-    larger sum of intersections over unions is taken.
-
-    Examples
-    --------
-    Motion 1 has 3 + 2 trajectories, motion 2 has 4 + 0. Group 0 for motion 1 would agree on
-    3 + 0, group 1 for motion 1 on 2 + 4.
+    Of equally good choices, that with the larger sum of intersections over unions is taken. Here the first
+    motion has 3 + 2 trajectories and the second 4 + 0; the other choice would agree on 3 + 0:
 
     >>> best_assignment(np.array([[3, 2], [4, 0]])).tolist()
     [1, 0]
@@ -112,7 +103,7 @@ def best_assignment(counts: IntArray) -> IntArray:
 
 
 def assign(gain: FloatArray) -> IntArray:
-    """Maximise the sum of gains (M, G) >= 0 over one-to-one choices: columns (M,), -1 = none or no gain."""
+    """Maximise the sum of gains (M, G) >= 0 over one-to-one choices (Kuhn 1955): columns (M,), -1 = none."""
     chosen = np.full(len(gain), -1, dtype=np.int64)
     if gain.size:
         # A fixed order of the columns makes the choice independent of how groups are numbered.
