@@ -21,6 +21,7 @@ from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
 from kt3dmoseg.io.images import (
+    VIDEO_SUFFIXES,
     Colour,
     frame_number,
     frame_paths,
@@ -30,8 +31,8 @@ from kt3dmoseg.io.images import (
     numbered_pictures,
     picture_size,
     read_frames,
+    read_video,
 )
-from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
 from kt3dmoseg.types import ByteArray, Camera, Clip, FloatArray
 
 # What KITTI's drives need is imported where there are any.
@@ -109,12 +110,8 @@ class VideoFile:
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield the luma of every frame."""
         del colour  # a video is in colour by nature
-        with open_video(self.file) as video:
-            if not video.isOpened():
-                expected, fix = "a video that OpenCV decodes", "check the file"
-                raise FileFormatError(f"{self.file}", expected=expected, found="none", fix=fix)
-            while (read := video.read())[0]:
-                yield gray(np.asarray(read[1]), f"{self.file}", "luma")
+        for picture in read_video(self.file):
+            yield gray(picture, f"{self.file}", "luma")
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def show(
     from kt3dmoseg.frames import frames_of
     from kt3dmoseg.io import load
     from kt3dmoseg.io.fields import check_name
-    from kt3dmoseg.io.video import write_moving, write_png
+    from kt3dmoseg.io.images import write_moving, write_png
     from kt3dmoseg.options import from_mapping
 
     chosen = from_mapping(DrawOptions, options)
@@ -124,7 +124,7 @@ def _target(path: Path) -> Path:
     """Refuse what nothing is written as, before anything is drawn."""
     from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.files import check_target
-    from kt3dmoseg.io.video import MOVING_SUFFIXES
+    from kt3dmoseg.io.images import MOVING_SUFFIXES
 
     if path.is_dir():
         return path

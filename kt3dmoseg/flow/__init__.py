@@ -11,7 +11,7 @@ import dataclasses
 import os
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -150,10 +150,9 @@ def cached_flow(
 def backend_identity(flow: Flow) -> dict[str, Any] | None:
     """Everything but the frames that a field depends on: class, parameters and versions, as JSON values.
 
-    None for a backend that is no dataclass or states no version (`kt3dmoseg.parallel.algorithm_version`), and
-    for one whose class has ``uncached = True``, since it depends on more than its parameters (files). A
-    parameter that is listed in the class's ``files`` counts by the content of the file it names; ``packages``
-    lists what it computes with beyond numpy and OpenCV.
+    None for a backend that is no dataclass or states no version (`kt3dmoseg.parallel.algorithm_version`), or
+    whose class has ``uncached = True``. The class's ``files`` lists the parameters that count by the content
+    of the file they name, ``packages`` what it computes with beyond numpy and OpenCV.
     """
     cls: type[Any] = type(flow)
     algorithm = algorithm_version(cls)
@@ -193,8 +192,7 @@ def sample(field: npt.NDArray[Any], xy: npt.ArrayLike) -> FloatArray:
     fx, fy = (x - left).reshape(shape), (y - top).reshape(shape)
     upper = field[top, left] * (1 - fx) + field[top, left + 1] * fx
     lower = field[top + 1, left] * (1 - fx) + field[top + 1, left + 1] * fx
-    result: FloatArray = upper * (1 - fy) + lower * fy
-    return result
+    return np.asarray(upper * (1 - fy) + lower * fy)
 
 
 def smooth(image: Float32Array, sigma: float) -> Float32Array:
@@ -209,9 +207,8 @@ def smooth(image: Float32Array, sigma: float) -> Float32Array:
     if sigma <= 0:
         return image
     kernel = _kernel(sigma)
-    return cast(
-        Float32Array, cv2.sepFilter2D(image, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
-    )
+    smoothed = cv2.sepFilter2D(image, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(smoothed, np.float32)
 
 
 @cache
@@ -220,4 +217,4 @@ def _kernel(sigma: float) -> Float32Array:
     radius = int(np.ceil(_NEGLIGIBLE / decay))
     x = decay * np.abs(np.arange(-radius, radius + 1))
     kernel = (1 + x) * np.exp(-x)
-    return cast(Float32Array, (kernel / kernel.sum()).astype(np.float32))
+    return np.asarray(kernel / kernel.sum(), np.float32)

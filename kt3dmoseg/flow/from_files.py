@@ -47,15 +47,12 @@ class FlowFiles:
         check_pair(a, b)
         path = self._fields.get((sha256_arrays(a), sha256_arrays(b)))
         if path is None:
-            raise InvalidValueError(
-                "frames", expected=f"two neighbours of {self.frames}", found="a pair that is not there"
-            )
+            expected, found = f"two neighbours of {self.frames}", "a pair that is not there"
+            raise InvalidValueError("frames", expected=expected, found=found)
         field = read_flow(path)
         if field.shape[:2] != a.shape:
-            height, width = a.shape
-            raise InvalidValueError(
-                str(path), expected=f"a field of {width}x{height}", found=f"{field.shape[1]}x{field.shape[0]}"
-            )
+            expected, found = ("{1}x{0}".format(*shape) for shape in (a.shape, field.shape))
+            raise InvalidValueError(f"{path}", expected=f"a field of {expected}", found=found)
         return field
 
     @cached_property
@@ -63,12 +60,10 @@ class FlowFiles:
         """Files by the checksums of their pairs of frames; of frames that come twice, the first."""
         checksums = [sha256_arrays(read_frame(path)) for path in frame_paths(self._folder("frames"))]
         found: dict[tuple[str, str], Path] = {}
-        fields = zip(
-            *(self._files(which, len(checksums) - 1) for which in ("forward", "backward")), strict=True
-        )
-        for (first, second), (forward, backward) in zip(pairwise(checksums), fields, strict=True):
-            found.setdefault((first, second), forward)
-            found.setdefault((second, first), backward)
+        forward, backward = (self._files(which, len(checksums) - 1) for which in ("forward", "backward"))
+        for (first, second), there, back in zip(pairwise(checksums), forward, backward, strict=True):
+            found.setdefault((first, second), there)
+            found.setdefault((second, first), back)
         return found
 
     def _files(self, which: str, count: int) -> list[Path]:
@@ -76,17 +71,12 @@ class FlowFiles:
         paths = [path for path in listed(folder) if path.suffix.lower() in FLOW_SUFFIXES]
         paths.sort(key=lambda path: [int(digits) for digits in _DIGITS.findall(path.stem)])  # 2 before 10
         if len(paths) != count:
-            raise InputFileError(
-                str(folder), expected=f"{count} flow files, one per pair of frames", found=str(len(paths))
-            )
+            expected = f"{count} flow files, one per pair of frames"
+            raise InputFileError(f"{folder}", expected=expected, found=f"{len(paths)}")
         return paths
 
     def _folder(self, which: str) -> Path:
         if value := getattr(self, which):
             return Path(value)
-        raise InvalidValueError(
-            f"flow files: {which}",
-            expected="a folder",
-            found="none",
-            fix=f"give {which}=FOLDER, on the command line -p {which}=FOLDER",
-        )
+        fix = f"give {which}=FOLDER, on the command line -p {which}=FOLDER"
+        raise InvalidValueError(f"flow files: {which}", expected="a folder", found="none", fix=fix)

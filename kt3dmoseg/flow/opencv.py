@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Literal
 
 import cv2
@@ -30,7 +30,7 @@ class DisMedium:
 
 @dataclass(frozen=True)
 class Farneback:
-    """OpenCV's Farneback flow (Farneback, SCIA 2003)."""
+    """OpenCV's Farneback flow (Farneback, SCIA 2003); its parameters are in OpenCV's order."""
 
     pyramid_scale: float = option(0.5, "size of a pyramid level to the one below", low=0.1, high=0.95)
     levels: int = option(5, "pyramid levels", low=1, high=20)
@@ -42,17 +42,5 @@ class Farneback:
     def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
         """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`."""
         check_pair(a, b)
-        unused = np.empty((*a.shape, 2), dtype=np.float32)
-        field = cv2.calcOpticalFlowFarneback(
-            a,
-            b,
-            unused,
-            self.pyramid_scale,
-            self.levels,
-            self.window,
-            self.iterations,
-            self.neighbourhood,
-            self.sigma,
-            0,
-        )
-        return np.asarray(field, dtype=np.float32)
+        field = cv2.calcOpticalFlowFarneback(a, b, None, *astuple(self), 0)  # type: ignore[call-overload]  # as above
+        return np.asarray(field, np.float32)

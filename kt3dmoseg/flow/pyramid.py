@@ -15,7 +15,7 @@ from kt3dmoseg.flow import check_pair, smooth
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
-_RADIUS = 2
+_SIDE = 5
 _CAP = 20
 _DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
@@ -85,8 +85,9 @@ class VariationalPyramid:
             Omega=self.overrelaxation,
         )
         for level, scale in enumerate(self.scales):
-            first, second = (_resize(frame, scale) for frame in frames)
-            field = _resize_flow(field, first.shape)
+            size = round(a.shape[0] * scale), round(a.shape[1] * scale)
+            # Smoothed as they are, the frames need no averaging at half size and above.
+            first, second, field = (_resized(picture, size) for picture in (*frames, field))
             if level == self.scales.index(1):
                 field = sharpen(a, b, field, reach=self.reach, share=self.share, floor=self.floor)
             field = np.asarray(solver.calc(first, second, field), np.float32)
@@ -111,22 +112,13 @@ def _seed(a: ByteArray, b: ByteArray) -> Float32Array:
     return np.asarray(field, np.float32)
 
 
-def _resize(frame: Float32Array, scale: float) -> Float32Array:
-    height, width = (round(side * scale) for side in frame.shape)
-    if (height, width) == frame.shape:
-        return frame
-    # Smoothed as they are, the frames need no averaging at half size and above.
-    return np.asarray(cv2.resize(frame, (width, height)), np.float32)
-
-
-def _resize_flow(field: Float32Array, shape: tuple[int, ...]) -> Float32Array:
-    """Resample a field and scale its vectors alike."""
-    if field.shape[:2] == shape:
-        return field
-    height, width = shape
-    result = np.asarray(cv2.resize(field, (width, height)), np.float32)
-    result[..., 0] *= width / field.shape[1]  # both at once, broadcast over pairs, take seven times as long
-    result[..., 1] *= height / field.shape[0]
+def _resized(picture: Float32Array, shape: tuple[int, int]) -> Float32Array:
+    """Resample a frame, or a field, whose vectors are scaled alike."""
+    if picture.shape[:2] == shape:
+        return picture
+    result = np.asarray(cv2.resize(picture, shape[::-1]), np.float32)
+    for axis in (0, 1) if result.ndim == 3 else ():  # both at once, broadcast, take seven times as long
+        result[..., axis] *= shape[1 - axis] / picture.shape[1 - axis]
     return result
 
 
@@ -147,7 +139,17 @@ def sharpen(
     change must bring the mean difference under ``share * difference - floor``, so that noise moves nothing;
     further ones need only be better.
     """
-    difference = _Difference(a, b)
+    columns, rows = (np.arange(side, dtype=np.float32) for side in reversed(a.shape))
+    pixels = np.stack(np.meshgrid(columns, rows), axis=2)
+    target = np.empty_like(pixels)
+
+    def difference(candidate: Float32Array) -> Float32Array:
+        """Mean capped difference of patches; outside, the second frame is black."""
+        np.add(pixels, candidate, out=target)
+        seen = cv2.remap(b, target, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
+        apart = cv2.min(cv2.absdiff(seen, a), _CAP)  # type: ignore[call-overload]  # nor numbers
+        return np.asarray(cv2.boxFilter(apart, cv2.CV_32F, (_SIDE, _SIDE)), np.float32)
+
     limit = np.asarray(difference(field) * np.float32(share) - np.float32(floor), np.float32)
     result = field.copy()
     height, width = a.shape
@@ -161,20 +163,3 @@ def sharpen(
             cv2.copyTo(candidate, better, result)
             cv2.copyTo(now, better, limit)
     return result
-
-
-class _Difference:
-    """Mean capped difference of gray values between patches of two frames; outside, the second is black."""
-
-    def __init__(self, a: ByteArray, b: ByteArray) -> None:
-        self.a, self.b = a, b
-        columns, rows = (np.arange(side, dtype=np.float32) for side in reversed(a.shape))
-        self.pixels = np.stack(np.meshgrid(columns, rows), axis=2)
-        self.target = np.empty_like(self.pixels)
-
-    def __call__(self, field: Float32Array) -> Float32Array:
-        np.add(self.pixels, field, out=self.target)
-        seen = cv2.remap(self.b, self.target, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
-        apart = cv2.min(cv2.absdiff(seen, self.a), _CAP)  # type: ignore[call-overload]  # nor numbers
-        side = 2 * _RADIUS + 1
-        return np.asarray(cv2.boxFilter(apart, cv2.CV_32F, (side, side)), np.float32)

@@ -13,8 +13,8 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import read_bytes, write_text
-from kt3dmoseg.io.fields import clip_of_tracks
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
+from kt3dmoseg.io.fields import foreign_clip
+from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels, Trajectories
 
 _MAX_FILE = 1 << 30
 # A track of 5 points in a thousand frames fills 60 cells per token.
@@ -42,86 +42,68 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
 
 def read(path: str | os.PathLike[str]) -> Clip:
     """Read a clip; every row counts as evaluated, label 0 being unlabelled."""
-    numbers, frames, tracks = _parse(path)
-    xy, visible = _fill(numbers, tracks, frames, os.fspath(path))
-    return clip_of_tracks(path, "brox-dat", Trajectories(xy, visible), np.maximum(tracks[:, 0], 0))
+    label, tracks = read_tracks(path)
+    return foreign_clip(path, "brox-dat", tracks, Labels(np.maximum(label, 0)))
 
 
-def read_labels(path: str | os.PathLike[str]) -> IntArray:
-    """Read only the label of each track, as the file has it: -1 where there is none; raises as `read`."""
-    return _parse(path)[2][:, 0]
-
-
-def _parse(path: str | os.PathLike[str]) -> tuple[FloatArray, int, IntArray]:
-    """Return the numbers of the file, nFrames, and label, start and length (nTracks, 3) of each track."""
-    where = os.fspath(path)
-    tokens = read_bytes(path, _MAX_FILE).split()
-    try:
-        numbers = np.array(tokens, dtype="S32").astype(np.float64) if tokens else np.zeros(0)
-    except ValueError:
-        numbers = np.array([np.nan])
-    if max(map(len, tokens), default=0) > 32 or not np.isfinite(numbers).all():
-        number, token = next((k, t) for k, t in enumerate(tokens, start=1) if not _is_finite(t))
-        expected = f"finite numbers of at most 32 digits: {_LAYOUT}"
-        raise FileFormatError(
-            f"{where}: value {number}", expected=expected, found=repr(token[:40].decode(errors="replace"))
-        )
-    if len(numbers) < 2:
-        raise FileFormatError(where, expected=_LAYOUT, found=f"{len(numbers)} numbers; the file is truncated")
-    frames, count = (_integer(numbers[i], where, what) for i, what in enumerate(("nFrames", "nTracks")))
-    most = (len(numbers) - 2) // 2
-    if count > most:
-        raise FileFormatError(f"{where}: nTracks", expected=f"at most {most} in this file", found=f"{count}")
+def read_tracks(path: str | os.PathLike[str]) -> tuple[IntArray, Trajectories]:
+    """Read the label of each track as the file has it, -1 where there is none, and the tracks."""
+    where, numbers = os.fspath(path), _numbers(path)
+    frames, count = (_whole(numbers, i, f"{where}: {what}") for i, what in enumerate(("nFrames", "nTracks")))
     limit = min(_MAX_CELLS, max(_CELLS_FREE, _CELLS_PER_TOKEN * len(numbers)))
     if frames * max(count, 1) > limit:
         expected, found = f"at most {limit} positions in this file", f"{frames} frames x {count} tracks"
         raise FileFormatError(f"{where}: nFrames", expected=expected, found=found)
-    return numbers, frames, _tracks(numbers, count, where)
-
-
-def _is_finite(token: bytes) -> bool:
-    try:
-        return len(token) <= 32 and bool(np.isfinite(np.array(token).astype(np.float64)))
-    except ValueError:
-        return False
-
-
-def _tracks(numbers: FloatArray, count: int, where: str) -> IntArray:
-    tracks, at = np.zeros((count, 3), dtype=np.int64), 2
-    for row in range(count):
-        if at + 2 > len(numbers):
-            raise FileFormatError(f"{where}: track {row}", expected="label and length", found=_END)
-        label = _integer(numbers[at], where, f"label of track {row}", low=-1)
-        length = _integer(numbers[at + 1], where, f"length of track {row}")
-        tracks[row] = label, at + 2, length
+    heads: list[tuple[int, int, int]] = []
+    at = 2
+    while at < len(numbers):
+        track = f"{where}: track {len(heads)}"
+        label = _whole(numbers, at, f"{track}: label", low=-1)
+        length = _whole(numbers, at + 1, f"{track}: length")
+        heads.append((at, label, length))
         at += 2 + 3 * length
         if at > len(numbers):
-            raise FileFormatError(f"{where}: track {row}", expected=f"{length} points", found=_END)
-    if at != len(numbers):
-        found = f"{len(numbers) - at} more numbers"
-        raise FileFormatError(where, expected=f"the end after {count} tracks", found=found)
-    return tracks
+            raise FileFormatError(track, expected=f"{length} points", found=_END)
+    if len(heads) != count:
+        expected = f"{len(heads)}, the tracks that follow"
+        raise FileFormatError(f"{where}: nTracks", expected=expected, found=f"{count}")
+    starts, labels, lengths = np.array(heads, dtype=np.int64).reshape(-1, 3).T
+    points = np.delete(numbers, [0, 1, *starts, *(starts + 1)]).reshape(-1, 3)
+    xy = np.full((count, frames, 2), np.nan)
+    _fill(xy, np.repeat(np.arange(count), lengths), points, where)
+    return labels, Trajectories(xy, ~np.isnan(xy[..., 0]))
 
 
-def _fill(numbers: FloatArray, tracks: IntArray, frames: int, where: str) -> tuple[FloatArray, BoolArray]:
-    _, starts, lengths = tracks.T
-    points = np.delete(numbers, [0, 1, *(starts - 2), *(starts - 1)]).reshape(-1, 3)
-    row, frame = np.repeat(np.arange(len(tracks)), lengths), points[:, 2]
+def _fill(xy: FloatArray, row: IntArray, points: FloatArray, where: str) -> None:
+    frame, frames = points[:, 2], xy.shape[1]
     bad = (frame < 0) | (frame >= frames) | (frame != np.floor(frame))
     if bad.any():
-        first, found = f"{where}: track {row[bad][0]}", f"{frame[bad][0]:g}"
-        raise FileFormatError(first, expected=f"frames 0..{frames - 1}", found=found)
-    index = frame.astype(np.int64)
-    xy = np.full((len(tracks), frames, 2), np.nan)
-    visible = np.zeros((len(tracks), frames), dtype=np.bool_)
-    xy[row, index], visible[row, index] = points[:, :2], True
-    if np.count_nonzero(visible) != len(row):
+        track, found = f"{where}: track {row[bad][0]}", f"{frame[bad][0]:g}"
+        raise FileFormatError(track, expected=f"frames 0..{frames - 1}", found=found)
+    xy[row, frame.astype(np.int64)] = points[:, :2]
+    if np.count_nonzero(~np.isnan(xy[..., 0])) != len(row):
         raise FileFormatError(where, expected="one point per track and frame", found="a frame given twice")
-    return xy, visible
 
 
-def _integer(value: float, where: str, what: str, low: int = 0) -> int:
+def _numbers(path: str | os.PathLike[str]) -> FloatArray:
+    tokens = read_bytes(path, _MAX_FILE).split()
+    numbers = np.fromiter(map(_number, tokens), np.float64, len(tokens))
+    if len(bad := np.flatnonzero(~np.isfinite(numbers))):
+        where, found = f"{os.fspath(path)}: value {bad[0] + 1}", tokens[bad[0]][:40].decode(errors="replace")
+        raise FileFormatError(where, expected=f"finite numbers: {_LAYOUT}", found=repr(found))
+    return numbers
+
+
+def _number(token: bytes) -> float:
+    try:
+        return float(token)
+    except ValueError:
+        return np.nan
+
+
+def _whole(numbers: FloatArray, at: int, where: str, low: int = 0) -> int:
+    value = numbers[at] if at < len(numbers) else np.nan
     if value != np.floor(value) or not low <= value < 1 << 40:
-        expected, fix = f"a whole number >= {low}", f"the layout is {_LAYOUT}"
-        raise FileFormatError(f"{where}: {what}", expected=expected, found=f"{value:g}", fix=fix)
+        found, fix = _END if at >= len(numbers) else f"{value:g}", f"the layout is {_LAYOUT}"
+        raise FileFormatError(where, expected=f"a whole number >= {low}", found=found, fix=fix)
     return int(value)

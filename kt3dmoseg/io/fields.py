@@ -1,4 +1,4 @@
-"""What every clip format shares: checked arrays and texts of a file, names, provenance as JSON."""
+"""The gate of every clip format: what a clip's file holds, checked by name and made a clip."""
 
 from __future__ import annotations
 
@@ -7,83 +7,129 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import parse_json, sha256_file
-from kt3dmoseg.types import Camera, Clip, IntArray, Labels, Trajectories
+from kt3dmoseg.types import BoolArray, Camera, Clip, IntArray, Labels, Trajectories
 
-_ENDINGS = ("_Tracks", "_truth")
 _LONGEST = 200
 _NUMBER = re.compile(r"-?[0-9]{1,18}")
-NUMBERS = "biuf"
-_WORDS = {NUMBERS: "numbers", "iu": "whole numbers", "f": "floating-point numbers", "b": "true or false"}
+NUMBERS, TEXT = "biuf", "U"
+_KINDS = {NUMBERS: "numbers", "iu": "whole numbers", "f": "floating-point numbers", "bu": "true or false"}
+_KINDS[TEXT] = "a text"
 
 
-class Fields:
-    """Checked access to the named `values` of a file; `prefix` precedes their names in messages."""
+class Field(NamedTuple):
+    """One value of a clip: its kinds in numpy's letters, where HDF5 has it, what it is called."""
+
+    kinds: str
+    place: str
+    words: str
+    about: str = ""  # of a dataset in HDF5; the others are attributes
+
+
+# What the formats hold that keep everything, in the order in which HDF5 is written.
+FIELDS = {
+    "xy": Field(
+        "f",
+        "dense/xy",
+        "coordinates",
+        "(N, F, 2) positions, x right, y down, pixels; (0, 0) is the centre of the top-left pixel; "
+        "NaN where not visible",
+    ),
+    "visible": Field(
+        "bu", "dense/visible", "coordinates", "(N, F) 1 where the trajectory exists in the frame, else 0"
+    ),
+    "track_id": Field("iu", "dense/track_id", "track ids", "(N,) identity of each trajectory"),
+    "evaluated": Field(
+        "iu", "evaluated", "which trajectories are evaluated", "(n,) rows of dense that are scored, from 0"
+    ),
+    "label": Field(
+        "iu", "labels/label", "labels", "(n,) motion of each evaluated trajectory; 0 = unlabelled or outlier"
+    ),
+    "frame_numbers": Field("iu", "frames/number", "frame numbers", "(F,) number of each frame in its source"),
+    "timestamps": Field("f", "frames/timestamp", "timestamps", "(F,) seconds"),
+    "K": Field("f", "camera/K", "camera", "(3, 3) normalised to pixel coordinates"),
+    "name": Field(TEXT, "name", "name"),
+    "provenance": Field(TEXT, "provenance", "provenance"),
+    "label_names": Field(TEXT, "labels/names", "names of the motions"),
+    "image_size": Field(NUMBERS, "dense/image_size", "image size"),
+    "background": Field("iu", "labels/background", "which label is the background"),
+    "camera_name": Field(TEXT, "camera/name", "camera"),
+}
+NEEDED = {"name", "xy", "visible", "track_id", "evaluated", "label", "frame_numbers"}
+
+
+class Fields(dict[str, Any]):
+    """The named values of a file, and checked access to them; `prefix` precedes their names in messages."""
 
     def __init__(self, prefix: str, values: Mapping[str, Any]) -> None:
-        self.prefix, self.values = prefix, values
-
-    def __contains__(self, name: str) -> bool:
-        """Whether there is a field of that name."""
-        return name in self.values
+        super().__init__(values)
+        self.prefix = prefix
 
     def array(
         self, name: str, shape: tuple[int | None, ...] | None = None, kinds: str = NUMBERS
     ) -> npt.NDArray[Any]:
-        """Return an array of numbers; in `shape` None is any size, without it any shape will do."""
-        value = self.values.get(name)
+        """Return an array; in `shape` None is any size, without it any shape will do."""
+        given = self.get(name)
+        value = np.asarray(given if isinstance(given, np.ndarray | np.generic | str) else None)
         wanted = " x ".join("any" if n is None else str(n) for n in shape or ())
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
-            found = f"only {', '.join(sorted(self.values))}" if value is None else _describe(value)
-            raise self.error(name, f"{_WORDS[kinds]} {wanted}".strip(), found)
+        if value.dtype.kind not in kinds:
+            raise self.error(name, f"{_KINDS[kinds]} {wanted}".strip())
         if shape is None:
             return value
         # MATLAB drops a third dimension of size one.
         full = value[..., None] if len(shape) == 3 and value.ndim == 2 else value
-        fits = full.ndim == len(shape) and all(w in (None, n) for w, n in zip(shape, full.shape, strict=True))
-        if not fits:
-            found = " x ".join(map(str, value.shape)) or "one value"
+        if full.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, full.shape, strict=True)):
             turned = full.ndim == len(shape) > 1 and {*shape} - {None} <= {*full.shape}
             fix = f"is it transposed? it must be {wanted}" if turned else ""
-            raise self.error(name, wanted or "one value", found, fix)
+            raise self.error(name, wanted or "one value", _by(value.shape), fix)
         return full
 
-    def integers(self, name: str, count: int, low: int, high: int) -> IntArray:
+    def integers(self, name: str, count: int, low: int = 0, high: int = 1 << 31) -> IntArray:
         """Return so many whole numbers within bounds, from a row, a column or a vector."""
         given = self.array(name)
         if given.size != count or (given.size and given.size != max(given.shape, default=1)):
-            raise self.error(name, f"a vector of {count}", " x ".join(map(str, given.shape)) or "one value")
+            raise self.error(name, f"a vector of {count}", _by(given.shape))
         values = given.astype(np.float64).ravel()
-        good = np.isfinite(values) & (values >= low) & (values <= high)
-        good[good] &= values[good] == np.floor(values[good])
+        good = (values >= low) & (values <= high) & (values == np.floor(values))
         if not good.all():
             raise self.error(name, f"whole numbers {low}..{high}", repr(float(values[~good][0])))
         return values.astype(np.int64)
 
-    def text(self, name: str) -> str:
-        """Return a text."""
-        value = self.values[name]
-        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.shape == ():
-            return str(value)
-        if not isinstance(value, str):
-            raise self.error(name, "a text", _describe(value))
-        return value
+    def flags(self, name: str, shape: tuple[int, ...]) -> BoolArray:
+        """Return an array that is 0 or 1 everywhere."""
+        values = self.array(name, shape)
+        if not np.isin(values, (0, 1)).all():
+            raise self.error(name, "0 or 1", f"{values.min():g} to {values.max():g}")
+        return values.astype(np.bool_)
 
-    def error(self, name: str, expected: str, found: str, fix: str = "") -> FileFormatError:
-        """Make the error that names the field."""
+    def json(self, name: str) -> dict[str, Any]:
+        """Parse a text that is a JSON object; it is empty when there is none."""
+        text = str(self.array(name, (), TEXT)) if name in self else "{}"
+        values = parse_json(text, f"{self.prefix}{name}")
+        if not isinstance(values, dict):
+            raise self.error(name, "a JSON object", type(values).__name__)
+        return values
+
+    def error(self, name: str, expected: str, found: str = "", fix: str = "") -> FileFormatError:
+        """Make the error that names the field, by default with the value that it has."""
+        value = self.get(name)
+        if name not in self:
+            found = found or f"only {', '.join(sorted(self))}"
+        elif isinstance(value, np.ndarray | np.generic):
+            found = found or f"{value.dtype} of shape {value.shape}"
+        kinds: dict[type, str] = {str: "a text", dict: "a struct"}
+        found = found or kinds.get(type(value), str(value))
         return FileFormatError(f"{self.prefix}{name}", expected=expected, found=found, fix=fix)
 
 
-def _describe(value: object) -> str:
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype} of shape {value.shape}"
-    return "a text" if isinstance(value, str) else "a struct" if isinstance(value, dict) else str(value)
+def _by(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape)) or "one value"
 
 
 def clip_name(path: str | os.PathLike[str]) -> str:
@@ -92,10 +138,7 @@ def clip_name(path: str | os.PathLike[str]) -> str:
     >>> clip_name("release/Seq028_clip03_Tracks.mat"), clip_name("cars1_truth.mat")
     ('Seq028_clip03', 'cars1')
     """
-    stem = Path(path).stem
-    for ending in _ENDINGS:
-        stem = stem.removesuffix(ending)
-    return stem
+    return Path(path).stem.removesuffix("_Tracks").removesuffix("_truth")
 
 
 def check_name(name: str, where: str) -> None:
@@ -105,22 +148,20 @@ def check_name(name: str, where: str) -> None:
         raise InvalidValueError(where, expected=expected, found=f"{name!r}")
 
 
-def origin(path: str | os.PathLike[str], format: str) -> dict[str, Any]:
-    """Return the provenance of a clip that was read from another format: format, file name, checksum."""
-    return {"format": format, "source": Path(path).name, "sha256": sha256_file(path)}
-
-
-def clip_of_tracks(
+def foreign_clip(
     path: str | os.PathLike[str],
     format: str,
     dense: Trajectories,
-    label: IntArray | None = None,
+    labels: Labels | None = None,
+    rows: IntArray | None = None,
     camera: Camera | None = None,
+    **provenance: Any,  # noqa: ANN401  # JSON
 ) -> Clip:
-    """Return a clip from a format that holds only tracks: named by its file, all of them evaluated."""
-    label = np.zeros(len(dense), dtype=np.int64) if label is None else label
-    rows = np.arange(len(dense))
-    return Clip(clip_name(path), dense, rows, Labels(label), camera=camera, provenance=origin(path, format))
+    """Return a clip of another format, named by its file; by default all is evaluated, nothing labelled."""
+    rows = np.arange(len(dense)) if rows is None else rows
+    labels = Labels(np.zeros(len(rows), dtype=np.int64)) if labels is None else labels
+    origin = {"format": format, "source": Path(path).name, "sha256": sha256_file(path)}
+    return Clip(clip_name(path), dense, rows, labels, camera=camera, provenance=origin | provenance)
 
 
 def clip_values(clip: Clip) -> dict[str, Any]:
@@ -140,35 +181,36 @@ def clip_values(clip: Clip) -> dict[str, Any]:
         "camera_name": None if camera is None else camera.name,
         "K": None if camera is None else camera.K,
     }
-    for name in ("name", "label_names", "provenance", "camera_name"):
+    for name in (name for name, value in values.items() if isinstance(value, str)):
         try:
-            (values[name] or "").encode()
+            values[name].encode()
         except UnicodeEncodeError:  # half of a pair of UTF-16, as Python reads a byte of a file's name
             raise InvalidValueError(name, expected="text in UTF-8", found=ascii(values[name])[:80]) from None
     return {name: value for name, value in values.items() if value is not None}
 
 
-def clip_from(values: Mapping[str, Any], prefix: str) -> Clip:
-    """Return the clip of what `clip_values` gave, `xy` and `visible`; `prefix` precedes names in messages."""
-    background = values.get("background")
-    has_camera = "K" in values or "camera_name" in values
-    names = json_object(values.get("label_names", "{}"), f"{prefix}label_names")
+def clip_from(fields: Fields) -> Clip:
+    """Return the clip of a file that has what `FIELDS` lists."""
+    got: dict[str, Any] = {}
+    for name in (name for name in FIELDS if name in NEEDED or name in fields):
+        kinds = FIELDS[name].kinds
+        got[name] = fields.array(name, () if kinds == TEXT or name == "background" else None, kinds)
+        got[name].flags.writeable = False  # a clip takes it as it is, without a copy
+    names = fields.json("label_names")
     odd = next((key for key in names if not _NUMBER.fullmatch(key)), None)
     if odd is not None:
-        raise FileFormatError(f"{prefix}label_names", expected="numbers of motions", found=repr(odd))
+        raise fields.error("label_names", "numbers of motions", repr(odd))
+    motions = {int(key): str(name) for key, name in names.items()}
+    has_camera = "K" in got or "camera_name" in got
     return Clip(
-        name=values["name"],
-        dense=Trajectories(values["xy"], values["visible"], values["track_id"], values.get("image_size")),
-        evaluated=values["evaluated"],
-        labels=Labels(
-            values["label"],
-            None if background is None else int(background),
-            {int(key): str(name) for key, name in names.items()},
-        ),
-        frame_numbers=values["frame_numbers"],
-        timestamps=values.get("timestamps"),
-        camera=Camera(values.get("camera_name", ""), values.get("K")) if has_camera else None,
-        provenance=json_object(values.get("provenance", "{}"), f"{prefix}provenance"),
+        name=str(got["name"]),
+        dense=Trajectories(got["xy"], got["visible"], got["track_id"], got.get("image_size")),
+        evaluated=got["evaluated"],
+        labels=Labels(got["label"], got.get("background"), motions),
+        frame_numbers=got["frame_numbers"],
+        timestamps=got.get("timestamps"),
+        camera=Camera(str(got.get("camera_name", "")), got.get("K")) if has_camera else None,
+        provenance=fields.json("provenance"),
     )
 
 
@@ -178,11 +220,3 @@ def _json_text(values: Mapping[str, Any], what: str) -> str:
         return json.dumps(dict(values), sort_keys=True, ensure_ascii=False, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InvalidValueError(what, expected="JSON values", found=str(error)) from None
-
-
-def json_object(text: str, where: str) -> dict[str, Any]:
-    """Parse a JSON object."""
-    values = parse_json(text, where)
-    if not isinstance(values, dict):
-        raise FileFormatError(where, expected="a JSON object", found=type(values).__name__)
-    return values

@@ -5,9 +5,9 @@ In memory a field is (H, W, 2) float32, the displacement in pixels (right, down)
 
 from __future__ import annotations
 
+import io
 import os
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,21 +37,27 @@ def read_flow(path: str | os.PathLike[str]) -> Float32Array:
     ``flow``, or the only one). InputFileError when the file cannot be read; FileFormatError when it is none
     of these, damaged, or declares a wrong size.
     """
-    where = os.fspath(path)
-    content = read_bytes(path, _MAX_FILE)
+    where, content = os.fspath(path), read_bytes(path, _MAX_FILE)
     if content[:4] == _FLO_TAG:
         return _from_flo(content, where)
     if content[:8] == b"\x89PNG\r\n\x1a\n":
         return _from_kitti(decode(content, where), where)
     if content[:6] == b"\x93NUMPY":
-        return _from_array(read_npy(path), where)
-    if content[:4] == b"PK\x03\x04":
+        arrays = {"flow": read_npy(io.BytesIO(content), len(content), where)}
+    elif content[:4] == b"PK\x03\x04":
         arrays = read_npz(path)
-        if "flow" not in arrays and len(arrays) != 1:
-            raise FileFormatError(where, expected="an array 'flow'", found=", ".join(sorted(arrays)))
-        return _from_array(arrays.get("flow", next(iter(arrays.values()))), where)
-    found = f"a file that starts with {content[:8]!r}"
-    raise FileFormatError(where, expected="a flow field (.flo, KITTI .png, .npy, .npz)", found=found)
+    else:
+        found = f"a file that starts with {content[:8]!r}"
+        raise FileFormatError(where, expected="a flow field (.flo, KITTI .png, .npy, .npz)", found=found)
+    if "flow" not in arrays and len(arrays) != 1:
+        raise FileFormatError(where, expected="an array 'flow'", found=", ".join(sorted(arrays)))
+    array = arrays.get("flow", next(iter(arrays.values())))
+    if array.ndim == 3 and array.shape[0] == 2 and array.shape[2] != 2:
+        array = np.moveaxis(array, 0, -1)
+    if array.ndim != 3 or array.shape[2] != 2 or array.dtype.kind not in "iuf":
+        found = f"{array.dtype} {array.shape}"
+        raise FileFormatError(where, expected="numbers (H, W, 2) or (2, H, W)", found=found)
+    return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def write_flow(path: str | os.PathLike[str], flow: npt.ArrayLike) -> None:
@@ -63,72 +69,50 @@ def write_flow(path: str | os.PathLike[str], flow: npt.ArrayLike) -> None:
     field = np.asarray(flow, dtype=np.float32)
     if field.ndim != 3 or field.shape[2] != 2:
         raise InvalidValueError("flow", expected="shape (H, W, 2)", found=f"{field.shape}")
-    suffix = Path(path).suffix.lower()
-    if suffix == ".npz":
-        write_npz(path, {"flow": field})
-    elif suffix in _ENCODERS:
-        write_bytes(path, _ENCODERS[suffix](field))
-    else:
-        known = ", ".join(FLOW_SUFFIXES)
-        raise InvalidValueError(os.fspath(path), expected=f"a suffix of {known}", found=repr(suffix))
+    known = np.asarray(np.isfinite(field).all(axis=2, keepdims=True))
+    match Path(path).suffix.lower():
+        case ".flo":
+            values = np.where(known, field, _FLO_WRITTEN).astype("<f4")
+            write_bytes(path, _FLO_TAG + struct.pack("<ii", *field.shape[1::-1]) + values.tobytes())
+        case ".png":
+            write_bytes(path, _to_kitti(field, known))
+        case ".npy":
+            write_bytes(path, npy_bytes(field))
+        case ".npz":
+            write_npz(path, {"flow": field})
+        case other:
+            expected = f"a suffix of {', '.join(FLOW_SUFFIXES)}"
+            raise InvalidValueError(os.fspath(path), expected=expected, found=repr(other))
 
 
 def _from_flo(content: bytes, where: str) -> Float32Array:
-    if len(content) < 12:
-        raise FileFormatError(where, expected="12 bytes of header", found=f"{len(content)}")
-    width, height = struct.unpack("<ii", content[4:12])
+    width, height = struct.unpack("<ii", content[4:12].ljust(8, b"\0"))
     needed = 12 + 8 * width * height
     if width < 1 or height < 1 or needed != len(content):
+        expected = f"{max(needed, 20)} bytes"
         raise FileFormatError(
-            f"{where}: .flo of {width}x{height}", expected=f"{max(needed, 20)} bytes", found=f"{len(content)}"
+            f"{where}: .flo of {width}x{height}", expected=expected, found=f"{len(content)}"
         )
     field = np.frombuffer(content, "<f4", offset=12).astype(np.float32).reshape(height, width, 2)
     with np.errstate(invalid="ignore"):
-        known = np.all(np.abs(field) <= _FLO_UNKNOWN, axis=2)
-    return np.where(known[..., None], field, np.float32(np.nan))
-
-
-def _to_flo(field: Float32Array) -> bytes:
-    height, width = field.shape[:2]
-    known = np.where(_known(field)[..., None], field, np.float32(_FLO_WRITTEN))
-    return _FLO_TAG + struct.pack("<ii", width, height) + known.astype("<f4").tobytes()
+        known = np.all(np.abs(field) <= _FLO_UNKNOWN, axis=2, keepdims=True)
+    return np.where(known, field, np.float32(np.nan))
 
 
 def _from_kitti(picture: npt.NDArray[Any], where: str) -> Float32Array:
-    if picture.dtype != np.uint16 or picture.ndim != 3 or picture.shape[2] != 3:
+    if picture.dtype != np.uint16 or picture.ndim != 3:
         found = f"{picture.dtype} of shape {picture.shape}"
         raise FileFormatError(where, expected="a 16-bit RGB PNG as KITTI's flow", found=found)
-    field = (picture[..., 2:0:-1].astype(np.float32) - _KITTI_ZERO) / np.float32(_KITTI_SCALE)
-    field[picture[..., 0] == 0] = np.nan
+    field = (picture[..., :2].astype(np.float32) - _KITTI_ZERO) / np.float32(_KITTI_SCALE)
+    field[picture[..., 2] == 0] = np.nan
     return field
 
 
-def _to_kitti(field: Float32Array) -> bytes:
-    valid = _known(field)
-    steps = np.rint(np.where(valid[..., None], field, 0).astype(np.float64) * _KITTI_SCALE) + _KITTI_ZERO
+def _to_kitti(field: Float32Array, known: BoolArray) -> bytes:
+    steps = np.rint(np.where(known, field, 0).astype(np.float64) * _KITTI_SCALE) + _KITTI_ZERO
     if ((steps < 0) | (steps >= 1 << 16)).any():
         expected = "displacements within -512..511.98 px, all that a KITTI PNG holds"
-        found = f"{np.abs(field[valid]).max():g}"
+        found = f"{np.abs(field[known[..., 0]]).max():g}"
         raise InvalidValueError("flow", expected=expected, found=found, fix="write .flo or .npy")
-    picture = np.dstack([valid, steps[..., 1], steps[..., 0]]).astype(np.uint16)
-    return bytes(cv2.imencode(".png", picture)[1])
-
-
-def _known(field: Float32Array) -> BoolArray:
-    return np.asarray(np.isfinite(field).all(axis=2))
-
-
-def _from_array(array: npt.NDArray[Any], where: str) -> Float32Array:
-    if array.ndim == 3 and array.shape[0] == 2 and array.shape[2] != 2:
-        array = np.moveaxis(array, 0, -1)
-    if array.ndim != 3 or array.shape[2] != 2 or array.dtype.kind not in "iuf":
-        found = f"{array.dtype} {array.shape}"
-        raise FileFormatError(where, expected="numbers (H, W, 2) or (2, H, W)", found=found)
-    return np.ascontiguousarray(array, dtype=np.float32)
-
-
-_ENCODERS: dict[str, Callable[[Float32Array], bytes]] = {
-    ".flo": _to_flo,
-    ".png": _to_kitti,
-    ".npy": npy_bytes,
-}
+    bgr = np.concatenate([known, steps[..., ::-1]], axis=2).astype(np.uint16)
+    return bytes(cv2.imencode(".png", bgr)[1])

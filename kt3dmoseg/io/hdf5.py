@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
-from kt3dmoseg.io.fields import clip_from, clip_values, json_object
-from kt3dmoseg.types import Clip, Trajectories
+from kt3dmoseg.io.fields import FIELDS, NUMBERS, Fields, clip_from, clip_values
+from kt3dmoseg.types import Clip
 
 FORMAT, VERSION = "kt3dmoseg clip", 1
 _CHUNK_BYTES = 1 << 18
@@ -31,50 +31,27 @@ _MAX_CHUNK = 1 << 26
 _MAX_TEXT = 1 << 26
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 
-_POSITIONS = (
-    "(N, F, 2) positions, x right, y down, pixels; (0, 0) is the centre of the top-left pixel; "
-    "NaN where not visible"
-)
-_LABELS = "(n,) motion of each evaluated trajectory; 0 = unlabelled or outlier"
-# Of each array of a clip its path in the file, type, number of dimensions, and what it is.
-_DATASETS = {
-    "xy": ("dense/xy", "f8", 3, _POSITIONS),
-    "visible": ("dense/visible", "u1", 2, "(N, F) 1 where the trajectory exists in the frame, else 0"),
-    "track_id": ("dense/track_id", "i8", 1, "(N,) identity of each trajectory"),
-    "evaluated": ("evaluated", "i8", 1, "(n,) rows of dense that are scored, from 0"),
-    "label": ("labels/label", "i8", 1, _LABELS),
-    "frame_numbers": ("frames/number", "i8", 1, "(F,) number of each frame in its source"),
-    "timestamps": ("frames/timestamp", "f8", 1, "(F,) seconds"),
-    "K": ("camera/K", "f8", 2, "(3, 3) normalised to pixel coordinates"),
-}
-DESCRIPTIONS = {inner: text for inner, _, _, text in _DATASETS.values()}
-_OPTIONAL = ("timestamps", "K")
-_ATTRIBUTES = {
-    "format": "format",
-    "version": "version",
-    "name": "name",
-    "provenance": "provenance",
-    "label_names": "labels/names",
-    "image_size": "dense/image_size",
-    "background": "labels/background",
-    "camera_name": "camera/name",
-}
-_TEXTS = ("name", "provenance", "label_names", "camera_name")
+DESCRIPTIONS = {field.place: field.about for field in FIELDS.values() if field.about}
 
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write a clip; InvalidValueError when its provenance is not made of JSON values."""
+    values, dense = clip_values(clip), clip.dense
     # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
     with _new_file() as file:
-        _write_trajectories(file, clip.dense)
-        values: dict[str, Any] = {"format": FORMAT, "version": np.int64(VERSION)} | clip_values(clip)
-        for name, (inner, *_) in _DATASETS.items():
-            if name in values:
-                _create(file, inner, values[name].shape, values[name].dtype)[...] = _one_nan(values[name])
-        for name, inner in _ATTRIBUTES.items():
-            if name in values:
-                group, _, key = inner.rpartition("/")
-                _untimed_group(file, group).attrs.create(key, _fixed(values[name]))
+        shape = (len(dense), dense.n_frames)
+        _write_rows(file, "dense/xy", (*shape, 2), "f8", lambda rows: dense.block(rows.start, rows.stop)[0])
+        _write_rows(file, "dense/visible", shape, "u1", lambda rows: dense.block(rows.start, rows.stop)[1])
+        attributes: dict[str, Any] = {"format": FORMAT, "version": np.int64(VERSION)}
+        for name, field in ((name, FIELDS[name]) for name in FIELDS if name in values):
+            if field.about:
+                array = values[name]
+                _write_rows(file, field.place, array.shape, array.dtype, array.__getitem__)
+            else:
+                attributes[field.place] = values[name]
+        for place, value in attributes.items():
+            group, _, key = place.rpartition("/")
+            _untimed_group(file, group).attrs.create(key, _fixed(value))
         file.flush()
         image = file.id.get_file_image()
     write_bytes(path, image)
@@ -84,35 +61,21 @@ def read(path: str | os.PathLike[str]) -> Clip:
     """Read a clip; see `kt3dmoseg.io.load` for the errors."""
     where = os.fspath(path)
     with open_hdf5(where) as file:
-        _check_version(file, where)
-        values: dict[str, Any] = {
-            name: read_array(file, inner, where, dtype, ndim)
-            for name, (inner, dtype, ndim, _) in _DATASETS.items()
-            if name not in _OPTIONAL or inner in file
-        }
-        values["visible"] = values["visible"] != 0
-        values["image_size"] = _attribute(file, _ATTRIBUTES["image_size"], where)
-        values["background"] = _integer(file, _ATTRIBUTES["background"], where)
-        values |= {name: _text(file, _ATTRIBUTES[name], where) for name in _TEXTS}
-        if values["name"] is None:
-            raise FileFormatError(f"{where}: attribute name", expected="a text", found="nothing")
-        return clip_from({name: value for name, value in values.items() if value is not None}, f"{where}: ")
+        values = _attributes(file, where)
+        for name, dataset in _datasets(file, where):
+            values[name] = dataset[()]
+        return clip_from(Fields(f"{where}: ", values))
 
 
 def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return only the provenance of a clip's file, after all its checksums are checked; raises as `read`."""
     where = os.fspath(path)
     with open_hdf5(where) as file:
-        _check_version(file, where)
-        for inner in _ATTRIBUTES.values():
-            _attribute(file, inner, where)
-        for inner, dtype, ndim, _ in _DATASETS.values():
-            if inner in file:
-                dataset = _dataset(file, inner, where, dtype, ndim)
-                step = dataset.chunks[0] if dataset.chunks else max(1, len(dataset))
-                for first in range(0, len(dataset), step):  # a long clip fits into memory by chunks only
-                    dataset[first : first + step]
-        return json_object(_text(file, "provenance", where) or "{}", f"{where}: provenance")
+        values = _attributes(file, where)
+        for _, dataset in _datasets(file, where):
+            for part in dataset.iter_chunks() if dataset.chunks else [()]:  # a long clip fits by chunks only
+                dataset[part]
+        return Fields(f"{where}: ", values).json("provenance")
 
 
 def _new_file() -> h5py.File:
@@ -125,31 +88,25 @@ def _new_file() -> h5py.File:
     return h5py.File(h5py.h5f.create(b"clip", h5py.h5f.ACC_TRUNC, creation, access))
 
 
-def _write_trajectories(file: h5py.File, dense: Trajectories) -> None:
-    """Write chunk by chunk: of a long clip, the whole would be mostly NaN."""
-    shape, n = (len(dense), dense.n_frames), len(dense)
-    for part, (name, of, dtype) in enumerate((("dense/xy", (2,), "f8"), ("dense/visible", (), "u1"))):
-        dataset = _create(file, name, (*shape, *of), np.dtype(dtype))
-        step = dataset.chunks[0] if dataset.chunks else 1
-        for first in range(0, n if dataset.size else 0, step):
-            last = min(first + step, n)
-            dataset[first:last] = _one_nan(dense.block(first, last)[part])
-
-
-def _create(file: h5py.File, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> h5py.Dataset:
-    group = _untimed_group(file, name.rpartition("/")[0])
-    row = max(1, math.prod(shape[1:]) * dtype.itemsize)
-    rows = max(1, min(shape[0], _CHUNK_BYTES // row))
-    packed = {"chunks": (rows, *shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
+def _write_rows(
+    file: h5py.File,
+    place: str,
+    shape: tuple[int, ...],
+    dtype: npt.DTypeLike,
+    rows_of: Callable[[slice], npt.NDArray[Any]],
+) -> None:
+    """Write a dataset chunk by chunk: of a long clip, all positions at once would be mostly NaN."""
+    group, _, key = place.rpartition("/")
+    step = max(1, min(shape[0], _CHUNK_BYTES // max(1, math.prod(shape[1:]) * np.dtype(dtype).itemsize)))
+    packed = {"chunks": (step, *shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
     options = {**packed, "shuffle": True, "fletcher32": True} if math.prod(shape) else {}
-    dataset = group.create_dataset(name.rpartition("/")[2], shape, dtype, track_times=False, **options)
-    dataset.attrs.create("description", _fixed(DESCRIPTIONS[name]))
-    return dataset
-
-
-def _one_nan(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Write every NaN with the same bits: the same clip gives the same bytes."""
-    return np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values
+    dataset = _untimed_group(file, group).create_dataset(key, shape, dtype, track_times=False, **options)
+    dataset.attrs.create("description", _fixed(DESCRIPTIONS[place]))
+    for first in range(0, shape[0] if dataset.size else 0, step):
+        rows = slice(first, min(first + step, shape[0]))
+        values = rows_of(rows)
+        # Every NaN gets the same bits: the same clip gives the same bytes.
+        dataset[rows] = np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values
 
 
 def _untimed_group(file: h5py.File, name: str) -> h5py.Group:
@@ -168,50 +125,51 @@ def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fix
     return np.array(content, dtype=h5py.string_dtype("utf-8", max(1, len(content))))
 
 
-def _check_version(file: h5py.File, where: str) -> None:
-    kind = _text(file, "format", where)
-    if kind != FORMAT:
+def _attributes(file: h5py.File, where: str) -> dict[str, Any]:
+    """Read the attributes; FileFormatError for a file of another kind or a newer version."""
+    places = {"format": "format", "version": "version"}
+    places |= {name: field.place for name, field in FIELDS.items() if not field.about}
+    values: dict[str, Any] = {}
+    for name, place in places.items():
+        group, _, key = place.rpartition("/")
+        owner = _find(file, group, where)
+        if owner is None or key not in owner.attrs:
+            continue
+        if (kind := owner.attrs.get_id(key)).dtype.itemsize * math.prod(kind.shape) > _MAX_TEXT:
+            raise FileFormatError(f"{where}: {name}", expected=f"at most {_MAX_TEXT} bytes", found="more")
+        value = owner.attrs[key]
+        values[name] = value.decode("utf-8", errors="replace") if isinstance(value, bytes) else value
+    if str(kind := values.pop("format", "")) != FORMAT:
         found = f"format {kind!r}" if kind else "another HDF5 file (no attribute 'format')"
         fix = "give a file that kt3dmoseg build, track or convert wrote"
         if "#refs#" in file or "Data" in file:
             found, fix = "a MATLAB 7.3 MAT-file (HDF5)", "save it again in MATLAB with the option '-v7'"
         raise FileFormatError(where, expected=f"a {FORMAT}", found=found, fix=fix)
-    version = _integer(file, "version", where)
-    if version is None or version < 1:
-        raise FileFormatError(f"{where}: version", expected="1 or more", found=str(version))
-    if version > VERSION:
+    if (version := Fields(f"{where}: ", values).integers("version", 1, 1)[0]) > VERSION:
         fix = "the file was written by a newer kt3dmoseg; upgrade this one"
         raise FileFormatError(f"{where}: version", expected=f"at most {VERSION}", found=str(version), fix=fix)
+    return values
 
 
-def _attribute(file: h5py.File, name: str, where: str) -> Any:  # noqa: ANN401  # as h5py gives it
-    """Return an attribute; None when it is not there."""
-    group, _, key = name.rpartition("/")
-    if group and group not in file:
-        return None
-    owner = _hard_linked(file, group, where) if group else file
-    if key not in owner.attrs:
-        return None
-    if (kind := owner.attrs.get_id(key)).dtype.itemsize * math.prod(kind.shape) > _MAX_TEXT:
-        raise FileFormatError(f"{where}: {key}", expected=f"at most {_MAX_TEXT} bytes", found="more")
-    return owner.attrs[key]
+def _datasets(file: h5py.File, where: str) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Give the datasets of a clip that are there, checked, with the names of their fields."""
+    for name, field in FIELDS.items():
+        if field.about and (dataset := _find(file, field.place, where)) is not None:
+            check_storage(dataset, f"{where}: {name}")
+            yield name, dataset
 
 
-def _text(file: h5py.File, name: str, where: str) -> str | None:
-    value = _attribute(file, name, where)
-    if isinstance(value, bytes):
-        return value.decode("utf-8", errors="replace")
-    if not isinstance(value, str | None):
-        raise FileFormatError(f"{where}: attribute {name}", expected="a text", found=type(value).__name__)
-    return value
-
-
-def _integer(file: h5py.File, name: str, where: str) -> int | None:
-    value = _attribute(file, name, where)
-    number = np.asarray(value)
-    if value is not None and (number.size != 1 or number.dtype.kind not in "iu"):
-        raise FileFormatError(f"{where}: {name}", expected="a whole number", found=repr(value))
-    return None if value is None else int(number.item())
+def _find(file: h5py.File, place: str, where: str) -> Any | None:  # noqa: ANN401  # h5py has no types
+    """Look an object up; None when it is not there, and no soft or external link is followed."""
+    here: Any = file
+    for part in filter(None, place.split("/")):
+        link = here.get(part, getlink=True) if isinstance(here, h5py.Group) else None
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise FileFormatError(f"{where}: {place}", expected="data in this file", found="a link")
+        here = here[part]
+    return here
 
 
 @contextmanager
@@ -232,41 +190,10 @@ def open_hdf5(path: str) -> Iterator[h5py.File]:
         raise FileFormatError(path, expected="an intact HDF5 file", found=f"damage: {error}") from None
 
 
-def read_array(file: h5py.File, name: str, where: str, dtype: str, ndim: int) -> npt.NDArray[Any]:
-    """Read a dataset of known type and number of dimensions, stored in this very file within bounds."""
-    values = np.asarray(_dataset(file, name, where, dtype, ndim)[()], dtype=np.dtype(dtype))
-    values.flags.writeable = False  # a clip takes it as it is, without a copy
-    return values
-
-
-def _dataset(file: h5py.File, name: str, where: str, dtype: str, ndim: int) -> h5py.Dataset:
-    field = f"{where}: {name}"
-    dataset = _hard_linked(file, name, where)
-    if not isinstance(dataset, h5py.Dataset):
-        raise FileFormatError(field, expected="a dataset", found="a group")
-    wanted = np.dtype(dtype)
-    same = dataset.dtype.kind == wanted.kind and dataset.dtype.itemsize == wanted.itemsize
-    if not same or dataset.ndim != ndim:
-        found = f"{dataset.dtype} with {dataset.ndim}"
-        raise FileFormatError(field, expected=f"{wanted} with {ndim} dimensions", found=found)
-    _check_storage(dataset, field)
-    return dataset
-
-
-def _hard_linked(file: h5py.File, name: str, where: str) -> h5py.Group | h5py.Dataset:
-    """Look an object up without following a soft or external link on the way."""
-    here: Any = file
-    for part in name.split("/"):
-        link = here.get(part, getlink=True) if isinstance(here, h5py.Group) else None
-        if link is None:
-            raise FileFormatError(f"{where}: {name}", expected="present, as in every clip", found="nothing")
-        if not isinstance(link, h5py.HardLink):
-            raise FileFormatError(f"{where}: {name}", expected="data in this file", found="a link")
-        here = here[part]
-    return here
-
-
-def _check_storage(dataset: h5py.Dataset, field: str) -> None:
+def check_storage(dataset: Any, field: str) -> None:  # noqa: ANN401  # h5py has no types
+    """Refuse what is no dataset of numbers, stored in this very file within bounds."""
+    if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in NUMBERS:
+        raise FileFormatError(field, expected="a dataset of numbers", found=str(dataset))
     if dataset.external or dataset.is_virtual:
         raise FileFormatError(field, expected="data in this file", found="a reference to another file")
     plan = dataset.id.get_create_plist()
@@ -276,10 +203,8 @@ def _check_storage(dataset: h5py.Dataset, field: str) -> None:
     size = math.prod(dataset.shape) * dataset.dtype.itemsize
     stored = dataset.id.get_storage_size()
     limit = min(_MAX_BYTES, max(_RATIO_FREE, _MAX_RATIO * stored))
-    if size > limit:
-        found = f"{size} bytes, shape {dataset.shape}, from {stored} stored"
-        raise FileFormatError(field, expected=f"at most {limit} bytes", found=found)
-    if dataset.chunks and math.prod(dataset.chunks) * dataset.dtype.itemsize > _MAX_CHUNK:
-        raise FileFormatError(
-            field, expected=f"chunks of at most {_MAX_CHUNK} bytes", found=f"{dataset.chunks}"
-        )
+    chunk = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    if size > limit or chunk > _MAX_CHUNK:
+        expected = f"at most {limit} bytes, in chunks of at most {_MAX_CHUNK}"
+        found = f"{size}, shape {dataset.shape}, from {stored} stored, in chunks of {chunk}"
+        raise FileFormatError(field, expected=expected, found=found)

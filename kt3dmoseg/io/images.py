@@ -1,4 +1,4 @@
-"""Pictures: numbered frames of a folder as 8-bit gray, and PNGs whose pixels are numbers."""
+"""Pictures: numbered frames of a folder as 8-bit gray, PNGs whose pixels are numbers, videos."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -16,26 +16,30 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
-from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import listed, read_bytes
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.files import atomic_path, listed, read_bytes, write_bytes
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import ByteArray, IntArray
 
 Colour: TypeAlias = Literal["refuse", "luma"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
+_VIDEO = {".mp4": "mp4v", ".avi": "MJPG"}
+_ANIMATION = {".gif": "GIF", ".apng": "PNG", ".webp": "WEBP"}
+VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
+MOVING_SUFFIXES = (*_VIDEO, *_ANIMATION)
+# FFmpeg's AV_LOG_QUIET, which OpenCV reads once: a damaged video is reported in one line of ours.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 _MAX_FILE = 1 << 28
 MAX_PIXELS = 1 << 26
 MOTS_IGNORE = 10_000
 # Ids up to this are numbers of objects; gray levels that a person chose to see are brighter.
 _DARK = 20
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")  # none that runs another program
+_BIT_DEPTH = 24  # where a PNG has it, in its header
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-_SIGNATURES = (_PNG, _JPEG, b"BM", b"RIFF", b"II*\0", b"MM\0*")
-_PLAIN_MODES = ("L", "RGB", "RGBA", "I;16", "I;16B", "I", "F")
-_CONVERSIONS = {"1": "L", "LA": "RGBA", "PA": "RGBA"}
+_GRAY_MODES = ("L", "I;16", "I;16B", "I", "F")
 _DEEP = re.compile(r";16|^\('RGB', \d+\)$")  # the latter is PPM with a largest value other than 255
-_BITS = re.compile(r";(\d+)")
 _ORIENTATION = 0x0112  # of EXIF; 1 is upright
 # A marker before a segment, or the end; not the stuffed zeros and restarts within pixel data.
 _MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
@@ -48,9 +52,6 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
     has no number, a number is missing or given twice.
     """
     root = Path(folder)
-    if not root.is_dir():
-        found = "a file" if root.exists() else "no such folder"
-        raise InputFileError(f"{root}", expected="a folder of frames", found=found)
     pictures = numbered_pictures(root)
     if len(pictures) < 2:
         expected = "at least two numbered frames (000001.png, 000002.png, ...)"
@@ -60,17 +61,14 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
     for before, after in pairwise(pictures):
         if after != before + 1:
             expected = f"frames numbered {min(pictures)} to {max(pictures)} without a gap"
-            found, fix = (
-                f"{before} followed by {after}",
-                "add the missing frames, or split the folder at the gap",
-            )
+            found, fix = f"{before} followed by {after}", "add the missing frames, or split the folder there"
             raise FileFormatError(f"{root}: frame {before + 1}", expected=expected, found=found, fix=fix)
     return list(pictures.values())
 
 
 def has_pictures(folder: Path) -> bool:
     """Whether a path is a folder with pictures in it."""
-    return folder.is_dir() and any(path.suffix.lower() in IMAGE_SUFFIXES for path in listed(folder))
+    return folder.is_dir() and bool(_pictures(folder))
 
 
 def is_clip(folder: Path) -> bool:
@@ -78,8 +76,8 @@ def is_clip(folder: Path) -> bool:
     if not has_pictures(folder):
         return False
     if below := next((path for path in listed(folder) if has_pictures(path)), None):
-        stray = next(path for path in listed(folder) if path.suffix.lower() in IMAGE_SUFFIXES)
-        expected, found = "frames, or one folder of frames per clip", f"both: {stray.name} and {below.name}"
+        expected = "frames, or one folder of frames per clip"
+        found = f"both: {_pictures(folder)[0].name} and {below.name}"
         fix = "give the folder of one clip, or move one of them elsewhere"
         raise InputFileError(f"{folder}", expected=expected, found=found, fix=fix)
     return True
@@ -88,9 +86,7 @@ def is_clip(folder: Path) -> bool:
 def numbered_pictures(folder: Path) -> dict[int, Path]:
     """Return the pictures of a folder by number, in order; there may be gaps, but no number twice."""
     out: dict[int, Path] = {}
-    for file in listed(folder):
-        if file.suffix.lower() not in IMAGE_SUFFIXES:
-            continue
+    for file in _pictures(folder):
         if not file.is_file():
             raise FileFormatError(f"{file}", expected="a picture", found="a folder or device")
         number = frame_number(file)
@@ -99,6 +95,10 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
             raise FileFormatError(where, expected="one file", found=found, fix="keep one of them")
         out[number] = file
     return dict(sorted(out.items()))
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return [path for path in listed(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
 
 
 def frame_number(path: str | os.PathLike[str]) -> int:
@@ -112,8 +112,7 @@ def frame_number(path: str | os.PathLike[str]) -> int:
 
 def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Width and height of a picture; raises as `read_frame`."""
-    with _opened(read_bytes(path, _MAX_FILE), os.fspath(path)) as (image, _):
-        return image.size
+    return _loaded(read_bytes(path, _MAX_FILE), os.fspath(path))[0].size
 
 
 def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteArray:
@@ -123,15 +122,11 @@ def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteA
     0.299 R + 0.587 G + 0.114 B (ITU-R BT.601). InputFileError when the file cannot be read; FileFormatError
     when it is damaged, 16-bit, or in colour that is refused.
     """
-    where = os.fspath(path)
-    return gray(decode(read_bytes(path, _MAX_FILE), where), where, colour)
+    return gray(read_picture(path), os.fspath(path), colour)
 
 
 def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refuse") -> Iterator[ByteArray]:
-    """Read frames one after the other, all of one size; see `read_frame`.
-
-    FileFormatError also for a frame of another size than the first.
-    """
+    """Read frames as `read_frame` does; FileFormatError also for one of another size than the first."""
     first: tuple[str, tuple[int, ...]] | None = None
     for path in paths:
         frame = read_frame(path, colour)
@@ -142,43 +137,41 @@ def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refus
         yield frame
 
 
+def read_picture(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
+    """Read a picture as it is stored; see `decode`."""
+    return decode(read_bytes(path, _MAX_FILE), os.fspath(path))
+
+
 def decode(content: bytes, where: str) -> npt.NDArray[Any]:
-    """Decode a picture as it is stored: (H, W) or (H, W, C), in OpenCV's BGR order.
+    """Decode a picture with the depth it is stored in: (H, W) gray, or (H, W, 3) RGB without transparency.
 
     FileFormatError when it is no picture, huge, cut short, or damaged as far as its format shows that.
     """
-    with _opened(content, where) as (image, stored):
-        if not image.mode.startswith("I;16") and _DEEP.search(stored):  # of these, Pillow keeps 8 bits
-            with quiet_opencv():
-                picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-            if picture is None:
-                raise ValueError("a depth that OpenCV does not decode")
-            return np.asarray(picture)
-        if image.mode not in _PLAIN_MODES:
-            image = image.convert(_CONVERSIONS.get(image.mode, "RGB"))
-        pixels = np.asarray(image)
-    if pixels.ndim == 2:
-        return pixels
-    return cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR)
+    image, stored = _loaded(content, where)
+    if not image.mode.startswith("I;16") and _DEEP.search(stored):  # of these, Pillow keeps 8 bits
+        encoded, as_stored = np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+        with quiet_opencv():
+            picture = cv2.imdecode(encoded, as_stored)
+        if picture is None:
+            raise FileFormatError(where, expected="a depth that OpenCV decodes", found=stored)
+        return np.asarray(picture if picture.ndim == 2 else picture[..., ::-1])
+    if image.mode not in _GRAY_MODES:
+        image = image.convert("L" if image.mode == "1" else "RGB")
+    return np.asarray(image)
 
 
 def decode_indices(content: bytes, where: str) -> tuple[IntArray, int]:
-    """Decode a PNG of one channel to its numbers (H, W) int64, whatever colours its palette gives them.
-
-    Also returned: the file's bits per pixel, 1, 2, 4, 8 or 16.
-    """
+    """Decode a PNG of one channel, whatever its palette, to numbers (H, W) int64 and their bits (1 to 16)."""
     if not content.startswith(_PNG):
         raise FileFormatError(where, expected="an indexed or gray PNG", found="another file")
-    with _opened(content, where) as (image, stored):
-        channels = len(image.getbands())
-        if channels != 1:
-            found, fix = f"{channels} channels", "write it as indexed PNG, not as colours"
-            raise FileFormatError(where, expected="one channel of numbers", found=found, fix=fix)
-        depth = _BITS.search(stored)
-        bits = int(depth[1]) if depth else 1 if image.mode == "1" else 8
-        # Pillow stretches gray of 2 and 4 bits to 0..255.
-        stretch = 255 // ((1 << bits) - 1) if image.mode == "L" else 1
-        return np.asarray(image).astype(np.int64) // stretch, bits
+    image, _ = _loaded(content, where)
+    if (channels := len(image.getbands())) != 1:
+        found, fix = f"{channels} channels", "write it as indexed PNG, not as colours"
+        raise FileFormatError(where, expected="one channel of numbers", found=found, fix=fix)
+    bits = content[_BIT_DEPTH]
+    # Pillow stretches gray of 2 and 4 bits to 0..255.
+    stretch = 255 // ((1 << bits) - 1) if image.mode == "L" else 1
+    return np.asarray(image).astype(np.int64) // stretch, bits
 
 
 def void_ids(used: Collection[int], bits: int, where: str) -> list[int]:
@@ -207,9 +200,8 @@ def encode_indices(indices: ByteArray, palette: ByteArray) -> bytes:
     return buffer.getvalue()
 
 
-@contextmanager
-def _opened(content: bytes, where: str) -> Iterator[tuple[Image.Image, str]]:
-    """Give a checked picture and how Pillow describes its storage; what Pillow raises becomes one line."""
+def _loaded(content: bytes, where: str) -> tuple[Image.Image, str]:
+    """Return a checked picture and how Pillow describes its storage; what Pillow raises becomes one line."""
     fix = "the file is damaged; fetch it again"
     if content.startswith(_JPEG) and not _has_end(content):
         found = f"a file cut short at {len(content)} bytes"
@@ -223,19 +215,16 @@ def _opened(content: bytes, where: str) -> Iterator[tuple[Image.Image, str]]:
         with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
             stored = str(image.tile[0].args) if image.tile else ""
             image.load()
-            _check_upright(image, where)
-            yield image, stored
-    except FileFormatError:
-        raise
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         found = str(error).partition("(")[2].partition(")")[0]
         raise FileFormatError(where, expected=f"at most {MAX_PIXELS} pixels", found=found) from None
     except UnidentifiedImageError:
         found = f"a file that starts with {content[:8]!r}" if content else "an empty file"
-        fix = fix if not content or content.startswith(_SIGNATURES) else ""
-        raise FileFormatError(where, expected="a picture", found=found, fix=fix) from None
+        raise FileFormatError(where, expected="a picture", found=found) from None
     except Exception as error:  # Pillow's readers raise anything on damaged files
         raise FileFormatError(where, expected="an intact picture", found=str(error), fix=fix) from None
+    _check_upright(image, where)
+    return image, stored
 
 
 def _check_upright(image: Image.Image, where: str) -> None:
@@ -282,10 +271,82 @@ def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> By
         raise FileFormatError(where, expected="an 8-bit picture", found=found, fix=fix)
     if picture.ndim == 2:
         return picture
-    channels = picture[..., :3] if picture.shape[2] >= 3 else picture[..., :1]
-    if (channels == channels[..., :1]).all():
-        return np.ascontiguousarray(channels[..., 0])
+    if (picture == picture[..., :1]).all():
+        return np.ascontiguousarray(picture[..., 0])
     if colour == "refuse":
         fix = "convert it to gray, or ask for its luma with --colour luma (colour='luma')"
         raise FileFormatError(where, expected="a gray picture", found="colour", fix=fix)
-    return np.asarray(cv2.cvtColor(channels, cv2.COLOR_BGR2GRAY))
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
+
+
+@contextmanager
+def _opened_video(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
+    with quiet_opencv():
+        # OpenCV's other readers write to standard error what they do not understand.
+        video = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG)
+    try:
+        yield video
+    finally:
+        video.release()
+
+
+def read_video(path: str | os.PathLike[str]) -> Iterator[ByteArray]:
+    """Yield the pictures of a video, (H, W, 3) RGB; FileFormatError when OpenCV decodes none."""
+    with _opened_video(path) as video:
+        read = video.read()
+        if not read[0]:
+            raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
+        while read[0]:
+            yield np.asarray(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB), np.uint8)
+            read = video.read()
+
+
+def write_png(path: str | os.PathLike[str], picture: ByteArray) -> None:
+    """Write one (H, W, 3) RGB or (H, W) gray picture atomically."""
+    stored = picture[..., ::-1] if picture.ndim == 3 else picture
+    write_bytes(path, bytes(cv2.imencode(".png", np.ascontiguousarray(stored))[1]))
+
+
+def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float) -> None:
+    """Write (H, W, 3) RGB pictures of one size as a video or animation, by the path's suffix.
+
+    Videos, ``.mp4`` and ``.avi``, take one picture into memory at a time. `rate` is in pictures per second.
+    InvalidValueError for another suffix, InputFileError when the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix in _VIDEO:
+        _write_video(Path(path), pictures, rate, suffix)
+    elif suffix in _ANIMATION:
+        first, *others = (Image.fromarray(picture) for picture in pictures)
+        buffer = io.BytesIO()
+        options = {"duration": round(1000 / rate), "loop": 0, "lossless": True}
+        first.save(buffer, _ANIMATION[suffix], save_all=True, append_images=others, **options)
+        write_bytes(path, buffer.getvalue())
+    else:
+        known = ", ".join(MOVING_SUFFIXES)
+        raise InvalidValueError(os.fspath(path), expected=f"a suffix of {known}", found=repr(suffix))
+
+
+def _write_video(path: Path, pictures: Iterable[ByteArray], rate: float, suffix: str) -> None:
+    # The last row or column of an odd size is repeated: these codecs would drop it (4:2:0 chroma).
+    even = (np.pad(p, ((0, p.shape[0] % 2), (0, p.shape[1] % 2), (0, 0)), mode="edge") for p in pictures)
+    first = next(even)
+    with atomic_path(path) as temporary, quiet_opencv():
+        named = temporary.with_name(temporary.name + suffix)  # OpenCV goes by the name
+        try:
+            code = cv2.VideoWriter.fourcc(*_VIDEO[suffix])
+            writer, count = cv2.VideoWriter(os.fspath(named), code, rate, first.shape[1::-1]), 0
+            if not writer.isOpened():
+                raise InputFileError(f"{path}: OpenCV cannot write this video", fix="try .avi")
+            for picture in chain([first], even):
+                writer.write(np.ascontiguousarray(picture[..., ::-1]))
+                count += 1
+            writer.release()
+            with _opened_video(named) as video:  # read back: OpenCV does not report a full disk
+                found = sum(1 for _ in iter(video.grab, False))
+            if found < count:
+                shown = f"{found} of {count} pictures"
+                raise InputFileError(f"{path}: cannot write", found=shown, fix="is the disk full?")
+            os.replace(named, temporary)
+        finally:
+            named.unlink(missing_ok=True)

@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import listed, read_bytes
+from kt3dmoseg.files import listed
+from kt3dmoseg.io import images
 from kt3dmoseg.io.flow_files import read_flow
-from kt3dmoseg.io.formats import check_regular, clip_files, dataset_paths, load, recognise
-from kt3dmoseg.io.images import IMAGE_SUFFIXES, decode, frame_number, frame_paths, has_pictures, is_clip
-from kt3dmoseg.io.npz import npz_shapes
-from kt3dmoseg.io.video import VIDEO_SUFFIXES, open_video
+from kt3dmoseg.io.formats import clip_files, dataset_paths, first_bytes, load, recognise
+from kt3dmoseg.io.npz import is_lone_array
 from kt3dmoseg.tables import text_table
 from kt3dmoseg.types import Trajectories
 
-_PICTURE_LIMIT = 1 << 28
 _LONG = 100  # characters of one value of the provenance
 _LINE = 110
 
@@ -46,6 +44,7 @@ def info(path: str | os.PathLike[str]) -> str:
         When there is nothing that can be described.
     """
     facts, name = describe(path), Path(path).name
+    size = _size(facts.get("image_size"))
     match facts["kind"]:
         case "clip":
             return _clip_text(facts)
@@ -55,12 +54,11 @@ def info(path: str | os.PathLike[str]) -> str:
             header = ["frames of", "frames", "numbers", "size", "first picture", ""]
             return text_table([_frames_row(row) for row in facts["folders"]], header)
         case "video":
-            return f"{name}: a video of {facts['frames']} frames, {_size(facts['image_size'])}"
+            return f"{name}: a video of {facts['frames']} frames, {size}"
         case "picture":
-            return f"{name}: a picture of {_size(facts['image_size'])}, {facts['pixels']}"
+            return f"{name}: a picture of {size}, {facts['pixels']}"
     known = "{known:.1%} known, mean {mean:.2f} px, longest {longest:.2f} px".format_map
-    figures = known(facts) if facts["known"] else "nowhere known"
-    return f"{name}: optical flow of {_size(facts['image_size'])}, {figures}"
+    return f"{name}: optical flow of {size}, {known(facts) if facts['known'] else 'nowhere known'}"
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -70,16 +68,12 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise InputFileError(f"{target}", expected="a file or folder", found="nothing")
     if target.is_dir():
         return _folder(target)
-    check_regular(target)
-    with open(target, "rb") as stream:
-        head = stream.read(8)
-    lone_array = head[:2] == b"PK" and len(npz_shapes(target)) == 1
-    if head[:4] == b"PIEH" or head[:6] == b"\x93NUMPY" or lone_array:
+    if first_bytes(target).startswith((b"PIEH", b"\x93NUMPY")) or is_lone_array(target):
         return _flow(target)
-    if target.suffix.lower() in IMAGE_SUFFIXES:
+    if target.suffix.lower() in images.IMAGE_SUFFIXES:
         facts = _picture(target)
         return _flow(target) if facts["pixels"] == "16-bit 3 channels" else facts
-    return _video(target) if target.suffix.lower() in VIDEO_SUFFIXES else _clip(target)
+    return _video(target) if target.suffix.lower() in images.VIDEO_SUFFIXES else _clip(target)
 
 
 def _clip(path: Path) -> dict[str, Any]:
@@ -115,9 +109,9 @@ def _tracks(tracks: Trajectories) -> dict[str, Any]:
 
 
 def _folder(folder: Path) -> dict[str, Any]:
-    if is_clip(folder):
+    if images.is_clip(folder):
         return {"kind": "frames", "folders": [_frames(folder, check=True)]}
-    subfolders = [sub for sub in listed(folder) if has_pictures(sub)]
+    subfolders = [sub for sub in listed(folder) if images.has_pictures(sub)]
     if clip_files(folder) or not subfolders:
         return {"kind": "clips", "clips": [_clip(path) for path in dataset_paths(folder).values()]}
     folders = []
@@ -131,32 +125,27 @@ def _folder(folder: Path) -> dict[str, Any]:
 
 def _frames(folder: Path, *, check: bool) -> dict[str, Any]:
     """Describe a folder of frames; with `check` see that all pictures are intact, of one size and depth."""
-    paths = frame_paths(folder)
+    paths = images.frame_paths(folder)
     first = _picture(paths[0])
     for path in paths[1:] if check else ():
         other = _picture(path)
         if other["image_size"] != first["image_size"] or other["pixels"][:4] != first["pixels"][:4]:
             expected, found = (f"{_size(facts['image_size'])}, {facts['pixels']}" for facts in (first, other))
             raise FileFormatError(f"{path}", expected=f"{expected}, as {paths[0].name}", found=found)
-    numbers = [frame_number(paths[0]), frame_number(paths[-1])]
+    numbers = [images.frame_number(paths[0]), images.frame_number(paths[-1])]
     return first | {"name": folder.name, "frames": len(paths), "numbers": numbers}
 
 
 def _picture(path: Path) -> dict[str, Any]:
-    picture = decode(read_bytes(path, _PICTURE_LIMIT), f"{path}")
-    channels = 1 if picture.ndim == 2 else picture.shape[2]
-    pixels = f"{8 * picture.dtype.itemsize}-bit " + ("gray" if channels == 1 else f"{channels} channels")
+    picture = images.read_picture(path)
+    channels = "gray" if picture.ndim == 2 else f"{picture.shape[2]} channels"
+    pixels = f"{8 * picture.dtype.itemsize}-bit {channels}"
     return {"kind": "picture", "image_size": picture.shape[1::-1], "pixels": pixels}
 
 
 def _video(path: Path) -> dict[str, Any]:
-    size, count = None, 0
-    with open_video(path) as video:
-        while (read := video.read())[0]:
-            size, count = read[1].shape[1::-1], count + 1
-    if not count:
-        raise FileFormatError(f"{path}", expected="a video that OpenCV decodes", found="none")
-    return {"kind": "video", "frames": count, "image_size": size}
+    shapes = [picture.shape for picture in images.read_video(path)]
+    return {"kind": "video", "frames": len(shapes), "image_size": shapes[0][1::-1]}
 
 
 def _flow(path: Path) -> dict[str, Any]:
@@ -164,13 +153,8 @@ def _flow(path: Path) -> dict[str, Any]:
     with np.errstate(invalid="ignore"):  # a file may hold any NaN
         length = np.hypot(*np.moveaxis(field.astype(np.float64), -1, 0))
     known = length[np.isfinite(length)]
-    figures = {"mean": float(known.mean()), "longest": float(known.max())} if known.size else {}
-    return {
-        "kind": "flow",
-        "image_size": field.shape[1::-1],
-        "known": known.size / max(1, length.size),
-        **figures,
-    }
+    facts = {"kind": "flow", "image_size": field.shape[1::-1], "known": known.size / max(1, length.size)}
+    return facts | ({"mean": float(known.mean()), "longest": float(known.max())} if known.size else {})
 
 
 def _clip_text(facts: Mapping[str, Any]) -> str:
@@ -180,10 +164,12 @@ def _clip_text(facts: Mapping[str, Any]) -> str:
         "format": facts["format"],
         "frames": f"{facts['frames']}" + (f", numbered {numbers[0]}..{numbers[1]}" if numbers else ""),
         "image size": _size(facts["image_size"]),
-        "trajectories": _tracks_text(facts["trajectories"]),
-        "evaluated": _tracks_text(facts["evaluated"]),
-        "motions": str(facts["n_motions"] or "0, the clip is not labelled"),
     }
+    for name in ("trajectories", "evaluated"):
+        span = facts[name]["shortest_longest_mean"]
+        lengths = "{} to {} frames long (mean {:.1f})".format(*span) if span else "none"
+        rows[name] = f"{facts[name]['count']}, {lengths}, {_missing(facts[name])} of the positions missing"
+    rows["motions"] = str(facts["n_motions"] or "0, the clip is not labelled")
     if camera:
         rows["camera"] = (camera["name"] or "unnamed") + (", K known" if camera["has_K"] else "")
     if time:
@@ -200,16 +186,16 @@ def _clip_text(facts: Mapping[str, Any]) -> str:
 
 
 def _clips_text(clips: Sequence[Mapping[str, Any]]) -> str:
-    rows, totals = [], np.zeros(3, dtype=np.int64)
+    rows = []
     for clip in clips:
         counts = [clip["frames"], clip["trajectories"]["count"], clip["evaluated"]["count"]]
-        totals += counts
         motions = " ".join(str(m["trajectories"]) for m in clip["motions"] if m["motion"]) or "-"
-        missing, size = _missing(clip["evaluated"]), _size(clip["image_size"])
-        rows.append([clip["clip"], *map(str, counts), str(clip["n_motions"]), motions, missing, size])
-    rows.append([f"{len(clips)} clips", *map(str, totals), "", "", "", ""])
+        sizes = [clip["n_motions"], motions, _missing(clip["evaluated"]), _size(clip["image_size"])]
+        rows.append([clip["clip"], *counts, *sizes])
+    totals = [sum(column) for column in list(zip(*rows, strict=True))[1:4]]
+    rows.append([f"{len(clips)} clips", *totals, "", "", "", ""])
     header = ["clip", "frames", "dense", "evaluated", "motions", "per motion", "missing", "image size"]
-    return text_table(rows, header)
+    return text_table([[*map(str, row)] for row in rows], header)
 
 
 def _frames_row(row: Mapping[str, Any]) -> list[str]:
@@ -217,12 +203,6 @@ def _frames_row(row: Mapping[str, Any]) -> list[str]:
         return [row["name"], "-", "-", "-", "-", row["error"]]
     first, last = row["numbers"]
     return [row["name"], str(row["frames"]), f"{first}..{last}", _size(row["image_size"]), row["pixels"], ""]
-
-
-def _tracks_text(tracks: Mapping[str, Any]) -> str:
-    span = tracks["shortest_longest_mean"]
-    lengths = "{} to {} frames long (mean {:.1f})".format(*span) if span else "none"
-    return f"{tracks['count']}, {lengths}, {_missing(tracks)} of the positions missing"
 
 
 def _missing(tracks: Mapping[str, Any]) -> str:
@@ -241,8 +221,7 @@ def _wrapped(rows: Mapping[str, str]) -> str:
     return "\n".join(wrapper.fill(f"{name:<{width}}{text}") for name, text in rows.items())
 
 
-def _value_text(value: object, levels: int = 2) -> str:
-    if isinstance(value, Mapping) and value and levels:
-        return ", ".join(f"{key} {_value_text(inner, levels - 1)}" for key, inner in value.items())
-    text = str(value)
-    return "none" if text in ("", "{}") else text if len(text) <= _LONG else text[: _LONG - 3] + "..."
+def _value_text(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_value_text(inner)}" for key, inner in value.items()) or "none"
+    return textwrap.shorten(str(value), _LONG, placeholder="...") or "none"

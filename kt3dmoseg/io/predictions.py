@@ -321,7 +321,7 @@ def _h5(content: bytes, out: _Columns) -> None:
     """Read plain datasets of this very file."""
     import h5py
 
-    from kt3dmoseg.io.hdf5 import read_array
+    from kt3dmoseg.io.hdf5 import check_storage
 
     with h5py.File(io.BytesIO(content), "r") as file:
         for name in out.named([name for name in file if name in _NAMES] or list(file)[:10]):
@@ -329,7 +329,8 @@ def _h5(content: bytes, out: _Columns) -> None:
             if not isinstance(dataset, h5py.Dataset):
                 out.bad("not-a-dataset", f"a dataset '{name}' in this file", "a link or group", _FIX_ARRAYS)
             elif out.accepts(name, dataset.shape, dataset.dtype):
-                out.arrays[name] = read_array(file, name, "file", dataset.dtype.str, 1)
+                check_storage(dataset, name)
+                out.arrays[name] = dataset[()]
 
 
 def _csv(content: bytes, out: _Columns) -> None:

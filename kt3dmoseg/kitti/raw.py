@@ -44,7 +44,7 @@ def decode_frame(content: bytes, where: str) -> ByteArray:
     image = images.decode(content, where)
     if image.dtype != np.uint8:
         raise FileFormatError(where, expected="an 8-bit PNG image", found=f"one of type {image.dtype}")
-    return np.ascontiguousarray(image if image.ndim == 2 else image[..., 2::-1], dtype=np.uint8)
+    return np.ascontiguousarray(image, dtype=np.uint8)
 
 
 def read_clip(folder: Path) -> Iterator[tuple[bytes, ByteArray]]:

@@ -135,9 +135,9 @@ def read_brox_labels(path: Path) -> IntArray:
     There, clusters count from 0 and -1 means none; a file without a label below 1 is taken as
     counting from 1.
     """
-    from kt3dmoseg.io.brox import read_labels
+    from kt3dmoseg.io.brox import read_tracks
 
-    labels = read_labels(path)
+    labels, _ = read_tracks(path)
     return labels + int(labels.min(initial=1) < 1)
 
 

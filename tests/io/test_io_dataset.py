@@ -16,8 +16,8 @@ from kt3dmoseg.io import dataset_paths, load, load_dataset, save
 from kt3dmoseg.io.fields import check_name, clip_name
 from kt3dmoseg.io.flow_files import read_flow, write_flow
 from kt3dmoseg.io.formats import convert
+from kt3dmoseg.io.images import write_moving
 from kt3dmoseg.io.info import info
-from kt3dmoseg.io.video import write_moving
 
 
 @pytest.mark.data

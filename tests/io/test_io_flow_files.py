@@ -71,7 +71,7 @@ def test_arrays_of_either_order(rng, tmp_path):
             "100000x100000",
         ),
         ("a.flo", struct.pack("<fii", 202021.25, -1, 4), r"-1x4"),
-        ("a.flo", struct.pack("<f", 202021.25), "12 bytes of header, found 4"),
+        ("a.flo", struct.pack("<f", 202021.25), ".flo of 0x0: expected 20 bytes, found 4"),
         ("a.flo", b"", "empty"),
         ("a.flo", b"GIF89a", "starts with"),
     ],

@@ -12,8 +12,15 @@ from PIL import Image
 
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.io.images import decode, decode_indices, encode_indices, frame_number, frame_paths, read_frame
-from kt3dmoseg.io.video import write_png
+from kt3dmoseg.io.images import (
+    decode,
+    decode_indices,
+    encode_indices,
+    frame_number,
+    frame_paths,
+    read_frame,
+    write_png,
+)
 
 
 def _frames(folder, names, picture=None):
@@ -68,7 +75,7 @@ def test_info_of_a_bad_folder_is_one_line(names, tmp_path, capsys):
 
 
 def test_a_missing_folder(tmp_path):
-    with pytest.raises(InputFileError, match="no such folder"):
+    with pytest.raises(InputFileError, match="No such file"):
         frame_paths(tmp_path / "none")
 
 
@@ -263,7 +270,7 @@ def test_encoded_indices_are_an_8_bit_palette_png(rng):
     read, depth = decode_indices(content, "mask.png")
     np.testing.assert_array_equal(read, indices)
     assert depth == 8
-    np.testing.assert_array_equal(decode(content, "mask.png")[..., ::-1], palette[indices])
+    np.testing.assert_array_equal(decode(content, "mask.png"), palette[indices])
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK"])
@@ -278,7 +285,7 @@ def test_every_kind_of_8_bit_gray_is_read(mode, tmp_path):
 def test_16_bits_keep_their_depth(suffix, rng):
     stored = rng.integers(0, 1 << 16, (4, 6) if suffix == ".pgm" else (4, 6, 3)).astype(np.uint16)
     read = decode(bytes(cv2.imencode(suffix, stored)[1]), "a")
-    np.testing.assert_array_equal(read, stored)
+    np.testing.assert_array_equal(read, stored if suffix == ".pgm" else stored[..., ::-1])
     assert read.dtype == np.uint16
 
 

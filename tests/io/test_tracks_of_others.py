@@ -196,7 +196,7 @@ def test_only_damage_is_answered_with_fetch_it_again(tmp_path):
     [
         ("2\n1\n1 1\n0.5 nan 0\n", "a text file with 'nan'"),
         ("2\n1\n1 1\n0.5 1.2.3 0\n", r"value 6: .* found '1\.2\.3'"),
-        ("2\n1\n1 1\n0.5 " + "9" * 400 + " 0\n", "value 6: expected finite numbers of at most 32 digits"),
+        ("2\n1\n1 1\n0.5 " + "9" * 400 + " 0\n", "value 6: expected finite numbers"),
         ("2\n1\n1 1\n0.5 1e999 0\n", "value 6: .* found '1e999'"),
         ("2\n1\n1 1\n0.5 --- 0\n", "value 6: .* found '---'"),
     ],

@@ -16,7 +16,7 @@ from kt3dmoseg.draw import PALETTE, UNLABELLED, DrawOptions, label_colour
 from kt3dmoseg.draw.painting import by_label, by_length, by_prediction, draw_frame
 from kt3dmoseg.draw.palette import css, css_palette, motion_colour
 from kt3dmoseg.io import save
-from kt3dmoseg.io.video import write_moving
+from kt3dmoseg.io.images import write_moving
 from kt3dmoseg.types import Clip, Labels, Trajectories
 
 
@@ -248,7 +248,7 @@ def test_a_folder_of_clips_names_one_of_them(clip, file, tmp_path, capsys):
         (["--by", "prediction"], "--pred FILE"),
         (["--at", "6"], "expected 0..5, found 6"),
         (["-o", "clip.xyz"], "a suffix of .mp4"),
-        (["--frames", "nowhere"], "no such folder"),
+        (["--frames", "nowhere"], "No such file"),
         (["-o", "clip.jpg"], ".webp, .png, or none for a folder"),
         (["--rate", "0"], "above 0"),
         (["--rate", "nan"], "from 0.1 to 240, found nan"),

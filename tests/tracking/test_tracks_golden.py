@@ -10,8 +10,7 @@ import pytest
 import kt3dmoseg
 from kt3dmoseg import cli
 from kt3dmoseg import tracking as tracks
-from kt3dmoseg.io.images import frame_paths, read_frame
-from kt3dmoseg.io.video import write_png
+from kt3dmoseg.io.images import frame_paths, read_frame, write_png
 from kt3dmoseg.synthetic import SceneOptions, make_scene, write_drive
 from kt3dmoseg.tracking import RELIABLE
 
