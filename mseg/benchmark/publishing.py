@@ -122,11 +122,10 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
 
     def text(self) -> str:
         """Write as JSON, one line per field and per clip."""
-        values = self.model_dump()
-        clips = values.pop("clips")
+        values = self.model_dump(exclude={"clips"})
         lines = [f" {json.dumps(name)}: {json.dumps(value)}," for name, value in values.items()]
-        kept = {name: {k: v for k, v in clip.items() if k != "failures" or v} for name, clip in clips.items()}
-        rows = [f"  {json.dumps(name)}: {json.dumps(clip)}" for name, clip in kept.items()]
+        clips = {name: clip.model_dump(exclude_defaults=True) for name, clip in self.clips.items()}
+        rows = [f"  {json.dumps(name)}: {json.dumps(clip)}" for name, clip in clips.items()]
         return "\n".join(["{", *lines, ' "clips": {', ",\n".join(rows), " }", "}", ""])
 
 

@@ -9,6 +9,7 @@ import re
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from uuid import uuid4
@@ -365,22 +366,21 @@ def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
 # --- running ----------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, eq=False)
 class _Runs:
-    """Configurations x clips x seeds; `keys` of outcomes by number of the configuration, clip and seed."""
+    configurations: Sequence[Configuration]
+    clips: Mapping[str, Clip]
+    numbers: Mapping[str, int | None]  # of motions, given to the methods
+    seeds: Sequence[int]
 
-    def __init__(
-        self,
-        configurations: Sequence[Configuration],
-        clips: Mapping[str, Clip],
-        numbers: Mapping[str, int | None],
-        seeds: Sequence[int],
-    ) -> None:
-        self.configurations, self.clips, self.numbers = configurations, clips, numbers
-        self.keys = {
-            (m, name, seed): outcome_key(configuration, clip, numbers.get(name), seed)
-            for m, configuration in enumerate(configurations)
-            for name, clip in clips.items()
-            for seed in seeds
+    @cached_property
+    def keys(self) -> dict[tuple[int, str, int], str]:
+        """Keys of outcomes, by number of the configuration, clip and seed."""
+        return {
+            (m, name, seed): outcome_key(configuration, clip, self.numbers.get(name), seed)
+            for m, configuration in enumerate(self.configurations)
+            for name, clip in self.clips.items()
+            for seed in self.seeds
         }
 
     def outcomes(

@@ -68,7 +68,7 @@ def classification_error(table: Contingency) -> float:
 
 
 @lru_cache(maxsize=1)
-def partition_scores(table: Contingency) -> dict[str, float]:
+def partitions(table: Contingency) -> dict[str, float]:
     """Compare the two partitions as wholes; trajectories predicted 0 form one group.
 
     * The adjusted Rand index (A - E) / (m - E), with A the pairs together in both partitions, m the mean
@@ -86,7 +86,7 @@ def partition_scores(table: Contingency) -> dict[str, float]:
     (1.5 - 1/3) = 4/7. H(T) = log 2, P splits the second motion: H(P) = 1.5 log 2, I = log 2: 2 / 2.5 = 0.8.
     One of the second motion is outside its larger piece: 1 of 4.
 
-    >>> scores = partition_scores(contingency([1, 1, 2, 2], [1, 1, 2, 3]))
+    >>> scores = partitions(contingency([1, 1, 2, 2], [1, 1, 2, 3]))
     >>> {name: round(value, 4) for name, value in scores.items()}
     {'adjusted_rand': 0.5714, 'nmi': 0.8, 'over': 0.25, 'under': 0.0, 'count': 1.0}
     """
@@ -213,20 +213,20 @@ def _always(value: float) -> Callable[[int], float]:
 
 
 _ONE, _ZERO = _always(1.0), _always(0.0)
-_BELOW_CHANCE = _always(-0.5)  # the lower bound of the adjusted Rand index (Chacon and Rastrojo 2023)
+_BELOW = _always(-0.5)  # the lower bound of the adjusted Rand index (Chacon and Rastrojo 2023)
 METRICS = {
     "error": Metric(classification_error, "error", "lower", _ONE),
-    "adjusted_rand": Metric(_part(partition_scores, "adjusted_rand"), "adj. Rand", "higher", _BELOW_CHANCE),
-    "nmi": Metric(_part(partition_scores, "nmi"), "NMI", "higher", _ZERO),
+    "adjusted_rand": Metric(_part(partitions, "adjusted_rand"), "adj. Rand", "higher", _BELOW),
+    "nmi": Metric(_part(partitions, "nmi"), "NMI", "higher", _ZERO),
     "precision": Metric(_part(per_motion, "precision"), "precision", "higher", _ZERO),
     "recall": Metric(_part(per_motion, "recall"), "recall", "higher", _ZERO),
     "f_measure": Metric(_part(per_motion, "f_measure"), "F", "higher", _ZERO),
     "iou": Metric(_part(per_motion, "iou"), "IoU", "higher", _ZERO),
     "moving_error": Metric(_part(moving_scores, "error"), "moving error", "lower", _ONE),
     "moving_f": Metric(_part(moving_scores, "f"), "moving F", "higher", _ZERO),
-    "over_segmentation": Metric(_part(partition_scores, "over"), "over-seg.", "lower", _ONE),
-    "under_segmentation": Metric(_part(partition_scores, "under"), "under-seg.", "lower", _ONE),
-    "count_error": Metric(_part(partition_scores, "count"), "count error", "lower", float, percent=False),
+    "over_segmentation": Metric(_part(partitions, "over"), "over-seg.", "lower", _ONE),
+    "under_segmentation": Metric(_part(partitions, "under"), "under-seg.", "lower", _ONE),
+    "count_error": Metric(_part(partitions, "count"), "count error", "lower", float, percent=False),
     "region_precision": Metric(_part(region_scores, "precision"), "region P", "higher", _ZERO),
     "region_recall": Metric(_part(region_scores, "recall"), "region R", "higher", _ZERO),
     "region_f": Metric(_part(region_scores, "f"), "region F", "higher", _ZERO),

@@ -117,11 +117,7 @@ def report_html(
     return render(
         "report.html",
         scores=scores,
-        benchmark=scores.benchmark,
         palette=css_palette(),
-        coverage=scores.benchmark.coverage(scores.names),
-        summary=scores.summary(),
-        failed={each.clip for each in scores.failures},
         errors={name: errors[name] for name in order},
         prevalence=prevalence,
         published=published,
@@ -174,15 +170,10 @@ def _section(
     tables = {run.seed: run.table for run in runs if run.table is not None}
     width, height = _size(clip, pictures)
     scale = min(10.0, 32000 / max(width, height))
-    section = {
+    section: dict[str, Any] = {
         "name": name,
-        "run": runs[0],
-        "errors": [run.values["error"] for run in runs],
-        "failed": [run for run in runs if run.reason],
+        "runs": runs,
         "drawn": list(tables),
-        "tall": width < 2 * height,
-        "canvases": ("truth", "prediction") if tables else ("truth",),
-        "middle": clip.n_frames // 2,  # where most trajectories are visible
         "payload": {
             "width": width,
             "height": height,

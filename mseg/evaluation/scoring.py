@@ -42,7 +42,7 @@ from mseg.evaluation.protocol import (
     load_protocol,
     protocol_of_clips,
 )
-from mseg.evaluation.statistics import Summary, summarise
+from mseg.evaluation.statistics import Summary, bootstrap_mean, standard_deviation
 from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs, wrong_fields
 from mseg.evaluation.validation import Validation, load_clips, validate_submission
 from mseg.types import Segmentation
@@ -196,8 +196,15 @@ class ScoreTable:
         """Summarise a metric over clips: one or more of `names`, by default all."""
         wanted = self.names if clips is None else clips
         rows = [self.names.index(name) for name in wanted]
-        weights = np.array([self.of(name).n for name in wanted], dtype=np.float64)
-        return summarise(self.matrix(metric)[rows], weights)
+        values = self.matrix(metric)[rows]
+        means = values.mean(axis=1)
+        return Summary(
+            float(means.mean()),
+            float(np.median(means)),
+            float(np.average(means, weights=[self.of(name).n for name in wanted])),
+            standard_deviation(values.mean(axis=0)),
+            bootstrap_mean(means),
+        )
 
     @cached_property
     def _by_key(self) -> dict[tuple[str, int], ClipScore]:
@@ -468,25 +475,15 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
     Its figures are claims: those of the clips must be possible, and everything else must be what follows from
     them.
     """
-    from pydantic import BaseModel, Field, FiniteFloat
+    from pydantic import BaseModel, Field
 
-    class OneClip(BaseModel):
-        clip: str = Field(min_length=1)
-        seed: int = Field(ge=0, lt=10**18)
-        n_motions: int = Field(ge=1)
-        n: int = Field(ge=1, lt=2**53)
-        n_found: int = Field(ge=0)
-        prevalence: FiniteFloat = Field(ge=0, lt=1)
-        reason: str
-        values: dict[str, FiniteFloat]
-
-    class Scores(BaseModel):
+    class Scores(BaseModel, arbitrary_types_allowed=True, allow_inf_nan=False):
         format: Literal["mseg-scores"]
         version: Literal[1]
         benchmark: str
         meta: SubmissionMeta
         provenance: Provenance
-        clips: list[OneClip] = Field(min_length=1)
+        clips: list[ClipScore] = Field(min_length=1)
         # What follows from the others; None claims nothing.
         seeds: Any = None
         coverage: Any = None
@@ -495,12 +492,11 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
 
     expected = "scores as 'mseg score --json' writes them"
     read = read_model(Scores, content, where, expected)
-    clips = tuple(ClipScore(**dict(clip)) for clip in read.clips)
     protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
-    table = ScoreTable(clips, read.meta, protocol, read.provenance)
+    table = ScoreTable(tuple(read.clips), read.meta, protocol, read.provenance)
     wrong = next(_impossible(table, dict(read)), "")
     if wrong:
-        raise FileFormatError(where, expected=expected, found=f"{wrong:.200}: this cannot be true")
+        raise FileFormatError(where, expected=expected, found=f"what cannot be true, {wrong:.200}")
     return table
 
 
@@ -526,6 +522,7 @@ def _impossible(table: ScoreTable, claimed: Mapping[str, Any]) -> Iterator[str]:
         where = f"clip {clip.clip} in seed {clip.seed}: "
         if not clip.values.keys() >= METRICS.keys():
             yield f"{where}values without a metric"
+            return
         yield from _differences(asdict(clip), _corrected(clip, table.of(clip.clip)), where)
     yield from _impossible_source(table, claimed["benchmark"])
     summary = to_json(table)
@@ -552,16 +549,25 @@ def _impossible_source(table: ScoreTable, benchmark: str) -> Iterator[str]:
 
 def _corrected(clip: ClipScore, first: ClipScore) -> dict[str, Any]:
     """Give the figures of a clip as they would have to be; `first` is its first seed."""
-    n, motions = first.n, min(first.n, first.n_motions)
-    found = 0 if clip.reason else min(n, clip.n_found)
+
+    def within(value: float, low: float, high: float) -> Any:  # noqa: ANN401  # of the type of the value
+        return min(max(value, low), high)
+
+    n = within(first.n, 1, 2**53)
+    motions, found = within(first.n_motions, 1, n), within(clip.n_found, 0, 0 if clip.reason else n)
     values = {name: metric.worst(motions) for name, metric in all_metrics().items()}
     if not clip.reason:
-        values = {
-            name: float(np.clip(clip.values.get(name, 0), *all_metrics()[name].bounds)) for name in values
-        }
-        values |= {"error": round(values["error"] * n) / n, "count_error": float(abs(found - motions))}
-    prevalence = round(first.prevalence * n) / n
-    return {"n": n, "n_motions": motions, "n_found": found, "prevalence": prevalence, "values": values}
+        possible = {k: within(v, *all_metrics()[k].bounds) for k, v in clip.values.items() if k in values}
+        wrong, counts = round(possible["error"] * n), float(abs(found - motions))
+        values = possible | {"error": wrong / n, "count_error": counts}
+    return {
+        "seed": within(clip.seed, 0, 10**18),
+        "n": n,
+        "n_motions": motions,
+        "n_found": found,
+        "prevalence": round(within(first.prevalence, 0.0, 1.0) * n) / n,
+        "values": values,
+    }
 
 
 def _differences(claimed: Any, own: Any, where: str) -> Iterator[str]:  # noqa: ANN401  # JSON values
@@ -572,4 +578,4 @@ def _differences(claimed: Any, own: Any, where: str) -> Iterator[str]:  # noqa: 
         return
     numbers = isinstance(claimed, float) and isinstance(own, float)
     if not (math.isclose(claimed, own, rel_tol=1e-9, abs_tol=1e-9) if numbers else claimed == own):
-        yield f"{where[:-1]}, which must be {own!r:.60}"
+        yield f"{where[:-1]} = {claimed!r:.60} (possible: {own!r:.60})"

@@ -32,18 +32,6 @@ class Summary:
     interval: Interval  # 95 % bootstrap interval of the mean over clips
 
 
-def summarise(values: FloatArray, weights: FloatArray) -> Summary:
-    """Summarise a metric (clips, seeds), with the number of scored trajectories of each clip."""
-    means = values.mean(axis=1)
-    return Summary(
-        float(means.mean()),
-        float(np.median(means)),
-        float(np.average(means, weights=weights)),
-        standard_deviation(values.mean(axis=0)),
-        bootstrap_mean(means),
-    )
-
-
 def bootstrap_mean(values: FloatArray) -> Interval:
     """95 % percentile bootstrap interval of the mean of (n,) values (Efron 1979), always the same.
 
