@@ -80,61 +80,46 @@ class Client:
         self._session.headers["Accept-Encoding"] = "identity"  # so that lengths are those of the file
         self._session.max_redirects = _REDIRECTS
         self._session.hooks["response"].append(_close_redirect)
-
-    def close(self) -> None:
-        """Close all connections."""
-        self._session.close()
+        self.close = self._session.close
 
     def size(self, url: str) -> int:
-        """Request the size of a file, with its first byte."""
-        self._forget(url)
-        for _ in self.chunks(url, 0, 1):
-            pass
+        """Request the size of a file, with its first byte; what was known of the file is forgotten."""
+        self.sizes.pop(url, None)
+        self._versions.pop(url, None)
+        list(self.chunks(url, 0, 1))
         return self.sizes[url]
-
-    def chunks(self, url: str, start: int, length: int) -> Iterator[bytes]:
-        """Yield exactly `length` bytes of a file from `start` on, resuming as often as needed."""
-        return self._persist(url, lambda got: self._attempt(url, start + got, length - got))
 
     def download(self, url: str, path: Path, progress: Callable[[int], object] = lambda count: None) -> None:
         """Append to `path` what it lacks of a file, from a server that may ignore ranges.
 
         Where the server sends everything again, the beginning is passed over. A file that changes meanwhile
-        is fetched from its beginning.
+        is fetched from its beginning, once.
         """
-        try:
-            self._append(url, path, progress)
-        except ChangedError:
-            path.unlink()
-            self._append(url, path, progress)
-
-    def _append(self, url: str, path: Path, progress: Callable[[int], object]) -> None:
-        self._forget(url)
-        with open(path, "ab") as stream:
-            have = stream.tell()
-            for block in self._persist(url, lambda got: self._attempt(url, have + got)):
+        for mode in ("ab", "wb"):
+            self.sizes.pop(url, None)
+            self._versions.pop(url, None)
+            with open(path, mode) as stream:
                 try:
-                    stream.write(block)
-                except OSError as error:
-                    raise InputFileError(f"{path}: cannot write", found=str(error.strerror)) from None
-                progress(len(block))
+                    for block in self.chunks(url, stream.tell(), None):
+                        stream.write(block)
+                        progress(len(block))
+                    return
+                except ChangedError:
+                    if mode == "wb":
+                        raise
 
-    def _forget(self, url: str) -> None:
-        self.sizes.pop(url, None)
-        self._versions.pop(url, None)
-
-    def _persist(self, url: str, attempt: Callable[[int], Iterator[bytes]]) -> Iterator[bytes]:
-        """Yield the bytes of one attempt after the other; wait between them, and end it after too many."""
-        got = failures = 0
+    def chunks(self, url: str, start: int, length: int | None) -> Iterator[bytes]:
+        """Yield exactly `length` bytes of a file from `start` on, or all, resuming as often as needed."""
+        stop, failures = None if length is None else start + length, 0
         while True:
-            before = got
+            before = start
             try:
-                for block in attempt(got):
-                    got += len(block)
+                for block in self._attempt(url, start, stop):
+                    start += len(block)
                     yield block
                 return
             except _TransientError as error:
-                failures = 1 if got - before >= _PROGRESS else failures + 1
+                failures = 1 if start - before >= _PROGRESS else failures + 1
                 if failures > self._options.retries:
                     what = f"gave up after {failures} attempts, the last: {error}"
                     fix = "what was fetched is kept; run it again later"
@@ -144,29 +129,28 @@ class Client:
                     tqdm.write(f"{url}: {error}; again in {pause:.0f} s", file=sys.stderr)
                 time.sleep(pause)
 
-    def _attempt(self, url: str, start: int, length: int | None = None) -> Iterator[bytes]:
-        """Yield a range; without a length all the rest, also from a server that sends everything."""
-        stop = "" if length is None else start + length - 1
-        with closing(self._get(url, f"bytes={start}-{stop}")) as response:
-            if response.status_code == 416 and length is None:
-                return  # there is nothing after what we have; the reader will notice if it is not the file
-            at, size = self._extent(response, url, start, length)
-            end = size if length is None else start + length
+    def _attempt(self, url: str, start: int, stop: int | None) -> Iterator[bytes]:
+        """Yield a range; without `stop` all the rest, also from a server that sends everything."""
+        with closing(self._get(url, f"bytes={start}-{'' if stop is None else stop - 1}")) as response:
+            if response.status_code == 416:
+                if stop is None:
+                    return  # there is no more; the reader will notice if it is not the file
+                raise ChangedError(url, expected=f"at least {stop} bytes", found="fewer")
+            at, size = self._extent(response, url, start, whole=stop is None)
+            end = size if stop is None else stop
             for block in self._body(response):
                 yield block[max(0, start - at) : None if end is None else max(0, end - at)]
                 at += len(block)
-                if length is not None and at >= start + length:
+                if stop is not None and at >= stop:
                     return  # what the server sends beyond the request is not read
         if end is not None and at < end:
             raise _TransientError(f"the connection ended {end - at} bytes early")
 
     def _extent(
-        self, response: requests.Response, url: str, start: int, length: int | None
+        self, response: requests.Response, url: str, start: int, *, whole: bool
     ) -> tuple[int, int | None]:
         """Return where the body begins, and the size of the file if the server states it."""
         headers = response.headers
-        if response.status_code == 416:
-            raise ChangedError(url, expected=f"at least {start + (length or 0)} bytes", found="fewer")
         etag = headers.get("ETag", "")
         version = etag if etag.startswith('"') else headers.get("Last-Modified", "")
         asked = self._versions.setdefault(url, version)
@@ -175,7 +159,7 @@ class Client:
                 raise ChangedError(url, expected=f"version {asked} as before", found=version or "another")
             total = headers.get("Content-Length", "")
             size = int(total) if total.isdigit() else None
-            if length is not None:
+            if not whole:
                 raise RangesIgnoredError(url, size)
             return 0, size
         text = headers.get("Content-Range", "")
