@@ -27,7 +27,7 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -95,33 +95,17 @@ class Fingerprint:
     def __post_init__(self) -> None:
         check_integer(self.crc32, "crc32", 0xFFFFFFFF)
         check_integer(self.bytes, "bytes", 1 << 40)
-        _check_text(self.pixels, "pixels", "[0-9a-f]{64}", "64 hexadecimal digits")
+        _check_text("pixels", self.pixels, "[0-9a-f]{64}", "64 hexadecimal digits")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One clip of a catalog.
+    """One clip of a catalog; InvalidValueError when a value makes no sense or lengths disagree.
 
-    Parameters
-    ----------
-    name : str
-        Letters, digits, ``_`` and ``-``.
-    drive : Drive
-        The drive that the clip is cut from.
-    camera : int
-        0 gray left, 1 gray right, 2 colour left, 3 colour right.
-    length : int
-        Number of frames.
-    size : (W, H) or None
-        Image size in pixels.
-    numbers : tuple of int or None
-        Ascending frame numbers in the drive, when known.
-    frames : tuple of Fingerprint
-        One per frame, in order; may be empty when `numbers` is given.
-    proof, source : str
-        How and where the numbers were found; empty when a person gave them.
-
-    InvalidValueError is raised when a value makes no sense or lengths disagree.
+    `name` is of letters, digits, ``_`` and ``-``; `camera` 0 gray left, 1 gray right, 2 colour left, 3 colour
+    right; `length` the number of frames; `size` width and height in pixels. `numbers` are the ascending frame
+    numbers in the drive, when known; `frames` one fingerprint per frame, or none when `numbers` are given.
+    `proof` and `source` state how and where the numbers were found; empty when a person gave them.
     """
 
     name: str
@@ -135,22 +119,19 @@ class Entry:
     source: str = ""
 
     def __post_init__(self) -> None:
-        _check_text(self.name, "name", "[A-Za-z0-9][A-Za-z0-9_-]{0,99}", "letters, digits, _ and -")
+        _check_text("name", self.name, "[A-Za-z0-9][A-Za-z0-9_-]{0,99}", "letters, digits, _ and -")
         object.__setattr__(self, "camera", check_integer(self.camera, "camera", CAMERAS[-1]))
-        if not isinstance(self.size, (list, tuple, type(None))) or len(self.size or (0, 0)) != 2:
-            raise InvalidValueError("size", expected="[width, height]", found=repr(self.size))
         if self.size is not None:
+            two = isinstance(self.size, (list, tuple)) and len(self.size) == 2
+            _require(two, "size", "[width, height]", self.size)
             object.__setattr__(self, "size", tuple(check_integer(s, "size", 1 << 16) for s in self.size))
-        if self.numbers is None and not self.frames:
-            raise InvalidValueError("numbers", expected="numbers or frames", found="neither")
-        if check_integer(self.length, "length", MOST_FRAMES) == 0:
-            raise InvalidValueError("length", expected="at least 1", found="0")
-        for key, values in (("numbers", self.numbers), ("frames", self.frames or None)):
-            if values is not None and len(values) != self.length:
-                raise InvalidValueError(key, expected=f"{self.length}, the length", found=f"{len(values)}")
         numbers = self.numbers or ()
-        if any(b <= a for a, b in pairwise(numbers)):
-            raise InvalidValueError("numbers", expected="ascending", found=format_numbers(numbers))
+        _require(bool(numbers or self.frames), "numbers", "numbers or frames", "neither")
+        _require(check_integer(self.length, "length", MOST_FRAMES) > 0, "length", "at least 1", 0)
+        for key, values in (("numbers", numbers), ("frames", self.frames)):
+            _require(len(values) in (0, self.length), key, f"{self.length}, the length", len(values))
+        ascending = all(a < b for a, b in pairwise(numbers))
+        _require(ascending, "numbers", "ascending", format_numbers(numbers))
 
 
 def fingerprint(content: bytes, pixels: ByteArray) -> Fingerprint:
@@ -183,35 +164,30 @@ def parse_numbers(text: str) -> tuple[int, ...]:
 
 def format_numbers(numbers: Iterable[int]) -> str:
     """Write frame numbers as `parse_numbers` reads them: consecutive ones as ``first-last``."""
-    runs: list[list[int]] = []
-    for number in map(int, numbers):
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1] = [runs[-1][0], number]
-        else:
-            runs.append([number])
-    return ",".join("-".join(map(str, run)) for run in runs)
+    steady = groupby(enumerate(map(int, numbers)), lambda pair: pair[1] - pair[0])
+    runs = [[number for _, number in run] for _, run in steady]
+    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
-def _check_text(value: object, what: str, pattern: str, expected: str) -> str:
-    """Return `value`, a text of that form; raise InvalidValueError for anything else."""
-    if not isinstance(value, str) or not re.fullmatch(pattern, value):
-        raise InvalidValueError(what, expected=expected, found=repr(value))
-    return value
+def _require(holds: bool, what: str, expected: str, found: object) -> None:
+    if not holds:
+        raise InvalidValueError(what, expected=expected, found=str(found)[:80])
+
+
+def _check_text(what: str, value: object, pattern: str, expected: str) -> None:
+    _require(isinstance(value, str) and bool(re.fullmatch(pattern, value)), what, expected, repr(value))
 
 
 def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Entry]:
     """Read the built-in catalog and the users' catalogs: clips by name, each in one of them only.
 
-    InputFileError or FileFormatError when a file is missing or not a catalog; the message gives the first
-    problem.
+    InputFileError or FileFormatError, with the first problem, when a file is missing or not a catalog.
     """
     clips: dict[str, Entry] = {}
     for path, found, problems in parse_all(([BUILT_IN] if built_in else []) + [Path(p) for p in paths]):
         if problems:
-            more = f"{len(problems) - 1} more: " if len(problems) > 1 else ""
-            raise FileFormatError(
-                f"{path}: {problems[0]}", fix=f"{more}'kt3dmoseg catalog check' lists all problems"
-            )
+            fix = f"'kt3dmoseg catalog check' lists all {len(problems)}"
+            raise FileFormatError(f"{path}: {problems[0]}", fix=fix)
         clips |= found
     return clips
 
@@ -271,17 +247,14 @@ def add(path: str | os.PathLike[str], entry: Entry) -> None:
 
 
 def _entry(name: str, table: Any) -> Entry:  # noqa: ANN401  # whatever TOML holds
-    if not isinstance(table, dict):
-        raise InvalidValueError("entry", expected="a table", found=repr(table))
+    _require(isinstance(table, dict), "entry", "a table", table)
     for key in table:
         if key not in _KEYS:
             raise unknown_name("key", key, _KEYS)
     for key in _REQUIRED:
-        if key not in table:
-            raise InvalidValueError(key, expected="a value", found="none")
+        _require(key in table, key, "a value", "none")
     values = {"frames": [], **table}
-    if not isinstance(values["frames"], list):
-        raise InvalidValueError("frames", expected="a list", found=repr(values["frames"])[:80])
+    _require(isinstance(values["frames"], list), "frames", "a list", values["frames"])
     values["frames"] = tuple(_fingerprint(frame, k) for k, frame in enumerate(values["frames"]))
     if "numbers" in table:
         values["numbers"] = parse_numbers(table["numbers"])
@@ -289,32 +262,22 @@ def _entry(name: str, table: Any) -> Entry:  # noqa: ANN401  # whatever TOML hol
 
 
 def _fingerprint(frame: Any, index: int) -> Fingerprint:  # noqa: ANN401
+    complete = isinstance(frame, dict) and frame.keys() == {"crc32", "bytes", "pixels"}
+    _require(complete, f"frames[{index}]", "{ crc32, bytes, pixels }", frame)
     try:
-        if not isinstance(frame, dict) or set(frame) != {"crc32", "bytes", "pixels"}:
-            raise InvalidValueError("frame", expected="{ crc32, bytes, pixels }", found=repr(frame)[:80])
-        crc32 = int(_check_text(frame["crc32"], "crc32", "[0-9a-f]{8}", "8 hexadecimal digits"), 16)
-        return Fingerprint(crc32, frame["bytes"], frame["pixels"])
+        _check_text("crc32", frame["crc32"], "[0-9a-f]{8}", "8 hexadecimal digits")
+        return Fingerprint(int(frame["crc32"], 16), frame["bytes"], frame["pixels"])
     except InvalidValueError as error:
         raise InvalidValueError(f"frames[{index}]: {error}") from None
 
 
 def _toml(clip: Entry) -> str:
-    values = {
-        "date": _quoted(clip.drive.date),
-        "drive": clip.drive.number,
-        "camera": clip.camera,
-        "length": clip.length,
-        "size": clip.size and list(clip.size),
-        "numbers": clip.numbers and _quoted(format_numbers(clip.numbers)),
-        "proof": clip.proof and _quoted(clip.proof),
-        "source": clip.source and _quoted(clip.source),
-    }
-    lines = [f"{key} = {value}" for key, value in values.items() if value not in (None, "", ())]
+    numbers = format_numbers(clip.numbers or ())
+    values = vars(clip) | {"date": clip.drive.date, "drive": clip.drive.number, "numbers": numbers}
+    # What JSON writes is TOML, but for one character.
+    given = {key: values[key] for key in _KEYS if key != "frames" and values[key] not in (None, "")}
+    texts = {key: json.dumps(value, ensure_ascii=False) for key, value in given.items()}
+    lines = [f"{key} = {text}".replace("\x7f", "\\u007f") for key, text in texts.items()]
     rows = [f'crc32 = "{f.crc32:08x}", bytes = {f.bytes}, pixels = "{f.pixels}"' for f in clip.frames]
     lines += ["frames = [", *(f"  {{ {row} }}," for row in rows), "]"] if rows else []
     return "\n".join([f"[clips.{clip.name}]", *lines]) + "\n"
-
-
-def _quoted(text: str) -> str:
-    """Return a text as a basic string of TOML, on one line."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
