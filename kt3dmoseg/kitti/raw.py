@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,18 @@ LARGEST_FILE = 64 << 20
 LOCATED = "located.toml"  # the catalog in a KITTI raw root: clips whose frame numbers were proved
 
 _FIX = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
-_FIX_CALIBRATION = "fetch the day's calibration with kt3dmoseg pull, or unpack its _calib.zip here"
 _TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d(\.\d{1,9})?")
+
+
+@contextmanager
+def _reading(path: Path, expected: str) -> Iterator[None]:
+    """Turn what goes wrong with a file or folder in this block into one line."""
+    try:
+        yield
+    except OSError as error:
+        raise InputFileError(f"{error.filename or path}: {error.strerror or error}", fix=_FIX) from None
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(f"{path}", expected=expected, found=str(error)) from None
 
 
 def frame_number(file_name: str) -> int | None:
@@ -133,17 +144,12 @@ class Calibration:
         from pykitti.utils import read_calib_file
 
         path = self.folder / name
-        try:
-            values = read_calib_file(path).get(key)
-        except OSError as error:
-            raise InputFileError(f"{path}: {error.strerror or error}", fix=_FIX_CALIBRATION) from None
-        except ValueError:
-            # pykitti splits every line at its first colon; an empty line or text without one ends here.
-            raise FileFormatError(str(path), expected="lines 'key: numbers'", found="other text") from None
-        if values is None or values.size != np.prod(shape) or not np.isfinite(values).all():
-            found = "none" if values is None else f"{values.tolist()}"
-            raise FileFormatError(f"{path}: {key}", expected=f"{np.prod(shape)} numbers", found=found)
-        return np.asarray(values, dtype=np.float64).reshape(shape)
+        with _reading(path, "lines 'key: numbers'"):  # pykitti splits every line at its first colon
+            values = np.asarray(read_calib_file(path).get(key, []), dtype=np.float64)
+        if values.size != np.prod(shape) or not np.isfinite(values).all():
+            expected, found = f"{np.prod(shape)} numbers", f"{values.tolist()}"
+            raise FileFormatError(f"{path}: {key}", expected=expected, found=found)
+        return values.reshape(shape)
 
 
 class RawDrive(Calibration):
@@ -166,15 +172,12 @@ class RawDrive(Calibration):
     ------
     InvalidValueError
         When date, drive or camera is not of KITTI's form.
-    InputFileError
-        When the drive's folder is missing; and from every reader, when its file is missing.
-    FileFormatError
-        From every reader, when its file does not hold what it promises.
+    InputFileError, FileFormatError
+        When the drive's folder is missing; from every reader, when its file is missing or not as promised.
 
     Notes
     -----
-    A drive may be on disk in part: the frames of one clip are enough. Numbers are those of KITTI's
-    file names, whatever else is there.
+    A drive may be on disk in part. Numbers are those of KITTI's file names, whatever else is there.
     """
 
     def __init__(
@@ -195,15 +198,12 @@ class RawDrive(Calibration):
     @property
     def numbers(self) -> IntArray:
         """Numbers of the frames on disk, ascending, (n,) int64."""
-        folder = self._camera_folder / "data"
-        try:
+        folder, expected = self._camera_folder / "data", "KITTI's frames, 0000000000.png"
+        with _reading(folder, expected):
             names = [path.name for path in folder.iterdir()]
-        except OSError as error:
-            raise InputFileError(f"{folder}: {error.strerror or error}", fix=_FIX) from None
         numbers = sorted(n for n in map(frame_number, names) if n is not None)
         if names and not numbers:
             fix = "fetch them with kt3dmoseg pull; converted frames are built as a plain folder of frames"
-            expected = "KITTI's frames, 0000000000.png"
             raise FileFormatError(f"{folder}", expected=expected, found=min(names), fix=fix)
         return np.array(numbers, dtype=np.int64)
 
@@ -211,12 +211,8 @@ class RawDrive(Calibration):
         """Return the path of one frame; InputFileError lists those on disk when it is not."""
         path = self._camera_folder / f"data/{number:010d}.png"
         if not path.is_file():
-            raise InputFileError(
-                f"{path}: no such frame",
-                expected=f"a number on disk ({format_numbers(self.numbers) or 'none'})",
-                found=str(number),
-                fix="fetch it with kt3dmoseg pull",
-            )
+            expected = f"a number on disk ({format_numbers(self.numbers) or 'none'})"
+            raise InputFileError(f"{path}: no such frame", expected=expected, found=str(number), fix=_FIX)
         return path
 
     def frame(self, number: int) -> ByteArray:
@@ -227,10 +223,7 @@ class RawDrive(Calibration):
     def datetimes(self, numbers: npt.ArrayLike) -> npt.NDArray[np.datetime64]:
         """Time at which the camera took each frame, (n,) datetime64[ns], KITTI's local clock.
 
-        Parameters
-        ----------
-        numbers : (n,) int
-            Frame numbers; line k of the camera's ``timestamps.txt`` (from 0) belongs to frame k.
+        Line k of the camera's ``timestamps.txt`` (from 0) belongs to frame k.
         """
         return self._times(_numbers(numbers))[1:]
 
@@ -254,16 +247,10 @@ class RawDrive(Calibration):
 
         folder = self._drive_folder / "oxts/data"
         paths = [folder / f"{number:010d}.txt" for number in _numbers(numbers)]
-        for path in paths:
-            if not path.is_file():
-                raise InputFileError(f"{path}: no such file", fix=_FIX)
-        try:
+        with _reading(folder, "files with one packet of 30 numbers"):
             packets = load_oxts_packets_and_poses(paths)
-        except (TypeError, ValueError) as error:
-            raise FileFormatError(str(folder), expected="packets of 30 numbers", found=str(error)) from None
-        if len(packets) != len(paths):
-            expected = f"{len(paths)} packets, one per file"
-            raise FileFormatError(str(folder), expected=expected, found=f"{len(packets)}")
+            if len(packets) != len(paths):
+                raise ValueError(f"{len(packets)} packets in {len(paths)} files")
         return np.array([packet.T_w_imu for packet in packets], dtype=np.float64).reshape(-1, 4, 4)
 
     @property
@@ -315,12 +302,10 @@ class RawDrive(Calibration):
             if k >= len(lines):
                 expected = f"one of the file's {len(lines)} lines, counted from 0"
                 raise InvalidValueError(f"{path}: frame {k}", expected=expected, found=str(k))
-            try:
-                times.append(np.datetime64(lines[k] if _TIME.fullmatch(lines[k]) else "no time", "ns"))
-            except ValueError:
-                expected = "a time like 2011-09-26 13:02:25.964389445"
-                where = f"{path}: line {k + 1}"
-                raise FileFormatError(where, expected=expected, found=repr(lines[k])) from None
+            with _reading(path, f"in line {k + 1} a time like 2011-09-26 13:02:25.964389445"):
+                if not _TIME.fullmatch(lines[k]):
+                    raise ValueError(repr(lines[k]))
+                times.append(np.datetime64(lines[k], "ns"))
         return np.array(times, dtype="datetime64[ns]")
 
 
