@@ -37,7 +37,7 @@ _RARE = " (rarely changed)"
 _LABELS = 26  # width of the column of names in help
 _FORMER = {"--set": "--parameter"}  # older names of flags, taken and not listed
 _EXTRAS = dict.fromkeys(("starlette", "uvicorn", "pycocotools"), "label")  # of modules that may be missing
-_EXTRAS |= dict.fromkeys(("requests", "pooch"), "pull")
+_EXTRAS["requests"] = "pull"
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 

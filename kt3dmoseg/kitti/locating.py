@@ -181,23 +181,23 @@ def _by_pictures(clip: Entry, files: FileSet, folder: str | None) -> tuple[str, 
     if folder and len(own) != clip.length:
         raise FileFormatError(folder, expected=f"{clip.length} frames of {clip.name}", found=f"{len(own)}")
     frames = drive_frames(files, clip.drive, clip.camera)
-    checksums: dict[str, str] = {}
-    columns: dict[str, Float32Array] = {}
+    checksums: dict[int, str] = {}
+    columns: dict[int, Float32Array] = {}
     contents, title = files.read(frames.values()), f"{clip.name}: comparing pixels"
     for name, content in tqdm(contents, title, len(frames), unit="frame", disable=None):
+        number = int(Path(name).stem)
         try:
             image = decode_frame(content, name)
         except FileFormatError:
             continue  # not a picture: cannot be one of the clip's frames
-        checksums[name] = sha256_arrays(image)
+        checksums[number] = sha256_arrays(image)
         if folder and (described := descriptor(image)).shape == own.shape[1:]:
-            columns[name] = own @ described
-    equal = [[n for n, name in frames.items() if checksums.get(name) == mark.pixels] for mark in clip.frames]
-    exact = match_exact(equal)
+            columns[number] = own @ described
+    exact = match_exact([[n for n in frames if checksums.get(n) == mark.pixels] for mark in clip.frames])
     if exact.numbers or exact.ambiguous or not folder:
         return PIXELS, exact
-    numbers = [n for n, name in frames.items() if name in columns]
-    similarity = np.array([columns[frames[n]] for n in numbers]).reshape(len(numbers), len(own)).T
+    numbers = sorted(columns)
+    similarity = np.array([columns[n] for n in numbers]).reshape(len(numbers), len(own)).T
     return CORRELATION, match_graded(similarity, numbers)
 
 

@@ -1,4 +1,4 @@
-"""The published benchmarks, fetched from their homes: small files with hashes, through pooch."""
+"""The published benchmarks, fetched from their homes: small files with hashes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-import pooch
 from tqdm import tqdm
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import read_bytes, sha256_file, write_bytes, write_text
+from kt3dmoseg.files import atomic_path, read_bytes, sha256_file, write_bytes, write_text
 from kt3dmoseg.kitti.archives import Archive
 from kt3dmoseg.kitti.http import Client
 from kt3dmoseg.kitti.options import Origin
@@ -110,39 +109,34 @@ def fetch_release(
         folder = Path(root) / release.folder
         report(f"{release.title}\n  home: {release.home}\n  licence: {release.licence}")
         report(f"  cite: {release.cite}\n  if the page is gone: {release.by_hand} ({folder})")
-        expected, addresses = _read_sums(folder) | release.checksums, release.downloads(mirror)
-        _download(addresses, folder, expected, retries, f"by hand: {release.by_hand}")
-        for file in addresses:
-            if file not in expected:
-                expected[file] = sha256_file(folder / file)
-                report(f"  {file}: no published hash; trusted now, SHA-256 {expected[file]} from now on")
-            if release.wanted:
-                _unpack(release, folder / file, folder, expected)
+        expected = _read_sums(folder) | release.checksums
+        with closing(Client(Origin(retries=retries, timeout=60))) as client:
+            for file, url in release.downloads(mirror).items():
+                if not _is_right(folder / file, expected.get(file)):
+                    _download(client, url, folder / file, expected.get(file), f"by hand: {release.by_hand}")
+                if file not in expected:
+                    expected[file] = sha256_file(folder / file)
+                    report(f"  {file}: no published hash; trusted now, SHA-256 {expected[file]} from now on")
+                if release.wanted:
+                    _unpack(release, folder / file, folder, expected)
         fetched[name] = _check(release, folder, expected, report)
     return fetched
 
 
-def _download(
-    addresses: dict[str, str], folder: Path, expected: Mapping[str, str], retries: int, by_hand: str
-) -> None:
-    """Fetch the files that are not there, or not right."""
-    pooch.get_logger().setLevel("ERROR")
-    registry = {name: expected.get(name) for name in addresses}
-    files = pooch.create(folder, "", registry=registry, urls=addresses, retry_if_failed=retries)
-    with closing(Client(Origin(retries=retries, timeout=60))) as client:
+def _is_right(path: Path, checksum: str | None) -> bool:
+    """Whether a file is there with this SHA-256, if it is known."""
+    return path.is_file() and checksum in (None, sha256_file(path))
 
-        def download(url: str, path: str, _: object) -> None:
-            with tqdm(unit="B", unit_scale=True, desc=PurePosixPath(url).name, disable=None) as bar:
-                client.download(url, Path(path), bar.update)
 
-        for name, url in addresses.items():
+def _download(client: Client, url: str, path: Path, checksum: str | None, by_hand: str) -> None:
+    with atomic_path(path) as temporary:
+        with tqdm(unit="B", unit_scale=True, desc=path.name, disable=None) as bar:
             try:
-                files.fetch(name, downloader=download)
+                client.download(url, temporary, bar.update)
             except InputFileError as error:
                 raise InputFileError(f"{error}", fix=by_hand) from None
-            except ValueError:
-                wanted = f"SHA-256 {expected[name]}"
-                raise FileFormatError(url, expected=wanted, found="other content") from None
+        if not _is_right(temporary, checksum):
+            raise FileFormatError(url, expected=f"SHA-256 {checksum}", found="other content")
 
 
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:
@@ -150,9 +144,8 @@ def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, s
     archive = Archive.on_disk(path)
     matches = {name: match for name in archive.sizes if (match := re.fullmatch(release.wanted, name))}
     targets = {name: match.expand(release.target) for name, match in matches.items()}
-    here = {to for to in targets.values() if (folder / to).is_file()}
-    right = {to for to in here if expected.get(to) in (None, sha256_file(folder / to))}
-    for name, content in archive.read(name for name, to in targets.items() if to not in right):
+    wanted = (name for name, to in targets.items() if not _is_right(folder / to, expected.get(to)))
+    for name, content in archive.read(wanted):
         write_bytes(folder / targets[name], content)
 
 
@@ -180,7 +173,5 @@ def _read_sums(folder: Path) -> dict[str, str]:
     """Read what ``sha256sum`` would write: two blanks between checksum and name."""
     if not (folder / _SUMS).is_file():
         return {}
-    text = read_bytes(folder / _SUMS, 1 << 20).decode(errors="replace")
-    return {
-        name: checksum for checksum, gap, name in (line.partition("  ") for line in text.splitlines()) if gap
-    }
+    lines = read_bytes(folder / _SUMS, 1 << 20).decode(errors="replace").splitlines()
+    return {name: checksum for checksum, gap, name in (line.partition("  ") for line in lines) if gap}
