@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TypeAlias, TypeVar
 
@@ -37,7 +38,6 @@ Chunks: TypeAlias = Callable[[int, int], Iterator[bytes]]
 _LARGEST_DIRECTORY = 8 << 20
 _HEADER = 30
 _TAIL = (1 << 16) + 22 + 20 + 56  # the end record with its longest comment, and zip64's locator and record
-_LONGEST_REST = (1 << 16) + 24  # extra fields in front of a file's data, and its descriptor behind them
 # KITTI's zips hold 4 GB; one file is limited when it is read. Deflate cannot reach more than 1032 : 1.
 _LIMITS = ZipLimits(
     files=1 << 20, file_bytes=1 << 40, total_bytes=1 << 50, ratio=1100, free_bytes=1024, depth=32
@@ -61,7 +61,6 @@ class _RangeFile(io.RawIOBase):
     """
 
     def __init__(self, name: str, size: int, chunks: Chunks, tail: bytes) -> None:
-        super().__init__()
         self.name, self.size = name, size
         self.tail = tail or b"".join(chunks(max(0, size - _TAIL), min(size, _TAIL)))
         self._chunks, self._at = chunks, 0
@@ -179,16 +178,15 @@ class Archive:
                 pass
 
     def _find_spans(self) -> dict[str, tuple[int, int]]:
-        """Where each file begins, and where it ends at the latest."""
-        infos, spans = self._zip.infos, {}
-        order = sorted(infos, key=lambda name: infos[name].header_offset)
-        following = [infos[name].header_offset for name in order[1:]] + [self._zip.directory_start]
-        for name, end in zip(order, following, strict=True):
-            start = infos[name].header_offset
-            least = start + _HEADER + len(infos[name].orig_filename) + infos[name].compress_size
-            if start < 0 or least > end:
+        """Where each file begins, and where the next one does."""
+        infos = self._zip.infos
+        names = sorted(infos, key=lambda name: infos[name].header_offset)
+        starts = [infos[name].header_offset for name in names]
+        spans = dict(zip(names, pairwise([*starts, self._zip.directory_start]), strict=True))
+        for name, (start, end) in spans.items():
+            least = _HEADER + len(infos[name].orig_filename) + infos[name].compress_size
+            if start < 0 or start + least > end:
                 self._refuse(name, "overlaps its neighbour")
-            spans[name] = start, min(end, least + 3 * len(name) + _LONGEST_REST)
         return spans
 
     def _refuse(self, name: str, fault: str) -> None:
@@ -275,10 +273,8 @@ class TargetFolder:
             listed = parse_json(read_bytes(path, LARGEST_FILE), "", LARGEST_FILE) if path.is_file() else {}
             return {str(name): (int(size), int(crc, 16)) for name, (size, crc) in listed.items()}
         except (ValueError, TypeError, AttributeError):
-            fix = "remove it and pull again"
-            raise FileFormatError(
-                str(path), expected="a list of files", found="other data", fix=fix
-            ) from None
+            expected, fix = "a list of files", "remove it and pull again"
+            raise FileFormatError(f"{path}", expected=expected, found="other data", fix=fix) from None
 
     def keep_files(self, fetched: Mapping[str, tuple[int, int]]) -> None:
         """Keep size and CRC32 of files that were fetched."""
@@ -327,10 +323,6 @@ class Extracted:
     def crc32(self, name: str) -> int:
         """CRC32 of a file."""
         return crc32_file(self._root / name)
-
-    def cost(self, names: Iterable[str]) -> int:
-        """Nothing: the files are here."""
-        return 0
 
     def read(self, names: Iterable[str]) -> Iterator[tuple[str, bytes]]:
         """Yield names and contents."""

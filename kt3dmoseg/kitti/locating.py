@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,8 @@ def locate(
     with target.lock(), closing(Archives(chosen, target, traffic, report)) as origin:
         for clip in wanted:
             try:
-                located = found[clip.name] = _locate_in(clip, origin, chosen)
+                look = partial(locate_clip, clip, pixels=chosen.pixels, own=chosen.frames)
+                located = found[clip.name] = origin.look(frames_of(clip.drive), look)
                 target.keep_located([located])
                 numbers, proof = format_numbers(located.numbers or ()), located.proof or "given"
                 report(f"{clip.name}: {clip.drive.name} camera {located.camera} frames {numbers} ({proof})")
@@ -103,28 +105,12 @@ def locate(
     return found
 
 
-def _locate_in(clip: Entry, origin: Archives, options: LocateOptions) -> Entry:
-    """Locate a clip in its drive's archive."""
-
-    def look(files: FileSet, again: bool) -> Entry:
-        try:
-            pixels = options.pixels and (again or files.local)
-            return locate_clip(clip, files, pixels=pixels, own=options.frames)
-        except NotLocatedError:
-            if again or files.local:
-                raise
-            # A directory holds no checksum of itself: read it once more before pictures are compared.
-            raise DamagedError(files.name, expected=f"the frames of {clip.name}", found="others") from None
-
-    return origin.look(frames_of(clip.drive), look)
-
-
-def locate_clip(clip: Entry, files: FileSet, *, pixels: bool, own: str | None = None) -> Entry:
+def locate_clip(clip: Entry, files: FileSet, again: bool, *, pixels: bool, own: str | None = None) -> Entry:
     """Return the clip with its frame numbers proved in a drive's files, camera and proof filled in.
 
     Evidence is, in this order, CRC32 and size; with `pixels` these; the correlation with the clip's `own`
     frames in a folder. A clip without fingerprints is returned as it is: its numbers are those the user gave.
-    NotLocatedError when nothing decides.
+    NotLocatedError when nothing decides; DamagedError when a directory should be read `again` first.
     """
     if not clip.frames:
         return clip
@@ -132,6 +118,8 @@ def locate_clip(clip: Entry, files: FileSet, *, pixels: bool, own: str | None = 
     for camera in sorted(CAMERAS, key=lambda camera: camera != clip.camera):
         if numbers := verdicts[camera].numbers:
             return replace(clip, camera=camera, numbers=numbers, proof=CHECKSUM, source=files.name)
+    if not (again or files.local):  # a directory holds no checksum of itself
+        raise DamagedError(files.name, expected=f"the frames of {clip.name}", found="others")
     verdict, tried = verdicts[clip.camera], "CRC32 and size"
     fix = "kt3dmoseg locate compares pixels"
     if pixels and not verdict.ambiguous:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -18,6 +19,7 @@ from kt3dmoseg.catalog import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes, write_text
 from kt3dmoseg.kitti.archives import (
+    Archive,
     Archives,
     DamagedError,
     FileSet,
@@ -28,7 +30,7 @@ from kt3dmoseg.kitti.archives import (
     megabytes,
 )
 from kt3dmoseg.kitti.http import AbsentError, ChangedError, RangesIgnoredError, Traffic
-from kt3dmoseg.kitti.locating import CHECKSUM, NotLocatedError, drive_frames, locate_clip
+from kt3dmoseg.kitti.locating import CORRELATION, PIXELS, NotLocatedError, drive_frames, locate_clip
 from kt3dmoseg.kitti.options import PullOptions
 from kt3dmoseg.kitti.raw import CALIBRATION_FILES, TRACKLET_FILE
 from kt3dmoseg.options import from_mapping
@@ -162,14 +164,14 @@ class _Part:
     failures: list[KT3DMoSegError] = field(default_factory=list)
     fetched: int = 0
 
-    def choose(self, files: FileSet, target: TargetFolder) -> None:
+    def choose(self, target: TargetFolder, files: FileSet, again: bool) -> None:
         """Choose what is wanted of the files and compare it with the disk."""
         self.files, self.located, self.failures = files, [], []
-        known = target.located() if self.clips else {}
+        proved = {(clip.name, clip.drive, clip.frames): clip for clip in target.located().values()}
         wanted = [f"{self.packed.folder}/{name}" for name in self.packed.names]
         for clip in self.clips:
             try:
-                located = _locate(clip, files, known.get(clip.name))
+                located = _locate(clip, files, again, proved.get((clip.name, clip.drive, clip.frames)))
             except DamagedError:  # to be fetched again
                 raise
             except (NotLocatedError, FileFormatError) as error:
@@ -180,8 +182,10 @@ class _Part:
             wanted += [f"{camera}/timestamps.txt", f"{packets}/timestamps.txt"]
             for n in located.numbers or ():
                 wanted += [f"{camera}/data/{n:010d}.png", f"{packets}/data/{n:010d}.txt"]
-        wanted = list(dict.fromkeys(wanted))
-        self.lacking = [name for name in wanted if name not in files.sizes]
+        self.lacking = sorted({name for name in wanted if name not in files.sizes})
+        if (self.failures or self.lacking) and files.fresh and not again:
+            # A directory holds no checksum of itself: a second reading confirms a gap.
+            raise DamagedError(files.name, expected="all that is wanted", found="gaps")
         self.sums = {n: (files.sizes[n], files.crc32(n)) for n in wanted if n in files.sizes}
         self.missing = [name for name, sums in self.sums.items() if not _holds(target.root / name, sums)]
         here = len(self.sums) - len(self.missing)
@@ -207,24 +211,14 @@ def _parts(clips: list[Entry], options: PullOptions) -> Iterator[_Part]:
 
 
 def _choose(part: _Part, origin: Archives, target: TargetFolder, *, again: bool = False) -> None:
-    """Open a part's archive and choose what is wanted of it.
-
-    Clips that are not there and archives that are absent are kept as failures of the part, so that one clip
-    does not stop the others.
-    """
-
-    def look(files: FileSet, again: bool) -> None:
-        part.choose(files, target)
-        if (part.failures or part.lacking) and files.fresh and not again:
-            # A directory holds no checksum of itself: a second reading confirms a gap.
-            raise DamagedError(files.name, expected="all that is wanted", found="gaps")
-
+    """Open a part's archive and choose what is wanted of it; what is not there stops no other part."""
     try:
-        origin.look(part.packed, look, again=again)
+        origin.look(part.packed, partial(part.choose, target), again=again)
     except RangesIgnoredError as error:
         part.extent = str(error)
     except AbsentError as error:
-        part.files, part.sums, part.failures = None, {}, [] if part.packed.optional else [error]
+        part.files, part.sums, part.missing = None, {}, []
+        part.failures = [] if part.packed.optional else [error]
 
 
 def _plan(parts: list[_Part], target: TargetFolder) -> Iterator[str]:
@@ -237,7 +231,7 @@ def _plan(parts: list[_Part], target: TargetFolder) -> Iterator[str]:
             yield f"    {clip.name}: frames {numbers}, camera {clip.camera}, {proof}"
         yield from (f"    {failure}" for failure in part.failures)
     files = sum(len(part.missing) for part in parts)
-    cost = sum(part.files.cost(part.missing) for part in parts if part.files)
+    cost = sum(part.files.cost(part.missing) for part in parts if isinstance(part.files, Archive))
     yield f"plan: {files} files to {target.root}, {megabytes(cost)} to transfer"
 
 
@@ -283,24 +277,15 @@ def _show_licence(target: TargetFolder, options: PullOptions, report: Callable[[
         write_text(path, LICENCE)
 
 
-def _locate(clip: Entry, files: FileSet, known: Entry | None) -> Entry:
+def _locate(clip: Entry, files: FileSet, again: bool, known: Entry | None) -> Entry:
     """Locate by checksum, which costs nothing, or take what `locate` proved by pictures."""
-    if (
-        known
-        and known.proof not in ("", CHECKSUM)
-        and (known.drive, known.frames) == (clip.drive, clip.frames)
-    ):
-        clip = known
-    else:
-        clip = locate_clip(clip, files, pixels=files.local)
+    by_pictures = known is not None and known.proof in (PIXELS, CORRELATION)
+    clip = known if known and by_pictures else locate_clip(clip, files, again, pixels=files.local)
     frames = drive_frames(files, clip.drive, clip.camera)
-    absent = [n for n in clip.numbers or () if n not in frames]
-    if absent:
-        raise FileFormatError(
-            f"{clip.name}: {files.name}",
-            expected=f"frames {format_numbers(absent)} of camera {clip.camera}",
-            found=f"frames {format_numbers(frames) or 'none'}",
-        )
+    if absent := [n for n in clip.numbers or () if n not in frames]:
+        expected = f"frames {format_numbers(absent)} of camera {clip.camera}"
+        found = f"frames {format_numbers(frames) or 'none'}"
+        raise FileFormatError(f"{clip.name}: {files.name}", expected=expected, found=found)
     return clip
 
 
@@ -313,9 +298,8 @@ def _verify(target: TargetFolder, clips: list[Entry], report: Callable[[str], ob
     wanted = {name: sums for name, sums in target.files().items() if not clips or name.startswith(parts)}
     if never or not wanted:
         what = ", ".join(never) or "nothing"
-        raise InputFileError(
-            f"{root}: {what} was not pulled to this folder", fix="fetch it with kt3dmoseg pull"
-        )
+        fix = "fetch it with kt3dmoseg pull"
+        raise InputFileError(f"{root}: {what} was not pulled to this folder", fix=fix)
     bad = [name for name, sums in wanted.items() if not _holds(root / name, sums)]
     for name in bad:
         report(f"{root / name}: {'damaged' if (root / name).exists() else 'missing'}")
@@ -329,7 +313,4 @@ def _verify(target: TargetFolder, clips: list[Entry], report: Callable[[str], ob
 
 def _holds(path: Path, sums: tuple[int, int]) -> bool:
     """Whether a file is there with this size and CRC32."""
-    try:
-        return path.stat().st_size == sums[0] and crc32_file(path) == sums[1]
-    except OSError:
-        return False
+    return path.is_file() and path.stat().st_size == sums[0] and crc32_file(path) == sums[1]
