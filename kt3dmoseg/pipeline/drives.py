@@ -48,8 +48,8 @@ class SyntheticDrive:
 
     def inspect(self) -> FrameInfo:
         """Describe the drive: what its bytes depend on."""
-        description = asdict(self.plan) | {"samples": SAMPLES, "version": synthetic.ALGORITHM_VERSION}
-        return FrameInfo(None, {"kind": "synthetic"} | description)
+        versions = {"samples": SAMPLES, "version": synthetic.ALGORITHM_VERSION}
+        return FrameInfo(None, {"kind": "synthetic"} | asdict(self.plan) | versions)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Render the frames."""

@@ -164,9 +164,8 @@ def _imu_pose(scene: Scene, frame: int) -> FloatArray:
 def _oxts_line(scene: Scene, frame: int) -> str:
     """One packet of 30 values, in the order of KITTI's ``dataformat.txt``.
 
-    Position and attitude are exact; latitude and longitude by the Mercator projection of the development
-    kit, with the scale of the first frame's latitude, so that readers get the metres back. Velocities and
-    turn rates are central differences; of the accelerations only gravity is filled in.
+    Latitude and longitude are by the Mercator projection of the development kit, with the scale of the first
+    frame's latitude, so that readers get the metres back. Velocities and turn rates are central differences.
     """
     pose, first_north = _imu_pose(scene, frame), _imu_pose(scene, 0)[1, 3]
     # Invert y = s R ln tan(pi (90 + latitude) / 360).

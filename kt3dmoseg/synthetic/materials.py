@@ -27,7 +27,7 @@ class Noise:
     """A periodic texture of mean 0 and standard deviation 1 with amplitude spectrum f**-slope.
 
     Kept as a rip-map: averaged separately in both directions by all powers of two, because a road seen
-    from a car is squeezed far more along than across. Slope 0 is white; 1 is close to natural images.
+    from a car is squeezed far more along than across.
     """
 
     def __init__(self, rng: np.random.Generator, slope: float) -> None:

@@ -23,10 +23,9 @@ _GAIN, _GAMMA, _WHITE = 1.25, 1.4, 255.0
 
 
 class Face(NamedTuple):
-    """A rectangle or symmetric or skew trapezoid in the coordinates of its body.
+    """A trapezoid, 0 <= v <= extent[1] and lean[0] v <= u <= extent[0] - lean[1] v, in a body's coordinates.
 
-    It covers 0 <= v <= extent[1] and lean[0] v <= u <= extent[0] - lean[1] v, in metres from the corner
-    `origin` along the unit vectors `eu` and `ev`; cross(eu, ev) points out of the visible side.
+    In metres from `origin` along unit vectors `eu` and `ev`; cross(eu, ev) points out of the visible side.
     """
 
     material: Material
@@ -45,11 +44,10 @@ def box(
     inset: tuple[float, float, float] = (0.0, 0.0, 0.0),
     **parts: Material,
 ) -> list[Face]:
-    """Give the faces of an axis-parallel box between two corners (y points down: `low[1]` is the top).
+    """Give the faces of a box between two corners, whose top's edges (front, back, sides) lie `inset` inside.
 
-    `parts` are other materials of its front (towards +z), back, side (both), top and floor; it has a floor
-    only if that is given. The edges of the top (front, back, sides) lie `inset` inside those of the foot.
-    On walls u runs to the right as seen from outside, v upwards.
+    `parts` are other materials of its front (towards +z), back, side (both), top, and floor, which it else
+    lacks. On walls u runs to the right as seen from outside, v upwards.
     """
     (x0, y0, z0), (x1, y1, z1) = low, high
     front, back, sides = inset
@@ -146,9 +144,8 @@ def _along(vector: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 def cast(mesh: Mesh, x: FloatArray, y: FloatArray) -> tuple[FloatArray, IntArray]:
     """Find the nearest face along every ray (x, y, 1): single ones (R,), or a grid of (1, W) and (H, 1).
 
-    A ray r meets the plane of a face (corner o, normal n) at depth z = n.o / n.r; the hit counts where its
-    coordinates on the face, (z r - o).eu and (z r - o).ev, are inside the extent. Both results, (R,) or
-    (H, W), are of the nearest: depth z, infinite where nothing is hit, and row of the mesh, or `SKY`.
+    A ray r meets the plane of a face (corner o, normal n) at depth z = n.o / n.r. Returns, (R,) or (H, W),
+    the depth z, infinite where nothing is hit, and the row of the mesh, or `SKY`.
     """
     shape = np.broadcast_shapes(x.shape, y.shape)
     depth, face = np.full(shape, np.inf), np.full(shape, SKY, dtype=np.int64)
@@ -208,11 +205,7 @@ def _bounds(mesh: Mesh) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 class Painter:
-    """Shades the faces of one scene.
-
-    The brightness of a face follows Lambert's law with its normal in body coordinates, so that a turning
-    vehicle keeps its grey values.
-    """
+    """Shades faces by Lambert's law, with normals in body coordinates: vehicles keep their grey values."""
 
     def __init__(self, rng: np.random.Generator, faces: Sequence[Face]) -> None:
         self._light = _AMBIENT + _DIRECT * np.clip(Mesh.of(faces).normals() @ _SUN, 0, None)
@@ -248,8 +241,8 @@ class Painter:
 def ray_offsets(samples: int) -> FloatArray:
     """Where in a pixel its rays pass, relative to its centre: (n^2, 2), x and y in (-0.5, 0.5).
 
-    A square grid of n x n rays turned by atan(1/n): all n^2 rays lie in different columns and in
-    different rows, so that an upright edge moves over the pixel in steps of 1/n^2 instead of 1/n.
+    A square grid turned by atan(1/n): no two rays lie in one column or row, so that an upright edge moves
+    over the pixel in steps of 1/n^2 instead of 1/n.
     """
     count = samples * samples
     column = np.arange(1, count + 1)
@@ -260,9 +253,8 @@ def ray_offsets(samples: int) -> FloatArray:
 def gather(light: FloatArray, offset: FloatArray) -> FloatArray:
     """Give every pixel the light of its own ray and of its neighbours', weighed by a tent two pixels wide.
 
-    That is about the blur of a good lens on a sensor. The weights of one ray per pixel add to 1, and a
-    linear ramp stays what it is, wherever in the pixel the rays pass. `light` (H + 2, W + 2) has one pixel
-    more on each side; `offset` is where the rays pass, x and y relative to the pixels' centres.
+    That is about the blur of a good lens. `light` (H + 2, W + 2) has one pixel more on each side; `offset`
+    (2,) is where the rays pass, relative to the pixels' centres.
     """
     for shift in offset[::-1]:
         before, here, after = (max(0.0, 1 - abs(shift + step)) for step in (-1, 0, 1))
@@ -271,11 +263,7 @@ def gather(light: FloatArray, offset: FloatArray) -> FloatArray:
 
 
 def respond(light: FloatArray) -> FloatArray:
-    """Grey value of light: 255 (1.25 light / 255)^1.4, saturated at 255.
-
-    The two constants bring contrast, gradients and the share of saturated pixels to those of KITTI's gray
-    cameras on the 22 clips (docs/synthetic.md).
-    """
+    """Grey value of light: 255 (1.25 light / 255)^1.4, saturated at 255, as of KITTI (docs/synthetic.md)."""
     return np.asarray(_WHITE * np.clip(_GAIN * light / _WHITE, 0, 1) ** _GAMMA)
 
 

@@ -78,10 +78,8 @@ class Vehicle:
 def traffic(rng: np.random.Generator, count: int, middle: float, speed: float) -> list[Vehicle]:
     """Choose `count` vehicles that all are in view in the middle of the clip and do not collide.
 
-    They come in the order of how well their motion differs from the camera's: one crosses the street,
-    one ahead changes lanes, one leaves a parking place, one comes towards us. The nearer a vehicle's course
-    is to the camera's, the less its points leave the epipolar lines of the static scene. `middle` is the z of
-    the camera in the middle of the clip, `speed` its speed.
+    They come in the order of how far their points leave the epipolar lines of the static scene. `middle` is
+    the z of the camera in the middle of the clip, `speed` its speed.
     """
     draw, side, slow = rng.uniform, int(rng.choice([-1, 1])), 0.6 * speed
     across, ahead = side * np.pi / 2, CROSSING_AHEAD + side * 1.4

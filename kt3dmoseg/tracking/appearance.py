@@ -164,12 +164,15 @@ def _dot(a: Float32Array, b: Float32Array) -> Float32Array:
 class Appearance:
     """The patches in which the live trajectories started, and how each has been deformed since.
 
+    With neither `anchor` nor `appearance` it does nothing.
+
     The errors of single steps add up along a trajectory; the patch in which it started does not change
     (Shi and Tomasi, CVPR 1994, compare with the first frame for this reason). And where forward and
     backward flow agree on an error, as beyond the outline of an object, what the point shows changes.
     """
 
     def __init__(self, options: TrackOptions) -> None:
+        self._active = bool(options.anchor or options.appearance)
         self.options, self.window = options, Window(options.patch_radius)
         nothing = np.zeros((0, 3, len(self.window.weight)), dtype=np.float32)
         self._starts, self._row = prepare(nothing, self.window, options), np.arange(0)
@@ -178,45 +181,48 @@ class Appearance:
 
     def look_at(self, frame: ByteArray) -> None:
         """Look at the next frame (H, W) uint8; what follows happens in it."""
-        self._image, self._size = doubled(frame), frame.shape
+        if self._active:
+            self._image, self._size = doubled(frame), frame.shape
 
     def add(self, xy: FloatArray) -> None:
         """Keep how new trajectories (N, 2) look; they come after all that are alive."""
+        if not self._active:
+            return
         new = prepare(self.window.start(self._image, xy), self.window, self.options)
         both = zip(self._starts, new, strict=True)
         self._starts = Starts(*(np.concatenate([old[self._row], more]) for old, more in both))
         self._row = np.arange(len(self._row) + len(xy))
         self._affine = np.concatenate([self._affine, np.broadcast_to(np.eye(2), (len(xy), 2, 2))])
 
-    def keep(self, alive: BoolArray) -> None:
-        """Forget the trajectories (L,) that are not alive."""
-        self._row, self._affine = self._row[alive], self._affine[alive]
-
     def follow(
-        self, forward: Float32Array, xy: FloatArray, target: FloatArray
+        self, forward: Float32Array, xy: FloatArray, target: FloatArray, alive: BoolArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Correct the step of the live trajectories into this frame; find which look like their start.
+        """Correct the step of the trajectories into this frame; keep those alive that look like their start.
 
-        `forward` (H, W, 2) is the flow from the frame before, `xy` (L, 2) are the positions there and
-        `target` (L, 2) where it leads. Returns the positions (L, 2) in this frame, and which (L,) are alike:
-        all when `appearance` is 0.
+        `forward` (H, W, 2) is the flow from the frame before, `xy` (L, 2) are the positions there, `target`
+        (L, 2) where it leads, and `alive` (L,) says which have not stopped; the last two are returned anew.
 
         The affine map from the start's patch to the present one is carried along by the flow,
         A <- (1 + grad w) A: a camera that drives forward enlarges what it sees by some percent per frame.
         With `anchor`, position and map are then registered with the start. The result is taken where it lies
         at most `anchor` pixels off, and the change of the patch has fallen, and to `anchor_change` *
-        variance + `appearance_floor` at most; elsewhere the flow's point stays. Patches are alike where
-        change <= `appearance` * variance + `appearance_floor`. The change is the weighted mean of (I - T)^2
-        with the present patch I and the start's T, both less their means.
+        variance + `appearance_floor` at most; elsewhere the flow's point stays. With `appearance`, patches
+        look alike where change <= `appearance` * variance + `appearance_floor`. The change is the weighted
+        mean of (I - T)^2 with the present patch I and the start's T, both less their means.
         """
-        affine = (np.eye(2) + gradient(forward, xy, _REACH)) @ self._affine
-        pose, alike = np.concatenate([affine, target[..., None]], axis=2), np.ones(len(xy), dtype=np.bool_)
-        for first in range(0, len(xy), _CHUNK):
+        if not self._active:
+            return target, alive
+        live = np.flatnonzero(alive)
+        affine = (np.eye(2) + gradient(forward, xy[live], _REACH)) @ self._affine[live]
+        pose, alike = np.concatenate([affine, target[live, :, None]], axis=2), np.ones(len(live), np.bool_)
+        for first in range(0, len(live), _CHUNK):
             part = slice(first, first + _CHUNK)
-            start = Starts(*(field[self._row[part]] for field in self._starts))
+            start = Starts(*(field[self._row[live[part]]] for field in self._starts))
             pose[part], alike[part] = self._compared(pose[part], start)
-        self._affine = pose[..., :2]
-        return pose[..., 2].copy(), alike
+        target, alive = target.copy(), alive.copy()
+        target[live], alive[live] = pose[..., 2], alike
+        self._row, self._affine = self._row[live[alike]], pose[alike, :, :2]
+        return target, alive
 
     def _compared(self, pose: FloatArray, start: Starts) -> tuple[FloatArray, BoolArray]:
         options, floor, rest = self.options, self.options.appearance_floor, self._rest(pose, start)

@@ -30,7 +30,6 @@ from kt3dmoseg.types import (
     BoolArray,
     ByteArray,
     Clip,
-    Float32Array,
     FloatArray,
     IntArray,
     Labels,
@@ -92,23 +91,47 @@ def track(
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
     items = frame_paths(frames) if isinstance(frames, (str, os.PathLike)) else frames
+    _check_axes(frames)
+    total = len(items) if isinstance(items, Sized) else None
+    chosen = None if seeds is None else _checked(seeds)
+    looks = Appearance(settings)
+    ids, xy, count = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), 0
+    seen: list[tuple[IntArray, FloatArray]] = []
+    before: ByteArray | None = None
+    for frame in _gray_frames(items):
+        looks.look_at(frame)
+        if before is not None:
+            forward, backward = flow_pair(backend, before, frame, cache)
+            target, alive = looks.follow(forward, xy, *step(xy, forward, backward, settings))
+            ids, xy = ids[alive], target[alive]
+        if chosen is None:
+            new = new_seeds(frame, xy, settings)
+            rows = np.arange(count, count + len(new))
+        else:
+            rows = _starting(chosen, len(seen), frame.shape)
+            new = chosen[rows, :2]
+        looks.add(new)
+        count += len(new)
+        ids, xy = np.concatenate([ids, rows]), np.concatenate([xy, new])
+        seen.append((ids, xy))
+        before = frame
+        if progress is not None:
+            progress(len(seen), total)
+    if before is None or len(seen) < 2:
+        raise InvalidValueError("frames", expected="at least 2 frames", found=str(len(seen)))
+    if chosen is not None:
+        late = chosen[:, 2] >= len(seen)
+        _reject(chosen, late, f"a frame number below {len(seen)}, the number of frames")
+    least = settings.min_length if chosen is None else 0
+    return RunTrajectories(seen, count, least, (before.shape[1], before.shape[0]))
+
+
+def _check_axes(frames: Frames) -> None:
     if isinstance(frames, np.ndarray) and frames.ndim == 3:
         rows, columns, last = frames.shape
         if last < min(rows, columns / 2):
             fix = "of (H, W, F) give np.moveaxis(frames, -1, 0); of such narrow frames list(frames)"
             raise InvalidValueError("frames", expected="(F, H, W)", found=f"{frames.shape}", fix=fix)
-    total = len(items) if isinstance(items, Sized) else None
-    run = _Run(settings, None if seeds is None else _checked(seeds))
-    before: ByteArray | None = None
-    for number, frame in enumerate(_gray_frames(items), start=1):
-        run.look_at(frame)
-        if before is not None:
-            run.advance(*flow_pair(backend, before, frame, cache))
-        run.start(frame)
-        before = frame
-        if progress is not None:
-            progress(number, total)
-    return run.finish(before)
 
 
 def track_clip(
@@ -175,60 +198,6 @@ def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterato
         yield frame
 
 
-class _Run:
-    """The live trajectories while frames go by."""
-
-    def __init__(self, options: TrackOptions, seeds: FloatArray | None) -> None:
-        self.options, self.seeds = options, seeds
-        self.count = 0 if seeds is None else len(seeds)
-        self.ids: IntArray = np.zeros(0, dtype=np.int64)
-        self.xy: FloatArray = np.zeros((0, 2))
-        self.looks = Appearance(options) if options.appearance or options.anchor else None
-        self.frames: list[tuple[IntArray, FloatArray]] = []
-
-    def look_at(self, frame: ByteArray) -> None:
-        if self.looks is not None:
-            self.looks.look_at(frame)
-
-    def advance(self, forward: Float32Array, backward: Float32Array) -> None:
-        before, (self.xy, alive) = self.xy, step(self.xy, forward, backward, self.options)
-        self.keep(alive)
-        if self.looks is not None:
-            self.xy, alike = self.looks.follow(forward, before[alive], self.xy)
-            self.keep(alike)
-
-    def keep(self, alive: BoolArray) -> None:
-        self.ids, self.xy = self.ids[alive], self.xy[alive]
-        if self.looks is not None:
-            self.looks.keep(alive)
-
-    def start(self, frame: ByteArray) -> None:
-        if self.seeds is None:
-            xy = new_seeds(frame, self.xy, self.options)
-            ids = np.arange(self.count, self.count + len(xy))
-            self.count += len(xy)
-        else:
-            now, (height, width) = self.seeds[:, 2] == len(self.frames), frame.shape
-            outside = now & ~inside(self.seeds[:, :2], frame.shape)
-            _reject(self.seeds, outside, f"a point in the {width}x{height} frame")
-            ids = np.flatnonzero(now)
-            xy = self.seeds[ids, :2]
-        if self.looks is not None:
-            self.looks.add(xy)
-        self.ids, self.xy = np.concatenate([self.ids, ids]), np.concatenate([self.xy, xy])
-        self.frames.append((self.ids, self.xy))
-
-    def finish(self, last: ByteArray | None) -> Trajectories:
-        done = len(self.frames)
-        if last is None or done < 2:
-            raise InvalidValueError("frames", expected="at least 2 frames", found=str(done))
-        if self.seeds is not None:
-            late = self.seeds[:, 2] >= done
-            _reject(self.seeds, late, f"a frame number below {done}, the number of frames")
-        least = self.options.min_length if self.seeds is None else 0
-        return RunTrajectories(self.frames, self.count, least, (last.shape[1], last.shape[0]))
-
-
 def _checked(seeds: npt.ArrayLike) -> FloatArray:
     out = np.asarray(seeds, dtype=np.float64)
     if out.ndim != 2 or out.shape[1] != 3:
@@ -236,6 +205,13 @@ def _checked(seeds: npt.ArrayLike) -> FloatArray:
     whole = np.isfinite(out).all(axis=1) & (out[:, 2] == np.trunc(out[:, 2]))
     _reject(out, ~whole | (out[:, 2] < 0), "finite x, y and a whole frame number >= 0")
     return out
+
+
+def _starting(seeds: FloatArray, number: int, shape: tuple[int, ...]) -> IntArray:
+    now = seeds[:, 2] == number
+    outside = now & ~inside(seeds[:, :2], shape)
+    _reject(seeds, outside, f"a point in the {shape[1]}x{shape[0]} frame")
+    return np.flatnonzero(now)
 
 
 def _reject(seeds: FloatArray, bad: BoolArray, expected: str) -> None:

@@ -30,7 +30,7 @@ def looking_at(frame, xy):
 def alike(looks, frame, xy):
     looks.look_at(frame)
     still = np.zeros((*frame.shape, 2), np.float32)
-    found, result = looks.follow(still, xy, xy)
+    found, result = looks.follow(still, xy, xy, np.ones(len(xy), bool))
     np.testing.assert_array_equal(found, xy)  # without `anchor` nothing moves
     return result
 
@@ -52,7 +52,7 @@ def test_brightness_and_faint_noise_do_not_count(picture, rng):
 
 def test_the_living_keep_their_own_start(picture):
     looks = looking_at(picture, POINTS)
-    looks.keep(np.array([False, True]))
+    looks.follow(np.zeros((*picture.shape, 2), np.float32), POINTS, POINTS, np.array([False, True]))
     looks.add(POINTS[:1])
     assert alike(looks, picture, POINTS[::-1]).all()
     assert not alike(looks, picture, POINTS).any()

@@ -45,7 +45,7 @@ def moved(looks, image, target, times=3):
     """Where points are found, when as many frames show the same."""
     looks.look_at(image)
     for _ in range(times):
-        target, _ = looks.follow(STILL, target, target)
+        target, _ = looks.follow(STILL, target, target, np.ones(len(target), bool))
     return target
 
 
@@ -92,7 +92,7 @@ def test_the_flow_carries_the_map_along():
     for step in range(1, 7):
         target = (xy - CENTRE) * zoom + CENTRE + (0.2, -0.1)  # the flow is wrong by so much in every step
         looks.look_at(gray(picture(zoom=zoom**step)))
-        xy, _ = looks.follow(flow, xy, target)
+        xy, _ = looks.follow(flow, xy, target, np.ones(len(xy), bool))
     np.testing.assert_allclose(xy, (POINTS - CENTRE) * zoom**6 + CENTRE, atol=0.05)
 
 
@@ -130,7 +130,7 @@ def test_no_correction_is_larger_than_allowed_or_leaves_the_frame(rows, limit, s
     flow[rng.random(SHAPE) < 0.05] = np.nan
     looks = looking_at(frames[0], xy, TrackOptions(anchor=limit, anchor_change=1e9))
     looks.look_at(frames[1])
-    found, alike = looks.follow(flow, xy, target)
+    found, alike = looks.follow(flow, xy, target, np.ones(len(xy), bool))
     assert np.isfinite(found).all()
     assert (np.linalg.norm(found - target, axis=1) <= limit + 1e-9).all()
     assert (found >= -0.5).all()
