@@ -164,15 +164,12 @@ def _dot(a: Float32Array, b: Float32Array) -> Float32Array:
 class Appearance:
     """The patches in which the live trajectories started, and how each has been deformed since.
 
-    With neither `anchor` nor `appearance` it does nothing.
-
     The errors of single steps add up along a trajectory; the patch in which it started does not change
     (Shi and Tomasi, CVPR 1994, compare with the first frame for this reason). And where forward and
     backward flow agree on an error, as beyond the outline of an object, what the point shows changes.
     """
 
     def __init__(self, options: TrackOptions) -> None:
-        self._active = bool(options.anchor or options.appearance)
         self.options, self.window = options, Window(options.patch_radius)
         nothing = np.zeros((0, 3, len(self.window.weight)), dtype=np.float32)
         self._starts, self._row = prepare(nothing, self.window, options), np.arange(0)
@@ -181,13 +178,10 @@ class Appearance:
 
     def look_at(self, frame: ByteArray) -> None:
         """Look at the next frame (H, W) uint8; what follows happens in it."""
-        if self._active:
-            self._image, self._size = doubled(frame), frame.shape
+        self._image, self._size = doubled(frame), frame.shape
 
     def add(self, xy: FloatArray) -> None:
         """Keep how new trajectories (N, 2) look; they come after all that are alive."""
-        if not self._active:
-            return
         new = prepare(self.window.start(self._image, xy), self.window, self.options)
         both = zip(self._starts, new, strict=True)
         self._starts = Starts(*(np.concatenate([old[self._row], more]) for old, more in both))
@@ -210,8 +204,6 @@ class Appearance:
         look alike where change <= `appearance` * variance + `appearance_floor`. The change is the weighted
         mean of (I - T)^2 with the present patch I and the start's T, both less their means.
         """
-        if not self._active:
-            return target, alive
         live = np.flatnonzero(alive)
         affine = (np.eye(2) + gradient(forward, xy[live], _REACH)) @ self._affine[live]
         pose, alike = np.concatenate([affine, target[live, :, None]], axis=2), np.ones(len(live), np.bool_)

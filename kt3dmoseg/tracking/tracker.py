@@ -92,38 +92,38 @@ def track(
     backend = create_flow(flow) if isinstance(flow, str) else flow
     items = frame_paths(frames) if isinstance(frames, (str, os.PathLike)) else frames
     _check_axes(frames)
-    total = len(items) if isinstance(items, Sized) else None
+    total, report = len(items) if isinstance(items, Sized) else None, progress or (lambda done, total: None)
     chosen = None if seeds is None else _checked(seeds)
-    looks = Appearance(settings)
+    looks = Appearance(settings) if settings.appearance or settings.anchor else None
     ids, xy, count = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), 0
     seen: list[tuple[IntArray, FloatArray]] = []
     before: ByteArray | None = None
     for frame in _gray_frames(items):
-        looks.look_at(frame)
+        if looks:
+            looks.look_at(frame)
         if before is not None:
             forward, backward = flow_pair(backend, before, frame, cache)
-            target, alive = looks.follow(forward, xy, *step(xy, forward, backward, settings))
+            target, alive = step(xy, forward, backward, settings)
+            if looks:
+                target, alive = looks.follow(forward, xy, target, alive)
             ids, xy = ids[alive], target[alive]
         if chosen is None:
             new = new_seeds(frame, xy, settings)
             rows = np.arange(count, count + len(new))
         else:
-            rows = _starting(chosen, len(seen), frame.shape)
-            new = chosen[rows, :2]
-        looks.add(new)
+            rows, new = _starting(chosen, len(seen), frame.shape)
+        if looks:
+            looks.add(new)
         count += len(new)
         ids, xy = np.concatenate([ids, rows]), np.concatenate([xy, new])
         seen.append((ids, xy))
         before = frame
-        if progress is not None:
-            progress(len(seen), total)
-    if before is None or len(seen) < 2:
-        raise InvalidValueError("frames", expected="at least 2 frames", found=str(len(seen)))
+        report(len(seen), total)
     if chosen is not None:
         late = chosen[:, 2] >= len(seen)
         _reject(chosen, late, f"a frame number below {len(seen)}, the number of frames")
     least = settings.min_length if chosen is None else 0
-    return RunTrajectories(seen, count, least, (before.shape[1], before.shape[0]))
+    return RunTrajectories(seen, count, least, (frame.shape[1], frame.shape[0]))
 
 
 def _check_axes(frames: Frames) -> None:
@@ -189,13 +189,16 @@ def track_clip(
 
 def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterator[ByteArray]:
     first: tuple[int, ...] | None = None
-    for number, item in enumerate(items):
-        name, frame = f"frame {number}", item
+    number = 0
+    for number, item in enumerate(items, start=1):
+        name, frame = f"frame {number - 1}", item
         if isinstance(frame, (str, os.PathLike)):
             name, frame = os.fspath(frame), read_frame(Path(frame))
         check_frame(name, frame, first)
         first = frame.shape
         yield frame
+    if number < 2:
+        raise InvalidValueError("frames", expected="at least 2 frames", found=str(number))
 
 
 def _checked(seeds: npt.ArrayLike) -> FloatArray:
@@ -207,11 +210,11 @@ def _checked(seeds: npt.ArrayLike) -> FloatArray:
     return out
 
 
-def _starting(seeds: FloatArray, number: int, shape: tuple[int, ...]) -> IntArray:
+def _starting(seeds: FloatArray, number: int, shape: tuple[int, ...]) -> tuple[IntArray, FloatArray]:
     now = seeds[:, 2] == number
     outside = now & ~inside(seeds[:, :2], shape)
     _reject(seeds, outside, f"a point in the {shape[1]}x{shape[0]} frame")
-    return np.flatnonzero(now)
+    return np.flatnonzero(now), seeds[now, :2]
 
 
 def _reject(seeds: FloatArray, bad: BoolArray, expected: str) -> None:
