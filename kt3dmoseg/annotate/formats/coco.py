@@ -1,9 +1,8 @@
 """COCO: one JSON file, a run-length encoded mask per object and frame.
 
-Kept: each object's pixels in every frame, its id, name, kind, motion, note. Not kept: key frames (every
-frame becomes one), what is hidden, marks. ``pycocotools`` reads it; files of polygons are read too.
-Reading, an image is the frame of its file name, else of its number. An object is what has one ``track_id``,
-in the annotation or its attributes; without ids, what has one category, once an image. Boxes are no outlines.
+``pycocotools`` reads it; files of polygons are read too. Reading, an image is the frame of its file name, else
+of its number. An object is what has one ``track_id``, in the annotation or its attributes; without ids, what has
+one category, once an image. Boxes are no outlines.
 """
 
 from __future__ import annotations
@@ -20,8 +19,6 @@ from kt3dmoseg.annotate.formats.foreign import (
     Import,
     Regions,
     check_shape,
-    names_of,
-    size_from,
 )
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, Annotation, Polygon, parse_document
@@ -33,9 +30,8 @@ _IDENTITIES = ("track_id", "instance_id", "object_id")
 _MOST_PIXELS = 16
 
 
-def _dump(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     width, height = annotation.image_size
-    pictures = enumerate(names_of(annotation, names))
     shapes: list[dict[str, Any]] = []
     for item in annotation.objects:
         for frame, region in enumerate(regions[item.id]):
@@ -58,7 +54,7 @@ def _dump(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -
         "licenses": [],
         "images": [
             {"id": k, "file_name": picture, "width": width, "height": height, "annotated": True}
-            for k, picture in pictures
+            for k, picture in enumerate(names)
         ],
         "categories": [{"id": k, "name": kind} for k, kind in enumerate(KINDS, start=1)],
         "annotations": shapes,
@@ -76,7 +72,7 @@ def _read(content: bytes, into: Import) -> None:
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         problem = f"{type(error).__name__}: {error}"[:100]
         raise FileFormatError("COCO", expected="images, annotations, categories", found=problem) from error
-    into.count("annotations", MAX_OBJECTS * into.like.n_frames, len(shapes))
+    into.count("annotations", len(shapes), MAX_OBJECTS * into.like.n_frames)
     frames = into.match(files.values(), "COCO images")
     for number, shape in enumerate(shapes):
         with into.skipping(f"annotations[{number}]"):
@@ -93,7 +89,7 @@ def _read(content: bytes, into: Import) -> None:
     into.list_frames([frame for file, frame in frames.items() if file not in surely])
 
 
-COCO = AnnotationFormat(".json", "application/json", _dump, _read)
+COCO = AnnotationFormat(".json", "application/json", _write, _read)
 
 
 def _files(data: Mapping[str, Any]) -> list[str]:
@@ -116,7 +112,7 @@ def _outlines(shape: Mapping[str, Any], image: Mapping[str, Any], file: str, int
     if not found:
         expected = "polygons or run lengths"
         raise InvalidValueError("segmentation", expected=expected, found="a box only" * ("bbox" in shape))
-    stated = size_from(image.get("width"), image.get("height"))
+    stated = image.get("width"), image.get("height")
     scale = into.scale(stated, file)
     if isinstance(found, list):
         return [into.outline(zip(p[::2], p[1::2], strict=True), scale) for p in found]
@@ -128,7 +124,7 @@ def _outlines(shape: Mapping[str, Any], image: Mapping[str, Any], file: str, int
         raise InvalidValueError("segmentation.size", expected="a smaller mask", found=f"{width}x{height}")
     counts = found["counts"]
     runs = [int(run) for run in counts] if isinstance(counts, list) else str(counts)
-    into.count_pixels(width * height // 8)  # decoding is cheap
+    into.count("pixels in masks", width * height // 8)  # decoding is cheap
     mask: BoolArray = decode_rle(runs, height, width, "segmentation")
     if (width, height) != (columns, rows):
         resized = cv2.resize(mask.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT)

@@ -5,8 +5,7 @@ of the object as attributes, so that several tracks are put together again. Read
 that starts later than frame 0 is outside before; one that begins where another of its label ends, in the
 same place, is its continuation. Of a project, the task of the clip's name.
 
-Kept: all objects, key frames and visibilities, polygons to 1/100 pixel. Not kept: marks; the number of
-polygons of an object that is occluded somewhere unknown.
+Not kept: marks; the number of polygons of an object that is occluded somewhere unknown.
 """
 
 from __future__ import annotations
@@ -24,13 +23,11 @@ from kt3dmoseg.annotate.formats.foreign import (
     Import,
     Key,
     Regions,
-    Size,
     described,
     ellipse,
     identity_in,
     kind_of,
     opened_zip,
-    size_from,
     with_corner_origin,
 )
 from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, outlines_of
@@ -55,7 +52,7 @@ _COARSE = 128
 _NOWHERE = "0.00,0.00;1.00,0.00;0.00,1.00"
 
 
-def _dump(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     fields = [
         {"name": name, "mutable": "False", "input_type": "text"}
         for name in ("object", "name", "motion", "note")
@@ -131,7 +128,7 @@ def _read(content: bytes, into: Import) -> None:
         _read_images(images, into)
 
 
-CVAT = AnnotationFormat(".xml", "application/xml", _dump, _read)
+CVAT = AnnotationFormat(".xml", "application/xml", _write, _read)
 
 
 def _parsed(content: bytes) -> ET.Element:
@@ -162,7 +159,7 @@ class _Task:
     size: int | None = None
     first: int = 0
     step: int = 1
-    pictures: Size | None = None
+    pictures: tuple[int | None, int | None] = (None, None)
 
     @classmethod
     def of(cls, node: ET.Element) -> _Task:
@@ -174,7 +171,7 @@ class _Task:
         stated = _STEP.search(node.findtext("frame_filter") or "")
         step = max(1, int(stated[1])) if stated else 1
         size = number("size") if last is None else (last - first) // step + 1
-        pictures = size_from(number("original_size/width"), number("original_size/height"))
+        pictures = number("original_size/width"), number("original_size/height")
         return cls(node.findtext("id") or "", node.findtext("name") or "", size, first, step, pictures)
 
 
@@ -306,7 +303,7 @@ def _read_images(images: Sequence[ET.Element], into: Import) -> None:
     frames = into.match([name for name, _ in named], "CVAT images")
     for name, node in named:
         if name in frames:
-            scale = into.scale(size_from(node.get("width"), node.get("height")), name)
+            scale = into.scale((node.get("width"), node.get("height")), name)
             for k, shape in enumerate(child for child in node if child.tag not in ("tag", "attribute")):
                 with into.skipping(f"{name}: shape {k}"):
                     visibility, polygons = _shape(shape, scale, into)

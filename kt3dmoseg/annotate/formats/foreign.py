@@ -42,15 +42,14 @@ from kt3dmoseg.matching import is_hidden, match_frames, number_in, several
 from kt3dmoseg.types import FloatArray
 
 Key: TypeAlias = int | str
-Size: TypeAlias = tuple[int, int]
 Regions: TypeAlias = Mapping[int, list[Region]]
 
 _LIMITS = ZipLimits(files=MAX_FRAMES, file_bytes=32 << 20, total_bytes=128 << 20)
+_FRAME_NAME = "{:06d}.png"
 _DECIMALS = 2
-# Corners that all outlines of a file may have together; 20 frames of 100 outlines of 250 corners.
-_MAX_CORNERS = 500_000
-# Pixels of all masks that are decoded; 400 frames of 20 boxes of 200x200.
-_MAX_PIXELS = 400_000_000
+# What all outlines of a file may have together: 20 frames of 100 outlines of 250 corners; and all masks that
+# are decoded: 400 frames of 20 boxes of 200x200.
+_MOST = {"corners": 500_000, "pixels in masks": 400_000_000}
 _MAX_SIDE = 10**9
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01
@@ -154,19 +153,28 @@ class AnnotationFormat:
     ----------
     suffix, media_type : str
         Of the files.
-    dump : callable
-        ``dump(annotation, regions, names=()) -> bytes`` gives the file's content: `regions` are the objects'
-        in every frame, as `propagate` gives them; `names` the file names of the clip's frames, by
-        default 000000.png on. It raises InvalidValueError for what the format cannot hold.
+    write : callable
+        ``write(annotation, regions, names) -> bytes``; see `dump`.
     read : callable
         ``read(content, into)`` hands what the content shows to the `Import` `into`. It raises FileFormatError
         when the content is not of this format.
+    frame_name : str
+        What frames are called when their names are not known.
     """
 
     suffix: str
     media_type: str
-    dump: Callable[..., bytes]
+    write: Callable[[Annotation, Regions, Sequence[str]], bytes]
     read: Callable[[bytes, Import], None]
+    frame_name: str = _FRAME_NAME
+
+    def dump(self, annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+        """Return a file's content: `regions` are the objects' in every frame, as `propagate` gives them.
+
+        `names` are the file names of the clip's frames, by default 000000.png on. InvalidValueError for what
+        the format cannot hold.
+        """
+        return self.write(annotation, regions, names_of(annotation, names, self.frame_name))
 
     def plan(
         self, content: bytes, like: Annotation, names: Sequence[str] = (), choices: Choices | None = None
@@ -212,15 +220,12 @@ class Import:
         if text not in self.notes:
             self.notes.append(text)
 
-    def count(self, what: str, most: int, number: int = 1) -> None:
-        """Count what the file holds; raises TooMuchError for more than `most`."""
+    def count(self, what: str, number: int, most: int | None = None) -> None:
+        """Count what the file holds; raises TooMuchError for more than a person draws."""
         self._counts[what] += number
-        if self._counts[what] > most:
-            raise TooMuchError("file", expected=f"at most {most} {what}", found="more")
-
-    def count_pixels(self, number: int) -> None:
-        """Count the pixels of a mask that is decoded."""
-        self.count("pixels in masks", _MAX_PIXELS, number)
+        limit = _MOST[what] if most is None else most
+        if self._counts[what] > limit:
+            raise TooMuchError("file", expected=f"at most {limit} {what}", found="more")
 
     @contextmanager
     def skipping(self, where: str) -> Iterator[None]:
@@ -266,15 +271,17 @@ class Import:
             self.note(match.note)
         return match.frames
 
-    def scale(self, size: Size | None, where: str) -> tuple[float, float]:
-        """Return the factors from a picture of `size` (None: unknown) to the clip's frames, and note them.
+    def scale(self, sides: Sequence[Any], where: str) -> tuple[float, float]:
+        """Return the factors from a picture to the clip's frames, and note them.
 
-        Raises FileFormatError when it has other proportions.
+        `sides` are its width and height as the file has them, unknown when they are no numbers.
+        FileFormatError when it has other proportions.
         """
         width, height = self.like.image_size
         if (chosen := self.choices.scale) is not None:
             self.note(f"coordinates times {chosen:g}")
             return chosen, chosen
+        size = size_from(*sides)
         self._sized &= size is not None
         across, down = size or (width, height)
         if abs(across * height / (down * width) - 1) > _SAME_SHAPE:
@@ -288,17 +295,13 @@ class Import:
         """Return an outline from the top-left corner as one from the centre of that pixel, scaled."""
         given = polygon_from(list(islice(points, MAX_POINTS + 1)), "points")  # of more, a part is as wrong
         moved = np.round(np.array(given) * scale - 0.5, _DECIMALS)
-        return self.counted(tuple((x, y) for x, y in moved.tolist()))
-
-    def counted(self, polygon: Polygon) -> Polygon:
-        """Return a polygon whose corners are counted."""
-        self.count("corners", _MAX_CORNERS, len(polygon))
-        return polygon
+        self.count("corners", len(moved))
+        return tuple((x, y) for x, y in moved.tolist())
 
     def object(self, key: Key, about: ForeignObject | None = None) -> ForeignObject:
         """Return the object of that key, made like `about` where it is new."""
         if key not in self.found:
-            self.count("objects", MAX_OBJECTS)
+            self.count("objects", 1, MAX_OBJECTS)
             self.found[key] = about or ForeignObject()
         return self.found[key]
 
@@ -451,12 +454,12 @@ def identity_in(values: Mapping[str, Any], names: Sequence[str] = _IDENTITIES) -
     return None, ""
 
 
-def names_of(like: Annotation, names: Sequence[str], pattern: str = "{:06d}.png") -> list[str]:
+def names_of(like: Annotation, names: Sequence[str], pattern: str = _FRAME_NAME) -> list[str]:
     """Return the file names of a clip's frames, by default numbered from 0."""
     return list(names) or [pattern.format(frame) for frame in range(like.n_frames)]
 
 
-def size_from(*sides: Any) -> Size | None:  # noqa: ANN401  # whatever a file holds
+def size_from(*sides: Any) -> tuple[int, int] | None:  # noqa: ANN401  # whatever a file holds
     """Return width and height as a file states them; None where it does not."""
     try:
         width, height = (int(side) for side in sides)

@@ -1,9 +1,7 @@
 """LabelMe: a zip of JSON files, one per frame and named as the frame, with polygons.
 
-Kept: each object's polygons in every frame to 1/100 pixel, whether it is occluded, its id, name, kind and
-motion. Not kept: which frames are key frames (every frame becomes one), occluded objects without a
-position, notes, marks. Reading, shapes with the same ``group_id``, or without one the same label, are one
-object; one without a shape in a file is outside there, and a frame without a file is not annotated.
+Reading, shapes with the same ``group_id``, or without one the same label, are one object; one without a shape
+in a file is outside there, and a frame without a file is not annotated.
 """
 
 from __future__ import annotations
@@ -20,8 +18,6 @@ from kt3dmoseg.annotate.formats.foreign import (
     Import,
     Regions,
     ellipse,
-    names_of,
-    size_from,
     unzip_frames,
     with_corner_origin,
 )
@@ -32,10 +28,10 @@ from kt3dmoseg.files import zip_bytes
 _DESCRIPTION = re.compile(r"kind=(\w+) motion=(\d{1,4}|reject)")
 
 
-def _dump(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     width, height = annotation.image_size
     files = {}
-    for frame, picture in enumerate(names_of(annotation, names)):
+    for frame, picture in enumerate(names):
         shapes = [
             {
                 "label": item.name,
@@ -72,14 +68,14 @@ def _read(content: bytes, into: Import) -> None:
         _read_file(parse_document(text, f"LabelMe: {file}"), file, frame, into)
 
 
-LABELME = AnnotationFormat(".zip", "application/zip", _dump, _read)
+LABELME = AnnotationFormat(".zip", "application/zip", _write, _read)
 
 
 def _read_file(data: Any, file: str, frame: int, into: Import) -> None:  # noqa: ANN401
     if not isinstance(data, dict) or not isinstance(shapes := data.get("shapes"), list):
         expected, found = "shapes with label and points", repr(data)[:80]
         raise FileFormatError(f"LabelMe: {file}", expected=expected, found=found)
-    scale = into.scale(size_from(data.get("imageWidth"), data.get("imageHeight")), f"LabelMe: {file}")
+    scale = into.scale((data.get("imageWidth"), data.get("imageHeight")), f"LabelMe: {file}")
     into.annotated.add(frame)
     for k, shape in enumerate(shapes):
         with into.skipping(f"{file}: shapes[{k}]"):

@@ -4,21 +4,18 @@ Regions to pixels and back is exact: the outline of a mask runs along the edges 
 the pixels whose centres lie inside belong to it. A hole is joined to the outline around it by a slit of no
 width.
 
-DAVIS is a zip of indexed PNGs, ``00000.png`` on; the index is the motion, 0 background, 254 rejected. Kept:
-which pixels have which motion in which frame. Not kept: names and kinds, objects that share a motion, key
-frames, what is hidden, motions above 253, marks.
-
-KITTI MOTS has an id per pixel, ``1000 * class + instance``, as 16-bit PNGs in a zip or as a text file.
-Classes are 1 = vehicles and 2 = people, 10 = ignore (id 10000); 3 is used here for all else. The instance
-is the motion. A text line is ``frame id class height width rle``; frames count from 0. Kept and not kept as
-for DAVIS, but for the class, which is kept, and motions up to 999. Ids whose instance numbers repeat in
-another class are different objects in MOTS: they come back as motions of their own.
+DAVIS is a zip of indexed PNGs, ``00000.png`` on; the index is the motion, 0 background, 254 rejected.
+KITTI MOTS has an id per pixel, ``1000 * class + instance``, as 16-bit PNGs in a zip or as a text file with
+lines ``frame id class height width rle``. Classes are 1 = vehicles and 2 = people, 10 = ignore (id 10000); 3
+is used here for all else. The instance is the motion. Ids whose instance numbers repeat in another class are
+different objects in MOTS: they come back as motions of their own.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import PurePosixPath
 
 import cv2
@@ -32,7 +29,6 @@ from kt3dmoseg.annotate.formats.foreign import (
     Import,
     Regions,
     check_shape,
-    names_of,
     unzip_frames,
 )
 from kt3dmoseg.annotate.model import (
@@ -50,15 +46,12 @@ from kt3dmoseg.io.images import decode_indices, encode_indices, void_ids
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
 
-# For each heading (right, down, left, up) the step (y, x) from a pixel to the neighbour that is not in the
-# mask, and where on the pixel (x, y) the edge between begins: clockwise around it.
-_EDGES = (((-1, 0), (0, 0)), ((0, 1), (1, 0)), ((1, 0), (1, 1)), ((0, -1), (0, 1)))
 _RUNS = re.compile("(?:[P-o]{0,5}[0-O])++")  # numbers of up to 6 digits
 _MORE, _SIGN = 32, 16
 _DAVIS_VOID = 254
 _BLOCK = 1 << 20
-# Pixel edges around one region; a car that fills a large picture has 10,000.
-_MOST_EDGES = 300_000
+# Of one region; a car that fills a large picture has some thousand.
+_MOST_CORNERS = 300_000
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
 _MOTS_LINE = re.compile(r"(\d{1,9}) +(\d{1,9}) +\S+ +(\d{1,9}) +(\d{1,9}) +(\S+)")
@@ -114,7 +107,7 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
             outline = np.asarray(simple[:, 0], dtype=np.float64)
         outline = outline[:: -(-len(outline) // MAX_POINTS)]
         if len(outline) >= 3:
-            out.append(tuple((float(x), float(y)) for x, y in outline))
+            out.append(tuple((x, y) for x, y in outline.tolist()))
     return out
 
 
@@ -139,47 +132,27 @@ def label_images(
 
 
 def _loops(part: BoolArray) -> list[FloatArray]:
-    """Return the corners of closed walks along the pixel edges of a mask, the mask on the right hand.
+    """Return the corners of closed walks along the pixel edges of a 4-connected mask, the outer one first.
 
-    The first is the outer one; the others are those of the holes.
+    Pixels are drawn twice as large, with their edges, so that OpenCV's contours run along these. It cuts
+    corners that point into the mask: from the middle of one edge to that of the next.
     """
-    height, width = part.shape
-    columns, padded = width + 1, np.pad(part, 1)
-    starts, headings = [], []
-    for number, ((dy, dx), (right, down)) in enumerate(_EDGES):
-        beyond = padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
-        y, x = np.divmod(np.flatnonzero(part & ~beyond), width)
-        starts.append((y + down) * columns + x + right)
-        headings.append(np.full(len(y), number))
-    start, heading = np.concatenate(starts), np.concatenate(headings)
-    if len(start) > _MOST_EDGES:
+    grid = np.zeros([2 * side + 1 for side in part.shape], dtype=np.uint8)
+    grid[1::2, 1::2] = part
+    closed = cv2.dilate(grid, np.ones((3, 3), dtype=np.uint8))
+    contours, (tree,) = cv2.findContours(closed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    points = np.concatenate(contours)[:, 0]
+    if len(points) > _MOST_CORNERS:
         raise FileFormatError("mask", expected="regions that a person draws", found="noise")
-    order = np.argsort(4 * start + heading)
-    known = (4 * start + heading)[order]
-    end = start + np.array([1, columns, -1, -columns])[heading]
-    # Turning right keeps to the same pixel, so that pixels touching at a corner stay apart.
-    after = np.zeros(len(start), dtype=np.int64)
-    for turn in (3, 0, 1):
-        sought = 4 * end + (heading + turn) % 4
-        at = np.minimum(np.searchsorted(known, sought), len(known) - 1)
-        after = np.where(known[at] == sought, order[at], after)
-    corner = np.stack([start % columns, start // columns], axis=1).astype(np.float64)
-    turned = heading.tolist()
-    following = after.tolist()
-    loops, left = [], bytearray(b"\1") * len(after)
-    for first in range(
-        len(starts[0])
-    ):  # every walk has an upper edge; in reading order the outer one is first
-        walk, edge, before = [], first, -1
-        while left[edge]:
-            left[edge] = 0
-            if turned[edge] != before:
-                walk.append(edge)
-                before = turned[edge]
-            edge = following[edge]
-        if walk:
-            loops.append(corner[walk])
-    return loops
+    ends = np.cumsum([len(contour) for contour in contours])
+    after = np.roll(points, -1, axis=0)
+    after[ends - 1] = points[np.append(0, ends[:-1])]
+    even = points % 2 == 0
+    corners = np.where(even, points, after) / 2
+    kept = even.all(axis=1) | (points != after).all(axis=1)
+    loops = [corners[a:b][kept[a:b]] for a, b in pairwise([0, *ends])]
+    outer = loops.pop(int(np.argmin(tree[:, 3])))  # the one without a parent
+    return [np.roll(outer[::-1], 1, axis=0), *loops]  # clockwise
 
 
 def _joined(loops: list[FloatArray]) -> FloatArray:
@@ -246,45 +219,36 @@ def outlines_of(mask: BoolArray, into: Import, corner: tuple[int, int] = (0, 0))
     if not boxes:
         return []
     part = mask[boxes[0]]
-    into.count_pixels(part.size)
+    into.count("pixels in masks", part.size)
     x, y = corner[0] + boxes[0][1].start, corner[1] + boxes[0][0].start
-    return [into.counted(tuple((a + x, b + y) for a, b in polygon)) for polygon in polygons_of(part)]
+    polygons = polygons_of(part)
+    into.count("corners", sum(map(len, polygons)))
+    return [tuple((a + x, b + y) for a, b in polygon) for polygon in polygons]
 
 
-def _dump_davis(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    _check_motions(annotation, _DAVIS_VOID - 1, "DAVIS")
+def _write_davis(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     values = {o.id: _DAVIS_VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
-    images, palette = label_images(annotation, regions, values), davis_palette()
-    files = (encode_indices(image.astype(np.uint8), palette) for image in images)
-    return _zipped(files, names_of(annotation, names, "{:05d}.png"))
+    images, palette = _painted(annotation, regions, values, "DAVIS", _DAVIS_VOID - 1), davis_palette()
+    return _zipped((encode_indices(image.astype(np.uint8), palette) for image in images), names)
 
 
-def _dump_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
-    images = label_images(annotation, regions, _mots_values(annotation))
-    files = (cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images)
-    return _zipped(files, names_of(annotation, names))
+def _write_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
+    images = _painted(annotation, regions, _mots_values(annotation), "MOTS", _MOTS_STEP - 1)
+    return _zipped((cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images), names)
 
 
-def _zipped(files: Iterable[bytes], names: Sequence[str]) -> bytes:
-    """Pack masks that are named as the frames."""
-    stems = (PurePosixPath(name).stem for name in names)
-    return zip_bytes({f"{stem}.png": file for stem, file in zip(stems, files, strict=True)})
-
-
-def _dump_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str] = ()) -> bytes:
+def _write_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     width, height = annotation.image_size
-    numbers = [number_in(name) for name in names_of(annotation, names)]
-    images = label_images(annotation, regions, _mots_values(annotation))
+    images = _painted(annotation, regions, _mots_values(annotation), "MOTS", _MOTS_STEP - 1)
     lines = [
-        f"{number} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
-        for number, image in zip(numbers, images, strict=True)
+        f"{number_in(name)} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
+        for name, image in zip(names, images, strict=True)
         for value in np.unique(image[image > 0]).tolist()
     ]
     return "".join(lines).encode()
 
 
 def _mots_values(annotation: Annotation) -> dict[int, int]:
-    _check_motions(annotation, _MOTS_STEP - 1, "MOTS")
     values = {}
     for item in annotation.objects:
         number = _MOTS_IGNORE if item.motion == REJECT else int(item.motion)
@@ -293,9 +257,17 @@ def _mots_values(annotation: Annotation) -> dict[int, int]:
     return values
 
 
-def _check_motions(annotation: Annotation, most: int, name: str) -> None:
+def _painted(
+    annotation: Annotation, regions: Regions, values: Mapping[int, int], name: str, most: int
+) -> Iterator[npt.NDArray[np.int64]]:
     if (largest := max(annotation.motions, default=0)) > most:
         raise InvalidValueError("motion", expected=f"at most {most}, as {name} can hold", found=str(largest))
+    return label_images(annotation, regions, values)
+
+
+def _zipped(files: Iterable[bytes], names: Sequence[str]) -> bytes:
+    stems = (PurePosixPath(name).stem for name in names)
+    return zip_bytes({f"{stem}.png": file for stem, file in zip(stems, files, strict=True)})
 
 
 def _read_davis(content: bytes, into: Import) -> None:
@@ -316,7 +288,7 @@ def _read_mots_png(content: bytes, into: Import) -> None:
 
 def _read_mots_text(content: bytes, into: Import) -> None:
     lines = content.decode("ascii", "replace").splitlines()
-    into.count("lines", MAX_OBJECTS * into.like.n_frames, len(lines))
+    into.count("lines", len(lines), MAX_OBJECTS * into.like.n_frames)
     found: list[tuple[str, str, int, str]] = []
     for number, line in enumerate(lines, start=1):
         with into.skipping(f"line {number}"):
@@ -328,15 +300,15 @@ def _read_mots_text(content: bytes, into: Import) -> None:
     for where, frame, value, text in found:
         with into.skipping(where):
             if frame in frames:
-                into.count_pixels(width * height // 8)  # decoding is cheap
+                into.count("pixels in masks", width * height // 8)  # decoding is cheap
                 if outlines := outlines_of(decode_rle(text, height, width, "rle"), into):
                     into.object(value).add(frames[frame], outlines)
     _name_mots(into)
 
 
-DAVIS = AnnotationFormat(".zip", "application/zip", _dump_davis, _read_davis)
-MOTS_PNG = AnnotationFormat(".zip", "application/zip", _dump_mots_png, _read_mots_png)
-MOTS_TXT = AnnotationFormat(".txt", "text/plain", _dump_mots_text, _read_mots_text)
+DAVIS = AnnotationFormat(".zip", "application/zip", _write_davis, _read_davis, "{:05d}.png")
+MOTS_PNG = AnnotationFormat(".zip", "application/zip", _write_mots_png, _read_mots_png)
+MOTS_TXT = AnnotationFormat(".txt", "text/plain", _write_mots_text, _read_mots_text)
 
 
 def davis_palette() -> ByteArray:
