@@ -232,7 +232,7 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
     code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     if asks_help:
         print(f"\n{_FOOTER}")
-    return (code if isinstance(code, int) else 0) if words else _USAGE
+    return getattr(code, "exit_code", code if isinstance(code, int) else 0) if words else _USAGE
 
 
 def _without_config(words: list[str]) -> tuple[list[str], str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -19,6 +19,15 @@ _APPENDED = re.compile(r"[_.](png|jpe?g|bmp|tiff?|webp)(\.rf\.\w+)?$", re.IGNORE
 _LISTED = 3
 
 
+def _path(name: str) -> PurePosixPath:
+    return PurePosixPath(name.replace("\\", "/"))
+
+
+def stem(name: str) -> str:
+    r"""Return a file's name without folders, given with ``/`` or ``\``, and without its suffix."""
+    return _APPENDED.sub("", _path(name).stem)
+
+
 def number_in(name: str) -> int | None:
     """Return the last number in a file's name without its suffix, None when there is none.
 
@@ -29,14 +38,9 @@ def number_in(name: str) -> int | None:
     return int(found[1]) if found else None
 
 
-def stem(name: str) -> str:
-    r"""Return a file's name without folders, given with ``/`` or ``\``, and without its suffix."""
-    return _APPENDED.sub("", PurePosixPath(name.replace("\\", "/")).stem)
-
-
 def is_hidden(name: str) -> bool:
     """Whether a file is hidden, as macOS leaves them between those of a folder or zip (``._x``, __MACOSX)."""
-    parts = PurePosixPath(name.replace("\\", "/")).parts
+    parts = _path(name).parts
     return any(part.startswith(".") and part.strip(".") for part in parts) or "__MACOSX" in parts
 
 
@@ -49,24 +53,16 @@ def several(items: Iterable[object]) -> str:
 
 @dataclass(frozen=True)
 class FrameMatch:
-    """Which frame each file is of.
+    """Which frame each file is of, by its index in the clip.
 
-    Parameters
-    ----------
-    frames : dict of str to int
-        File to the index of its frame in the clip.
-    unmatched : list of str
-        Files that belong to no frame.
-    others : list of str
-        Files of other clips, in folders of their own.
-    note : str
-        What was concluded from the numbers; empty when the names say it all.
+    The `unmatched` files are of no frame, and the `others` of other clips, in folders of their own. The
+    `note` says what was concluded from the numbers; it is empty when the names say it all.
     """
 
-    frames: dict[str, int] = field(default_factory=dict)
-    unmatched: list[str] = field(default_factory=list)
-    others: list[str] = field(default_factory=list)
-    note: str = ""
+    frames: dict[str, int]
+    unmatched: list[str]
+    others: list[str]
+    note: str
 
     def doubt(self, n_frames: int) -> str:
         """Say what makes the match doubtful: files of no frame, unless every frame has one."""
@@ -80,92 +76,57 @@ def match_frames(
 ) -> FrameMatch:
     """Find the frame of each file: the one of the same name, else of the same number; never by position.
 
-    Numbers that start at 0 and go on to the last frame are indices where no frame bears any of them. Hidden
-    files are passed over. Of files in several folders that compete for frames, those below a folder of the
-    clip's name count.
-
-    Parameters
-    ----------
-    files, frames : sequence of str
-        Paths of the files, and names of the clip's frames in their order.
-    clip : str
-        Name of the clip.
-    shift : int, optional
-        Add this to the files' numbers instead of looking at names.
-
-    Raises
-    ------
-    FileFormatError
-        When two files are of one frame, or several folders compete and none is the clip's.
+    `frames` are the names of the clip's frames. Numbers that start at 0 and go on to the last frame are
+    indices where no frame bears any of them; a `shift` is added to the files' numbers, and their names do not
+    count. Hidden files are passed over. Of files in several folders that compete for frames, those below a
+    folder of the clip's name count. FileFormatError when two files are of one frame, or no folder is the
+    clip's.
     """
     shown = [file for file in files if not is_hidden(file)]
-    chosen = _of_clip(shown, clip)
+    numbers = {file: number_in(file) for file in _of_clip(shown, clip)}
     named = {} if shift is not None else {stem(name): k for k, name in enumerate(frames)}
     numbered = {number_in(name): k for k, name in enumerate(frames)}
-    numbers = {file: number_in(file) for file in chosen}
+    by_name = {file: named[stem(file)] for file in numbers if stem(file) in named}
     note = f"numbers shifted by {shift}" if shift else ""
-    known = any(stem(file) in named or numbers[file] in numbered for file in chosen)
-    if shift is None and not known and sorted(map(str, numbers.values())) == _texts(len(frames)):
-        numbered = {k: k for k in range(len(frames))}
+    indices = range(len(frames))
+    known = bool(by_name) or any(number in numbered for number in numbers.values())
+    if shift is None and not known and len(numbers) == len(frames) and {*numbers.values()} == {*indices}:
+        numbered = dict(zip(indices, indices, strict=True))
         note = f"numbered from 0, where the clip starts with {frames[0]}"
-    match = FrameMatch(others=[file for file in shown if file not in chosen], note=note)
-    first: dict[int, str] = {}
-    for file in chosen:
-        if (frame := named.get(stem(file))) is not None:
-            match.frames[file] = frame
-            _check_alone(first.setdefault(frame, file), file, frame)
-    for file in (file for file in chosen if file not in match.frames):
-        number = numbers[file]
-        frame = None if number is None else numbered.get(number + (shift or 0))
-        if frame is None or stem(first.get(frame, "")) in named:
-            match.unmatched.append(file)
-        else:
-            match.frames[file] = frame
-            _check_alone(first.setdefault(frame, file), file, frame)
-    return match
-
-
-def _texts(count: int) -> list[str]:
-    return sorted(map(str, range(count)))
-
-
-def _check_alone(first: str, file: str, frame: int) -> None:
-    if first != file:
-        where, found = f"frame {frame}", f"{first} and {file}"
-        raise FileFormatError(where, expected="one file", found=found, fix="keep one of them")
+    found, taken, unmatched = dict(by_name), {*by_name.values()}, []
+    for file, number in numbers.items():
+        if file not in by_name:
+            frame = None if number is None else numbered.get(number + (shift or 0))
+            if frame is None or frame in taken:
+                unmatched.append(file)
+            else:
+                found[file] = frame
+    owners: dict[int, str] = {}
+    for file, frame in found.items():
+        if owners.setdefault(frame, file) != file:
+            where, both = f"frame {frame}", f"{owners[frame]} and {file}"
+            raise FileFormatError(where, expected="one file", found=both, fix="keep one of them")
+    return FrameMatch(found, unmatched, [file for file in shown if file not in numbers], note)
 
 
 def _of_clip(files: list[str], clip: str) -> list[str]:
     """Those of the clip's folder, where the same names are in several folders."""
-    folders: dict[str, list[str]] = {}
-    for file in files:
-        path = PurePosixPath(file.replace("\\", "/"))
-        folders.setdefault(str(path.parent), []).append(path.name)
-    names = [name for inside in folders.values() for name in inside]
-    if len(folders) < 2 or len(set(names)) == len(names):
+    paths = {file: _path(file) for file in files}
+    if len({path.name for path in paths.values()}) == len(paths):
         return files
-    own = [folder for folder in folders if clip in PurePosixPath(folder).parts]
+    own = {path.parent for path in paths.values() if clip in path.parent.parts}
     if len(own) != 1:
-        where, fix = several(sorted(folders)), f"name one {clip}, or leave the others out"
-        raise FileFormatError("folders", expected=f"one of {clip}", found=where, fix=fix)
-    return [f for f in files if str(PurePosixPath(f.replace("\\", "/")).parent) == own[0]]
+        found = several(sorted({str(path.parent) for path in paths.values()}))
+        fix = f"name one {clip}, or leave the others out"
+        raise FileFormatError("folders", expected=f"one of {clip}", found=found, fix=fix)
+    return [file for file, path in paths.items() if path.parent in own]
 
 
 def match_labels(a: IntArray, b: IntArray) -> dict[int, int]:
-    """Match labels one to one so that most trajectories agree (Kuhn 1955).
+    """Match labels (n,) of the same trajectories one to one so that most agree (Kuhn 1955).
 
-    Parameters
-    ----------
-    a, b : (n,) int64
-        Labels of the same trajectories; 0 matches nothing.
+    Returns label of `a` to label of `b`, only those that share a trajectory; 0 matches nothing.
 
-    Returns
-    -------
-    dict of int to int
-        Label of `a` to label of `b`; only those that share a trajectory.
-
-    Examples
-    --------
     >>> match_labels(np.array([1, 1, 2, 0]), np.array([5, 5, 5, 7]))
     {1: 5}
     """

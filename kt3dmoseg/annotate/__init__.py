@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from kt3dmoseg.annotate.labelling import (
-    LabelledTracks,
-    LabelRule,
-    label_tracks,
-    label_tracks_detailed,
-)
-from kt3dmoseg.annotate.model import (
-    AnnotatedObject,
-    Annotation,
-    KeyFrame,
-    Mark,
-    load_annotation,
-    save_annotation,
-    save_revision,
-)
-from kt3dmoseg.annotate.propagation import FlowMotion, ImageMotion, Region, TrackMotion, propagate
+from typing import TYPE_CHECKING
+
+from kt3dmoseg.registry import lazy
+
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate.labelling import LabelledTracks, LabelRule, label_tracks, label_tracks_detailed
+    from kt3dmoseg.annotate.model import (
+        AnnotatedObject,
+        Annotation,
+        KeyFrame,
+        Mark,
+        load_annotation,
+        save_annotation,
+        save_revision,
+    )
+    from kt3dmoseg.annotate.propagation import FlowMotion, ImageMotion, Region, TrackMotion, propagate
+
+_LABELLING = ("LabelRule", "LabelledTracks", "label_tracks", "label_tracks_detailed")
+_PROPAGATION = ("FlowMotion", "ImageMotion", "Region", "TrackMotion", "propagate")
 
 __all__ = [
     "AnnotatedObject",
@@ -37,3 +40,7 @@ __all__ = [
     "save_annotation",
     "save_revision",
 ]
+
+_PUBLIC = dict.fromkeys(__all__, "model") | dict.fromkeys(_LABELLING, "labelling")
+
+__getattr__, __dir__ = lazy(__name__, _PUBLIC | dict.fromkeys(_PROPAGATION, "propagation"))

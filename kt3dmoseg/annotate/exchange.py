@@ -1,4 +1,7 @@
-"""Annotations of many clips: import, export, check, compare. A clip that fails does not stop the others."""
+"""Annotations of many clips: import, export, check, compare. A clip that fails does not stop the others.
+
+The functions are the commands `kt3dmoseg annotations`; they import what they need when they are called.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +9,23 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-import numpy as np
+from cyclopts import Parameter
 
-from kt3dmoseg import io
-from kt3dmoseg.annotate import formats
-from kt3dmoseg.annotate.agreement import Agreement, agree, match_regions, overlaps
-from kt3dmoseg.annotate.formats.foreign import Choices
-from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
-from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, load_annotation, save_revision
-from kt3dmoseg.annotate.propagation import Region
+from kt3dmoseg.app import Flag, Name, Whole, group
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import check_target, listed, read_bytes, write_bytes, zip_bytes
-from kt3dmoseg.frames import find_clips
-from kt3dmoseg.io.fields import clip_name
-from kt3dmoseg.io.formats import CLIP_SUFFIXES
-from kt3dmoseg.io.images import picture_size
-from kt3dmoseg.types import Trajectories
+
+if TYPE_CHECKING:
+    from kt3dmoseg.annotate import Annotation, LabelledTracks, Region
+    from kt3dmoseg.annotate.agreement import Agreement
+    from kt3dmoseg.types import Trajectories
+
+notes = group("annotations", "Import, export, check and compare the annotations of clips.")
 
 _MAX_FILE = 128 << 20
 _SAME_OBJECT = 0.5
+_MEASURES = {"agreement": ".2%", "both": ".2%", "kappa": ".3f"}
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,35 @@ class ClipReport:
     clip: str
     ok: bool
     lines: tuple[str, ...]
+
+    def print(self) -> None:
+        """Print it."""
+        print(f"{self.clip}:" + ("" if self.ok else " failed"), *self.lines, sep="\n  ")
+
+
+class Reports(list[ClipReport]):
+    """Reports of clips."""
+
+    @property
+    def exit_code(self) -> int:
+        """What a command ends with."""
+        return 0 if all(report.ok for report in self) else KT3DMoSegError.exit_code
+
+
+AnyPath: TypeAlias = str | os.PathLike[str]
+_Folder = Annotated[AnyPath, Parameter(metavar="FOLDER")]
+_Clips = Annotated[
+    AnyPath,
+    Parameter(
+        metavar="PATH", help="A folder of frames, a clip file, or a folder with one of these per clip."
+    ),
+]
+_Notes = Annotated[_Folder, Parameter(help="Folder of <clip>.json.")]
+_Format = Annotated[Name, Parameter(help="One of cvat, coco, labelme, davis, mots_png or mots_txt.")]
+_Tracks = Annotated[
+    AnyPath | None, Parameter(metavar="PATH", help="Clip file or folder of them with trajectories.")
+]
+_Report = Annotated[Callable[[ClipReport], object], Parameter(parse=False)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,68 +96,85 @@ class _Clip:
     annotation: Path
     trajectories: Trajectories | None
 
-    def annotated(self, folder: Path | None = None) -> Annotation:
-        """Read the clip's annotation, from another folder or its own; it must be of this clip."""
-        path = self.annotation if folder is None else folder / self.annotation.name
+    def read(self, folder: AnyPath | None = None) -> Annotation | None:
+        """Read the clip's annotation, from another folder or its own; None when there is none.
+
+        It must be of this clip.
+        """
+        from kt3dmoseg.annotate import load_annotation
+
+        path = self.annotation if folder is None else Path(folder, self.annotation.name)
+        if not path.exists():
+            return None
         found = load_annotation(path)
         wanted = {"clip": self.name, "n_frames": len(self.names), "image_size": self.size or found.image_size}
         for field, value in wanted.items():
-            if getattr(found, field) != value:
-                where, shown = f"{path}: {field}", repr(getattr(found, field))
-                raise InvalidValueError(where, expected=repr(value), found=shown)
+            if (stated := getattr(found, field)) != value:
+                raise InvalidValueError(f"{path}: {field}", expected=repr(value), found=repr(stated))
         return found
 
-    def current(self) -> Annotation:
-        """Read the clip's annotation, an empty one when there is none."""
-        if self.annotation.exists():
-            return self.annotated()
+    def empty(self) -> Annotation:
+        """Return an annotation without objects."""
+        from kt3dmoseg.annotate import Annotation
+
         if self.size is None:
             where, fix = f"size of the frames of {self.name}", "give their folder"
             raise InvalidValueError(where, expected="width and height", found="none", fix=fix)
         return Annotation(self.name, self.size, len(self.names))
 
     def labelled(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> LabelledTracks | None:
+        from kt3dmoseg.annotate import label_tracks_detailed
+
         if self.trajectories is None:
             return None
         return label_tracks_detailed(self.trajectories, annotation, regions=regions)
 
 
+@notes.command(name="import")
 def import_annotations(
-    source: str | os.PathLike[str],
-    clips: str | os.PathLike[str],
+    source: Annotated[AnyPath, Parameter(metavar="PATH")],
+    clips: _Clips,
+    /,
     *,
-    format: str,  # the name of the option
-    annotations: str | os.PathLike[str] = "annotations",
-    merge: bool = False,
-    replace: bool = False,
-    shift: int | None = None,
+    format: _Format,
+    annotations: _Notes = "annotations",
+    merge: Flag = False,
+    replace: Flag = False,
+    shift: Whole | None = None,
     scale: float | None = None,
-    force: bool = False,
-    dry_run: bool = False,
-    report: Callable[[ClipReport], object] | None = None,
-) -> list[ClipReport]:
-    """Import files of another tool as annotations.
+    force: Flag = False,
+    dry_run: Flag = False,
+    report: _Report = ClipReport.print,
+) -> Reports:
+    """Import files of another tool; what is done is printed, clip by clip.
+
+    Exit code 2 when a clip failed, after the others. Doubtful imports, and those onto an annotation that
+    exists, are refused unless an option decides.
 
     Parameters
     ----------
     source : path
-        A file, which may hold several clips, or a folder with a file or folder per clip, named as the clip.
+        A file, or a folder with a file or folder named as each clip.
     clips : path
         A folder of frames, a clip file, or a folder with one of these per clip.
     format : str
         A name of `kt3dmoseg.annotate.formats.FORMATS`.
     annotations : path
         Folder of the files ``<clip>.json``.
-    merge, replace : bool
-        Add to an annotation that exists, or write over it; by default it is refused.
-    shift, scale : int, float, optional
-        As in `Choices`.
+    merge : bool
+        Add to annotations that exist.
+    replace : bool
+        Write over annotations that exist.
+    shift : int, optional
+        Add this to the frame numbers in the files.
+    scale : float, optional
+        Factor from the files' coordinates to pixels of the frames.
     force : bool
-        Import also what a plan calls doubtful.
+        Import also what is doubtful.
     dry_run : bool
-        Only report what would be done.
+        Only print what would be done.
     report : callable, optional
-        Called with each clip's report as it comes.
+        Called with each clip's report as it comes; by default it is printed.
 
     Returns
     -------
@@ -140,6 +186,9 @@ def import_annotations(
     InputFileError, InvalidValueError, UnknownNameError
         When there are no such files or clips, or an option is wrong.
     """
+    from kt3dmoseg.annotate import formats, save_revision
+    from kt3dmoseg.annotate.formats.foreign import Choices
+
     if merge and replace:
         raise InvalidValueError("merge, replace", expected="one of them", found="both")
     suffix, choices, root = formats.load(format).suffix, Choices(shift, scale), Path(source)
@@ -147,37 +196,30 @@ def import_annotations(
         raise InputFileError(f"{root}", expected="a file or folder", found="nothing")
 
     def work(clip: _Clip) -> ClipReport | None:
-        content = _content(root, clip.name, suffix)
-        if content is None:
+        if (content := _content(root, clip.name, suffix)) is None:
             return None
-        current = clip.current()
+        current = clip.read() or clip.empty()
         plan = formats.plan(format, content, current, clip.names, choices)
         if dry_run:
             return ClipReport(clip.name, not plan.doubts, (*plan.lines(), "nothing written"))
         if plan.doubts and not force:
             raise InvalidValueError("; ".join(plan.doubts), fix="correct it by a shift or scale, or force it")
-        _check_empty(clip.annotation, current, decided=merge or replace)
+        drawn = len(current.objects) + len(current.marks)
+        if drawn and not (merge or replace):
+            found, fix = f"{drawn} objects and lassos", "merge with them, or replace them"
+            raise InvalidValueError(f"{clip.annotation}", expected="no annotation", found=found, fix=fix)
         new = merged(current if merge else current.emptied(), plan.annotation)
         saved = save_revision(clip.annotation, new)  # refused when somebody else saved meanwhile
         done = f"wrote {clip.annotation}, revision {saved.revision}"
         return ClipReport(clip.name, ok=True, lines=(*plan.lines(), done))
 
-    found = _for_each(clips, annotations, work, report)
-    if not found:
-        expected = f"a file or folder named as a clip in {clips}"
-        raise InputFileError(f"{root}", expected=expected, found="none")
-    return found
-
-
-def _check_empty(path: Path, annotation: Annotation, *, decided: bool) -> None:
-    drawn = len(annotation.objects) + len(annotation.marks)
-    if drawn and not decided:
-        found, fix = f"{drawn} objects and lassos", "merge with them, or replace them"
-        raise InvalidValueError(f"{path}", expected="no annotation", found=found, fix=fix)
+    return _for_each(_clips(clips, annotations), work, report, root, "a file or folder")
 
 
 def merged(current: Annotation, added: Annotation) -> Annotation:
     """Return an annotation with the objects of another one, under free ids and motions."""
+    from kt3dmoseg.annotate.model import BACKGROUND, REJECT
+
     if not current.objects:
         return replace(current, objects=added.objects)
     first = max(item.id for item in current.objects) + 1
@@ -189,90 +231,95 @@ def merged(current: Annotation, added: Annotation) -> Annotation:
     return replace(current, objects=(*current.objects, *objects))
 
 
+@notes.command(name="export")
 def export_annotations(
-    clips: str | os.PathLike[str],
-    output: str | os.PathLike[str],
+    clips: _Clips,
+    /,
+    output: Annotated[_Folder, Parameter(alias="-o", help="Folder of the files.")],
     *,
-    format: str,
-    annotations: str | os.PathLike[str] = "annotations",
-    tracks: str | os.PathLike[str] | None = None,
-    report: Callable[[ClipReport], object] | None = None,
-) -> list[ClipReport]:
-    """Write annotations as files ``<clip>.<suffix>`` of another tool's format, into the folder `output`.
+    format: _Format,
+    annotations: _Notes = "annotations",
+    tracks: _Tracks = None,
+    report: _Report = ClipReport.print,
+) -> Reports:
+    """Write annotations as files of another tool.
 
-    `tracks` are clip files whose trajectories carry the regions between key frames; without any they go in
-    straight lines. Other parameters, result and errors as for `import_annotations`.
+    Trajectories carry the regions between key frames; without any they go in straight lines.
+
+    See Also
+    --------
+    import_annotations : Other parameters, result and errors are alike.
     """
+    from kt3dmoseg.annotate import formats
+    from kt3dmoseg.files import check_target, write_bytes
+
     chosen = formats.load(format)
 
     def work(clip: _Clip) -> ClipReport | None:
-        if not clip.annotation.exists():
+        if (annotation := clip.read()) is None:
             return None
-        annotation = clip.annotated()
         target = Path(output, clip.name + chosen.suffix)
         check_target(target)
         regions = formats.regions(annotation, clip.trajectories)
         write_bytes(target, chosen.dump(annotation, regions, clip.names))
         return ClipReport(clip.name, ok=True, lines=(f"wrote {target}",))
 
-    return _annotated(_for_each(clips, annotations, work, report, tracks), clips, annotations)
+    return _for_each(_clips(clips, annotations, tracks), work, report, annotations)
 
 
+@notes.command(name="check")
 def check_annotations(
-    clips: str | os.PathLike[str],
+    clips: _Clips,
+    /,
     *,
-    annotations: str | os.PathLike[str] = "annotations",
-    tracks: str | os.PathLike[str] | None = None,
-    report: Callable[[ClipReport], object] | None = None,
-) -> list[ClipReport]:
-    """Check that annotations are of their clips, and look for what is probably a mistake.
+    annotations: _Notes = "annotations",
+    tracks: _Tracks = None,
+    report: _Report = ClipReport.print,
+) -> Reports:
+    """Check annotations against their clips; exit code 2 when something is wrong.
 
-    That is an object that is seen nowhere or lies off the picture, two objects of different motions in the
-    same place, and, with trajectories, a motion that labels none of them. Parameters, result and errors as
-    for `export_annotations`.
+    That is also what is probably a mistake: an object that is seen nowhere or lies off the picture, two
+    objects of different motions in the same place, and, with trajectories, a motion that labels none of them.
+
+    See Also
+    --------
+    import_annotations : Other parameters, result and errors are alike.
     """
+    from kt3dmoseg.annotate import formats
 
     def work(clip: _Clip) -> ClipReport | None:
-        if not clip.annotation.exists():
+        if (annotation := clip.read()) is None:
             return None
-        annotation = clip.annotated()
         regions = formats.regions(annotation, clip.trajectories)
         problems = [*_problems(annotation, regions)]
         lines = [f"{len(annotation.objects)} objects, {len(annotation.motions)} motions"]
         if (labelled := clip.labelled(annotation, regions)) is not None:
-            counts = {name: count for name, count in labelled.counts().items() if count}
-            lines[0] += "; trajectories: " + ", ".join(f"{count} {name}" for name, count in counts.items())
+            counts = ", ".join(f"{count} {name}" for name, count in labelled.counts().items() if count)
+            lines[0] += f"; trajectories: {counts}"
             missing = set(annotation.motions) - {int(m) - 1 for m in labelled.labels.motions}
             problems += [f"motion {motion} labels no trajectory" for motion in sorted(missing)]
         return ClipReport(clip.name, not problems, (*lines, *problems))
 
-    return _annotated(_for_each(clips, annotations, work, report, tracks), clips, annotations)
+    return _for_each(_clips(clips, annotations, tracks), work, report, annotations)
 
 
 def _problems(annotation: Annotation, regions: Mapping[int, list[Region]]) -> Iterator[str]:
-    width, height = annotation.image_size
-    for item in annotation.objects:
-        outlines = [polygon for region in regions[item.id] for polygon in region.polygons]
-        if not outlines:
-            yield f"{item.name} (object {item.id}) is seen nowhere"
-        elif not any(
-            (polygon.max(axis=0) >= -0.5).all() and (polygon.min(axis=0) <= (width - 0.5, height - 0.5)).all()
-            for polygon in outlines
-        ):
-            yield f"{item.name} (object {item.id}) lies off the picture"
+    import numpy as np
+
+    from kt3dmoseg.annotate.agreement import overlaps
+
     overlap = overlaps(regions, regions, annotation.image_size)
-    for i, j in np.argwhere(np.triu(overlap > _SAME_OBJECT, k=1)):
-        first, second = annotation.objects[i], annotation.objects[j]
-        if first.motion != second.motion:
-            yield f"{first.name} and {second.name} have different motions in the same place"
+    for i, item in enumerate(annotation.objects):
+        if not overlap[i, i]:  # no pixel
+            shown = any(region.visibility == "visible" for region in regions[item.id])
+            yield f"{item.name} (object {item.id}) {'lies off the picture' if shown else 'is seen nowhere'}"
+        for other in (annotation.objects[j] for j in np.flatnonzero(overlap[i] > _SAME_OBJECT) if j > i):
+            if item.motion != other.motion:
+                yield f"{item.name} and {other.name} have different motions in the same place"
 
 
 def compare_annotations(
-    first: str | os.PathLike[str],
-    second: str | os.PathLike[str],
-    clips: str | os.PathLike[str],
-    *,
-    tracks: str | os.PathLike[str] | None = None,
+    first: AnyPath, second: AnyPath, clips: AnyPath, *, tracks: AnyPath | None = None
 ) -> list[Comparison]:
     """Compare the annotations of two people, by the labels of trajectories and object by object.
 
@@ -288,86 +335,110 @@ def compare_annotations(
     InputFileError
         When no clip has annotations in both.
     """
+    from kt3dmoseg.annotate import formats
+    from kt3dmoseg.annotate.agreement import agree, match_regions
+
     found = []
     for clip in _clips(clips, first, tracks):
-        if not (clip.annotation.exists() and (Path(second) / clip.annotation.name).exists()):
+        one, two = clip.read(), clip.read(second)
+        if one is None or two is None:
             continue
-        one, two = clip.annotated(), clip.annotated(Path(second))
-        regions = [formats.regions(annotation, clip.trajectories) for annotation in (one, two)]
-        mine, theirs = (clip.labelled(a, r) for a, r in zip((one, two), regions, strict=True))
+        a, b = (formats.regions(annotation, clip.trajectories) for annotation in (one, two))
+        mine, theirs = clip.labelled(one, a), clip.labelled(two, b)
         labels = None if mine is None or theirs is None else agree(mine.labels.label, theirs.labels.label)
-        names = [{item.id: item.name for item in annotation.objects} for annotation in (one, two)]
+        names, others = ({item.id: item.name for item in annotation.objects} for annotation in (one, two))
         objects = [
-            (names[0].get(a, ""), names[1].get(b, ""), overlap)
-            for a, b, overlap in match_regions(regions[0], regions[1], one.image_size)
+            (names.get(i, ""), others.get(j, ""), overlap)
+            for i, j, overlap in match_regions(a, b, one.image_size)
         ]
         found.append(Comparison(clip.name, labels, objects))
     if not found:
-        raise InputFileError(
-            f"{first} and {second}", expected=f"both <clip>.json of a clip in {clips}", found="none"
-        )
+        expected = "<clip>.json in both, named as a clip"
+        raise InputFileError(f"{first} and {second}", expected=expected, found="none")
     return found
 
 
-def _annotated(found: list[ClipReport], clips: object, annotations: object) -> list[ClipReport]:
-    if not found:
-        raise InputFileError(f"{annotations}", expected=f"<clip>.json of a clip in {clips}", found="none")
-    return found
+@notes.command
+def compare(
+    first: Annotated[_Folder, Parameter(help="Folder of <clip>.json of the one.")],
+    second: Annotated[_Folder, Parameter(help="Folder of <clip>.json of the other.")],
+    clips: _Clips,
+    /,
+    *,
+    tracks: _Tracks = None,
+    json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
+) -> None:
+    """Compare two annotators: labels of trajectories (agreement, Cohen's kappa) and objects (IoU)."""
+    from json import dumps
+
+    from kt3dmoseg.tables import text_table
+
+    shown, rows = [], []
+    for c in compare_annotations(first, second, clips, tracks=tracks):
+        labels = {} if c.agreement is None else {name: getattr(c.agreement, name) for name in _MEASURES}
+        objects = [dict(zip(("first", "second", "iou"), values, strict=True)) for values in c.objects]
+        shown.append({"clip": c.clip, **labels, "objects": objects})
+        cells = [f"{labels[name]:{form}}" if labels else "" for name, form in _MEASURES.items()]
+        mean = sum(iou for *_, iou in c.objects) / max(1, len(c.objects))
+        rows.append([c.clip, *cells, f"{mean:.3f}", ""])
+        rows += [["", "", "", "", f"{iou:.3f}", f"{a or '-'} / {b or '-'}"] for a, b, iou in c.objects]
+    if json:
+        print(dumps(shown, indent=1, ensure_ascii=False))
+    else:
+        print(text_table(rows, ["clip", "agreement", "both labelled", "kappa", "IoU", "first / second"]))
 
 
 def _for_each(
-    clips: str | os.PathLike[str],
-    annotations: str | os.PathLike[str],
+    clips: Iterator[_Clip],
     work: Callable[[_Clip], ClipReport | None],
-    report: Callable[[ClipReport], object] | None,
-    tracks: str | os.PathLike[str] | None = None,
-) -> list[ClipReport]:
-    out = []
-    for clip in _clips(clips, annotations, tracks):
+    report: Callable[[ClipReport], object],
+    searched: AnyPath,
+    wanted: str = "<clip>.json",
+) -> Reports:
+    out = Reports()
+    for clip in clips:
         try:
             done = work(clip)
         except KT3DMoSegError as error:
             done = ClipReport(clip.name, ok=False, lines=(str(error),))
         if done is not None:
             out.append(done)
-            if report is not None:
-                report(done)
+            report(done)
+    if not out:
+        raise InputFileError(f"{searched}", expected=f"{wanted} named as a clip", found="none")
     return out
 
 
-def _clips(
-    given: str | os.PathLike[str],
-    annotations: str | os.PathLike[str],
-    tracks: str | os.PathLike[str] | None = None,
-) -> Iterator[_Clip]:
+def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) -> Iterator[_Clip]:
     """Give the clips of a folder of frames, a clip file or a folder of these; clip files need no frames."""
+    from kt3dmoseg import io
+    from kt3dmoseg.frames import find_clips
+    from kt3dmoseg.io.fields import clip_name
+    from kt3dmoseg.io.formats import clip_files
+    from kt3dmoseg.io.images import picture_size
+
     root = Path(given)
     files = {clip_name(root): root} if root.is_file() else {}
-    if root.is_dir() and any(file.suffix in CLIP_SUFFIXES for file in root.iterdir()):
+    if root.is_dir() and clip_files(root):
         files = io.dataset_paths(root)
     for name, file in files.items():
         clip = io.load(file)
         names = [f"{number:06d}.png" for number in clip.frame_numbers.tolist()]
         yield _Clip(name, names, clip.dense.image_size, Path(annotations, f"{name}.json"), clip.dense)
-    if files:
-        return
-    for name, source in find_clips(root, annotations=annotations, tracks=tracks).items():
+    for source in find_clips(root, annotations=annotations, tracks=tracks).values() if not files else ():
         size = picture_size(source.frames[0])
-        dense = None if source.tracks is None else io.load(source.tracks).dense
-        if dense is not None:
-            dense = Trajectories(dense.xy, dense.visible, dense.track_id, size)
-        yield _Clip(name, [frame.name for frame in source.frames], size, source.annotation, dense)
+        dense = None if source.tracks is None else replace(io.load(source.tracks).dense, image_size=size)
+        yield _Clip(source.name, [frame.name for frame in source.frames], size, source.annotation, dense)
 
 
 def _content(source: Path, clip: str, suffix: str) -> bytes | None:
     """Return what a source has of a clip: itself, a file or a folder of that name; None when nothing."""
-    if source.is_file():
-        return read_bytes(source, _MAX_FILE)
-    for file in (source / f"{clip}{suffix}", source / f"{clip}.zip"):
+    from kt3dmoseg.files import listed, read_bytes, zip_bytes
+
+    for file in (source, source / f"{clip}{suffix}", source / f"{clip}.zip"):
         if file.is_file():
             return read_bytes(file, _MAX_FILE)
     folder = source / clip
     if not folder.is_dir():
         return None
-    files = {file.name: read_bytes(file, _MAX_FILE) for file in listed(folder) if file.is_file()}
-    return zip_bytes(files)
+    return zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in listed(folder) if file.is_file()})

@@ -13,7 +13,7 @@ COMMANDS = {
     "build": "kt3dmoseg.cli.clips:build",
     "track": "kt3dmoseg.cli.clips:track",
     "label": "kt3dmoseg.viewing:label",
-    "annotations": "kt3dmoseg.cli.annotations:notes",
+    "annotations": "kt3dmoseg.annotate.exchange:notes",
     "show": "kt3dmoseg.viewing:show",
     "synth": "kt3dmoseg.cli.clips:synth",
     "info": "kt3dmoseg.cli.clips:info",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from annotation_scenes import drawn_by_hand, write_clip, zipped
 
-from kt3dmoseg.annotate import Mark, exchange, load_annotation, save_revision
+from kt3dmoseg.annotate import Mark, formats, load_annotation, save_revision
 from kt3dmoseg.annotate.exchange import compare_annotations, import_annotations, merged
 from kt3dmoseg.cli import main
 
@@ -91,9 +91,9 @@ def test_what_somebody_saves_meanwhile_is_not_lost(data, monkeypatch):
             save_revision(path, replace(before, objects=(replace(before.objects[0], name="meanwhile"),)))
         return plan(name, content, current, *rest)
 
-    path, plan = data / "notes" / "one.json", exchange.formats.plan
+    path, plan = data / "notes" / "one.json", formats.plan
     before = drawn_by_hand(path, "before", CORNERS)
-    monkeypatch.setattr(exchange.formats, "plan", drawn_meanwhile)
+    monkeypatch.setattr(formats, "plan", drawn_meanwhile)
     one, two = import_annotations(
         data / "masks", data / "frames", format="davis", annotations=data / "notes", replace=True
     )

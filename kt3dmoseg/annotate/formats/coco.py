@@ -1,8 +1,8 @@
 """COCO: one JSON file, a run-length encoded mask per object and frame.
 
-``pycocotools`` reads it; files of polygons are read too. Reading, an image is the frame of its file name, else
-of its number. An object is what has one ``track_id``, in the annotation or its attributes; without ids, what has
-one category, once an image. Boxes are no outlines.
+``pycocotools`` reads it; files of polygons are read too. Reading, an image is the frame of its file name,
+else of its number. An object is what has one ``track_id``, in the annotation or its attributes; without ids,
+what has one category, once an image. Boxes are no outlines.
 """
 
 from __future__ import annotations
