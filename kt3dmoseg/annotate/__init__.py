@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
+    from kt3dmoseg.annotate import agreement as agreement
+    from kt3dmoseg.annotate import formats as formats
+    from kt3dmoseg.annotate import model as model
     from kt3dmoseg.annotate.labelling import LabelledTracks, LabelRule, label_tracks, label_tracks_detailed
     from kt3dmoseg.annotate.model import (
         AnnotatedObject,
@@ -42,5 +45,7 @@ __all__ = [
 ]
 
 _PUBLIC = dict.fromkeys(__all__, "model") | dict.fromkeys(_LABELLING, "labelling")
+_PUBLIC |= dict.fromkeys(_PROPAGATION, "propagation")
+_MODULES = {name: name for name in ("agreement", "formats", "model")}
 
-__getattr__, __dir__ = lazy(__name__, _PUBLIC | dict.fromkeys(_PROPAGATION, "propagation"))
+__getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)

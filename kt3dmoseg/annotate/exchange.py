@@ -1,6 +1,6 @@
 """Annotations of many clips: import, export, check, compare. A clip that fails does not stop the others.
 
-The functions are the commands `kt3dmoseg annotations`; they import what they need when they are called.
+The functions are the commands `kt3dmoseg annotations`; what they need is imported when they are called.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
+from kt3dmoseg import annotate
 from kt3dmoseg.app import Flag, Name, Whole, group
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 
@@ -26,6 +27,8 @@ notes = group("annotations", "Import, export, check and compare the annotations 
 _MAX_FILE = 128 << 20
 _SAME_OBJECT = 0.5
 _MEASURES = {"agreement": ".2%", "both": ".2%", "kappa": ".3f"}
+_CLIPS = "A folder of frames, a clip file, or a folder with one of these per clip."
+_TRACKS = "Clip file or folder of them with trajectories."
 
 
 @dataclass(frozen=True)
@@ -52,17 +55,10 @@ class Reports(list[ClipReport]):
 
 AnyPath: TypeAlias = str | os.PathLike[str]
 _Folder = Annotated[AnyPath, Parameter(metavar="FOLDER")]
-_Clips = Annotated[
-    AnyPath,
-    Parameter(
-        metavar="PATH", help="A folder of frames, a clip file, or a folder with one of these per clip."
-    ),
-]
+_Clips = Annotated[AnyPath, Parameter(metavar="PATH", help=_CLIPS)]
 _Notes = Annotated[_Folder, Parameter(help="Folder of <clip>.json.")]
 _Format = Annotated[Name, Parameter(help="One of cvat, coco, labelme, davis, mots_png or mots_txt.")]
-_Tracks = Annotated[
-    AnyPath | None, Parameter(metavar="PATH", help="Clip file or folder of them with trajectories.")
-]
+_Tracks = Annotated[AnyPath | None, Parameter(metavar="PATH", help=_TRACKS)]
 _Report = Annotated[Callable[[ClipReport], object], Parameter(parse=False)]
 
 
@@ -97,37 +93,30 @@ class _Clip:
     trajectories: Trajectories | None
 
     def read(self, folder: AnyPath | None = None) -> Annotation | None:
-        """Read the clip's annotation, from another folder or its own; None when there is none.
-
-        It must be of this clip.
-        """
-        from kt3dmoseg.annotate import load_annotation
-
+        """Read the annotation, which must be of this clip, from a folder; None when there is none."""
         path = self.annotation if folder is None else Path(folder, self.annotation.name)
         if not path.exists():
             return None
-        found = load_annotation(path)
+        found = annotate.load_annotation(path)
         wanted = {"clip": self.name, "n_frames": len(self.names), "image_size": self.size or found.image_size}
         for field, value in wanted.items():
             if (stated := getattr(found, field)) != value:
                 raise InvalidValueError(f"{path}: {field}", expected=repr(value), found=repr(stated))
         return found
 
-    def empty(self) -> Annotation:
-        """Return an annotation without objects."""
-        from kt3dmoseg.annotate import Annotation
-
+    def current(self) -> Annotation:
+        """Read the annotation, an empty one when there is none."""
+        if (found := self.read()) is not None:
+            return found
         if self.size is None:
             where, fix = f"size of the frames of {self.name}", "give their folder"
             raise InvalidValueError(where, expected="width and height", found="none", fix=fix)
-        return Annotation(self.name, self.size, len(self.names))
+        return annotate.Annotation(self.name, self.size, len(self.names))
 
     def labelled(self, annotation: Annotation, regions: Mapping[int, list[Region]]) -> LabelledTracks | None:
-        from kt3dmoseg.annotate import label_tracks_detailed
-
         if self.trajectories is None:
             return None
-        return label_tracks_detailed(self.trajectories, annotation, regions=regions)
+        return annotate.label_tracks_detailed(self.trajectories, annotation, regions=regions)
 
 
 @notes.command(name="import")
@@ -186,20 +175,18 @@ def import_annotations(
     InputFileError, InvalidValueError, UnknownNameError
         When there are no such files or clips, or an option is wrong.
     """
-    from kt3dmoseg.annotate import formats, save_revision
-    from kt3dmoseg.annotate.formats.foreign import Choices
-
     if merge and replace:
         raise InvalidValueError("merge, replace", expected="one of them", found="both")
-    suffix, choices, root = formats.load(format).suffix, Choices(shift, scale), Path(source)
+    suffix, root = annotate.formats.load(format).suffix, Path(source)
+    choices = annotate.formats.foreign.Choices(shift, scale)
     if not root.exists():
         raise InputFileError(f"{root}", expected="a file or folder", found="nothing")
 
     def work(clip: _Clip) -> ClipReport | None:
         if (content := _content(root, clip.name, suffix)) is None:
             return None
-        current = clip.read() or clip.empty()
-        plan = formats.plan(format, content, current, clip.names, choices)
+        current = clip.current()
+        plan = annotate.formats.plan(format, content, current, clip.names, choices)
         if dry_run:
             return ClipReport(clip.name, not plan.doubts, (*plan.lines(), "nothing written"))
         if plan.doubts and not force:
@@ -209,7 +196,7 @@ def import_annotations(
             found, fix = f"{drawn} objects and lassos", "merge with them, or replace them"
             raise InvalidValueError(f"{clip.annotation}", expected="no annotation", found=found, fix=fix)
         new = merged(current if merge else current.emptied(), plan.annotation)
-        saved = save_revision(clip.annotation, new)  # refused when somebody else saved meanwhile
+        saved = annotate.save_revision(clip.annotation, new)  # refused when somebody else saved meanwhile
         done = f"wrote {clip.annotation}, revision {saved.revision}"
         return ClipReport(clip.name, ok=True, lines=(*plan.lines(), done))
 
@@ -218,17 +205,14 @@ def import_annotations(
 
 def merged(current: Annotation, added: Annotation) -> Annotation:
     """Return an annotation with the objects of another one, under free ids and motions."""
-    from kt3dmoseg.annotate.model import BACKGROUND, REJECT
-
-    if not current.objects:
-        return replace(current, objects=added.objects)
-    first = max(item.id for item in current.objects) + 1
-    used = max(current.motions, default=0)
-    objects = []
-    for k, item in enumerate(added.objects):
-        motion = item.motion if item.motion in (BACKGROUND, REJECT) else item.motion + used
-        objects.append(replace(item, id=first + k, motion=motion))
-    return replace(current, objects=(*current.objects, *objects))
+    last, used = max((item.id for item in current.objects), default=0), max(current.motions, default=0)
+    objects = list(current.objects)
+    for item in added.objects:
+        motion = item.motion
+        if isinstance(motion, int) and motion != annotate.model.BACKGROUND:
+            motion += used
+        objects.append(replace(item, id=last + item.id, motion=motion))
+    return replace(current, objects=tuple(objects))
 
 
 @notes.command(name="export")
@@ -250,17 +234,16 @@ def export_annotations(
     --------
     import_annotations : Other parameters, result and errors are alike.
     """
-    from kt3dmoseg.annotate import formats
     from kt3dmoseg.files import check_target, write_bytes
 
-    chosen = formats.load(format)
+    chosen = annotate.formats.load(format)
 
     def work(clip: _Clip) -> ClipReport | None:
         if (annotation := clip.read()) is None:
             return None
         target = Path(output, clip.name + chosen.suffix)
         check_target(target)
-        regions = formats.regions(annotation, clip.trajectories)
+        regions = annotate.formats.regions(annotation, clip.trajectories)
         write_bytes(target, chosen.dump(annotation, regions, clip.names))
         return ClipReport(clip.name, ok=True, lines=(f"wrote {target}",))
 
@@ -285,12 +268,11 @@ def check_annotations(
     --------
     import_annotations : Other parameters, result and errors are alike.
     """
-    from kt3dmoseg.annotate import formats
 
     def work(clip: _Clip) -> ClipReport | None:
         if (annotation := clip.read()) is None:
             return None
-        regions = formats.regions(annotation, clip.trajectories)
+        regions = annotate.formats.regions(annotation, clip.trajectories)
         problems = [*_problems(annotation, regions)]
         lines = [f"{len(annotation.objects)} objects, {len(annotation.motions)} motions"]
         if (labelled := clip.labelled(annotation, regions)) is not None:
@@ -304,18 +286,14 @@ def check_annotations(
 
 
 def _problems(annotation: Annotation, regions: Mapping[int, list[Region]]) -> Iterator[str]:
-    import numpy as np
-
-    from kt3dmoseg.annotate.agreement import overlaps
-
-    overlap = overlaps(regions, regions, annotation.image_size)
+    overlap = annotate.agreement.overlaps(regions, regions, annotation.image_size)
     for i, item in enumerate(annotation.objects):
         if not overlap[i, i]:  # no pixel
             shown = any(region.visibility == "visible" for region in regions[item.id])
             yield f"{item.name} (object {item.id}) {'lies off the picture' if shown else 'is seen nowhere'}"
-        for other in (annotation.objects[j] for j in np.flatnonzero(overlap[i] > _SAME_OBJECT) if j > i):
-            if item.motion != other.motion:
-                yield f"{item.name} and {other.name} have different motions in the same place"
+        for j, other in enumerate(annotation.objects[:i]):
+            if overlap[i, j] > _SAME_OBJECT and item.motion != other.motion:
+                yield f"{other.name} and {item.name} have different motions in the same place"
 
 
 def compare_annotations(
@@ -335,23 +313,21 @@ def compare_annotations(
     InputFileError
         When no clip has annotations in both.
     """
-    from kt3dmoseg.annotate import formats
-    from kt3dmoseg.annotate.agreement import agree, match_regions
-
     found = []
     for clip in _clips(clips, first, tracks):
         one, two = clip.read(), clip.read(second)
         if one is None or two is None:
             continue
-        a, b = (formats.regions(annotation, clip.trajectories) for annotation in (one, two))
-        mine, theirs = clip.labelled(one, a), clip.labelled(two, b)
-        labels = None if mine is None or theirs is None else agree(mine.labels.label, theirs.labels.label)
+        a, b = (annotate.formats.regions(annotation, clip.trajectories) for annotation in (one, two))
+        labelled = (clip.labelled(one, a), clip.labelled(two, b))
+        labels = [side.labels.label for side in labelled if side is not None]
+        agreement = annotate.agreement.agree(*labels) if labels else None
         names, others = ({item.id: item.name for item in annotation.objects} for annotation in (one, two))
         objects = [
             (names.get(i, ""), others.get(j, ""), overlap)
-            for i, j, overlap in match_regions(a, b, one.image_size)
+            for i, j, overlap in annotate.agreement.match_regions(a, b, one.image_size)
         ]
-        found.append(Comparison(clip.name, labels, objects))
+        found.append(Comparison(clip.name, agreement, objects))
     if not found:
         expected = "<clip>.json in both, named as a clip"
         raise InputFileError(f"{first} and {second}", expected=expected, found="none")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Choices, ImportPlan
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Choices, Import
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
 from kt3dmoseg.registry import Registry
@@ -36,7 +36,7 @@ def load(name: str) -> AnnotationFormat:
 
 def plan(
     name: str, content: bytes, like: Annotation, names: Sequence[str] = (), choices: Choices | None = None
-) -> ImportPlan:
+) -> Import:
     """Return what importing a file would do, and what of it is doubtful.
 
     Parameters
@@ -45,12 +45,8 @@ def plan(
         The format, a name of `FORMATS`.
     content : bytes
         The file.
-    like : Annotation
-        An annotation of the clip; its objects do not matter.
-    names : sequence of str
-        File names of the clip's frames, by default 000000.png on.
-    choices : Choices, optional
-        What a person decided.
+    like, names, choices
+        As of `Import`.
 
     Raises
     ------
@@ -60,7 +56,9 @@ def plan(
     chosen = load(name)
     if hasattr(chosen, "plan"):
         return chosen.plan(content, like, names, choices)
-    return ImportPlan(chosen.parse(content, like.emptied(), names))  # of a third party
+    found = Import(like, names, choices)
+    found.annotation = chosen.parse(content, found.like, names)  # of a third party
+    return found
 
 
 def regions(annotation: Annotation, trajectories: Trajectories | None = None) -> dict[int, list[Region]]:

@@ -14,12 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.formats.foreign import (
-    AnnotationFormat,
-    Import,
-    Regions,
-    check_shape,
-)
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -118,7 +113,7 @@ def _outlines(shape: Mapping[str, Any], image: Mapping[str, Any], file: str, int
         return [into.outline(zip(p[::2], p[1::2], strict=True), scale) for p in found]
     height, width = (int(side) for side in found["size"])
     if (width, height) != stated:
-        check_shape((height, width), into.like, "segmentation.size")
+        into.check_shape((height, width), "segmentation.size")
     columns, rows = into.like.image_size
     if width * height > _MOST_PIXELS * columns * rows:
         raise InvalidValueError("segmentation.size", expected="a smaller mask", found=f"{width}x{height}")

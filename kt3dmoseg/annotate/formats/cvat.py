@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
 from kt3dmoseg.annotate.formats.foreign import (
     AnnotationFormat,
     Import,
@@ -31,6 +29,7 @@ from kt3dmoseg.annotate.formats.foreign import (
     with_corner_origin,
 )
 from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, outlines_of
+from kt3dmoseg.annotate.geometry import arrays
 from kt3dmoseg.annotate.model import KINDS, MAX_POINTS, Annotation, Kind, Polygon, Visibility
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.matching import number_in, several, stem
@@ -193,17 +192,17 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
     ends: dict[Key, tuple[Kind, int, list[Polygon]]] = {}
     for (where, track), shapes in zip(tracks.items(), numbered, strict=True):
         placed = [(frames[n], shape) for n, shape in shapes if n in frames]
-        drawn: dict[int, Drawn] = {}
         keys = [pair for pair in placed if pair[1].get("keyframe", "1") == "1"] or placed
+        drawn: dict[int, Drawn] = {}
         for frame, shape in sorted(keys, key=lambda pair: pair[0]):
             with into.skipping(f"{where}: frame {frame}"):
                 drawn[frame] = _shape(shape, scale, into)
         if drawn:
             label, fields = track.get("label", ""), _fields(placed[0][1])
-            key = _key(where, label, fields, drawn, ends, into)
+            key = _key(where, kind_of(label), fields, drawn, ends, into)
             name = fields.get("name") or f"{label or 'object'} {len(into.found) + 1}"
             if min(frame for frame, _ in placed) > 0 and key not in into.found:
-                drawn = {0: ("outside", []), **drawn}
+                drawn.setdefault(0, ("outside", []))
             item = into.object(key, described(label, {**fields, "name": name}))
             for frame, (visibility, polygons) in drawn.items():
                 item.add(frame, polygons, visibility)
@@ -221,7 +220,7 @@ def _numbered(where: str, track: ET.Element, into: Import) -> list[tuple[int, ET
 
 def _key(
     where: str,
-    label: str,
+    kind: Kind,
     fields: Mapping[str, str],
     drawn: Mapping[int, Drawn],
     ends: dict[Key, tuple[Kind, int, list[Polygon]]],
@@ -229,28 +228,27 @@ def _key(
 ) -> Key:
     """Return the object of a track: as stated, that which ends where and when it begins, or a new one."""
     key, _ = identity_in(fields, ("object",))
-    start, kind = min(drawn), kind_of(label)
+    begin, end = min(drawn), max(drawn)
     if key is None:
         into.note("ids are the tracks")
-        key = where
-        for before, (its_kind, end, polygons) in ends.items():
-            if (its_kind, end) == (kind, start) and _same_place(polygons, drawn[start][1], into.like):
-                into.note(f"{where} goes on where {before} ends: one object")
-                key = before
-                break
-    shown = [polygons for visibility, polygons in drawn.values() if polygons]
+        ended = (
+            other
+            for other, (*when, place) in ends.items()
+            if when == [kind, begin] and _same_place(place, drawn[begin][1], into.like)
+        )
+        key = next(ended, where)
+        if key != where:
+            into.note(f"{where} goes on where {key} ends: one object")
     ends.pop(key, None)
-    if drawn[max(drawn)][0] == "outside" and shown:
-        ends[key] = kind, max(drawn), shown[-1]
+    shown = [polygons for _, polygons in drawn.values() if polygons]
+    if shown and drawn[end][0] == "outside":
+        ends[key] = kind, end, shown[-1]
     return key
 
 
 def _same_place(left: Sequence[Polygon], right: Sequence[Polygon], like: Annotation) -> bool:
     scale = _COARSE / max(like.image_size)
-    a, b = (
-        mask_of([scale * np.array(polygon) for polygon in polygons], (_COARSE, _COARSE))
-        for polygons in (left, right)
-    )
+    a, b = (mask_of([scale * p for p in arrays(polygons)], (_COARSE, _COARSE)) for polygons in (left, right))
     return bool((a & b).sum() >= _SAME_PLACE * max(1, (a | b).sum()))
 
 

@@ -1,8 +1,4 @@
-"""What imports of other tools' files have in common: frames, sizes, identities, and what was noticed.
-
-A format's reader hands what it finds to an `Import`, which places it in the clip and notes what it does:
-`ImportPlan` says so before anything is replaced.
-"""
+"""What imports of other tools' files have in common: frames, sizes, identities, and what was noticed."""
 
 from __future__ import annotations
 
@@ -63,14 +59,7 @@ _RANKS: tuple[Visibility, ...] = ("outside", "visible", "occluded")
 
 
 class SkippedWarning(KT3DMoSegError, UserWarning):
-    """A part of an imported file was skipped; the message says which and why.
-
-    Where warnings are made errors, it is an error of this package like others.
-    """
-
-
-class TooMuchError(FileFormatError):
-    """A file holds more than a person draws; it is refused as a whole."""
+    """A part of an imported file was skipped; the message says which and why."""
 
 
 @dataclass
@@ -113,53 +102,10 @@ class Choices:
 
 
 @dataclass(frozen=True)
-class ImportPlan:
-    """What an import does.
-
-    Parameters
-    ----------
-    annotation : Annotation
-        The objects of the file, in the clip.
-    frames : tuple of int
-        Frames of the clip that the file annotates.
-    notes, skipped, doubts : tuple of str
-        How frames, sizes and identities were found; what is left out; what a person should decide.
-    """
-
-    annotation: Annotation
-    frames: tuple[int, ...] = ()
-    notes: tuple[str, ...] = ()
-    skipped: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
-
-    def lines(self) -> list[str]:
-        """Return the plan as text, one finding a line."""
-        objects = self.annotation.objects
-        covered = f"{len(self.frames)} of {self.annotation.n_frames} frames ({_ranges(self.frames)})"
-        names = several(item.name for item in objects) or "none"
-        return [
-            f"{len(objects)} object{'s' * (len(objects) != 1)} drawn in {covered}: {names}",
-            *self.notes,
-            *(f"skipped: {text}" for text in self.skipped),
-            *(f"doubtful: {text}" for text in self.doubts),
-        ]
-
-
-@dataclass(frozen=True)
 class AnnotationFormat:
-    """Another tool's format.
+    """Another tool's format: ``read(content, into)`` hands an `Import` what a file shows; `write` is `dump`.
 
-    Parameters
-    ----------
-    suffix, media_type : str
-        Of the files.
-    write : callable
-        ``write(annotation, regions, names) -> bytes``; see `dump`.
-    read : callable
-        ``read(content, into)`` hands what the content shows to the `Import` `into`. It raises FileFormatError
-        when the content is not of this format.
-    frame_name : str
-        What frames are called when their names are not known.
+    Without names of frames, these are called `frame_name`.
     """
 
     suffix: str
@@ -178,18 +124,17 @@ class AnnotationFormat:
 
     def plan(
         self, content: bytes, like: Annotation, names: Sequence[str] = (), choices: Choices | None = None
-    ) -> ImportPlan:
+    ) -> Import:
         """Return what an import does; see `kt3dmoseg.annotate.formats.plan`."""
-        importing = Import(like, names, choices)
-        self.read(content, importing)
-        return importing.plan()
+        plan = Import(like, names, choices)
+        self.read(content, plan)
+        plan.finish()
+        return plan
 
     def parse(self, content: bytes, like: Annotation, names: Sequence[str] = ()) -> Annotation:
-        """Read a file's content as an annotation of the clip of `like`.
+        """Read a file's content as an annotation of the clip of `like`, whose frames have these names.
 
-        Files and images belong to frames by name, else by number (`match_frames`). FileFormatError or
-        InvalidValueError when the content is not of this format, does not fit the clip, or leaves a doubt
-        that `plan` describes; what is skipped is a SkippedWarning.
+        What is doubtful is an InvalidValueError, what is skipped a SkippedWarning; else as `plan`.
         """
         plan = self.plan(content, like, names)
         if plan.doubts:
@@ -200,13 +145,18 @@ class AnnotationFormat:
 
 
 class Import:
-    """A file that is being read into an annotation of the clip of `like`, whose frames are named `names`."""
+    """A file that is read into an `annotation` of the clip of `like`, whose frames are named `names`.
+
+    A reader hands it what it finds. `notes` say how frames, sizes and identities were found, `skipped` what
+    is left out, `doubts` what a person should decide, and `frames` which of the clip the file annotates.
+    """
 
     def __init__(self, like: Annotation, names: Sequence[str] = (), choices: Choices | None = None) -> None:
-        self.like, self.choices = like.emptied(), choices or Choices()
-        self.names = names_of(like, names)
+        self.annotation = self.like = like.emptied()
+        self.names, self.choices = names_of(like, names), choices or Choices()
         self.found: dict[Key, ForeignObject] = {}
         self.annotated: set[int] = set()
+        self.frames: tuple[int, ...] = ()
         self.notes: list[str] = []
         self.skipped: list[str] = []
         self.doubts: list[str] = []
@@ -215,17 +165,29 @@ class Import:
         self._counts: Counter[str] = Counter()
         self._sized = True
 
+    def lines(self) -> list[str]:
+        """Return what the import does as text, one finding a line."""
+        objects = self.annotation.objects
+        covered = f"{len(self.frames)} of {self.like.n_frames} frames ({_ranges(self.frames)})"
+        names = several(item.name for item in objects) or "none"
+        return [
+            f"{len(objects)} object{'s' * (len(objects) != 1)} drawn in {covered}: {names}",
+            *self.notes,
+            *(f"skipped: {text}" for text in self.skipped),
+            *(f"doubtful: {text}" for text in self.doubts),
+        ]
+
     def note(self, text: str) -> None:
         """Note what the import does, once."""
         if text not in self.notes:
             self.notes.append(text)
 
     def count(self, what: str, number: int, most: int | None = None) -> None:
-        """Count what the file holds; raises TooMuchError for more than a person draws."""
+        """Count what the file holds; more than a person draws is refused as a whole."""
         self._counts[what] += number
         limit = _MOST[what] if most is None else most
         if self._counts[what] > limit:
-            raise TooMuchError("file", expected=f"at most {limit} {what}", found="more")
+            raise KT3DMoSegError("file", expected=f"at most {limit} {what}", found="more")
 
     @contextmanager
     def skipping(self, where: str) -> Iterator[None]:
@@ -233,14 +195,11 @@ class Import:
         try:
             with within(where):
                 yield
-        except TooMuchError:
-            raise
         except InvalidValueError as error:
             self.skip(str(error))
-        except FileFormatError as error:
-            self.skip(f"{where}: {error}")
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-            self.skip(f"{where}: {type(error).__name__} {error}"[:160])
+            ours = isinstance(error, FileFormatError)
+            self.skip(f"{where}: {error if ours else repr(error)}"[:200])
 
     def skip(self, text: str) -> None:
         """Note what is left out and why; of very many, the first."""
@@ -272,11 +231,7 @@ class Import:
         return match.frames
 
     def scale(self, sides: Sequence[Any], where: str) -> tuple[float, float]:
-        """Return the factors from a picture to the clip's frames, and note them.
-
-        `sides` are its width and height as the file has them, unknown when they are no numbers.
-        FileFormatError when it has other proportions.
-        """
+        """Return the factors to the clip's frames from a picture whose sides the file states, or not."""
         width, height = self.like.image_size
         if (chosen := self.choices.scale) is not None:
             self.note(f"coordinates times {chosen:g}")
@@ -298,6 +253,19 @@ class Import:
         self.count("corners", len(moved))
         return tuple((x, y) for x, y in moved.tolist())
 
+    def check_shape(self, shape: tuple[int, ...], where: str) -> None:
+        """Raise FileFormatError for a mask (H, W) of another size than the clip's frames."""
+        width, height = self.like.image_size
+        if shape != (height, width):
+            found = "x".join(map(str, reversed(shape)))
+            raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=found)
+
+    def unzip(self, content: bytes, suffix: str, what: str) -> Iterator[tuple[int, str, bytes]]:
+        """Give frame, name and content of the files of a zip archive with a file per frame."""
+        with opened_zip(content, suffix, what) as archive:
+            for file, frame in self.match(archive.sizes, what).items():
+                yield frame, file, archive.read(file)
+
     def object(self, key: Key, about: ForeignObject | None = None) -> ForeignObject:
         """Return the object of that key, made like `about` where it is new."""
         if key not in self.found:
@@ -314,10 +282,7 @@ class Import:
         kind: str | None = None,
         visibility: Visibility = "visible",
     ) -> None:
-        """Add a shape; its `fields` may give an identity, and what `described` reads.
-
-        Which object it is of is settled when all shapes are known.
-        """
+        """Add a shape; of which object is settled by its fields or label when all shapes are known."""
         key, source = identity_in(fields)
         if key is not None:
             self.note(f"ids come from {source}")
@@ -327,11 +292,7 @@ class Import:
         self.annotated.add(frame)
 
     def list_frames(self, listed: Collection[int]) -> None:
-        """Settle which of the frames that a file lists are annotated.
-
-        Those without a shape show no object, unless there are such between others: then not every frame
-        was drawn.
-        """
+        """Take listed frames without a shape as empty; if some lie between others, not all were drawn."""
         drawn = {frame for frame, *_ in self._shapes}
         empty = set(listed) - drawn
         between = [k for k in empty if drawn and min(drawn) < k < max(drawn)]
@@ -341,8 +302,8 @@ class Import:
             self.note(f"in frames without a shape ({_ranges(empty)}) no object is seen")
             self.annotated |= empty
 
-    def plan(self) -> ImportPlan:
-        """Return what the import does; raises FileFormatError when there is nothing but what was skipped."""
+    def finish(self) -> None:
+        """Make the annotation; raises FileFormatError when there is nothing but what was skipped."""
         self._identify()
         more = self._counts["skipped"]
         if self.skipped and not self.found:
@@ -350,14 +311,9 @@ class Import:
         self._review()
         if more > _MOST_SKIPS:
             self.skipped.append(f"{more - _MOST_SKIPS} more")
+        self.annotation = assemble(self.found, self.like, self.annotated)
         seen = {frame for item in self.found.values() for frame in item.visibility}
-        return ImportPlan(
-            assemble(self.found, self.like, self.annotated),
-            tuple(sorted(self.annotated | seen)),
-            tuple(self.notes),
-            tuple(self.skipped),
-            tuple(dict.fromkeys(self.doubts)),
-        )
+        self.frames = tuple(sorted(self.annotated | seen))
 
     def _identify(self) -> None:
         """Make objects of the shapes; those without an identity are distinguished by their label."""
@@ -365,10 +321,10 @@ class Import:
         alone = len({frame for frame, *_ in self._shapes}) == 1
         if unknown and not alone:
             self.note("no ids: shapes of one label in several frames are one object")
-            twice = [(place, number) for place, number in unknown.items() if number > 1]
-            for (frame, label), number in twice[:1]:
+            if twice := [place for place, number in unknown.items() if number > 1]:
+                shapes = f"{unknown[twice[0]]} shapes of {twice[0][1]!r}"
                 self.doubts.append(
-                    f"frame {frame} has {number} shapes of {label!r} without an id that says which is which; "
+                    f"frame {twice[0][0]} has {shapes} without an id that says which is which; "
                     "they become one object"
                 )
         for number, (frame, key, label, shape) in enumerate(self._shapes):
@@ -399,8 +355,8 @@ def assemble(
 ) -> Annotation:
     """Make the annotation of the objects of a file, by id; when one has none but a name, all are numbered.
 
-    An object without a motion gets one of its own. In the frames that are `annotated`, by default all, an
-    object that was not found is outside.
+    An object without a motion gets one of its own; it is outside in `annotated` frames, by default all, where
+    it was not found.
     """
     numbered = all(isinstance(key, int) and 1 <= key <= 10**9 for key in found)
     free = count(max((item.motion for item in found.values() if isinstance(item.motion, int)), default=0) + 1)
@@ -477,20 +433,9 @@ def ellipse(x: float, y: float, rx: float, ry: float, turn: float = 0.0) -> list
 
 
 def with_corner_origin(polygon: FloatArray) -> list[list[float]]:
-    """Move a (P, 2) polygon to the coordinates of CVAT, LabelMe and COCO, to 1/100 pixel.
-
-    There (0, 0) is the corner of the top-left pixel, not its centre.
-    """
+    """Move a (P, 2) polygon to the coordinates of other tools, from the corner of the top-left pixel."""
     points: list[list[float]] = np.round(polygon + 0.5, _DECIMALS).tolist()
     return points
-
-
-def check_shape(shape: tuple[int, ...], like: Annotation, where: str) -> None:
-    """Raise FileFormatError for a mask of another size than the clip's frames."""
-    width, height = like.image_size
-    if shape != (height, width):
-        found = "x".join(str(side) for side in reversed(shape))
-        raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=found)
 
 
 def opened_zip(content: bytes, suffix: str, what: str) -> SafeZip:
@@ -503,13 +448,6 @@ def opened_zip(content: bytes, suffix: str, what: str) -> SafeZip:
     if not archive.sizes:
         raise FileFormatError(what, expected=f"*{suffix} files", found="none")
     return archive
-
-
-def unzip_frames(content: bytes, suffix: str, into: Import, what: str) -> Iterator[tuple[int, str, bytes]]:
-    """Give frame, name and content of the files of a zip archive with a file per frame."""
-    with opened_zip(content, suffix, what) as archive:
-        for file, frame in into.match(archive.sizes, what).items():
-            yield frame, file, archive.read(file)
 
 
 def _ranges(frames: Iterable[int]) -> str:

@@ -13,14 +13,7 @@ from collections.abc import Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
-from kt3dmoseg.annotate.formats.foreign import (
-    AnnotationFormat,
-    Import,
-    Regions,
-    ellipse,
-    unzip_frames,
-    with_corner_origin,
-)
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions, ellipse, with_corner_origin
 from kt3dmoseg.annotate.model import Annotation, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
@@ -64,7 +57,7 @@ def _read(content: bytes, into: Import) -> None:
         path = str(data.get("imagePath"))
         _read_file(data, path, into.match([path], "LabelMe imagePath")[path], into)
         return
-    for frame, file, text in unzip_frames(content, ".json", into, "LabelMe"):
+    for frame, file, text in into.unzip(content, ".json", "LabelMe"):
         _read_file(parse_document(text, f"LabelMe: {file}"), file, frame, into)
 
 

@@ -23,14 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from kt3dmoseg.annotate.formats.foreign import (
-    AnnotationFormat,
-    ForeignObject,
-    Import,
-    Regions,
-    check_shape,
-    unzip_frames,
-)
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, ForeignObject, Import, Regions
 from kt3dmoseg.annotate.model import (
     BACKGROUND,
     MAX_OBJECTS,
@@ -293,7 +286,7 @@ def _read_mots_text(content: bytes, into: Import) -> None:
     for number, line in enumerate(lines, start=1):
         with into.skipping(f"line {number}"):
             if line.strip():
-                found.append((f"line {number}", *_mots_line(line, into.like)))
+                found.append((f"line {number}", *_mots_line(line, into)))
     frames = into.match(dict.fromkeys(frame for _, frame, *_ in found), "MOTS text")
     into.annotated |= set(range(into.like.n_frames))
     width, height = into.like.image_size
@@ -325,13 +318,13 @@ def davis_palette() -> ByteArray:
 def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> tuple[set[int], int]:
     """Read a zip of PNGs of at most `bits` bits; return the numbers in use, and their bits."""
     used, deepest = {0}, 1
-    for frame, file, png in unzip_frames(content, ".png", into, what):
+    for frame, file, png in into.unzip(content, ".png", what):
         where = f"{what}: {file}"
         image, depth = decode_indices(png, where)
         if depth > bits:
             expected = f"an indexed or gray PNG of {bits} bits"
             raise FileFormatError(where, expected=expected, found=f"{depth} bits")
-        check_shape(image.shape, into.like, where)
+        into.check_shape(image.shape, where)
         deepest = max(deepest, depth)
         into.annotated.add(frame)
         for value, box in enumerate(ndimage.find_objects(image), start=1):
@@ -342,13 +335,13 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> tuple
     return used, deepest
 
 
-def _mots_line(line: str, like: Annotation) -> tuple[str, int, str]:
+def _mots_line(line: str, into: Import) -> tuple[str, int, str]:
     """Frame number, id and run lengths of a line."""
     if not (match := _MOTS_LINE.fullmatch(line.strip())):
         expected = "frame id class height width rle"
         raise FileFormatError("", expected=expected, found=repr(line[:60]))
     frame, value, height, width, text = match.groups()
-    check_shape((int(height), int(width)), like, "size")
+    into.check_shape((int(height), int(width)), "size")
     return str(int(frame)), int(value), text
 
 
