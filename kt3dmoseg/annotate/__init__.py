@@ -46,6 +46,6 @@ __all__ = [
 
 _PUBLIC = dict.fromkeys(__all__, "model") | dict.fromkeys(_LABELLING, "labelling")
 _PUBLIC |= dict.fromkeys(_PROPAGATION, "propagation")
-_MODULES = {name: name for name in ("agreement", "formats", "model")}
+_MODULES = {"agreement": "agreement", "formats": "formats", "model": "model"}
 
 __getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)

@@ -257,10 +257,8 @@ def _frames(numbers: Sequence[int], task: _Task, into: Import) -> dict[int, int]
     total, shift = into.like.n_frames, into.choices.shift
     if shift is not None:
         into.note(f"frames shifted by {shift}")
-        found = {number: number + shift for number in numbers}
-    else:
-        found = _frames_of_task(numbers, task, into)
-    found = {number: frame for number, frame in found.items() if 0 <= frame < total}
+    known = _frames_of_task(numbers, task, into) if shift is None else {n: n + shift for n in numbers}
+    found = {number: frame for number, frame in known.items() if 0 <= frame < total}
     left = [number for number in numbers if number not in found]
     if left and not found:
         expected, fix = f"frames 0 to {total - 1} of the clip", f"a shift of {-left[0]} begins with frame 0"

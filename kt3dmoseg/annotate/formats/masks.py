@@ -264,14 +264,14 @@ def _zipped(files: Iterable[bytes], names: Sequence[str]) -> bytes:
 
 
 def _read_davis(content: bytes, into: Import) -> None:
-    used, bits = _read_images(content, into, "DAVIS masks", bits=8)
-    voids = void_ids(used, bits, "DAVIS masks")
+    _read_images(content, into, "DAVIS masks", bits=8)
+    voids = void_ids({0, *map(int, into.found)}, 8, "DAVIS masks")
     into.note("ids are the values of the masks")
-    if 255 in used.intersection(voids):
-        into.note("255 is void and rejected")
     for value, item in _in_order(into):
         item.motion = REJECT if value in voids else 1 if value == 255 else value
         item.name = "rejected" if value in voids else f"motion {item.motion}"
+        if value == 255 and value in voids:
+            into.note("255 is void and rejected")
 
 
 def _read_mots_png(content: bytes, into: Import) -> None:
@@ -282,20 +282,25 @@ def _read_mots_png(content: bytes, into: Import) -> None:
 def _read_mots_text(content: bytes, into: Import) -> None:
     lines = content.decode("ascii", "replace").splitlines()
     into.count("lines", len(lines), MAX_OBJECTS * into.like.n_frames)
+    width, height = into.like.image_size
     found: list[tuple[str, str, int, str]] = []
     for number, line in enumerate(lines, start=1):
         with into.skipping(f"line {number}"):
-            if line.strip():
-                found.append((f"line {number}", *_mots_line(line, into)))
+            if match := _MOTS_LINE.fullmatch(line.strip()):
+                frame, value, *sides, text = match.groups()
+                into.check_shape(tuple(map(int, sides)), "size")
+                found.append((f"line {number}", str(int(frame)), int(value), text))
+            elif line.strip():
+                expected = "frame id class height width rle"
+                raise FileFormatError("", expected=expected, found=repr(line[:60]))
     frames = into.match(dict.fromkeys(frame for _, frame, *_ in found), "MOTS text")
     into.annotated |= set(range(into.like.n_frames))
-    width, height = into.like.image_size
-    for where, frame, value, text in found:
+    for where, frame, identity, text in found:
         with into.skipping(where):
             if frame in frames:
                 into.count("pixels in masks", width * height // 8)  # decoding is cheap
                 if outlines := outlines_of(decode_rle(text, height, width, "rle"), into):
-                    into.object(value).add(frames[frame], outlines)
+                    into.object(identity).add(frames[frame], outlines)
     _name_mots(into)
 
 
@@ -315,34 +320,19 @@ def davis_palette() -> ByteArray:
     return palette.astype(np.uint8)
 
 
-def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> tuple[set[int], int]:
-    """Read a zip of PNGs of at most `bits` bits; return the numbers in use, and their bits."""
-    used, deepest = {0}, 1
+def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> None:
+    """Read a zip of PNGs of at most `bits` bits, whose numbers are objects."""
     for frame, file, png in into.unzip(content, ".png", what):
-        where = f"{what}: {file}"
-        image, depth = decode_indices(png, where)
+        image, depth = decode_indices(png, f"{what}: {file}")
         if depth > bits:
             expected = f"an indexed or gray PNG of {bits} bits"
-            raise FileFormatError(where, expected=expected, found=f"{depth} bits")
-        into.check_shape(image.shape, where)
-        deepest = max(deepest, depth)
+            raise FileFormatError(f"{what}: {file}", expected=expected, found=f"{depth} bits")
+        into.check_shape(image.shape, f"{what}: {file}")
         into.annotated.add(frame)
         for value, box in enumerate(ndimage.find_objects(image), start=1):
             if box is not None:
-                used.add(value)
                 item = into.object(value)
                 item.add(frame, outlines_of(image[box] == value, into, (box[1].start, box[0].start)))
-    return used, deepest
-
-
-def _mots_line(line: str, into: Import) -> tuple[str, int, str]:
-    """Frame number, id and run lengths of a line."""
-    if not (match := _MOTS_LINE.fullmatch(line.strip())):
-        expected = "frame id class height width rle"
-        raise FileFormatError("", expected=expected, found=repr(line[:60]))
-    frame, value, height, width, text = match.groups()
-    into.check_shape((int(height), int(width)), "size")
-    return str(int(frame)), int(value), text
 
 
 def _in_order(into: Import) -> list[tuple[int, ForeignObject]]:
