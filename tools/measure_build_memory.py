@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 
 from kt3dmoseg.io.images import frame_paths
-from kt3dmoseg.io.info import table
+from kt3dmoseg.tables import text_table
 
 _MIB = 1 << 20
 
@@ -30,7 +30,7 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         rows = [measure(given.frames, length, given.flow, Path(folder)) for length in given.lengths]
-    print(table(rows, ("frames", "trajectories", "positions", "as (N, F, 2)", "peak memory")))
+    print(text_table(rows, ("frames", "trajectories", "positions", "as (N, F, 2)", "peak memory")))
 
 
 def measure(source: Path, length: int, flow: str, folder: Path) -> tuple[str, ...]:

@@ -127,10 +127,9 @@ def _fixed(value: Any) -> Any:  # noqa: ANN401  # numbers pass; texts become fix
 
 def _attributes(file: h5py.File, where: str) -> dict[str, Any]:
     """Read the attributes; FileFormatError for a file of another kind or a newer version."""
-    places = {"format": "format", "version": "version"}
-    places |= {name: field.place for name, field in FIELDS.items() if not field.about}
+    places = {name: field.place for name, field in FIELDS.items() if not field.about}
     values: dict[str, Any] = {}
-    for name, place in places.items():
+    for name, place in {"format": "format", "version": "version", **places}.items():
         group, _, key = place.rpartition("/")
         owner = _find(file, group, where)
         if owner is None or key not in owner.attrs:

@@ -6,7 +6,7 @@ import io
 import os
 import re
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -223,20 +223,14 @@ def _loaded(content: bytes, where: str) -> tuple[Image.Image, str]:
         raise FileFormatError(where, expected="a picture", found=found) from None
     except Exception as error:  # Pillow's readers raise anything on damaged files
         raise FileFormatError(where, expected="an intact picture", found=str(error), fix=fix) from None
-    _check_upright(image, where)
-    return image, stored
-
-
-def _check_upright(image: Image.Image, where: str) -> None:
-    """Refuse a picture that browsers turn or mirror: points tracked in it would lie elsewhere."""
-    try:
+    orientation = 1
+    with suppress(Exception):  # whatever Pillow raises on damaged EXIF, which browsers pass over, too
         orientation = image.getexif().get(_ORIENTATION, 1)
-    except Exception:  # whatever Pillow raises on damaged EXIF, which browsers pass over, too
-        return
-    if orientation in range(2, 9):
+    if orientation in range(2, 9):  # browsers turn or mirror it: points tracked in it would lie elsewhere
         fix = "turn the pixels and remove the tag, as 'mogrify -auto-orient' does"
         found = f"EXIF orientation {orientation}"
         raise FileFormatError(where, expected="a picture stored upright", found=found, fix=fix)
+    return image, stored
 
 
 def _has_end(content: bytes) -> bool:

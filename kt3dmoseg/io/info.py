@@ -186,13 +186,13 @@ def _clip_text(facts: Mapping[str, Any]) -> str:
 
 
 def _clips_text(clips: Sequence[Mapping[str, Any]]) -> str:
-    rows = []
+    rows, totals = [], np.zeros(3, dtype=np.int64)
     for clip in clips:
         counts = [clip["frames"], clip["trajectories"]["count"], clip["evaluated"]["count"]]
+        totals += counts
         motions = " ".join(str(m["trajectories"]) for m in clip["motions"] if m["motion"]) or "-"
         sizes = [clip["n_motions"], motions, _missing(clip["evaluated"]), _size(clip["image_size"])]
         rows.append([clip["clip"], *counts, *sizes])
-    totals = [sum(column) for column in list(zip(*rows, strict=True))[1:4]]
     rows.append([f"{len(clips)} clips", *totals, "", "", "", ""])
     header = ["clip", "frames", "dense", "evaluated", "motions", "per motion", "missing", "image size"]
     return text_table([[*map(str, row)] for row in rows], header)
@@ -224,4 +224,5 @@ def _wrapped(rows: Mapping[str, str]) -> str:
 def _value_text(value: object) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_value_text(inner)}" for key, inner in value.items()) or "none"
-    return textwrap.shorten(str(value), _LONG, placeholder="...") or "none"
+    text = str(value)
+    return text if 0 < len(text) <= _LONG else f"{text[: _LONG - 3]}..." if text else "none"
