@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.io.fields import FIELDS, NUMBERS, Fields, clip_from, clip_values
-from kt3dmoseg.types import Clip
+from kt3dmoseg.types import Clip, Trajectories
 
 FORMAT, VERSION = "kt3dmoseg clip", 1
 _CHUNK_BYTES = 1 << 18
@@ -36,17 +36,15 @@ DESCRIPTIONS = {field.place: field.about for field in FIELDS.values() if field.a
 
 def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write a clip; InvalidValueError when its provenance is not made of JSON values."""
-    values, dense = clip_values(clip), clip.dense
+    values = clip_values(clip)
     # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
     with _new_file() as file:
-        shape = (len(dense), dense.n_frames)
-        _write_rows(file, "dense/xy", (*shape, 2), "f8", lambda rows: dense.block(rows.start, rows.stop)[0])
-        _write_rows(file, "dense/visible", shape, "u1", lambda rows: dense.block(rows.start, rows.stop)[1])
+        _write_trajectories(file, clip.dense)
         attributes: dict[str, Any] = {"format": FORMAT, "version": np.int64(VERSION)}
         for name, field in ((name, FIELDS[name]) for name in FIELDS if name in values):
             if field.about:
                 array = values[name]
-                _write_rows(file, field.place, array.shape, array.dtype, array.__getitem__)
+                _create(file, field.place, array.shape, array.dtype)[...] = _one_nan(array)
             else:
                 attributes[field.place] = values[name]
         for place, value in attributes.items():
@@ -88,25 +86,34 @@ def _new_file() -> h5py.File:
     return h5py.File(h5py.h5f.create(b"clip", h5py.h5f.ACC_TRUNC, creation, access))
 
 
-def _write_rows(
-    file: h5py.File,
-    place: str,
-    shape: tuple[int, ...],
-    dtype: npt.DTypeLike,
-    rows_of: Callable[[slice], npt.NDArray[Any]],
-) -> None:
-    """Write a dataset chunk by chunk: of a long clip, all positions at once would be mostly NaN."""
-    group, _, key = place.rpartition("/")
-    step = max(1, min(shape[0], _CHUNK_BYTES // max(1, math.prod(shape[1:]) * np.dtype(dtype).itemsize)))
-    packed = {"chunks": (step, *shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
+def _write_trajectories(file: h5py.File, dense: Trajectories) -> None:
+    """Write chunk by chunk: of a long clip, the whole would be mostly NaN.
+
+    The file's bytes depend on when HDF5 closes a dataset: here, when the next one takes its variable.
+    """
+    shape, n = (len(dense), dense.n_frames), len(dense)
+    for part, (name, of, dtype) in enumerate((("dense/xy", (2,), "f8"), ("dense/visible", (), "u1"))):
+        dataset = _create(file, name, (*shape, *of), np.dtype(dtype))
+        step = dataset.chunks[0] if dataset.chunks else 1
+        for first in range(0, n if dataset.size else 0, step):
+            last = min(first + step, n)
+            dataset[first:last] = _one_nan(dense.block(first, last)[part])
+
+
+def _create(file: h5py.File, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> h5py.Dataset:
+    group = _untimed_group(file, name.rpartition("/")[0])
+    row = max(1, math.prod(shape[1:]) * dtype.itemsize)
+    rows = max(1, min(shape[0], _CHUNK_BYTES // row))
+    packed = {"chunks": (rows, *shape[1:]), "compression": "gzip", "compression_opts": _GZIP}
     options = {**packed, "shuffle": True, "fletcher32": True} if math.prod(shape) else {}
-    dataset = _untimed_group(file, group).create_dataset(key, shape, dtype, track_times=False, **options)
-    dataset.attrs.create("description", _fixed(DESCRIPTIONS[place]))
-    for first in range(0, shape[0] if dataset.size else 0, step):
-        rows = slice(first, min(first + step, shape[0]))
-        values = rows_of(rows)
-        # Every NaN gets the same bits: the same clip gives the same bytes.
-        dataset[rows] = np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values
+    dataset = group.create_dataset(name.rpartition("/")[2], shape, dtype, track_times=False, **options)
+    dataset.attrs.create("description", _fixed(DESCRIPTIONS[name]))
+    return dataset
+
+
+def _one_nan(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Write every NaN with the same bits: the same clip gives the same bytes."""
+    return np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values
 
 
 def _untimed_group(file: h5py.File, name: str) -> h5py.Group:
