@@ -241,18 +241,14 @@ def _order(result: PublishedResult) -> tuple[bool, int, str]:
 
 def summary(results: Sequence[PublishedResult]) -> ResultsTable:
     """One row per method of one dataset: mean ± spread over seeds and median of every group, and time."""
-    first, extra = results[0], dict[str, list[str]]()
-    for each in results:
-        clips = each.clips.values()
-        right = np.mean([found == clip.motions for clip in clips for found in clip.found])
-        cells = {
-            "seeds": f"{len(each.seeds)}",
-            "right number of groups, %": f"{100 * right:.0f}",
-            "CPU s per seed": f"{each.seconds:.1f}",
-            "failed runs": f"{sum(len(clip.failures) for clip in clips)}",
-        }
-        for name, cell in cells.items():
-            extra.setdefault(name, []).append(cell)
+    first, clips = results[0], [each.clips.values() for each in results]
+    right = [np.mean([found == clip.motions for clip in part for found in clip.found]) for part in clips]
+    extra = {
+        "seeds": [str(len(each.seeds)) for each in results],
+        "right number of groups, %": [f"{100 * share:.0f}" for share in right],
+        "CPU s per seed": [f"{each.seconds:.1f}" for each in results],
+        "failed runs": [str(sum(len(clip.failures) for clip in part)) for part in clips],
+    }
     title = f"{first.heading}: classification error in %, lower is better"
     errors, published = {each.row: each.errors for each in results}, [each.published for each in results]
     return error_table(title, first.protocol, first.motions, errors, published, extra=extra)

@@ -549,25 +549,18 @@ def _impossible_source(table: ScoreTable, benchmark: str) -> Iterator[str]:
 
 def _corrected(clip: ClipScore, first: ClipScore) -> dict[str, Any]:
     """Give the figures of a clip as they would have to be; `first` is its first seed."""
-
-    def within(value: float, low: float, high: float) -> Any:  # noqa: ANN401  # of the type of the value
-        return min(max(value, low), high)
-
-    n = within(first.n, 1, 2**53)
-    motions, found = within(first.n_motions, 1, n), within(clip.n_found, 0, 0 if clip.reason else n)
-    values = {name: metric.worst(motions) for name, metric in all_metrics().items()}
+    n = min(max(first.n, 1), 2**53)
+    motions, found = min(max(first.n_motions, 1), n), min(max(clip.n_found, 0), 0 if clip.reason else n)
+    values = {}
+    for name, metric in all_metrics().items():
+        low, high = metric.bounds
+        possible = min(max(clip.values.get(name, low), low), high)
+        values[name] = metric.worst(motions) if clip.reason else possible
     if not clip.reason:
-        possible = {k: within(v, *all_metrics()[k].bounds) for k, v in clip.values.items() if k in values}
-        wrong, counts = round(possible["error"] * n), float(abs(found - motions))
-        values = possible | {"error": wrong / n, "count_error": counts}
-    return {
-        "seed": within(clip.seed, 0, 10**18),
-        "n": n,
-        "n_motions": motions,
-        "n_found": found,
-        "prevalence": round(within(first.prevalence, 0.0, 1.0) * n) / n,
-        "values": values,
-    }
+        values |= {"error": round(values["error"] * n) / n, "count_error": float(abs(found - motions))}
+    seed, prevalence = min(max(clip.seed, 0), 10**18), min(max(first.prevalence, 0.0), 1.0)
+    counts = {"seed": seed, "n": n, "n_motions": motions, "n_found": found}
+    return counts | {"prevalence": round(prevalence * n) / n, "values": values}
 
 
 def _differences(claimed: Any, own: Any, where: str) -> Iterator[str]:  # noqa: ANN401  # JSON values
