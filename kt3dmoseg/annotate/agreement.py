@@ -53,13 +53,9 @@ class Agreement:
         >>> agree([1, 1, 2, 2], [1, 1, 2, 1]).kappa
         0.5
         """
-        if not len(self.a):
-            return 1.0
-        names, codes = np.unique(np.concatenate([self.a, self.b]), return_inverse=True)
-        share_a = np.bincount(codes[: len(self.a)], minlength=len(names)) / len(self.a)
-        share_b = np.bincount(codes[len(self.a) :], minlength=len(names)) / len(self.b)
-        chance = float(share_a @ share_b)
-        return 1.0 if chance == 1.0 else (self.agreement - chance) / (1.0 - chance)
+        either = np.union1d(self.a, self.b)
+        chance = sum(float(np.mean(self.a == label) * np.mean(self.b == label)) for label in either)
+        return 1.0 if len(either) < 2 else (self.agreement - chance) / (1.0 - chance)
 
     @property
     def differences(self) -> IntArray:
@@ -68,9 +64,8 @@ class Agreement:
 
     def groups(self) -> list[tuple[int, int, IntArray]]:
         """Return the differing rows by (label of a, label of b), the largest group first."""
-        rows = self.differences
-        pairs, which = np.unique(np.column_stack([self.a, self.b])[rows], axis=0, return_inverse=True)
-        found = [(int(x), int(y), rows[which.ravel() == k]) for k, (x, y) in enumerate(pairs)]
+        pairs = np.unique(np.column_stack([self.a, self.b])[self.differences], axis=0).tolist()
+        found = [(x, y, np.flatnonzero((self.a == x) & (self.b == y))) for x, y in pairs]
         return sorted(found, key=lambda group: -len(group[2]))
 
 
@@ -85,11 +80,9 @@ def agree(a: npt.ArrayLike, b: npt.ArrayLike) -> Agreement:
         found = f"{mine.shape} and {other.shape}"
         raise InvalidValueError("labels", expected="two vectors of one length", found=found)
     matching = match_labels(mine, other)
-    renamed = np.zeros_like(mine)
-    spare = max(int(other.max(initial=0)), int(mine.max(initial=0))) + 1
-    for label in np.unique(mine[mine != 0]):
-        renamed[mine == label] = matching.get(int(label), spare + int(label))
-    return Agreement(renamed, other, matching)
+    spare = int(max(other.max(initial=0), mine.max(initial=0))) + 1
+    names = {0: 0} | {label: spare + label for label in mine.tolist() if label} | matching
+    return Agreement(np.array([names[label] for label in mine.tolist()], dtype=np.int64), other, matching)
 
 
 def overlaps(

@@ -266,8 +266,7 @@ def load_annotation(path: str | os.PathLike[str]) -> Annotation:
     try:
         return from_json(parse_document(read_bytes(path, _MAX_BYTES), name))
     except InvalidValueError as error:
-        where = f"{name}: {error.where}"
-        raise FileFormatError(where, expected=error.expected, found=error.found, fix=error.fix) from error
+        raise _moved(error, f"{name}: {error.where}", FileFormatError) from error
 
 
 def parse_document(content: bytes, where: str) -> Any:  # noqa: ANN401  # whatever JSON holds
@@ -346,9 +345,8 @@ def from_json(data: object) -> Annotation:
     if not isinstance(data, Mapping):
         raise InvalidValueError("annotation", expected="a JSON object", found=repr(data)[:80])
     rest = dict(data)
-    for name in _REQUIRED:
-        if name not in rest:
-            raise InvalidValueError(name, expected="this field", found="nothing")
+    if missing := [name for name in _REQUIRED if name not in rest]:
+        raise InvalidValueError(missing[0], expected="this field", found="nothing")
     for name, expected in (("format", FORMAT), ("version", VERSION)):
         found, fix = rest.pop(name), "" if name == "format" else "read it with a newer kt3dmoseg"
         if found != expected:
@@ -384,10 +382,13 @@ def within(path: str) -> Iterator[None]:
     try:
         yield
     except InvalidValueError as error:
-        where = f"{path}.{error.where}" if error.where else path
-        raise InvalidValueError(
-            where.replace(".[", "["), expected=error.expected, found=error.found, fix=error.fix
-        ) from None
+        raise _moved(error, f"{path}.{error.where}".strip(".").replace(".[", "[")) from None
+
+
+def _moved(
+    error: KT3DMoSegError, where: str, kind: type[KT3DMoSegError] = InvalidValueError
+) -> KT3DMoSegError:
+    return kind(where, expected=error.expected, found=error.found, fix=error.fix)
 
 
 _REQUIRED = ["format", "version", *(field.name for field in fields(Annotation) if field.name != "marks")]
@@ -409,19 +410,15 @@ def _errors_of_this_package() -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    else:
-        return
-    path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
-    raise _refusal(first, path.removeprefix("."))
+        raise _refusal(error.errors(include_url=False)[0]) from None
 
 
-def _refusal(detail: ErrorDetails, where: str) -> InvalidValueError:
+def _refusal(detail: ErrorDetails) -> KT3DMoSegError:
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in detail["loc"]).strip(".")
     context = detail.get("ctx", {})
     cause = context.get("error")
     if isinstance(cause, InvalidValueError):
-        where = f"{where}.{cause.where}".strip(".")
-        return InvalidValueError(where, expected=cause.expected, found=cause.found, fix=cause.fix)
+        return _moved(cause, f"{where}.{cause.where}".strip("."))
     if detail["type"] == "unexpected_keyword_argument":
         model = next((_MODELS[p] for p in reversed(detail["loc"][:-1]) if p in _MODELS), Annotation)
         known = [field.name for field in fields(model)] + ["format", "version"] * (model is Annotation)
@@ -429,6 +426,6 @@ def _refusal(detail: ErrorDetails, where: str) -> InvalidValueError:
     message = re.sub(r"^.* should (be |have )?| after validation.*", "", detail["msg"])
     expected = _EXPECTED.get(detail["type"], message)
     found = str(context.get("actual_length") or repr(detail["input"])[:80])
-    meant = nearest(str(detail["input"]), get_args(Kind)) if detail["type"] == "literal_error" else ""
+    meant = nearest(str(detail["input"]), KINDS) if detail["type"] == "literal_error" else ""
     found = "nothing" if detail["type"] == "missing" else found
     return InvalidValueError(where, expected=expected, found=found, fix=meant and f"did you mean {meant!r}?")

@@ -61,10 +61,10 @@ def draw_view(
     return pixels.reshape(height + _TOP, width + _LEFT, 4)[..., 2::-1].copy()
 
 
-def contact_sheets(tiles: Sequence[ByteArray], width: int = 1600, height: int = 1500) -> list[ByteArray]:
-    """Arrange pictures in rows on sheets of at most `width` x `height` screen pixels, or one picture."""
+def contact_sheets(tiles: Sequence[ByteArray]) -> list[ByteArray]:
+    """Arrange pictures in rows on sheets of at most 1600 x 1500 screen pixels, or one picture."""
     high, wide = np.max([tile.shape[:2] for tile in tiles], axis=0)
-    columns, rows = max(1, width // wide), max(1, height // high)
+    columns, rows = max(1, 1600 // wide), max(1, 1500 // high)
     even = np.zeros((-(-len(tiles) // columns) * columns, high, wide, 3), dtype=np.uint8)
     for cell, tile in zip(even, tiles, strict=False):
         cell[: tile.shape[0], : tile.shape[1]] = tile
@@ -74,10 +74,10 @@ def contact_sheets(tiles: Sequence[ByteArray], width: int = 1600, height: int = 
 
 def _outline(axes: Axes, item: AnnotatedObject, region: Region) -> None:
     colour = css(motion_colour(item.motion))
+    width, dot = (2.2, "o") if region.key else (1.1, "")
     for polygon in region.polygons:
-        axes.fill(*polygon.T, fill=False, edgecolor=colour, linewidth=2.2 if region.key else 1.1)
-        if region.key:
-            axes.plot(*polygon.T, "o", color=colour, markersize=4)
+        closed = np.vstack([polygon, polygon[:1]])
+        axes.plot(*closed.T, color=colour, linewidth=width, marker=dot, markersize=4)
     if region.polygons:
         hidden = " (occluded)" if region.visibility == "occluded" else ""
         text = f"{item.motion}: {item.name}{hidden}"

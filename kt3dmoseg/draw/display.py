@@ -119,14 +119,14 @@ def _checked_picture(
     return picture
 
 
-def plot_labels(labels: Labels, *, title: str = "", ax: Axes | None = None) -> Axes:
+def plot_labels(labels: Labels, *, ax: Axes | None = None) -> Axes:
     """Bars of the number of trajectories of every motion."""
     made, found = _axes(ax, (6, 0.4 * labels.n_motions + 1.5)), groups(labels)
     colours = [css(label_colour(value, labels.background)) for value, *_ in found]
     names = [f"{value} {name}".rstrip() for value, name, _ in found]
     bars = made.barh(range(len(found)), [size for *_, size in found], color=colours)
     made.bar_label(bars, padding=3)
-    made.set(yticks=range(len(found)), yticklabels=names, xlabel="trajectories", title=title)
+    made.set(yticks=range(len(found)), yticklabels=names, xlabel="trajectories")
     made.margins(x=0.12)
     made.invert_yaxis()
     return made

@@ -15,7 +15,6 @@ from kt3dmoseg.annotate.model import AnnotatedObject, Polygon
 from kt3dmoseg.annotate.proposals import Request
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.kitti import RawDrive, Tracklet
-from kt3dmoseg.types import FloatArray
 
 _NEAR = 0.5
 _SMALLEST = 12.0
@@ -82,11 +81,9 @@ def _moving(drive: RawDrive, tracklets: list[Tracklet], numbers: tuple[int, ...]
         return [True] * len(tracklets)
     out = []
     for tracklet in tracklets:
-        there = [k for k, number in enumerate(numbers) if number in tracklet.numbers]
-        at = np.array(
-            [poses[k] @ np.append(tracklet.translation[tracklet.row(numbers[k])], 1.0) for k in there]
-        ).reshape(-1, 4)
-        out.append(bool(len(at)) and float(np.ptp(at[:, :2], axis=0).max()) > _PARKED)
+        _, k, rows = np.intersect1d(numbers, tracklet.numbers, return_indices=True)
+        at = np.einsum("kij,kj->ki", poses[k, :2, :3], tracklet.translation[rows]) + poses[k, :2, 3]
+        out.append(bool(len(at)) and float(np.ptp(at, axis=0).max()) > _PARKED)
     return out
 
 
@@ -99,9 +96,9 @@ def _polygon(drive: RawDrive, tracklet: Tracklet, number: int) -> Polygon | None
     left, top, right, bottom = boxes[0].box
     if min(right - left, bottom - top) < _SMALLEST:
         return None
-    hull: FloatArray = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    points = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
     if corners[:, 2].min() > _NEAR:
         pixels = corners @ drive.K.T
-        inside = np.clip(pixels[:, :2] / pixels[:, 2:], (left, top), (right, bottom))
-        hull = cv2.convexHull(inside.astype(np.float32))[:, 0].astype(np.float64)
-    return tuple((float(x), float(y)) for x, y in hull) if len(hull) >= 3 else None
+        points = np.clip(pixels[:, :2] / pixels[:, 2:], (left, top), (right, bottom))
+    hull = cv2.convexHull(points.astype(np.float32))[:, 0].tolist()
+    return tuple((x, y) for x, y in hull) if len(hull) >= 3 else None

@@ -164,9 +164,7 @@ def _refuse(status: int, message: str) -> JSONResponse:
     return JSONResponse({"error": message}, status_code=status)
 
 
-def serve(
-    routes: Routes, *, host: str = "127.0.0.1", port: int = 0, ready: Callable[[str], object] | None = None
-) -> None:
+def serve(routes: Routes, *, host: str, port: int, ready: Callable[[str], object]) -> None:
     """Serve the labelling page until interrupted; any host but loopback makes the server want a token.
 
     Port 0 is any free one. `ready` is called with the page's address once the server listens.
@@ -185,9 +183,8 @@ def serve(
         hosts, token = set(), secrets.token_urlsafe(24)
     app = create_app(routes, hosts=hosts, token=token)
     config = uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
-    if ready is not None:
-        shown = f"[{host}]" if ":" in host else host
-        ready(f"http://{shown}:{port}/" + (f"?token={token}" if token else ""))
+    shown = f"[{host}]" if ":" in host else host
+    ready(f"http://{shown}:{port}/" + (f"?token={token}" if token else ""))
     try:
         uvicorn.Server(config).run(sockets=[listener])
     finally:
