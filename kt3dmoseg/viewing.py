@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -83,7 +83,7 @@ def show(
     from kt3dmoseg.frames import frames_of
     from kt3dmoseg.io import load
     from kt3dmoseg.io.fields import check_name
-    from kt3dmoseg.io.images import write_moving, write_png
+    from kt3dmoseg.io.images import MOVING_SUFFIXES, write_moving, write_png
     from kt3dmoseg.options import from_mapping
 
     chosen = from_mapping(DrawOptions, options)
@@ -92,9 +92,11 @@ def show(
         raise InvalidValueError("--rate", expected=expected, found=f"{rate}")
     loaded = load(clip)
     check_name(loaded.name, f"{clip}: name")
-    target = _target(Path(output or loaded.name))
-    if not loaded.n_frames:
-        raise InvalidValueError(f"{clip}", expected="a clip with frames", found="none")
+    target = Path(output or loaded.name)
+    suffix = "" if target.is_dir() else target.suffix.lower()
+    if suffix not in ("", ".png", *MOVING_SUFFIXES):
+        expected = f"a suffix of {', '.join(MOVING_SUFFIXES)}, .png, or none for a folder"
+        raise InvalidValueError(f"{target}", expected=expected, found=repr(target.suffix))
     if at is not None and not 0 <= at < loaded.n_frames:
         raise InvalidValueError("--at", expected=f"0..{loaded.n_frames - 1}", found=str(at))
     painting = painting_of(loaded, by, pred)
@@ -104,35 +106,18 @@ def show(
         title = f"{loaded.name}  frame {frame + 1}/{loaded.n_frames}"
         return draw_frame(painting, frame, pictures[frame] if pictures else None, title, chosen)
 
-    suffix, paths = "" if target.is_dir() else target.suffix.lower(), [target]
-    shown: Sequence[int] = range(loaded.n_frames) if at is None else [at]
+    shown = list(range(loaded.n_frames)) if at is None else [at]
     if suffix == ".png":
         shown = [shown[len(shown) // 2]]
-        write_png(target, drawn(shown[0]))
-    elif suffix:
+    paths = [target] if suffix else [target / f"{loaded.name}_{frame + 1:06d}.png" for frame in shown]
+    if suffix in MOVING_SUFFIXES:
         write_moving(target, map(drawn, shown), rate)
     else:
-        paths = [target / f"{loaded.name}_{frame + 1:06d}.png" for frame in shown]
-        for frame, path in zip(shown, paths, strict=True):
+        for path, frame in zip(paths, shown, strict=True):
             write_png(path, drawn(frame))
     line = f"{target}: {loaded.name}, {len(shown)} picture{'s' * (len(shown) > 1)}"
     print(line, file=sys.stderr) if report is None else report(line)
     return paths
-
-
-def _target(path: Path) -> Path:
-    """Refuse what nothing is written as, before anything is drawn."""
-    from kt3dmoseg.errors import InvalidValueError
-    from kt3dmoseg.files import check_target
-    from kt3dmoseg.io.images import MOVING_SUFFIXES
-
-    if path.is_dir():
-        return path
-    if path.suffix.lower() not in ("", ".png", *MOVING_SUFFIXES):
-        expected = f"a suffix of {', '.join((*MOVING_SUFFIXES, '.png'))}, or none for a folder"
-        raise InvalidValueError(f"{path}", expected=expected, found=repr(path.suffix))
-    check_target(path)
-    return path
 
 
 def label(

@@ -94,6 +94,8 @@ def by_length(trajectories: Trajectories) -> Painting:
 
 def painting_of(clip: Clip, by: str | None, prediction: str | os.PathLike[str] | None) -> Painting:
     """Colour by "label", "length" or "prediction"; by default by what there is, the prediction first."""
+    if not clip.n_frames:
+        raise InvalidValueError(clip.name, expected="a clip with frames", found="none")
     by = by or ("prediction" if prediction else "label" if clip.n_motions else "length")
     if by == "prediction":
         if prediction is None:

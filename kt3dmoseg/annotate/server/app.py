@@ -83,8 +83,6 @@ async def _failed(_: Request, error: Exception) -> Response:
     if isinstance(error, NotTrackedError):
         progress = dict(zip(("done", "total", "error"), error.args, strict=True))
         return JSONResponse(progress, status_code=500 if progress["error"] else 202)
-    if isinstance(error, ClientDisconnect):  # nobody is there to read this
-        return _refuse(400, "the body ended early")
     if isinstance(error, StaleRevisionError):
         return JSONResponse({"error": str(error), "annotation": to_json(error.current)}, status_code=412)
     return _refuse(500 if isinstance(error, InputFileError) else 400, str(error))
