@@ -248,9 +248,8 @@ def _shown(regions: Mapping[int, list[Region]]) -> dict[str, Any]:
 
 def _comparison(trajectories: Trajectories, mine: LabelledTracks, theirs: LabelledTracks) -> dict[str, Any]:
     """Agreement, kappa and the differing trajectories, alike ones together, with where to look."""
-    result = agree(mine.labels.label, theirs.labels.label)
+    result, differences = agree(mine.labels.label, theirs.labels.label), []
     rows = [int(row) for _, _, group in result.groups() for row in group]
-    differences = []
     for row in rows[:_MOST_DIFFERENCES]:
         seen = np.flatnonzero(trajectories.visible[row])
         if len(seen):
@@ -258,14 +257,9 @@ def _comparison(trajectories: Trajectories, mine: LabelledTracks, theirs: Labell
             xy = np.round(trajectories.xy[row, frame], 1).tolist()
             names = {"mine": _label_name(mine, row), "theirs": _label_name(theirs, row)}
             differences.append({"row": row, "frame": frame, "xy": xy, **names})
-    return {
-        "trajectories": len(trajectories),
-        "agreement": result.agreement,
-        "both": result.both,
-        "kappa": result.kappa,
-        "different": len(rows),
-        "differences": differences,
-    }
+    measures = {"agreement": result.agreement, "both": result.both, "kappa": result.kappa}
+    counts = {"trajectories": len(trajectories), "different": len(rows)}
+    return counts | measures | {"differences": differences}
 
 
 def _label_name(labelled: LabelledTracks, row: int) -> str:
