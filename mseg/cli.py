@@ -35,6 +35,7 @@ _DATA = "Folders of clips (default: the protocol's folder in $KT3DMOSEG_DATA or 
 _JSON = "Everything as JSON: written to FILE in addition to the tables, or printed in their place."
 _PUBLISH = "Write the scores there, one file per method and dataset version: BENCHMARK/VERSION/METHOD.json."
 _NUMBER = "Give the methods the number of motions of each clip, or let them find it."
+_NEXT = "check it: mseg validate {0} {1}\nscore it: mseg score {0} {1}"
 _PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 
 Names = Annotated[
@@ -58,10 +59,7 @@ _ZERO = "What label 0 of label files is: the first cluster (1 is added to all) o
 
 
 def methods(
-    method: Annotated[str, Parameter(help="Describe this one.")] = "",
-    /,
-    *,
-    json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
+    method: Annotated[str, Parameter(help="Describe this one.")] = "", /, *, json: Json = False
 ) -> None:
     """List the methods, or describe one: source, input, cost and parameters."""
     from mseg.methods import METHODS
@@ -136,15 +134,12 @@ def run(
     meta, _ = parse_meta((folder / META).read_bytes())
     lines += [f"note: {clip}: {note}" for clip, note in meta.notes.items()]
     lines.append(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))
-    lines.append(f"check it: mseg validate {folder} {data}\nscore it: mseg score {folder} {data}")
-    print("\n".join(lines), file=sys.stderr)
+    print(*lines, _NEXT.format(folder, data), sep="\n", file=sys.stderr)
     return 1 if len(failed) == len(files) else 0
 
 
 def example_submission(
-    data: Annotated[
-        Folder | None, Parameter(help="Folder of clips; without it, small ones are made up.")
-    ] = None,
+    data: Annotated[Folder | None, Parameter(help="Clips; without them, small ones are made up.")] = None,
     /,
     *,
     output: Annotated[Folder, Parameter(alias="-o", help="Folder to write.")] = Path("example-submission"),
@@ -176,8 +171,7 @@ def example_submission(
     if wrote.note:
         print(f"note: {wrote.note}", file=sys.stderr)
     print(f"wrote {wrote.folder} ({count(wrote.clips, 'clip')})", file=sys.stderr)
-    print(f"check it: mseg validate {wrote.folder} {wrote.data}", file=sys.stderr)
-    print(f"score it: mseg score {wrote.folder} {wrote.data}", file=sys.stderr)
+    print(_NEXT.format(wrote.folder, wrote.data), file=sys.stderr)
 
 
 def validate(submission: Submission, data: Data, /, *, benchmark: Benchmark = "", json: Json = False) -> int:
@@ -201,7 +195,7 @@ def score(
     force: Force = False,
     output: Annotated[File | None, Parameter(alias="-o", help="Write there instead of printing.")] = None,
     json: Annotated[
-        Flag, Parameter(group=_FORM, help="Everything, as JSON ('mseg compare' reads it).")
+        Flag, Parameter(group=_FORM, help="All of it, as JSON ('mseg compare' reads it).")
     ] = False,
     csv: Annotated[Flag, Parameter(group=_FORM, help="One row per clip, as CSV.")] = False,
     markdown: Annotated[Flag, Parameter(group=_FORM, help="The headline table in Markdown.")] = False,
@@ -256,10 +250,7 @@ def compare(
     first: Annotated[Either, Parameter(help="Submission or score file.")],
     /,
     *others: Annotated[Either, Parameter(help="More of them, then the data.")],
-    data: Annotated[
-        Folder | None,
-        Parameter(metavar="DATA", help="Folder of clips with labels; by default the last argument."),
-    ] = None,
+    data: Annotated[Folder | None, Parameter(metavar="DATA", help="By default the last argument.")] = None,
     benchmark: Benchmark = "",
     metric: Annotated[str, Parameter(help="What to compare by.")] = "error",
     json: Json = False,
@@ -425,9 +416,7 @@ def benchmark(
     data: Annotated[tuple[Folder, ...], Parameter(consume_multiple=(1, None), help=_DATA)] = (),
     cache: Annotated[Folder, Parameter(help="Outcomes.")] = Path("out/benchmark"),
     no_cache: Annotated[Flag, Parameter(help="Run everything, keep nothing.")] = False,
-    kernels: Annotated[
-        Folder | None, Parameter(help="Keep kernels there, for sweeps over alpha or fusion.")
-    ] = None,
+    kernels: Annotated[Folder | None, Parameter(help="Keep kernels there, for sweeps of parameters.")] = None,
     json: Annotated[list[str] | None, Parameter(metavar="FILE", consume_multiple=(0, 1), help=_JSON)] = None,
     markdown: Annotated[Flag, Parameter(help="Print Markdown tables.")] = False,
     publish: Annotated[Folder | None, Parameter(help=_PUBLISH)] = None,

@@ -16,7 +16,7 @@ from kt3dmoseg.registry import lazy
 if TYPE_CHECKING:
     from mseg.evaluation.comparison import compare as compare
     from mseg.evaluation.example import example_submission as example_submission
-    from mseg.evaluation.label_import import read_label_files as read_label_files
+    from mseg.evaluation.example import read_label_files as read_label_files
     from mseg.evaluation.leaderboard import Leaderboard as Leaderboard
     from mseg.evaluation.protocol import Group as Group
     from mseg.evaluation.protocol import Protocol as Protocol
@@ -42,8 +42,7 @@ if TYPE_CHECKING:
 # Public names by the module that has them, which is imported on first use: scoring needs a few of them.
 _MODULES = {
     "comparison": "compare",
-    "example": "example_submission",
-    "label_import": "read_label_files",
+    "example": "example_submission read_label_files",
     "leaderboard": "Leaderboard",
     "protocol": "Group Protocol list_protocols load_protocol",
     "report": "write_report",

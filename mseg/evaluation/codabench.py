@@ -26,9 +26,8 @@ def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
         print("usage: score.py INPUT OUTPUT", file=sys.stderr)
         return 2
     source, target = Path(arguments[0]), Path(arguments[1])
-    name = "" if benchmark == "custom" else benchmark
     try:
-        checked = validate_submission(source / "res", source / "ref", benchmark=name)
+        checked = validate_submission(source / "res", source / "ref", benchmark=benchmark)
         print(checked, file=sys.stderr)
         if not checked.scorable:
             return 1

@@ -337,7 +337,7 @@ def _labels_of(file: Path, clip: Clip | Labels) -> IntArray:
     if not isinstance(clip, Clip):
         raise InvalidValueError("truth", expected="a clip or its file, to join ids", found="bare labels")
     if file.suffix.lower() == ".txt":
-        from mseg.evaluation.label_import import fit_to_clip, read_label_text
+        from mseg.evaluation.example import fit_to_clip, read_label_text
 
         return fit_to_clip(read_label_text(file), clip, f"{file}")
     try:

@@ -69,10 +69,7 @@ _TEXT_LIMIT = 2000
 _EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
 _MOST = f"{LIMITS.files} files of at most {MAX_FILE_BYTES >> 20} MiB, {LIMITS.total_bytes >> 20} MiB together"
 _FIX_LARGE = "only meta.toml and prediction files belong here, with one label per evaluated trajectory"
-_ZIP_FIXES = {
-    "not-a-zip": "make it with: cd my-submission && zip -r ../my-submission.zip .",
-    "too-large": _FIX_LARGE,
-}
+_FIX_ZIP = "make it with: cd my-submission && zip -r ../my-submission.zip ."
 
 
 def _are_texts(value: object) -> bool:
@@ -411,7 +408,8 @@ def _files_of_zip(path: Path, out: Submission) -> tuple[list[str], Callable[[str
     faults: list[ZipFault] = []
     archive = SafeZip(path, LIMITS, path.name, faults=faults)
     for code, file, expected, found, fix in faults:
-        out.bad(code, file or path.name, expected, found, fix or _ZIP_FIXES.get(code, ""))
+        fix = fix or (_FIX_ZIP if code == "not-a-zip" else _FIX_LARGE)
+        out.bad(code, file or path.name, expected, found, fix)
     return [name for name in archive.sizes if not _ignored(name)], archive.read
 
 

@@ -10,9 +10,8 @@ import kt3dmoseg
 import mseg.cli
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from mseg.evaluation import score_submission, validate_submission
-from mseg.evaluation.label_import import (
+from mseg.evaluation.example import (
     read_brox_labels,
-    read_cluster_idx,
     read_label_files,
     read_label_text,
 )
@@ -112,10 +111,10 @@ def test_text_that_is_no_labels(tmp_path, content, word):
 def test_other_content_is_refused(tmp_path):
     (tmp_path / "r.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
     with pytest.raises(FileFormatError):
-        read_cluster_idx(tmp_path / "r.mat")
+        read_label_files(tmp_path / "r.mat", CLIPS)
     savemat(tmp_path / "s.mat", {"error": [1.0]})
     with pytest.raises(FileFormatError, match="ClusterIdx"):
-        read_cluster_idx(tmp_path / "s.mat")
+        read_label_files(tmp_path / "s.mat", CLIPS)
     with pytest.raises(InputFileError, match="none of the clips"):
         read_label_files(tmp_path, CLIPS)
     with pytest.raises(FileFormatError, match="ClusterIdx"):
