@@ -194,9 +194,7 @@ def score(
     benchmark: Benchmark = "",
     force: Force = False,
     output: Annotated[File | None, Parameter(alias="-o", help="Write there instead of printing.")] = None,
-    json: Annotated[
-        Flag, Parameter(group=_FORM, help="All of it, as JSON ('mseg compare' reads it).")
-    ] = False,
+    json: Annotated[Flag, Parameter(group=_FORM, help="All, as JSON ('mseg compare' reads it).")] = False,
     csv: Annotated[Flag, Parameter(group=_FORM, help="One row per clip, as CSV.")] = False,
     markdown: Annotated[Flag, Parameter(group=_FORM, help="The headline table in Markdown.")] = False,
     latex: Annotated[Flag, Parameter(group=_FORM, help="The headline table in LaTeX.")] = False,
@@ -321,6 +319,8 @@ def report(
 
 leaderboard = group("leaderboard", "Keep scored submissions in an SQLite file and rank them per benchmark.")
 Board = Annotated[File, Parameter(help="The leaderboard.")]
+Number = Annotated[Positive, Parameter(help="Number of the entry, see 'mseg leaderboard list'.")]
+Page = Annotated[File, Parameter(alias="-o", help="Ends in .html or .md.")]
 Only = Annotated[Name, Parameter(help="Only this one.")]
 _SCORED = "Folder or zip, or a file written by 'mseg score --json'."
 _BOARD = Path("leaderboard.sqlite")
@@ -359,12 +359,7 @@ def add(
 
 
 @leaderboard.command
-def remove(
-    number: Annotated[Positive, Parameter(help="Number of the entry, see 'mseg leaderboard list'.")],
-    /,
-    *,
-    db: Board = _BOARD,
-) -> None:
+def remove(number: Number, /, *, db: Board = _BOARD) -> None:
     """Remove an entry."""
     _open(db).remove(number)
     print(f"removed entry {number}", file=sys.stderr)
@@ -395,12 +390,7 @@ def rank(*, benchmark: Only = "", db: Board = _BOARD, json: Json = False) -> Non
 
 
 @leaderboard.command
-def export(
-    *,
-    output: Annotated[File, Parameter(alias="-o", help="Ends in .html or .md.")],
-    benchmark: Only = "",
-    db: Board = _BOARD,
-) -> None:
+def export(*, output: Page, benchmark: Only = "", db: Board = _BOARD) -> None:
     """Write the ranks as a page or Markdown."""
     from mseg.evaluation.leaderboard import export
 

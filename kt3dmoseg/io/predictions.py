@@ -52,10 +52,9 @@ class Problem:
 
     def __str__(self) -> str:
         """Give the problem in one line."""
-        where = ", ".join(part for part in (self.file, self.clip and f"clip {self.clip}") if part)
-        facts = (self.expected and f"expected {self.expected}", self.found and f"found {self.found}")
-        line = f"[{self.code}] {where or 'submission'}: {', '.join(fact for fact in facts if fact)}"
-        return " ".join((f"{line}; {self.fix}" if self.fix else line).split())
+        where = ", ".join(filter(None, (self.file, self.clip and f"clip {self.clip}"))) or "submission"
+        facts = {"expected": self.expected, "found": self.found, "fix": self.fix}
+        return str(KT3DMoSegError(f"[{self.code}] {where}", **facts))
 
 
 def numbered(problems: Sequence[Problem]) -> str:
@@ -72,11 +71,64 @@ def first_few(items: Sequence[object], limit: int = 5) -> str:
 
 @dataclass(eq=False)
 class Prediction:
-    """What a prediction file holds, in its order; empty with everything that is wrong, when unreadable."""
+    """The columns `track` and `label` as far as they could be read, and what is wrong with them."""
 
-    track: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    label: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    columns: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
+    file: str = ""
+    clip: str = ""
     problems: list[Problem] = field(default_factory=list)
+
+    def bad(self, code: str, expected: str, found: str, fix: str) -> None:
+        """Add a problem."""
+        self.problems.append(Problem(code, self.file, self.clip, expected, found, fix))
+
+    def named(self, present: Sequence[str]) -> list[str]:
+        """Return the columns that are there, after reporting the others."""
+        missing = " and ".join(f"'{name}'" for name in _NAMES if name not in present)
+        if missing:
+            found = first_few(present) or "no array"
+            self.bad("missing-array", f"arrays named {missing}", found, _FIX_ARRAYS)
+        return [name for name in _NAMES if name in present]
+
+    def accepts(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
+        """Check type and shape of a column before it is read."""
+        rows = len(self.columns["track"]) if name == "label" and "track" in self.columns else None
+        if dtype.hasobject:
+            found = "an array of Python objects (a pickle), which is never opened"
+            self.bad("object-array", f"integers in '{name}'", found, "save labels.astype(np.int64)")
+        elif dtype.kind not in "iuf":
+            self.bad("not-a-number", f"integers in '{name}'", f"values of type {dtype}", "write integers")
+        elif len(shape) != 1:
+            fix = "transpose or flatten it: labels.ravel()"
+            self.bad("transposed", f"'{name}' of shape (n,)", f"shape {shape}", fix)
+        elif shape[0] > MAX_ROWS:
+            self.bad("too-large", f"at most {MAX_ROWS} values in '{name}'", f"{shape[0]}", _FIX_ROWS)
+        elif rows not in (None, shape[0]):
+            self.bad("ragged", f"as many labels as tracks ({rows})", f"{shape[0]}", _FIX_ARRAYS)
+        elif not shape[0]:
+            self.bad("empty-file", "one label per trajectory", "none", _FIX_ROWS)
+        else:
+            return True
+        return False
+
+    def check_values(self) -> None:
+        """Name every kind of value that is no whole number >= 0."""
+        for name, values in self.columns.items():
+            wanted, before = f"whole numbers >= 0 as {name}", len(self.problems)
+            numbers = values.astype(np.float64)
+            huge = np.isfinite(numbers) & (np.abs(numbers) >= _HUGE)
+            for code, wrong, what, fix in (
+                ("nan", np.isnan(numbers), "NaN", _FIX_NAN),
+                ("infinite", np.isinf(numbers), "infinite values", "write whole numbers"),
+                ("too-big", huge, "huge numbers", "keep below 2^53"),
+                ("negative", numbers < 0, "negative numbers", "motions are 1, 2, ...; 0 is an outlier"),
+            ):
+                if wrong.any():
+                    self.bad(code, wanted, f"{what} in {int(wrong.sum())} of {len(wrong)} rows", fix)
+            if values.dtype.kind == "f" and len(self.problems) == before:
+                example = float(numbers[np.argmax(numbers % 1)])
+                found = f"floating-point numbers such as {example!r}"
+                self.bad("float", wanted, found, "write integers, 2 and not 2.0")
 
 
 def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
@@ -172,8 +224,8 @@ def label_table(values: Any, name: str) -> Prediction | None:  # noqa: ANN401  #
             expected, found = "the columns track and label", first_few(list(names)) or "none"
             raise InvalidValueError(name, expected=expected, found=found)
         track, values = index if by_index else values["track"], values["label"]
-    track, label = np.asarray(track), np.asarray(values)
-    return Prediction(label_vector(track, f"{name}: track"), label_vector(label, f"{name}: label"))
+    columns = {"track": np.asarray(track), "label": np.asarray(values)}
+    return Prediction({key: label_vector(column, f"{name}: {key}") for key, column in columns.items()})
 
 
 def _index(values: Any) -> Any | None:  # noqa: ANN401  # of pandas
@@ -187,20 +239,17 @@ def _index(values: Any) -> Any | None:  # noqa: ANN401  # of pandas
 
 def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
     """Read a prediction file of a clip, listing everything that is wrong; the ending chooses the format."""
-    columns = _Columns(file, clip)
+    out = Prediction(file=file, clip=clip)
     kind, parse = _PARSERS[Path(file).suffix.lower()]
     foreign = () if parse is _csv else (Exception,)  # an error of our own parser is a bug, and must show
     try:
-        parse(content, columns)
+        parse(content, out)
+        out.check_values()
     except foreign as error:  # zipfile, numpy and libhdf5 raise anything on hostile bytes
         reason = str(error) if isinstance(error, KT3DMoSegError) else type(error).__name__
         found = f"a file that starts with {content[:8]!r} and cannot be read ({reason[:200]})"
-        return Prediction(problems=[Problem("unreadable", file, clip, kind, found, _FIX_ARRAYS)])
-    columns.check_values()
-    if columns.problems:
-        return Prediction(problems=columns.problems)
-    track, label = (columns.arrays[name].astype(np.int64) for name in _NAMES)
-    return Prediction(track, label)
+        out.problems = [Problem("unreadable", file, clip, kind, found, _FIX_ARRAYS)]
+    return out
 
 
 def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | None, list[Problem]]:
@@ -209,8 +258,8 @@ def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | No
         return None, found.problems
     wanted = clip.dense.track_id[clip.evaluated]
     problems = []
-    ids, first, counts = np.unique(found.track, return_index=True, return_counts=True)
-    label = found.label[first]
+    ids, first, counts = np.unique(found.columns["track"], return_index=True, return_counts=True)
+    label = found.columns["label"][first].astype(np.int64)
     if (counts > 1).any():
         twice = ids[counts > 1].tolist()
         text = f"{len(twice)} given more than once (track {first_few(twice)})"
@@ -246,67 +295,7 @@ def _mismatch(ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip) -> t
     return "trajectories", " and ".join(parts), "write one row per evaluated trajectory, by its track id"
 
 
-class _Columns:
-    """The two columns of a file as far as they could be read, and what is wrong with them."""
-
-    def __init__(self, file: str, clip: str) -> None:
-        self.file, self.clip = file, clip
-        self.arrays: dict[str, npt.NDArray[Any]] = {}
-        self.problems: list[Problem] = []
-
-    def bad(self, code: str, expected: str, found: str, fix: str) -> None:
-        self.problems.append(Problem(code, self.file, self.clip, expected, found, fix))
-
-    def named(self, present: Sequence[str]) -> list[str]:
-        """Return the columns that are there, after reporting the others."""
-        missing = " and ".join(f"'{name}'" for name in _NAMES if name not in present)
-        if missing:
-            found = first_few(present) or "no array"
-            self.bad("missing-array", f"arrays named {missing}", found, _FIX_ARRAYS)
-        return [name for name in _NAMES if name in present]
-
-    def accepts(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
-        """Check type and shape of a column before it is read."""
-        rows = len(self.arrays["track"]) if name == "label" and "track" in self.arrays else None
-        if dtype.hasobject:
-            found = "an array of Python objects (a pickle), which is never opened"
-            self.bad("object-array", f"integers in '{name}'", found, "save labels.astype(np.int64)")
-        elif dtype.kind not in "iuf":
-            self.bad("not-a-number", f"integers in '{name}'", f"values of type {dtype}", "write integers")
-        elif len(shape) != 1:
-            fix = "transpose or flatten it: labels.ravel()"
-            self.bad("transposed", f"'{name}' of shape (n,)", f"shape {shape}", fix)
-        elif shape[0] > MAX_ROWS:
-            self.bad("too-large", f"at most {MAX_ROWS} values in '{name}'", f"{shape[0]}", _FIX_ROWS)
-        elif rows not in (None, shape[0]):
-            self.bad("ragged", f"as many labels as tracks ({rows})", f"{shape[0]}", _FIX_ARRAYS)
-        elif not shape[0]:
-            self.bad("empty-file", "one label per trajectory", "none", _FIX_ROWS)
-        else:
-            return True
-        return False
-
-    def check_values(self) -> None:
-        """Name every kind of value that is no whole number >= 0."""
-        for name, values in self.arrays.items():
-            wanted, before = f"whole numbers >= 0 as {name}", len(self.problems)
-            numbers = values.astype(np.float64)
-            huge = np.isfinite(numbers) & (np.abs(numbers) >= _HUGE)
-            for code, wrong, what, fix in (
-                ("nan", np.isnan(numbers), "NaN", _FIX_NAN),
-                ("infinite", np.isinf(numbers), "infinite values", "write whole numbers"),
-                ("too-big", huge, "huge numbers", "keep below 2^53"),
-                ("negative", numbers < 0, "negative numbers", "motions are 1, 2, ...; 0 is an outlier"),
-            ):
-                if wrong.any():
-                    self.bad(code, wanted, f"{what} in {int(wrong.sum())} of {len(wrong)} rows", fix)
-            if values.dtype.kind == "f" and len(self.problems) == before:
-                example = float(numbers[np.argmax(numbers % 1)])
-                found = f"floating-point numbers such as {example!r}"
-                self.bad("float", wanted, found, "write integers, 2 and not 2.0")
-
-
-def _npz(content: bytes, out: _Columns) -> None:
+def _npz(content: bytes, out: Prediction) -> None:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         for name in out.named([file.removesuffix(".npy") for file in archive.namelist()]):
             with archive.open(f"{name}.npy") as stream:
@@ -314,10 +303,10 @@ def _npz(content: bytes, out: _Columns) -> None:
                 shape, _, dtype = read_header(stream, max_header_size=_MAX_NPY_HEADER)
                 if out.accepts(name, shape, dtype):
                     values = stream.read(dtype.itemsize * shape[0])
-                    out.arrays[name] = np.frombuffer(values, dtype, count=shape[0])
+                    out.columns[name] = np.frombuffer(values, dtype, count=shape[0])
 
 
-def _h5(content: bytes, out: _Columns) -> None:
+def _h5(content: bytes, out: Prediction) -> None:
     """Read plain datasets of this very file."""
     import h5py
 
@@ -330,10 +319,10 @@ def _h5(content: bytes, out: _Columns) -> None:
                 out.bad("not-a-dataset", f"a dataset '{name}' in this file", "a link or group", _FIX_ARRAYS)
             elif out.accepts(name, dataset.shape, dataset.dtype):
                 check_storage(dataset, name)
-                out.arrays[name] = dataset[()]
+                out.columns[name] = dataset[()]
 
 
-def _csv(content: bytes, out: _Columns) -> None:
+def _csv(content: bytes, out: Prediction) -> None:
     """Read ``track,label`` rows.
 
     A byte order mark, Windows line ends, blanks around values, empty lines and the columns in the
@@ -378,7 +367,7 @@ def _header_problem(head: list[str], n_rows: int) -> tuple[str, str, str, str]:
     return code, "the first line 'track,label'", repr(line[:60]), _FIX_HEADER
 
 
-def _csv_columns(out: _Columns, rows: dict[int, list[str]], names: list[str]) -> None:
+def _csv_columns(out: Prediction, rows: dict[int, list[str]], names: list[str]) -> None:
     ragged = [number for number, row in rows.items() if len(row) != 2]
     if ragged:
         found = f"another number in line {first_few(ragged)}"
@@ -391,7 +380,7 @@ def _csv_columns(out: _Columns, rows: dict[int, list[str]], names: list[str]) ->
             found = f"{next(iter(wrong.values())).strip()[:40]!r} (line {first_few(list(wrong))})"
             out.bad("not-a-number", f"whole numbers below 2^53 as {name}", found, _FIX_NAME)
         elif out.accepts(name, (len(values),), np.dtype(np.int64)):
-            out.arrays[name] = np.array(values, dtype=np.int64 if whole else np.float64)
+            out.columns[name] = np.array(values, dtype=np.int64 if whole else np.float64)
     return None
 
 
@@ -403,7 +392,7 @@ def _number(cell: str) -> float | None:
         return None
 
 
-_PARSERS: dict[str, tuple[str, Callable[[bytes, _Columns], None]]] = {
+_PARSERS: dict[str, tuple[str, Callable[[bytes, Prediction], None]]] = {
     ".csv": ("a CSV file", _csv),
     ".npz": ("an npz archive of numpy", _npz),
     ".h5": ("an HDF5 file", _h5),

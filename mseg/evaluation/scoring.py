@@ -303,9 +303,11 @@ def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401 
     table = label_table(value, where)
     if table is None:
         return Labels(label_vector(value, where))
-    n = len(table.track)
-    tracks = Trajectories(np.full((n, 1, 2), np.nan), np.zeros((n, 1), dtype=np.bool_), table.track)
-    return Clip(name, tracks, np.arange(n), Labels(table.label))
+    n = len(table.columns["track"])
+    tracks = Trajectories(
+        np.full((n, 1, 2), np.nan), np.zeros((n, 1), dtype=np.bool_), table.columns["track"]
+    )
+    return Clip(name, tracks, np.arange(n), Labels(table.columns["label"]))
 
 
 def _labels(truth: Clip | Labels) -> Labels:
