@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -23,9 +24,6 @@ from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.protocol import choose_protocol, count
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
 from mseg.evaluation.validation import load_clips
-
-if TYPE_CHECKING:
-    import h5py
 
 Zero: TypeAlias = Literal["", "first", "outlier"]
 CELLS = "ClusterIdx"
@@ -203,9 +201,8 @@ def labels_and_note(
     """Read labels as `read_label_files` does, with a sentence on what was done to them, or none."""
     path = Path(source)
     files = _label_files(path, clips) if path.is_dir() else {}
-    vectors = {name: _READERS[file.suffix.lower()](file) for name, file in files.items()}
-    if not path.is_dir():
-        vectors = _cells_by_name(path, clips, names)
+    read = {name: _READERS[file.suffix.lower()](file) for name, file in files.items()}
+    vectors = read if path.is_dir() else _cells_by_name(path, clips, names)
     if not vectors:
         raise InputFileError(f"{path}", expected=_FORMATS, found="labels of none of the clips")
     labels = {name: fit_to_clip(vector, clips[name], f"{path}: {name}") for name, vector in vectors.items()}
@@ -282,10 +279,7 @@ def _cells_by_name(
     cells = list(content[CELLS].ravel()) if content[CELLS].dtype == object else [content[CELLS]]
     order = list(names) if len(names) == len(cells) else sorted(clips)
     if len(order) != len(cells):
-        expected, fix = (
-            f"{len(order)} cells, one per clip",
-            "save one label file per clip in a folder instead",
-        )
+        expected, fix = f"{len(order)} cells, one per clip", "save one file per clip in a folder instead"
         raise FileFormatError(f"{path}: {CELLS}", expected=expected, found=f"{len(cells)} cells", fix=fix)
     vectors = {name: np.ravel(cell) for name, cell in zip(order, cells, strict=True) if name in clips}
     return {name: vector for name, vector in vectors.items() if vector.size}
@@ -305,7 +299,6 @@ def _single_vector(path: Path) -> npt.NDArray[Any]:
 
 def _matlab(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Read the variables of a MAT-file of any version, cells included."""
-    import h5py
     from scipy.io import loadmat
 
     try:
@@ -319,8 +312,6 @@ def _matlab(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def _matlab73(file: h5py.File) -> dict[str, npt.NDArray[Any]]:
-    import h5py
-
     out: dict[str, npt.NDArray[Any]] = {}
     for name, item in file.items():
         if isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype:

@@ -28,9 +28,9 @@ _DAMAGE = (sqlite3.SQLITE_ERROR, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _SAME = ("benchmark", "dataset_sha256", "submission_sha256", "toolkit_version")
 _TYPES = {"str": "TEXT NOT NULL", "int": "INTEGER NOT NULL", "float": "REAL NOT NULL"}
 _CLAIMED = "claimed INTEGER NOT NULL DEFAULT 1", "sha256 TEXT NOT NULL DEFAULT ''"  # not in version 1
-_NOTES = (
-    "Entries with failed or missing clips have no rank and come last; different data are never mixed.",
-    "Claimed: read from a file of scores, which were not computed here.",
+_NOTE = (
+    "Entries with failed or missing clips have no rank and come last; different data are never mixed. "
+    "Claimed: read from a file of scores, which were not computed here."
 )
 
 
@@ -274,9 +274,8 @@ def _kept(connection: sqlite3.Connection, path: Path, *, write: bool) -> dict[En
     tables = {r[0] for r in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     new = write and not version and not tables
     if not new and (version not in (1, 2) or "entries" not in tables):
-        raise FileFormatError(
-            f"{path}", expected="a leaderboard of version 2", found=f"version {version} of {path.name}"
-        )
+        found = f"version {version} of {path.name}"
+        raise FileFormatError(f"{path}", expected="a leaderboard of version 2", found=found)
     if (state := connection.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise _damaged(path, state)
     if write:
@@ -295,12 +294,12 @@ def _kept(connection: sqlite3.Connection, path: Path, *, write: bool) -> dict[En
 def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str = "") -> None:
     """Write the ranked boards to a file ending in ``.html`` (a page that needs nothing else) or ``.md``."""
     boards = board.boards(benchmark)
-    note = " ".join(_NOTES)
     suffix = Path(path).suffix.lower()
     if suffix in (".html", ".htm"):
-        write_text(path, render("leaderboard.html", boards=boards, note=note))
+        write_text(path, render("leaderboard.html", boards=boards, note=_NOTE))
     elif suffix == ".md":
-        write_text(path, "\n\n".join(["# Leaderboard", *(b.table().markdown() for b in boards), note]) + "\n")
+        tables = [board.table().markdown() for board in boards]
+        write_text(path, "\n\n".join(["# Leaderboard", *tables, _NOTE]) + "\n")
     else:
         raise InvalidValueError(os.fspath(path), expected="a file ending in .html or .md", found=repr(suffix))
 
