@@ -64,19 +64,18 @@ def methods(
     """List the methods, or describe one: source, input, cost and parameters."""
     from mseg.methods import METHODS
 
-    names = [method] if method else METHODS.names()
+    found = [_described(name) for name in ([method] if method else METHODS.names())]
     if json:
-        print(json_.dumps([_described(name) for name in names], indent=1))
+        print(json_.dumps(found, indent=1))
     elif method:
-        found = _described(method)
-        print(f"{method}: {found['description']}\n\nparameters (-p name=value):")
-        for parameter in found["parameters"]:
+        print(f"{method}: {found[0]['description']}\n\nparameters (-p name=value):")
+        for parameter in found[0]["parameters"]:
             print(f"  {parameter['name']} = {parameter['default']}\n      {parameter['help']}")
     else:
-        width = max(map(len, names))
-        for name in names:
-            purpose = _described(name)["description"].partition("\n")[0]
-            print(f"{name:<{width}}  {purpose}")
+        width = max(len(each["name"]) for each in found)
+        for each in found:
+            purpose = each["description"].partition("\n")[0]
+            print(f"{each['name']:<{width}}  {purpose}")
 
 
 def _described(name: str) -> dict[str, Any]:
@@ -235,13 +234,8 @@ def _rendered(scores: ScoreTable, form: str) -> str:
         return results.headline(scores).markdown()
     if form == "latex":
         return results.headline(scores).latex()
-    parts = [
-        results.headline(scores),
-        results.by_axis(scores),
-        results.per_clip(scores),
-        results.all_means(scores),
-    ]
-    return "\n\n".join(part.text() for part in parts if part)
+    forms = (results.headline, results.by_axis, results.per_clip, results.all_means)
+    return "\n\n".join(table.text() for make in forms if (table := make(scores)))
 
 
 def compare(
