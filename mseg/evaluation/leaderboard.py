@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import write_text
+from kt3dmoseg.files import check_target, write_text
 from mseg.evaluation.protocol import list_protocols, load_protocol, share
 from mseg.evaluation.report import render
 from mseg.evaluation.results import ResultsTable
@@ -119,9 +119,7 @@ class Leaderboard:
         if not self.path.exists() and not create:
             fix = "'mseg leaderboard add' makes it"
             raise InputFileError(f"{path}", expected="a leaderboard", found="no such file", fix=fix)
-        if self.path.exists() and not self.path.is_file():
-            found = "a folder" if self.path.is_dir() else "a pipe or device"
-            raise InputFileError(f"{path}: cannot write", expected="an SQLite file", found=found)
+        check_target(self.path)
         new = not self.path.exists() or (create and not self.path.stat().st_size)
         with self._open(write=new):
             pass
