@@ -363,10 +363,8 @@ def remove(number: Number, /, *, db: Board = _BOARD) -> None:
 def list_entries(*, db: Board = _BOARD, json: Json = False) -> None:
     """Print everything that is kept, oldest first."""
     board = _open(db)
-    if json:
-        print(json_.dumps([dataclasses.asdict(entry) for entry in board.entries()], indent=1))
-    else:
-        print(board.listing().text())
+    entries = [dataclasses.asdict(entry) for entry in board.entries()]
+    print(json_.dumps(entries, indent=1) if json else board.listing().text())
 
 
 @leaderboard.command
@@ -377,10 +375,9 @@ def rank(*, benchmark: Only = "", db: Board = _BOARD, json: Json = False) -> Non
     Scores on different data are never ranked together.
     """
     boards = _open(db).boards(benchmark)
-    if json:
-        print(json_.dumps([dataclasses.asdict(board) for board in boards], indent=1))
-    else:
-        print("\n\n".join(board.table().text() for board in boards))
+    values = [dataclasses.asdict(board) for board in boards]
+    tables = [board.table().text() for board in boards]
+    print(json_.dumps(values, indent=1) if json else "\n\n".join(tables))
 
 
 @leaderboard.command

@@ -99,8 +99,7 @@ class Prediction:
         elif dtype.kind not in "iuf":
             self.bad("not-a-number", f"integers in '{name}'", f"values of type {dtype}", "write integers")
         elif len(shape) != 1:
-            fix = "transpose or flatten it: labels.ravel()"
-            self.bad("transposed", f"'{name}' of shape (n,)", f"shape {shape}", fix)
+            self.bad("transposed", f"'{name}' of shape (n,)", f"shape {shape}", "flatten it: labels.ravel()")
         elif shape[0] > MAX_ROWS:
             self.bad("too-large", f"at most {MAX_ROWS} values in '{name}'", f"{shape[0]}", _FIX_ROWS)
         elif rows not in (None, shape[0]):
@@ -126,9 +125,8 @@ class Prediction:
                 if wrong.any():
                     self.bad(code, wanted, f"{what} in {int(wrong.sum())} of {len(wrong)} rows", fix)
             if values.dtype.kind == "f" and len(self.problems) == before:
-                example = float(numbers[np.argmax(numbers % 1)])
-                found = f"floating-point numbers such as {example!r}"
-                self.bad("float", wanted, found, "write integers, 2 and not 2.0")
+                example = f"floating-point numbers such as {float(numbers[np.argmax(numbers % 1)])!r}"
+                self.bad("float", wanted, example, "write integers, 2 and not 2.0")
 
 
 def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:

@@ -442,9 +442,8 @@ def _report_stray(name: str, out: Submission) -> None:
     elif not _PASSED_OVER.fullmatch(file):
         fix = "remove it, or convert label files: mseg example-submission DATA --from FILES -o OUT"
         found = PurePosixPath(file).suffix or "no ending"
-        out.bad(
-            "unknown-file", name, f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}", found, fix
-        )
+        expected = f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}"
+        out.bad("unknown-file", name, expected, found, fix)
 
 
 def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission) -> None:
