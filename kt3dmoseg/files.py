@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,8 @@ try:
     import fcntl
 except ImportError:  # pragma: no cover  # Windows
     fcntl = None  # type: ignore[assignment]
+
+PathLike: TypeAlias = str | os.PathLike[str]
 
 _BLOCK = 1 << 20
 _DEPTH = 64  # of lists and tables inside each other; a key of 20,000 dots takes gigabytes
@@ -58,7 +60,7 @@ _BOUNDED_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpa
 
 
 @contextmanager
-def _one_line(path: str | os.PathLike[str], problem: str = "") -> Iterator[None]:
+def _one_line(path: PathLike, problem: str = "") -> Iterator[None]:
     """Turn what the system reports about a path in this block into an InputFileError."""
     try:
         yield
@@ -70,7 +72,7 @@ def _one_line(path: str | os.PathLike[str], problem: str = "") -> Iterator[None]
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: PathLike) -> Iterator[Path]:
     """Give a temporary path in the folder of `path`; on success it takes the name `path`, durably.
 
     The folder is created when missing. On any exception, and on ``kill -9``, `path` keeps its
@@ -106,7 +108,7 @@ def listed(folder: Path) -> list[Path]:
     return paths
 
 
-def check_target(path: str | os.PathLike[str]) -> None:
+def check_target(path: PathLike) -> None:
     """Raise InputFileError when a file cannot take this name: there is a folder, pipe or device."""
     target = Path(path)
     try:
@@ -119,7 +121,7 @@ def check_target(path: str | os.PathLike[str]) -> None:
         raise InputFileError(f"{target}: cannot write", expected=expected, found=found)
 
 
-def check_writable(path: str | os.PathLike[str]) -> None:
+def check_writable(path: PathLike) -> None:
     """Raise InputFileError when no files can be made in a folder, which need not exist yet."""
     folder = Path(path)
     existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
@@ -128,7 +130,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 
 @contextmanager
-def hold_folder(path: str | os.PathLike[str], busy: Callable[[], object] = lambda: None) -> Iterator[Path]:
+def hold_folder(path: PathLike, busy: Callable[[], object] = lambda: None) -> Iterator[Path]:
     """Make a folder and hold it alone while the block runs, against other threads and processes.
 
     The system releases it when the process ends, however it ends; on Windows nothing is held. `busy` is
@@ -150,18 +152,18 @@ def hold_folder(path: str | os.PathLike[str], busy: Callable[[], object] = lambd
         yield folder
 
 
-def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+def write_bytes(path: PathLike, content: bytes) -> None:
     """Write `content` to `path` atomically."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
 
 
-def write_text(path: str | os.PathLike[str], content: str) -> None:
+def write_text(path: PathLike, content: str) -> None:
     """Write `content` to `path` atomically, as UTF-8 with the newlines it has."""
     write_bytes(path, content.encode())
 
 
-def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
+def read_bytes(path: PathLike, limit: int) -> bytes:
     """Read a file; InputFileError when it cannot be read or is larger than `limit` bytes."""
     with _one_line(path), open(path, "rb") as stream:
         # By blocks: asking for n bytes at once allocates n, however small the file is.
@@ -276,7 +278,7 @@ class SafeZip:
 
     def __init__(
         self,
-        source: str | os.PathLike[str] | bytes | io.RawIOBase,
+        source: PathLike | bytes | io.RawIOBase,
         limits: ZipLimits,
         where: str,
         wanted: Callable[[str], bool] = lambda name: True,
@@ -319,7 +321,7 @@ class SafeZip:
             raise FileFormatError(where, expected=f"{size} bytes as declared", found=f"{len(content)}")
         return content
 
-    def _list(self, source: str | os.PathLike[str] | io.IOBase, wanted: Callable[[str], bool]) -> None:
+    def _list(self, source: PathLike | io.IOBase, wanted: Callable[[str], bool]) -> None:
         limits, infos = self._limits, []
         try:
             packed = source.seek(0, 2) if isinstance(source, io.IOBase) else Path(source).stat().st_size
@@ -380,13 +382,13 @@ def _stays_inside(name: str, depth: int) -> bool:
     return plain and ".." not in parts and 0 < len(parts) <= depth
 
 
-def sha256_file(path: str | os.PathLike[str]) -> str:
+def sha256_file(path: PathLike) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
     with _one_line(path), open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def sha256_files(paths: Iterable[str | os.PathLike[str]]) -> str:
+def sha256_files(paths: Iterable[PathLike]) -> str:
     """Hexadecimal SHA-256 over the SHA-256 of each file, in order; names do not count."""
     return hashlib.sha256("\n".join(map(sha256_file, paths)).encode()).hexdigest()
 

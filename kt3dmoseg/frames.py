@@ -6,7 +6,6 @@ the frames of a clip that exists, and `find_clips` lists what there is to label.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,23 +15,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import listed, sha256_file, sha256_files
-from kt3dmoseg.io import dataset_paths, load
+from kt3dmoseg.files import PathLike, listed, sha256_file, sha256_files
+from kt3dmoseg.io import dataset_paths, images, load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
-from kt3dmoseg.io.images import (
-    VIDEO_SUFFIXES,
-    Colour,
-    frame_number,
-    frame_paths,
-    gray,
-    has_pictures,
-    is_clip,
-    numbered_pictures,
-    picture_size,
-    read_frames,
-    read_video,
-)
+from kt3dmoseg.io.images import Colour, frame_number, frame_paths, has_pictures, is_clip, read_frames
 from kt3dmoseg.types import ByteArray, Camera, Clip, FloatArray
 
 # What KITTI's drives need is imported where there are any.
@@ -110,8 +97,8 @@ class VideoFile:
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield the luma of every frame."""
         del colour  # a video is in colour by nature
-        for picture in read_video(self.file):
-            yield gray(picture, f"{self.file}", "luma")
+        for picture in images.read_video(self.file):
+            yield images.gray(picture, f"{self.file}", "luma")
 
 
 @dataclass(frozen=True)
@@ -141,7 +128,7 @@ class KittiClip:
         description = {"kind": "kitti", "drive": drive.drive.name, "camera": drive.camera}
         description |= {"first": numbers[0], "last": numbers[-1], "sha256": sha256_files(paths)}
         times, camera = drive.timestamps(numbers), Camera(f"image_{drive.camera:02d}", drive.K)
-        (width, height), calibrated = picture_size(paths[0]), drive.image_size
+        (width, height), calibrated = images.picture_size(paths[0]), drive.image_size
         if calibrated != (width, height):
             where = f"{drive.folder}: calibration of camera {drive.camera}"
             expected, found = f"{width}x{height} px, as the frames", "{}x{}".format(*calibrated)
@@ -182,7 +169,7 @@ class FrameSource(Protocol):
         """Yield gray frames, all of one size."""
 
 
-def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
+def find_sources(path: PathLike) -> list[FrameSource]:
     """List the clips at a path, sorted by name.
 
     Parameters
@@ -212,7 +199,7 @@ def find_sources(path: str | os.PathLike[str]) -> list[FrameSource]:
         _check_level(root)
         inside = listed(root)
         found = [FrameFolder(path) for path in inside if path.is_dir()]
-        found += [VideoFile(path) for path in inside if path.suffix.lower() in VIDEO_SUFFIXES]
+        found += [VideoFile(path) for path in inside if path.suffix.lower() in images.VIDEO_SUFFIXES]
         if not found:
             expected, fix = (
                 "numbered frames, or one folder of frames per clip",
@@ -233,7 +220,7 @@ def _check_level(folder: Path) -> None:
         raise InputFileError(f"{folder}", expected="a KITTI raw root", found=found, fix=f"give {root}")
 
 
-def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
+def located_sources(root: PathLike) -> list[FrameSource]:
     """List the clips of ``ROOT/located.toml``, as `pull` and `locate` write it, that are on disk.
 
     Without that file in the KITTI raw root the list is empty. A `FileFormatError` is raised when the file is
@@ -261,7 +248,7 @@ def located_sources(root: str | os.PathLike[str]) -> list[FrameSource]:
 
 
 def kitti_sources(
-    root: str | os.PathLike[str],
+    root: PathLike,
     *,
     date: str | None = None,
     drive: str | int | None = None,
@@ -303,7 +290,7 @@ def kitti_sources(
         asked = " ".join(str(part) for part in (date, drive) if part is not None)
         expected = f"a KITTI raw root with drive {asked}".rstrip()
         fix = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
-        raise InputFileError(os.fspath(root), expected=expected, found="no such drive", fix=fix)
+        raise InputFileError(f"{root}", expected=expected, found="no such drive", fix=fix)
     if len(pairs) > 1 and (span or name):
         found, fix = f"{len(pairs)}", "give --date and --drive"
         raise InvalidValueError("range and name", expected="one drive", found=found, fix=fix)
@@ -320,7 +307,7 @@ def _span(frames: str | tuple[int, int] | None) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-def frame_folder(clip: Clip, root: str | os.PathLike[str]) -> Path | None:
+def frame_folder(clip: Clip, root: PathLike) -> Path | None:
     """Find the folder of a clip's frames below `root`: ``ROOT/CLIP``, or its camera of a KITTI drive."""
     below, source = [Path(root, clip.name)], _source(clip.provenance, "kitti")
     drive = _DRIVE.fullmatch(str(source.get("drive")))
@@ -331,7 +318,7 @@ def frame_folder(clip: Clip, root: str | os.PathLike[str]) -> Path | None:
     return next((folder for folder in below if folder.is_dir()), None)
 
 
-def frames_of(clip: Clip, root: str | os.PathLike[str]) -> list[ByteArray]:
+def frames_of(clip: Clip, root: PathLike) -> list[ByteArray]:
     """Read the frames of a clip, (H, W) uint8 each: as many as it has, and of its size.
 
     They are in a folder of clips or a KITTI raw root that `frame_folder` finds them in, or `root` is the
@@ -387,7 +374,7 @@ def _source(provenance: Mapping[str, Any], kind: str = "") -> Mapping[str, Any]:
 def _paths_of(clip: Clip, folder: Path) -> list[Path]:
     """List a folder's numbered pictures, or of a KITTI drive those that the clip was built from."""
     if _source(clip.provenance, "kitti") and folder.is_dir():
-        pictures, numbers = numbered_pictures(folder), clip.frame_numbers.tolist()
+        pictures, numbers = images.numbered_pictures(folder), clip.frame_numbers.tolist()
         if set(numbers) <= set(pictures):
             return [pictures[number] for number in numbers]
     return frame_paths(folder)
@@ -404,11 +391,11 @@ class ClipFiles:
 
 
 def find_clips(
-    path: str | os.PathLike[str],
+    path: PathLike,
     *,
-    annotations: str | os.PathLike[str],
-    frames: str | os.PathLike[str] | None = None,
-    tracks: str | os.PathLike[str] | None = None,
+    annotations: PathLike,
+    frames: PathLike | None = None,
+    tracks: PathLike | None = None,
 ) -> dict[str, ClipFiles]:
     """Find the clips to label, sorted by name: a folder of frames, a clip file, or a folder of these.
 
@@ -418,10 +405,10 @@ def find_clips(
     trajectories to folders of frames.
     """
     given = Path(path)
-    inside = listed(given) if given.is_dir() else []
-    folders = {folder.name: folder for folder in inside if has_pictures(folder)}
-    folders = {given.resolve().name: given} if is_clip(given) else folders
-    files = _clip_files(given)
+    folders, files = {given.resolve().name: given}, _clip_files(given)
+    if not is_clip(given):
+        inside = listed(given) if given.is_dir() else []
+        folders = {folder.name: folder for folder in inside if has_pictures(folder)}
     if tracks is not None:
         files = _clip_files(Path(tracks)) | files
         if folders and not folders.keys() & files.keys():
@@ -441,18 +428,16 @@ def find_clips(
 def _clip_files(path: Path) -> dict[str, Path]:
     if path.is_file():
         return {clip_name(path): path}
-    if path.is_dir() and any(file.suffix in CLIP_SUFFIXES for file in path.iterdir()):
-        return dataset_paths(path)
-    return {}
+    here = path.is_dir() and any(file.suffix in CLIP_SUFFIXES for file in path.iterdir())
+    return dataset_paths(path) if here else {}
 
 
-def _frames_of_file(name: str, file: Path, given: Path, frames: str | os.PathLike[str] | None) -> list[Path]:
+def _frames_of_file(name: str, file: Path, given: Path, frames: PathLike | None) -> list[Path]:
     dataset = given if given.is_dir() else given.parent
     roots = [dataset, dataset.parent / "frames"] if frames is None else [Path(frames)]
     below = [root / name for root in roots]
-    for folder in below if frames is None else [*below, *roots]:
-        if has_pictures(folder):
-            return frame_paths(folder)
+    if folder := next(filter(has_pictures, below if frames is None else below + roots), None):
+        return frame_paths(folder)
     if frames is not None and (drive := frame_folder(clip := load(file), frames)):
         return _paths_of(clip, drive)
     expected, fix = f"a folder of pictures {' or '.join(map(str, below))}", "give their folder with --frames"

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError, MissingDependencyError
-from kt3dmoseg.files import atomic_path, sha256_arrays
+from kt3dmoseg.files import PathLike, atomic_path, sha256_arrays
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
@@ -228,7 +228,7 @@ class Cache:
     absent. Whatever the arrays depend on belongs into the key, so nothing here can be out of date.
     """
 
-    def __init__(self, folder: str | os.PathLike[str] | None) -> None:
+    def __init__(self, folder: PathLike | None) -> None:
         self.folder = None if folder is None else Path(folder)
 
     def get(self, key: str) -> dict[str, npt.NDArray[Any]] | None:

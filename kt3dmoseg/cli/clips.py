@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -93,11 +92,9 @@ def build(
     if annotations is None and any(path.stem.lower() in names for path in _ANNOTATIONS.glob("*.json")):
         annotations = _ANNOTATIONS
     annotations = None if annotations == Path("none") else annotations
-    options |= {"annotations": annotations, "flow_parameters": parse_assignments(parameter)}
-    with _outcomes(len(sources)) as callbacks:
-        outcomes = build_dataset(
-            sources, output, masks=masks, cache=cache, workers=workers, force=force, **callbacks, **options
-        )
+    make = partial(build_dataset, sources, output, annotations=annotations, masks=masks, cache=cache)
+    make = partial(make, workers=workers, force=force, flow_parameters=parse_assignments(parameter))
+    outcomes = _run(partial(make, **options), len(sources), output)
     empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
     if empty:
         shown = ", ".join(f"{outcome.name} ({outcome.counts['frames']} frames)" for outcome in empty)
@@ -110,34 +107,41 @@ def build(
     if unlabelled and (given := annotations or masks):
         more = " ..." * (len(unlabelled) > 9)
         _warn(f"nothing in {given} labels {', '.join(unlabelled[:9])}{more}")
-    return _sum_up(outcomes, output)
+    return _code(outcomes)
 
 
 def _warn(text: str) -> None:
     print(f"kt3dmoseg: warning: {text}", file=sys.stderr)
 
 
-@contextmanager
-def _outcomes(total: int) -> Iterator[dict[str, Any]]:
-    """Give the two callbacks of a build, which show progress and print each outcome."""
-    with progress_bar("clip") as show_progress:
-        done: list[Outcome] = []
+def _run(make: Callable[..., list[Outcome]], total: int, output: Path) -> list[Outcome]:
+    """Build clips, with a bar; print each outcome, and how many there were of each kind."""
+    from tqdm import tqdm
 
-        def progress(clip: str, frame: int, frames: int | None) -> None:
-            show_progress(len(done), total, f"{clip} {frame}/{frames or '?'}")
+    done: list[Outcome] = []
 
-        def report(outcome: Outcome) -> None:
-            done.append(outcome)
-            _print_outcome(outcome)
+    def report(outcome: Outcome) -> None:
+        done.append(outcome)
+        if outcome.status == "failed":
+            tqdm.write(f"kt3dmoseg: {outcome.name} failed: {outcome.reason}", file=sys.stderr)
+            return
+        line = f"{outcome.name}: {outcome.status}" + (f" ({outcome.reason})" if outcome.reason else "")
+        numbers = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
+        tqdm.write(f"{line}: {numbers}" if numbers else line)
+        sys.stdout.flush()  # a log file shows how far a long build is
 
-        yield {"progress": progress, "report": report}
-
-
-def _sum_up(outcomes: list[Outcome], output: Path) -> int:
-    failed = sum(outcome.status == "failed" for outcome in outcomes)
-    built = sum(outcome.status == "built" for outcome in outcomes)
+    with progress_bar("clip") as show:
+        outcomes = make(
+            report=report,
+            progress=lambda clip, frame, frames: show(len(done), total, f"{clip} {frame}/{frames or '?'}"),
+        )
+    failed, built = (sum(o.status == status for o in outcomes) for status in ("failed", "built"))
     print(f"{built} built, {len(outcomes) - built - failed} up to date, {failed} failed: {output}")
-    return _FAILED if failed else 0
+    return outcomes
+
+
+def _code(outcomes: list[Outcome]) -> int:
+    return _FAILED if any(outcome.status == "failed" for outcome in outcomes) else 0
 
 
 def synth(
@@ -158,22 +162,9 @@ def synth(
     from kt3dmoseg.pipeline import build_synthetic
     from kt3dmoseg.synthetic.drives import PER_PART
 
-    options: dict[str, Any] = {"workers": workers, "dask": dask, "force": force}
-    with _outcomes(min(first or PER_PART, PER_PART) * (1 if part else 2)) as callbacks:
-        outcomes = build_synthetic(output, part=part, seed=seed, first=first, **callbacks, **options)
-    return _sum_up(outcomes, output)
-
-
-def _print_outcome(outcome: Outcome) -> None:
-    from tqdm import tqdm
-
-    if outcome.status == "failed":
-        tqdm.write(f"kt3dmoseg: {outcome.name} failed: {outcome.reason}", file=sys.stderr)
-        return
-    line = f"{outcome.name}: {outcome.status}" + (f" ({outcome.reason})" if outcome.reason else "")
-    numbers = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
-    tqdm.write(f"{line}: {numbers}" if numbers else line)
-    sys.stdout.flush()  # a log file shows how far a long build is
+    make = partial(build_synthetic, output, part=part, seed=seed, first=first, workers=workers)
+    total = min(first or PER_PART, PER_PART) * (1 if part else 2)
+    return _code(_run(partial(make, dask=dask, force=force), total, output))
 
 
 @flags(TrackOptions)

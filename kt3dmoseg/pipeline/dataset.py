@@ -18,7 +18,7 @@ import scipy
 import kt3dmoseg
 from kt3dmoseg import pipeline, tracking
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
-from kt3dmoseg.files import check_writable, hold_folder, sha256_file, sha256_files
+from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, sha256_files
 from kt3dmoseg.flow import backend_identity, create
 from kt3dmoseg.frames import FrameSource, find_sources, recorded_inputs
 from kt3dmoseg.io import hdf5
@@ -64,12 +64,12 @@ class Outcome:
 
 
 def build_clip(
-    source: str | os.PathLike[str] | FrameSource,
+    source: PathLike | FrameSource,
     *,
-    annotation: str | os.PathLike[str] | None = None,
-    masks: str | os.PathLike[str] | None = None,
+    annotation: PathLike | None = None,
+    masks: PathLike | None = None,
     flow_parameters: Mapping[str, Any] | None = None,
-    cache: str | os.PathLike[str] | None = None,
+    cache: PathLike | None = None,
     progress: Callable[[int, int | None], None] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> Clip:
@@ -117,16 +117,16 @@ def build_clip(
 
 
 def build_dataset(
-    frames: str | os.PathLike[str] | Sequence[FrameSource],
-    output: str | os.PathLike[str],
+    frames: PathLike | Sequence[FrameSource],
+    output: PathLike,
     *,
-    annotations: str | os.PathLike[str] | None = None,
-    masks: str | os.PathLike[str] | None = None,
+    annotations: PathLike | None = None,
+    masks: PathLike | None = None,
     workers: int | None = None,
     dask: str = "",
     force: bool = False,
     flow_parameters: Mapping[str, Any] | None = None,
-    cache: str | os.PathLike[str] | None = None,
+    cache: PathLike | None = None,
     progress: Callable[[str, int, int | None], None] | None = None,
     report: Callable[[Outcome], None] | None = None,
     **options: Any,  # noqa: ANN401
@@ -227,9 +227,9 @@ class _Settings:
 
     def __init__(
         self,
-        annotations: str | os.PathLike[str] | None,
-        masks: str | os.PathLike[str] | None,
-        cache: str | os.PathLike[str] | None,
+        annotations: PathLike | None,
+        masks: PathLike | None,
+        cache: PathLike | None,
         flow_parameters: Mapping[str, Any] | None,
         options: Mapping[str, Any],
     ) -> None:

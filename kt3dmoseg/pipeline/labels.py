@@ -14,7 +14,7 @@ import numpy as np
 
 from kt3dmoseg.annotate import label_tracks, load_annotation
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import listed, read_bytes
+from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io.images import decode_indices, void_ids
 from kt3dmoseg.matching import is_hidden, match_frames
 from kt3dmoseg.types import IntArray, Labels, Trajectories
@@ -25,9 +25,7 @@ _SHARE = 0.75
 _MAX_FILE = 1 << 26
 
 
-def find_labels(
-    name: str, annotations: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
-) -> dict[str, list[Path]]:
+def find_labels(name: str, annotations: PathLike | None, masks: PathLike | None) -> dict[str, list[Path]]:
     """Find what a clip is labelled by: its file under "annotation", else its files under "masks", or nothing.
 
     `annotations` is a file, or a folder that may hold ``<name>.json``; `masks` a folder of them, or of one
@@ -47,9 +45,7 @@ def _masks_in(folder: Path) -> list[Path]:
     return [file for file in files if file.suffix.lower() == ".png" and not is_hidden(file.name)]
 
 
-def check_labels(
-    names: Sequence[str], annotations: str | os.PathLike[str] | None, masks: str | os.PathLike[str] | None
-) -> None:
+def check_labels(names: Sequence[str], annotations: PathLike | None, masks: PathLike | None) -> None:
     """Raise a KT3DMoSegError when annotations or masks are missing, of none of the clips or of any."""
     for given, what in ((annotations, "annotations"), (masks, "masks")):
         if given is not None and not Path(given).exists():
