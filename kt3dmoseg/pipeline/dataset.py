@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import cv2
 import h5py
@@ -27,11 +27,12 @@ from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.parallel import Progress, run_tasks
 from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.pipeline.drives import SyntheticDrive
-from kt3dmoseg.pipeline.labels import check_labels, find_labels, label_clip
+from kt3dmoseg.pipeline.labels import find_labels, label_clip
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.tracking import TrackOptions, subsample_background, track
 from kt3dmoseg.types import Clip, IntArray, Labels
 
+_Task: TypeAlias = tuple[FrameSource, dict[str, list[Path]]]  # and what labels it
 _LIBRARIES = {"kt3dmoseg": kt3dmoseg, "numpy": np, "scipy": scipy, "opencv": cv2, "h5py": h5py}
 
 
@@ -105,15 +106,15 @@ def build_clip(
     InvalidValueError, UnknownNameError
         For a bad option.
     """
-    settings = _Settings(annotation, masks, cache, flow_parameters, options)
+    settings = _Settings(options, flow_parameters, cache)
     if isinstance(source, (str, os.PathLike)):
         found = find_sources(source)
         if len(found) != 1:
             number, fix = f"{len(found)}", "build_dataset builds many"
             raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
         source = found[0]
-    check_labels([source.name], annotation, masks)
-    return _Job(source, settings).build(progress)
+    [files] = find_labels([source.name], annotation, masks)
+    return _Job(source, files, settings).build(progress)
 
 
 def build_dataset(
@@ -176,17 +177,22 @@ def build_dataset(
     MissingDependencyError
         When the flow backend needs a package that is not installed.
     """
-    settings = _Settings(annotations, masks, cache, flow_parameters, options)
+    settings = _Settings(options, flow_parameters, cache)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
-    names = _names(sources)
-    check_labels(names, annotations, masks)
+    tasks = list(zip(sources, find_labels(_names(sources), annotations, masks), strict=True))
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))
     count = workers or len(os.sched_getaffinity(0))
+
+    def lost(task: _Task, reason: str) -> Outcome:
+        advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
+        name = task[0].name
+        return Outcome(name, "failed", f"{reason}; {advice}", Path(output, f"{name}.h5"), {})
+
+    outcomes = []
     with _sole_writer(Path(output)) as folder:
-        work, lost = partial(_build_file, settings, folder, force), partial(_lost, folder)
-        outcomes = []
-        for _, outcome in run_tasks(work, sources, lost=lost, workers=count, dask=dask, progress=progress):
+        work = partial(_build_file, settings, folder, force)
+        for _, outcome in run_tasks(work, tasks, lost=lost, workers=count, dask=dask, progress=progress):
             outcomes.append(outcome)
             if report is not None:
                 report(outcome)
@@ -223,35 +229,28 @@ def _sole_writer(output: Path) -> Iterator[Path]:
 
 
 class _Settings:
-    """What clips depend on apart from their frames; worker processes get it, too."""
+    """What clips depend on apart from frames and labels, and the cache; worker processes get it, too."""
 
     def __init__(
-        self,
-        annotations: PathLike | None,
-        masks: PathLike | None,
-        cache: PathLike | None,
-        flow_parameters: Mapping[str, Any] | None,
-        options: Mapping[str, Any],
+        self, options: Mapping[str, Any], flow: Mapping[str, Any] | None, cache: PathLike | None
     ) -> None:
         own, tracker = option_names(BuildOptions), option_names(TrackOptions)
         for name in options:
             if name not in (*own, *tracker):
                 raise unknown_name("option", name, [*own, *tracker])
-        self.annotations, self.masks, self.cache = annotations, masks, cache
         self.build = from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own})
         self.tracks = from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker})
-        self.flow = create(self.build.flow, **(flow_parameters or {}))
+        self.flow, self.cache = create(self.build.flow, **(flow or {})), cache
 
 
-def _build_file(
-    settings: _Settings, output: Path, force: bool, source: FrameSource, progress: Progress
-) -> Outcome:
+def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, progress: Progress) -> Outcome:
     """Build one clip unless its file is up to date; an error is a failed outcome."""
     cv2.setNumThreads(1)  # also with one worker, which is the calling process
+    (source, files), labels = task, "".join(task[1])
     name, target = source.name, output / f"{source.name}.h5"
     try:
-        job = _Job(source, settings)
-        reason, labels = _reason_to_build(target, job.inputs, force), "".join(job.files)
+        job = _Job(source, files, settings)
+        reason = _reason_to_build(target, job.inputs, force)
         if not reason:
             return Outcome(name, "up to date", "", target, {}, labels)
         clip = job.build(partial(progress, name))
@@ -267,11 +266,6 @@ def _build_file(
     return Outcome(name, "built", reason, target, counts, labels)
 
 
-def _lost(output: Path, source: FrameSource, reason: str) -> Outcome:
-    advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
-    return Outcome(source.name, "failed", f"{reason}; {advice}", output / f"{source.name}.h5", {})
-
-
 class _Job:
     """One clip to build, checked, without a frame decoded.
 
@@ -279,9 +273,8 @@ class _Job:
     backend that depends on more than its parameters.
     """
 
-    def __init__(self, source: FrameSource, settings: _Settings) -> None:
-        self.source, self.settings, self.info = source, settings, source.inspect()
-        self.files = find_labels(source.name, settings.annotations, settings.masks)
+    def __init__(self, source: FrameSource, files: Mapping[str, list[Path]], settings: _Settings) -> None:
+        self.source, self.files, self.settings, self.info = source, files, settings, source.inspect()
         hashes = {"annotation": lambda paths: sha256_file(paths[0]), "masks": sha256_files}
         self.inputs = {
             "name": source.name,

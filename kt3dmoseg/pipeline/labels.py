@@ -25,53 +25,54 @@ _SHARE = 0.75
 _MAX_FILE = 1 << 26
 
 
-def find_labels(name: str, annotations: PathLike | None, masks: PathLike | None) -> dict[str, list[Path]]:
-    """Find what a clip is labelled by: its file under "annotation", else its files under "masks", or nothing.
+def find_labels(
+    names: Sequence[str], annotations: PathLike | None, masks: PathLike | None
+) -> list[dict[str, list[Path]]]:
+    """Find what each clip is labelled by: its file under "annotation", else those under "masks", or nothing.
 
-    `annotations` is a file, or a folder that may hold ``<name>.json``; `masks` a folder of them, or of one
-    such folder per clip.
+    `annotations` is a file, or a folder of ``<name>.json``; `masks` a folder of one such folder per clip, or
+    of the only clip's files. A KT3DMoSegError is raised when they are missing or of none of the clips.
     """
+    for given, what in ((annotations, "annotations"), (masks, "masks")):
+        if given is not None and not Path(given).exists():
+            raise InputFileError(f"{given}", expected=what, found="no such file or folder")
+    painted = {} if masks is None else _masks_of(names, Path(masks))
+    found = [{"masks": painted[name]} if painted.get(name) else {} for name in names]
     if annotations is not None:
-        file = Path(annotations, f"{name}.json") if Path(annotations).is_dir() else Path(annotations)
-        if file.is_file():
-            return {"annotation": [file]}
-    folders = [] if masks is None else [Path(masks, name), Path(masks)]
-    found: list[Path] = next(filter(None, map(_masks_in, folders)), [])
-    return {"masks": found} if found else {}
+        folder = Path(annotations)
+        files = [folder / f"{name}.json" if folder.is_dir() else folder for name in names]
+        found = [{"annotation": [f]} if f.is_file() else other for f, other in zip(files, found, strict=True)]
+        if masks is None and not any(found):
+            raise _unnamed(names, folder)
+    return found
+
+
+def _unnamed(names: Sequence[str], annotations: Path) -> InputFileError:
+    files = [path.name for path in listed(annotations) if path.suffix.lower() == ".json"]
+    expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
+    fix = "rename it" if files else "give the folder that has some"
+    fix += ", or give --annotations none (annotations=None) for no labels"
+    found = ", ".join(files[:3]) or "no annotation"
+    return InputFileError(f"{annotations}", expected=expected, found=found, fix=fix)
+
+
+def _masks_of(names: Sequence[str], masks: Path) -> dict[str, list[Path]]:
+    here = _masks_in(masks)
+    if here and len(names) > 1:
+        expected = f"one folder of masks per clip, as {masks / names[0]}"
+        fix = "build their clip alone, or move them into a folder of its name"
+        found = f"masks, and {len(names)} clips"
+        raise InvalidValueError(f"{masks}", expected=expected, found=found, fix=fix)
+    below = {name: _masks_in(masks / name) or here for name in names}
+    if not any(below.values()):
+        expected = f"masks (.png) there, or in {masks / names[0]}"
+        raise InputFileError(f"{masks}", expected=expected, found="none")
+    return below
 
 
 def _masks_in(folder: Path) -> list[Path]:
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     return [file for file in files if file.suffix.lower() == ".png" and not is_hidden(file.name)]
-
-
-def check_labels(names: Sequence[str], annotations: PathLike | None, masks: PathLike | None) -> None:
-    """Raise a KT3DMoSegError when annotations or masks are missing, of none of the clips or of any."""
-    for given, what in ((annotations, "annotations"), (masks, "masks")):
-        if given is not None and not Path(given).exists():
-            raise InputFileError(f"{given}", expected=what, found="no such file or folder")
-    if masks is not None:
-        _check_masks(names, Path(masks))
-    elif annotations is not None and not any(find_labels(name, annotations, None) for name in names):
-        files = [path.name for path in listed(Path(annotations)) if path.suffix.lower() == ".json"]
-        expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
-        fix = "rename it" if files else "give the folder that has some"
-        fix += ", or give --annotations none (annotations=None) for no labels"
-        found = ", ".join(files[:3]) or "no annotation"
-        raise InputFileError(f"{annotations}", expected=expected, found=found, fix=fix)
-
-
-def _check_masks(names: Sequence[str], masks: Path) -> None:
-    if len(names) > 1 and _masks_in(masks):
-        expected, found = (
-            f"one folder of masks per clip, as {masks / names[0]}",
-            f"masks, and {len(names)} clips",
-        )
-        fix = "build their clip alone, or move them into a folder of its name"
-        raise InvalidValueError(f"{masks}", expected=expected, found=found, fix=fix)
-    if not any(find_labels(name, None, masks) for name in names):
-        expected = f"masks (.png) there, or in {masks / names[0]}"
-        raise InputFileError(f"{masks}", expected=expected, found="none")
 
 
 def label_clip(
