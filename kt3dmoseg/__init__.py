@@ -9,42 +9,30 @@ from kt3dmoseg.registry import lazy
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from kt3dmoseg import flow as flow
-    from kt3dmoseg import kitti as kitti
-    from kt3dmoseg import pipeline as pipeline
-    from kt3dmoseg import tracking as tracking
-    from kt3dmoseg.annotate import label_tracks as label_tracks
-    from kt3dmoseg.annotate import load_annotation as load_annotation
-    from kt3dmoseg.io import load as load
-    from kt3dmoseg.io import load_dataset as load_dataset
-    from kt3dmoseg.io import save as save
-    from kt3dmoseg.tracking import track as track
-    from kt3dmoseg.types import Camera as Camera
-    from kt3dmoseg.types import Clip as Clip
-    from kt3dmoseg.types import Labels as Labels
-    from kt3dmoseg.types import Trajectories as Trajectories
-    from kt3dmoseg.viewing import label as label
-    from kt3dmoseg.viewing import show as show
+    from kt3dmoseg import catalog, errors, flow, kitti, pipeline, synthetic, tracking, types
+    from kt3dmoseg.annotate import label_tracks, load_annotation
+    from kt3dmoseg.io import load, load_dataset, save
+    from kt3dmoseg.tracking import track
+    from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
+    from kt3dmoseg.viewing import label, show
 
-# Public names and where they live; imported on first use so that `--help` stays fast.
-_PUBLIC = {
-    "load": "io",
-    "load_dataset": "io",
-    "save": "io",
-    "track": "tracking",
-    "load_annotation": "annotate",
-    "label_tracks": "annotate",
-    "show": "viewing",
-    "label": "viewing",
-    "Trajectories": "types",
-    "Labels": "types",
-    "Camera": "types",
-    "Clip": "types",
+__all__ = ["load", "load_dataset", "save", "track", "load_annotation", "label_tracks", "show", "label"]
+__all__ += ["Trajectories", "Labels", "Camera", "Clip", "__version__"]
+__all__ += ["pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog"]
+
+# Where the public names live; imported on first use so that `--help` stays fast.
+_NAMES = {
+    "io": ("load", "load_dataset", "save"),
+    "tracking": ("track",),
+    "annotate": ("load_annotation", "label_tracks"),
+    "viewing": ("show", "label"),
+    "types": ("Trajectories", "Labels", "Camera", "Clip"),
 }
 _MODULES = ("pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog")
-
-__all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
-
 _FORMER = {"build": "pipeline", "tracks": "tracking"}  # names of 0.1.0
 
-__getattr__, __dir__ = lazy(__name__, _PUBLIC, dict(zip(_MODULES, _MODULES, strict=True)) | _FORMER)
+__getattr__, __dir__ = lazy(
+    __name__,
+    {name: module for module, names in _NAMES.items() for name in names},
+    {name: name for name in _MODULES} | _FORMER,
+)

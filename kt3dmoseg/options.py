@@ -1,12 +1,4 @@
-"""Options as dataclass fields: one definition gives keywords, CLI flags, TOML keys and help.
-
->>> from dataclasses import dataclass
->>> @dataclass(frozen=True)
-... class Grid:
-...     spacing: int = option(8, "distance of seeds in pixels", low=1)
->>> from_mapping(Grid, {"spacing": "4"})
-Grid(spacing=4)
-"""
+"""Options as dataclass fields: one definition gives keywords, flags, TOML keys, help and bounds."""
 
 from __future__ import annotations
 

@@ -45,11 +45,7 @@ class Registry:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return the known name that a misspelt one is most like, whatever the case; empty when none is.
-
-    >>> nearest("sbset", ["affine", "Subset"])
-    'Subset'
-    """
+    """Return the known name that a misspelt one is most like, whatever the case; empty when none is."""
     from difflib import get_close_matches
 
     folded = {each.lower(): each for each in known}
@@ -73,8 +69,8 @@ def lazy(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Make the ``__getattr__`` and the ``__dir__`` of a package whose names are imported on first use.
 
-    `names` maps public names to the module of the package that has them, or the full name of another module;
-    `modules` maps public names of the package's modules to these.
+    `names` maps them to the module of the package that has them, or the full name of another; `modules` maps
+    public names of the package's modules to these.
     """
 
     def getattr_(name: str) -> Any:  # noqa: ANN401  # the object may be anything
