@@ -63,10 +63,7 @@ Parameters = Annotated[
 
 
 def application(name: str, purpose: str, commands: Mapping[str, str]) -> cyclopts.App:
-    """Make a program of its commands, by name: "module:function", or "module:app" for a group of commands.
-
-    A module is imported when its command is called or listed.
-    """
+    """Make a program of commands: "module:function", or "module:app" for a group; imported when needed."""
     app = group(name, purpose)
     app.version = f"{name} {__version__}"
     app.default_parameter = Parameter(negative_iterable=(), allow_repeating=True, json_list=False)
@@ -87,11 +84,10 @@ def group(name: str, purpose: str) -> cyclopts.App:
 
 
 def flags(*classes: type[Any]) -> Callable[[Command], Command]:
-    """Let a command take the fields of options dataclasses as flags.
+    """Let a command take the fields of options dataclasses as flags; it gets those given, as written.
 
-    The command gets in its ``**keywords`` those that were given, as they were written: the public function
-    that it calls converts and checks them. A field that is a parameter of the command itself is left out.
-    Where a class names its `everyday` options, ``--help`` lists no others; ``--help-all`` does.
+    A field that is a parameter of the command itself is left out. Where a class names its `everyday` options,
+    ``--help`` lists no others; ``--help-all`` does.
     """
 
     def decorate(command: Command) -> Command:
@@ -168,11 +164,7 @@ _HELP = _Help()
 
 
 def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
-    """Run a program with these arguments, by default the process's, and return its exit code.
-
-    0 on success; an error's own exit code (2, or 1 for a rejected submission) after one line on standard
-    error; 130 when interrupted.
-    """
+    """Run a program with these arguments, by default the process's; return its exit code."""
     program = app.name[0]
     if isinstance(sys.stdout, io.TextIOWrapper):  # as standard error: a file's name may be no UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")

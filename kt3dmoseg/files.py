@@ -73,10 +73,9 @@ def _one_line(path: PathLike, problem: str = "") -> Iterator[None]:
 
 @contextmanager
 def atomic_path(path: PathLike) -> Iterator[Path]:
-    """Give a temporary path in the folder of `path`; on success it takes the name `path`, durably.
+    """Give a temporary path in the folder of `path`, made if missing; on success it takes that name, durably.
 
-    The folder is created when missing. On any exception, and on ``kill -9``, `path` keeps its
-    former content or stays absent; the temporary file is removed when the process can.
+    On any exception, and on ``kill -9``, `path` keeps its former content or stays absent.
     """
     target = Path(path)
     check_target(target)

@@ -1,7 +1,6 @@
-"""Where the frames of clips are: in folders of pictures, videos and KITTI raw drives.
+"""Where the frames of clips are: folders of pictures, videos and KITTI raw drives.
 
-Whatever needs frames finds them here. `find_sources` lists what clips can be built from, `frames_of` reads
-the frames of a clip that exists, and `find_clips` lists what there is to label.
+`find_sources` lists what to build, `frames_of` reads the frames of a clip, `find_clips` lists what to label.
 """
 
 from __future__ import annotations
@@ -33,11 +32,10 @@ _DAY_OR_DRIVE = re.compile(r"\d{4}_\d\d_\d\d(_drive_\d{4}_sync)?")
 
 @dataclass(frozen=True)
 class FrameInfo:
-    """What is known of a clip before its frames are decoded.
+    """What is known of a clip before its frames are decoded; their `numbers` may be None, as a video's.
 
-    `numbers` of the frames are None when only decoding shows how many there are. The `description` states
-    where they come from, with the sha256 of everything they are decoded from, and no path of this machine.
-    `timestamps` (F,) are in seconds.
+    The `description` states where they come from, with the sha256 of everything they are decoded from, and no
+    path of this machine. `timestamps` (F,) are in seconds.
     """
 
     numbers: Sequence[int] | None
@@ -223,8 +221,7 @@ def _check_level(folder: Path) -> None:
 def located_sources(root: PathLike) -> list[FrameSource]:
     """List the clips of ``ROOT/located.toml``, as `pull` and `locate` write it, that are on disk.
 
-    Without that file in the KITTI raw root the list is empty. A `FileFormatError` is raised when the file is
-    no catalog, or a clip in it skips frames.
+    A `FileFormatError` is raised when the file is no catalog, or a clip in it skips frames.
     """
     from kt3dmoseg import catalog
     from kt3dmoseg.kitti import RawDrive
@@ -321,10 +318,8 @@ def frame_folder(clip: Clip, root: PathLike) -> Path | None:
 def frames_of(clip: Clip, root: PathLike) -> list[ByteArray]:
     """Read the frames of a clip, (H, W) uint8 each: as many as it has, and of its size.
 
-    They are in a folder of clips or a KITTI raw root that `frame_folder` finds them in, or `root` is the
-    folder of the numbered pictures itself. Of pictures in colour the luma is taken. There may be more than
-    the clip's when it was built from a KITTI drive: those of its numbers are taken. An `InputFileError` or
-    `FileFormatError` is raised when they cannot be read, or are those of another clip.
+    `frame_folder` finds them below `root`, or `root` is their folder. Of pictures in colour the luma
+    is taken, of a KITTI drive the frames of the clip's numbers. Those of another clip are refused.
     """
     folder = frame_folder(clip, root) or Path(root)
     paths, size = _paths_of(clip, folder), clip.dense.image_size
@@ -399,10 +394,8 @@ def find_clips(
 ) -> dict[str, ClipFiles]:
     """Find the clips to label, sorted by name: a folder of frames, a clip file, or a folder of these.
 
-    `annotations` is the folder of ``<clip>.json``. Clip files need `frames`: a folder with one folder of
-    frames per clip, the frames themselves, or the KITTI raw root that the clips were built from; by default
-    they are next to the files, or in ``frames`` next to their folder. `tracks`, clip files too, adds
-    trajectories to folders of frames.
+    The `frames` of clip files are in a folder with one per clip, the folder itself, or the KITTI raw root of
+    the build; by default next to the files, or in ``frames`` next to their folder. `tracks` adds more.
     """
     given = Path(path)
     folders, files = {given.resolve().name: given}, _clip_files(given)

@@ -39,10 +39,9 @@ def option(
 
 @dataclasses.dataclass(frozen=True)
 class Preset:
-    """Values of several options under one name.
+    """Values of several options under one name, in the class attribute `presets` of their dataclass.
 
-    A dataclass offers presets in a class attribute `presets`, by name. Where one is chosen, its values
-    replace the defaults; an option that is given by itself wins. Only the values are stored, not the preset.
+    Where it is chosen, they replace the defaults; an option that is given by itself wins.
     """
 
     help: str
