@@ -44,13 +44,16 @@ def frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
 
 
 class _Value:
-    """A frozen dataclass of arrays and mappings; ``vars(self).update`` fills it once."""
+    """A frozen dataclass of arrays and mappings."""
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild through the constructor: pickling alone would make the arrays writable."""
         kind = next(c for c in type(self).__mro__ if "__dataclass_fields__" in vars(c))
         values = (getattr(self, item.name) for item in fields(kind))
         return kind, tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
+
+    def _set(self, **values: object) -> None:
+        vars(self).update(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +96,7 @@ class Trajectories(_Value):
             raise InvalidValueError("track_id", expected=f"{len(xy)} unique ids", found=found)
         _check_presence(xy, visible)
         size = None if self.image_size is None else _image_size(self.image_size)
-        vars(self).update(xy=xy, visible=visible, track_id=track_id, image_size=size)
+        self._set(xy=xy, visible=visible, track_id=track_id, image_size=size)
 
     def __repr__(self) -> str:
         """Show the counts only; the arrays would fill the screen."""
@@ -209,7 +212,7 @@ class Labels(_Value):
             raise InvalidValueError("label", expected="integers >= 0", found=_brief(raw))
         background = None if self.background is None else int(frozen(self.background, np.int64))
         names = MappingProxyType(dict(self.names))
-        vars(self).update(label=frozen(raw, np.int64), names=names, background=background)
+        self._set(label=frozen(raw, np.int64), names=names, background=background)
 
     def __repr__(self) -> str:
         """Show the counts only; the array would fill the screen."""
@@ -271,7 +274,7 @@ class Camera(_Value):
         matrix = frozen(self.K, np.float64)
         if matrix.shape != (3, 3):
             raise InvalidValueError("camera.K", expected="shape (3, 3)", found=f"{matrix.shape}")
-        vars(self).update(K=matrix)
+        self._set(K=matrix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +327,7 @@ class Clip(_Value):
         for name, array in values.items():
             if array.shape != (frames,):
                 raise InvalidValueError(name, expected=f"shape ({frames},)", found=f"{array.shape}")
-        vars(self).update(evaluated=rows, provenance=MappingProxyType(dict(self.provenance)), **values)
+        self._set(evaluated=rows, provenance=MappingProxyType(dict(self.provenance)), **values)
 
     def __repr__(self) -> str:
         """Summarise the clip in one line."""
