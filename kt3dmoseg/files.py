@@ -254,10 +254,7 @@ class ZipLimits:
 
 
 class ZipFault(NamedTuple):
-    """Why a zip archive (`file` is empty), or one file in it, is not read.
-
-    `code` is one of not-a-zip, too-large, unsafe-path, symlink, duplicate-name, encrypted, unreadable.
-    """
+    """Why a zip archive (`file` is empty), or one file in it, is not read; `code` is a word for programs."""
 
     code: str
     file: str

@@ -277,7 +277,12 @@ def kitti_sources(
     """
     from kt3dmoseg.kitti import Drive, RawDrive
 
-    span = _span(frames)
+    span = None if isinstance(frames, str) else frames
+    if isinstance(frames, str):
+        match = re.fullmatch(r"(\d{1,9})-(\d{1,9})", frames)
+        if not match:
+            raise InvalidValueError("range", expected="FIRST-LAST, as 45-64", found=repr(frames))
+        span = int(match[1]), int(match[2])
     wanted = None if drive is None else Drive(date or "2011_09_26", drive).number  # type: ignore[arg-type]  # it converts
     names = (folder.name.removesuffix("_sync") for folder in sorted(Path(root).glob(_DRIVE_FOLDERS)))
     matches = map(_DRIVE.fullmatch, names)
@@ -293,15 +298,6 @@ def kitti_sources(
         raise InvalidValueError("range and name", expected="one drive", found=found, fix=fix)
     first, last = span or (None, None)
     return [KittiClip(RawDrive(root, *pair, camera), first, last, name) for pair in pairs]
-
-
-def _span(frames: str | tuple[int, int] | None) -> tuple[int, int] | None:
-    if not isinstance(frames, str):
-        return frames
-    match = re.fullmatch(r"(\d{1,9})-(\d{1,9})", frames)
-    if not match:
-        raise InvalidValueError("range", expected="FIRST-LAST, as 45-64", found=repr(frames))
-    return int(match[1]), int(match[2])
 
 
 def frame_folder(clip: Clip, root: PathLike) -> Path | None:

@@ -54,15 +54,15 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
     The name of a `Preset` takes true or false. A misspelt key is an UnknownNameError with the nearest name, a
     value of the wrong type or out of bounds an InvalidValueError; they begin with `where`, as a file's name.
     """
-    hints, known = typing.get_type_hints(cls), option_names(cls)
+    hints, known, prefix = typing.get_type_hints(cls), option_names(cls), f"{where}: " if where else ""
     given: dict[str, Any] = {}
     preset: dict[str, Any] = {}
     for key, value in values.items():
         if key not in known:
             raise unknown_name("option" if where else f"option of {cls.__name__}", key, known, where=where)
         if key not in presets(cls):
-            given[key] = _convert(value, hints[key], _at(where, key))
-        elif _convert(value, bool, _at(where, key)):
+            given[key] = _convert(value, hints[key], prefix + key)
+        elif _convert(value, bool, prefix + key):
             preset |= presets(cls)[key].values
     return check(cls(**preset | given), where=where)
 
@@ -76,12 +76,9 @@ def check(instance: T, *, where: str = "") -> T:
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             bounds = [f"{sign} {bound}" for sign, bound in ((">=", low), ("<=", high)) if bound is not None]
             expected = f"a number {' and '.join(bounds)}"
-            raise InvalidValueError(_at(where, spec.name), expected=expected, found=repr(value))
+            name = f"{where}: {spec.name}" if where else spec.name
+            raise InvalidValueError(name, expected=expected, found=repr(value))
     return instance
-
-
-def _at(where: str, name: str) -> str:
-    return f"{where}: {name}" if where else name
 
 
 def presets(cls: type[Any]) -> Mapping[str, Preset]:
