@@ -21,18 +21,11 @@ __all__ += ["Trajectories", "Labels", "Camera", "Clip", "__version__"]
 __all__ += ["pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog"]
 
 # Where the public names live; imported on first use so that `--help` stays fast.
-_NAMES = {
-    "io": ("load", "load_dataset", "save"),
-    "tracking": ("track",),
-    "annotate": ("load_annotation", "label_tracks"),
-    "viewing": ("show", "label"),
-    "types": ("Trajectories", "Labels", "Camera", "Clip"),
-}
+_NAMES = dict.fromkeys(("load", "load_dataset", "save"), "io") | {"track": "tracking"}
+_NAMES |= dict.fromkeys(("load_annotation", "label_tracks"), "annotate")
+_NAMES |= dict.fromkeys(("show", "label"), "viewing")
+_NAMES |= dict.fromkeys(("Trajectories", "Labels", "Camera", "Clip"), "types")
 _MODULES = ("pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog")
 _FORMER = {"build": "pipeline", "tracks": "tracking"}  # names of 0.1.0
 
-__getattr__, __dir__ = lazy(
-    __name__,
-    {name: module for module, names in _NAMES.items() for name in names},
-    {name: name for name in _MODULES} | _FORMER,
-)
+__getattr__, __dir__ = lazy(__name__, _NAMES, dict(zip(_MODULES, _MODULES, strict=True)) | _FORMER)

@@ -41,14 +41,10 @@ class BuildOptions:
 
 
 # Imported on first use: `kt3dmoseg build --help` reads the options without loading OpenCV.
-_PLACES = {
-    "kt3dmoseg.frames": "FrameFolder FrameSource KittiClip VideoFile "
-    "find_sources kitti_sources located_sources",
-    "dataset": "Outcome build_clip build_dataset",
-    "drives": "SyntheticDrive build_synthetic",
-    "labels": "label_by_masks",
-}
-_PUBLIC = {name: module for module, names in _PLACES.items() for name in names.split()}
+_PUBLIC = dict.fromkeys(("FrameFolder", "FrameSource", "KittiClip", "VideoFile"), "kt3dmoseg.frames")
+_PUBLIC |= dict.fromkeys(("find_sources", "kitti_sources", "located_sources"), "kt3dmoseg.frames")
+_PUBLIC |= dict.fromkeys(("Outcome", "build_clip", "build_dataset"), "dataset")
+_PUBLIC |= dict.fromkeys(("SyntheticDrive", "build_synthetic"), "drives") | {"label_by_masks": "labels"}
 
 __all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604
 
