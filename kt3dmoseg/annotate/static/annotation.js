@@ -1,16 +1,15 @@
-// The annotation as a document: each edit returns a new one that shares all that it did not touch.
+// The annotation as a document: each edit returns a new one that shares all that it did not touch. Then the plane
+// geometry of its outlines, in pixels.
 
 export const objectOf = (doc, id) => doc.objects.find((item) => item.id === id) ?? null;
 
 export const keyAt = (item, frame) => item.key_frames.find((key) => key.frame === frame) ?? null;
 
-const nextId = (doc) => Math.max(0, ...doc.objects.map((item) => item.id)) + 1;
-
 export const nextMotion = (doc) => Math.max(0, ...doc.objects.map((item) => item.motion).filter(Number.isInteger)) + 1;
 
 /** Add an object under the next free id; what is not given is a car with the next free motion. */
 export function addObject(doc, values) {
-  const id = nextId(doc);
+  const id = Math.max(0, ...doc.objects.map((item) => item.id)) + 1;
   // In the server's order of fields: documents are compared as text.
   const item = { id, name: `object ${id}`, kind: "car", motion: nextMotion(doc) };
   return { ...doc, objects: [...doc.objects, { ...item, ...values, id }] };
@@ -26,53 +25,108 @@ export function setKey(doc, id, frame, polygons, visibility = "visible") {
   return update(doc, id, { key_frames });
 }
 
-const changePart = (polygons, part, change) => polygons.map((polygon, k) => (k === part ? change(polygon) : polygon));
-
-export const replacePoint = (polygons, part, index, point) =>
-  changePart(polygons, part, (polygon) => polygon.with(index, point));
-
-export const insertPoint = (polygons, part, index, point) =>
-  changePart(polygons, part, (polygon) => polygon.toSpliced(index, 0, point));
-
-/** Remove a point; a polygon of three vanishes. */
-export const removePoint = (polygons, part, index) =>
-  changePart(polygons, part, (polygon) => polygon.toSpliced(index, 1)).filter((polygon) => polygon.length >= 3);
-
-export const shift = (polygons, dx, dy) => polygons.map((polygon) => polygon.map(([x, y]) => [x + dx, y + dy]));
-
-/** The region of an object in a frame: the document's where a person drew it, else the server's. */
-export function regionIn(item, frame, regions) {
-  const key = keyAt(item, frame);
-  if (key) return { visibility: key.visibility, polygons: key.polygons ?? [], key: true };
-  const found = regions?.[item.id]?.[frame];
-  if (found && !found.key) return found;
-  const before = item.key_frames.filter((other) => other.frame < frame).at(-1) ?? item.key_frames[0];
-  return { visibility: before.visibility, polygons: before.polygons ?? [], key: false };
-}
-
-const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-
 /** Merge two documents made from the same saved one: nothing that either side drew is lost.
  *  Objects changed on one side only are taken from there; changed on both, both are kept. */
 export function merge(base, mine, theirs) {
-  let merged = { ...mine, revision: theirs.revision, objects: [], marks: mergeMarks(base, mine, theirs) };
-  const doubles = [];
-  for (const id of new Set([...theirs.objects, ...mine.objects].map((item) => item.id))) {
-    const [old, my, their] = [base, mine, theirs].map((doc) => objectOf(doc, id));
+  const [objects, doubles] = mergeLists([base, mine, theirs].map((doc) => doc.objects), (item) => item.id);
+  const [marks] = mergeLists([base, mine, theirs].map((doc) => doc.marks ?? []), JSON.stringify);
+  return doubles.reduce((doc, item) => addObject(doc, { ...item, name: `${item.name} (other)` }),
+    { ...mine, revision: theirs.revision, objects, marks });
+}
+
+/** The merged items, and their versions of those that both sides changed. */
+function mergeLists(lists, keyOf) {
+  const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+  const [base, mine, theirs] = lists.map((items) => new Map(items.map((item) => [keyOf(item), item])));
+  const [merged, doubles] = [[], []];
+  for (const key of new Set([...theirs.keys(), ...mine.keys()])) {
+    const [old, my, their] = [base, mine, theirs].map((items) => items.get(key));
     let kept = [my, their];
     if (same(my, old) || same(my, their)) kept = [their];
     else if (same(their, old)) kept = [my];
     const [first, double] = kept.filter(Boolean);
-    if (first) merged.objects.push(first);
+    if (first) merged.push(first);
     if (double) doubles.push(double);
   }
-  for (const item of doubles) merged = addObject(merged, { ...item, name: `${item.name} (other)` });
-  return merged;
+  return [merged, doubles];
 }
 
-function mergeMarks(base, mine, theirs) {
-  const text = (doc) => new Set((doc.marks ?? []).map((mark) => JSON.stringify(mark)));
-  const [old, my, their] = [text(base), text(mine), text(theirs)];
-  const all = new Set([...their, ...my]);
-  return [...all].filter((mark) => !old.has(mark) || (my.has(mark) && their.has(mark))).map((mark) => JSON.parse(mark));
+// Outlines
+
+const changePart = (polygons, part, change) => polygons.map((polygon, k) => (k === part ? change(polygon) : polygon));
+
+export const replacePoint = (polygons, { part, index }, point) =>
+  changePart(polygons, part, (polygon) => polygon.with(index, point));
+
+export const insertPoint = (polygons, { part, index, point }) =>
+  changePart(polygons, part, (polygon) => polygon.toSpliced(index, 0, point));
+
+/** Remove a point; a polygon of three vanishes. */
+export const removePoint = (polygons, { part, index }) =>
+  changePart(polygons, part, (polygon) => polygon.toSpliced(index, 1)).filter((polygon) => polygon.length >= 3);
+
+export const shift = (polygons, dx, dy) => polygons.map((polygon) => polygon.map(([x, y]) => [x + dx, y + dy]));
+
+export const rounded = (polygon) => polygon.map(([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 100) / 100]);
+
+export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+
+export const distance = ([ax, ay], [bx, by]) => Math.hypot(ax - bx, ay - by);
+
+export const middle = ([ax, ay], [bx, by]) => [(ax + bx) / 2, (ay + by) / 2];
+
+/** Even-odd rule. */
+export function inside([x, y], polygon) {
+  let odd = false;
+  polygon.forEach(([ax, ay], i) => {
+    const [bx, by] = polygon.at(i - 1);
+    if (ay > y !== by > y && x < ax + ((y - ay) * (bx - ax)) / (by - ay)) odd = !odd;
+  });
+  return odd;
+}
+
+/** The point of segment ab nearest to p. */
+function nearestOnSegment(p, a, b) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const t = clamp(((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / (dx * dx + dy * dy || 1), 0, 1);
+  return [a[0] + t * dx, a[1] + t * dy];
+}
+
+export const nearestVertex = (p, polygons, reach) =>
+  nearest(p, polygons, reach, (vertex, _, index) => ({ point: vertex, index }));
+
+/** The edge near p, as the index at which a new vertex would go. */
+export const nearestEdge = (p, polygons, reach) =>
+  nearest(p, polygons, reach, (a, b, index) => ({ point: nearestOnSegment(p, a, b), index: index + 1 }));
+
+function nearest(p, polygons, reach, candidate) {
+  let best = null;
+  polygons.forEach((polygon, part) => polygon.forEach((vertex, i) => {
+    const { point, index } = candidate(vertex, polygon[(i + 1) % polygon.length], i);
+    const gap = distance(p, point);
+    if (gap <= (best?.gap ?? reach)) best = { part, index, gap, point };
+  }));
+  return best;
+}
+
+/** Left, top, right and bottom; null without a point. */
+export function boundsOf(polygons) {
+  const [xs, ys] = [0, 1].map((axis) => polygons.flat().map((point) => point[axis]));
+  return xs.length ? [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)] : null;
+}
+
+/** Leave out points closer than `tolerance` to the outline without them (Douglas and Peucker 1973). */
+export function simplify(polygon, tolerance) {
+  if (polygon.length < 8) return polygon;
+  const simple = thinned([...polygon, polygon[0]], tolerance);
+  return simple.length >= 3 ? simple : polygon;
+}
+
+/** The points of a line that matter, without its last. */
+function thinned(line, tolerance) {
+  const gaps = line.map((point) => distance(point, nearestOnSegment(point, line[0], line.at(-1))));
+  const largest = Math.max(...gaps);
+  if (largest <= tolerance) return [line[0]];
+  const index = gaps.indexOf(largest);
+  return [...thinned(line.slice(0, index + 1), tolerance), ...thinned(line.slice(index), tolerance)];
 }

@@ -1,7 +1,7 @@
 // Opening clips, the list of them, and how far this one and all are.
 
-import * as api from "./api.js";
-import { button, byId, close, element, faint, fill, open, row, table } from "./dom.js";
+import { ask, listClips } from "./api.js";
+import { button, byId, close, element, faint, fill, open, paragraph, row, scrolling } from "./dom.js";
 import { flush, saver, startFrom } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
 import { loadTracks, unexplained } from "./tracks.js";
@@ -16,14 +16,14 @@ export async function openClip(name, pushHistory = true) {
     await show(name, pushHistory);
   } catch (error) {
     const again = button("Try again", () => (close(), openClip(name, pushHistory)));
-    open("The clip cannot be opened", element("p", {}, error.message), row(again, button("Close", close)));
+    open("The clip cannot be opened", paragraph(error.message), row(again, button("Close", close)));
   }
 }
 
 /** What is not saved of the present clip is saved first, or stays in this browser. */
 async function show(name, pushHistory) {
   await flush();
-  const clip = await api.getClip(name);
+  const clip = await ask(name);
   if (pushHistory) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
   stop();
   saver.base = undefined;
@@ -35,7 +35,7 @@ async function show(name, pushHistory) {
 }
 
 export async function openNext(by) {
-  const names = (await api.listClips()).map((clip) => clip.name);
+  const names = (await listClips()).map((clip) => clip.name);
   const next = names[names.indexOf(state.clip.name) + by];
   if (next) await openClip(next);
   else notify(by > 0 ? "This is the last clip" : "This is the first clip");
@@ -45,12 +45,13 @@ export async function openNext(by) {
 
 /** The state of a clip as it counts now: what was changed after it was done is in work again. */
 function stateOf({ work, revision }) {
-  if (!work?.by) return { state: revision ? "in work" : "not started", detail: "" };
-  const detail = `${work.by}, ${new Date(work.time).toLocaleString()}`;
-  const changed = ["done", "reviewed"].includes(work.state) && revision !== undefined && revision !== work.revision;
-  return changed ? { state: "in work", detail: `changed since ${work.state} by ${detail}` }
-    : { state: work.state, detail: `by ${detail}` };
+  if (!work?.by) return { now: revision ? "in work" : "not started", detail: "" };
+  const by = `by ${work.by}, ${new Date(work.time).toLocaleString()}`;
+  const changed = isDone(work.state) && revision !== undefined && revision !== work.revision;
+  return changed ? { now: "in work", detail: `changed since ${work.state} ${by}` } : { now: work.state, detail: by };
 }
+
+const isDone = (name) => ["done", "reviewed"].includes(name);
 
 const left = (count) => (count ? `${count} motion${count > 1 ? "s" : ""} to check` : "no motion to check");
 
@@ -58,10 +59,10 @@ async function setState(wanted) {
   await flush();
   const { clip } = state;
   const by = yourName() || await askName();
-  if (!by) return drawProgress();
-  const work = await api.setWorkState(clip.name, wanted, by);
+  if (!by) return;
+  const { work } = await ask(clip.name, "state", { state: wanted, by }, { method: "PUT" });
   if (clip === state.clip) set({ work });
-  return refresh();
+  await refresh();
 }
 
 /** Who sets the state: not who drew last, for a reviewer is somebody else. This browser keeps the answer. */
@@ -70,14 +71,10 @@ const yourName = () => state.clip.annotator || localStorage.getItem("annotator")
 function askName() {
   return new Promise((done) => {
     const name = element("input", { "aria-label": "your name", maxLength: 100, value: yourName() ?? "" });
-    const keep = () => {
-      const given = name.value.trim();
-      if (given) localStorage.setItem("annotator", given);
-      close();
-    };
-    name.addEventListener("keydown", (event) => event.key === "Enter" && keep());
-    open("Who are you?", element("p", {}, "The state is kept with your name and the time."), name,
-      row(button("Keep", keep, "primary"), button("Cancel", close)));
+    const keep = () => name.value.trim() && localStorage.setItem("annotator", name.value.trim());
+    open("Who are you?", element("form", { method: "dialog", onsubmit: keep },
+      paragraph("The state is kept with your name and the time."), name,
+      row(element("button", { className: "primary" }, "Keep"), button("Cancel", close))));
     name.focus();
     byId("dialog").addEventListener("close", () => done(localStorage.getItem("annotator")), { once: true });
   });
@@ -88,7 +85,7 @@ let timer = 0;
 async function refresh() {
   clearTimeout(timer);
   try {
-    set({ summaries: await api.listClips() });
+    set({ summaries: await listClips() });
     if (state.summaries.some((summary) => summary.counting)) timer = setTimeout(refresh, POLL);
   } catch {
     // The server is away: the next save retries.
@@ -96,26 +93,26 @@ async function refresh() {
 }
 
 function drawProgress() {
-  const { summaries, clip, work } = state;
-  const open = unexplained();
-  byId("progress").textContent = open ? left(open.length) : "…";
-  byId("clips").title = `${done(summaries ?? []).length} of ${summaries?.length ?? 0} clips are done. To check: groups of `
-    + "trajectories that seem to move by themselves and lie in no outline (Shift+U). F2 lists the clips";
-  const { state: now, detail } = stateOf({ work, revision: saver.revision });
+  const { clip, work } = state;
+  const summaries = state.summaries ?? [];
+  const groups = unexplained();
+  byId("progress").textContent = groups ? left(groups.length) : "…";
+  const done = summaries.filter((summary) => isDone(stateOf(summary).now)).length;
+  byId("clips").title = `${done} of ${summaries.length} clips are done. To check: groups of trajectories that seem to `
+    + "move by themselves and lie in no outline (Shift+U). F2 lists the clips";
+  const { now, detail } = stateOf({ work, revision: saver.revision });
   fill(byId("state"), clip.states.map((name) => element("option", { selected: name === now }, name)));
   byId("state").title = detail || "Set how far this clip is";
 }
-
-const done = (summaries) => summaries.filter((s) => ["done", "reviewed"].includes(stateOf(s).state));
 
 // The list
 
 const body = element("div");
 
 export function clips() {
-  const rename = button(`You: ${yourName() ?? "?"}`, askName);
-  rename.title = "Whose name is kept with the states that you set";
-  rename.disabled = Boolean(state.clip.annotator);
+  const rename = button(`You: ${yourName() ?? "?"}`, askName, "", {
+    title: "Whose name is kept with the states that you set", disabled: Boolean(state.clip.annotator),
+  });
   open("Clips", body, row(button("Close", close), rename));
   drawClips();
   body.querySelector("button.on")?.focus();
@@ -125,38 +122,37 @@ function drawClips() {
   const { summaries } = state;
   if (!body.isConnected) return;
   if (!summaries) {
-    fill(body, element("p", {}, "Counting…"));
+    fill(body, paragraph("Counting…"));
     return;
   }
   const focused = document.activeElement?.dataset?.clip;
   const top = body.querySelector(".scroll")?.scrollTop ?? 0;
-  fill(body, total(summaries), table(HEADS, summaries.map(cells)));
+  fill(body, total(summaries), scrolling(summaries.map(cells), HEADS));
   body.querySelector(".scroll").scrollTop = top;
   if (focused) body.querySelector(`[data-clip="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
 }
 
 function total(summaries) {
-  const number = (wanted) => summaries.filter((summary) => stateOf(summary).state === wanted).length;
   const counting = summaries.filter((summary) => summary.counting).length;
-  const states = state.clip.states.map((name) => `${number(name)} ${name}`).join(", ");
-  return element("p", { role: "status" }, `${summaries.length} clips: ${states}.`
+  const states = Map.groupBy(summaries, (summary) => stateOf(summary).now);
+  const counts = state.clip.states.map((name) => `${states.get(name)?.length ?? 0} ${name}`).join(", ");
+  return element("p", { role: "status" }, `${summaries.length} clips: ${counts}.`
     + (counting ? ` Counting ${counting} more…` : ""));
 }
 
 function cells(summary) {
-  const { name, n_frames, objects, motions, revision, counts, unexplained: open, error } = summary;
-  const go = button(name, () => (close(), openClip(name)), name === state.clip?.name ? "on" : "");
-  go.dataset.clip = name;
-  const { state: now, detail } = stateOf(summary);
-  const doubt = counts ? `${counts.conflict + counts.short} open` : "";
-  const hint = error ? element("span", { className: "bad" }, error) : [Number.isInteger(open) ? left(open) : "", doubt]
-    .filter(Boolean).join(", ");
-  return [go, n_frames, objects ?? "", motions ?? "", now, faint(detail), summary.counting ? faint("counting…") : hint,
-    objects === undefined ? "" : `rev ${revision}`];
+  const { name, n_frames, objects = "", motions = "", revision, counts, unexplained: open, error, counting } = summary;
+  const go = button(name, () => (close(), openClip(name)), name === state.clip?.name ? "on" : "", { "data-clip": name });
+  const { now, detail } = stateOf(summary);
+  let hint = [Number.isInteger(open) && left(open), counts && `${counts.conflict + counts.short} open`];
+  hint = hint.filter(Boolean).join(", ");
+  if (error) hint = element("span", { className: "bad" }, error);
+  if (counting) hint = faint("counting…");
+  return [go, n_frames, objects, motions, now, faint(detail), hint, objects === "" ? "" : `rev ${revision}`];
 }
 
 // The clip at hand comes first: the others are counted when its labels are there.
 on(["saving", "labels", "clip"], () => state.labels && state.saving.kind === "saved" && refresh());
 on(["labels", "summaries", "clip", "moving", "work", "saving"], () => state.clip && drawProgress());
 on(["summaries"], drawClips);
-byId("state").addEventListener("change", (event) => attempt(() => setState(event.target.value)).then(drawProgress));
+byId("state").onchange = (event) => attempt(() => setState(event.target.value)).then(drawProgress);

@@ -6,8 +6,7 @@ export const byId = (id) => document.getElementById(id);
 export function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
-    else if (key in made) made[key] = value;
+    if (key in made) made[key] = value;
     else made.setAttribute(key, value);
   }
   made.append(...children.flat());
@@ -16,24 +15,26 @@ export function element(name, attributes = {}, ...children) {
 
 export const fill = (parent, ...children) => parent.replaceChildren(...children.flat());
 
-export const button = (text, onclick, className = "") => element("button", { onclick, className }, text);
+export const button = (text, run, className = "", more = {}) =>
+  element("button", { type: "button", onclick: () => run(), className, ...more }, text);
 
 export const row = (...content) => element("div", { className: "row" }, ...content);
 
+export const paragraph = (...content) => element("p", {}, ...content);
+
 export const faint = (text) => element("span", { className: "faint" }, text);
 
-export const line = (cells, name = "td") => element("tr", {}, cells.map((cell) => element(name, {}, cell)));
+const line = (cells, name = "td") => element("tr", {}, cells.map((cell) => element(name, {}, cell)));
+
+export const table = (rows, heads) =>
+  element("table", {}, heads ? line(heads, "th") : [], rows.map((cells) => line(cells)));
 
 /** A table that scrolls; its buttons are walked with the arrow keys. */
-export const table = (heads, rows) => element("div", { className: "scroll" },
-  element("table", {}, line(heads, "th"), rows.map((cells) => line(cells))));
+export const scrolling = (...content) => element("div", { className: "scroll" }, table(...content));
 
 /** A square in a colour. */
-export function chip(text, colour) {
-  const made = element("span", { className: "chip" }, text);
-  made.style.background = colour;
-  return made;
-}
+export const chip = (text, colour, title = "") =>
+  element("span", { className: "chip", style: `background: ${colour}`, title }, text);
 
 // Colours of labels, from the one palette (kt3dmoseg/draw/palette.py).
 const palette = JSON.parse(document.documentElement.dataset.palette);
@@ -55,9 +56,15 @@ export function colourOfTrack(label, reason) {
   return reason === 2 || reason === 3 ? PROBLEM : colourOfMotion(label - 1);
 }
 
-/** Colour by the number of frames that a trajectory lives. */
-export function colourOfLength(length, frames) {
-  return LENGTHS[Math.min(LENGTHS.length - 1, Math.floor((length / frames) * LENGTHS.length))];
+/** Colour by the share of the frames that a trajectory lives. */
+export const colourOfLength = (share) => LENGTHS[Math.min(LENGTHS.length - 1, Math.floor(share * LENGTHS.length))];
+
+/** A motion's sign, and what it means in files. */
+export const signOf = (motion) => (motion === "reject" ? "x" : String(motion));
+
+export function meaningOf(motion) {
+  if (motion === "reject") return "reject: ambiguous (X)";
+  return motion ? `motion ${motion}, label ${motion + 1} in files` : "static, in front: label 1 in files (0)";
 }
 
 /** Clear a canvas, as large as it is shown, and give its context in CSS pixels. */
@@ -68,12 +75,6 @@ export function begin(canvas) {
   const context = canvas.getContext("2d");
   context.scale(ratio, ratio);
   return context;
-}
-
-/** A strip over the frame with buttons, or none. */
-export function strip(id, text, ...buttons) {
-  byId(id).hidden = !text;
-  fill(byId(id), element("span", {}, text), ...buttons);
 }
 
 const dialog = byId("dialog");
@@ -98,36 +99,9 @@ export function open(title, ...content) {
 
 export const close = () => dialog.open && dialog.close();
 
-/** A dialog that must be answered: Escape does not close it. */
-export function ask(title, ...content) {
-  open(title, ...content);
-  dialog.oncancel = (event) => event.preventDefault();
-}
-
 /** Save a blob as a file of this computer. */
 export function download(content, name) {
   const link = element("a", { href: URL.createObjectURL(content), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
-
-/** Show what takes long, for how long, with a way to cancel; undefined when cancelled. */
-export async function working(title, text, run) {
-  const controller = new AbortController();
-  const seconds = element("span");
-  const begun = performance.now();
-  const timer = setInterval(() => (seconds.textContent = ` ${Math.round((performance.now() - begun) / 1000)} s`), 500);
-  open(title, element("p", { role: "status" }, text, seconds), row(button("Cancel", close)));
-  dialog.onclose = () => (controller.abort(), byId("stage").focus());
-  try {
-    const found = await run(controller.signal);
-    return controller.signal.aborted ? undefined : found;
-  } catch (error) {
-    if (controller.signal.aborted) return undefined;
-    throw error;
-  } finally {
-    clearInterval(timer);
-  }
-}
-
-export const inform = (title, text) => open(title, element("p", {}, text), row(button("Close", close)));

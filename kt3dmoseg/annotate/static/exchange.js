@@ -1,9 +1,8 @@
 // What comes from elsewhere: proposed regions, files of other tools, the other annotator's annotation.
 
-import { addObject, nextMotion } from "./annotation.js";
-import * as api from "./api.js";
-import { button, byId, close, download, element, faint, inform, line, open, row, strip, table, working } from "./dom.js";
-import { boundsOf } from "./geometry.js";
+import { addObject, boundsOf, nextMotion } from "./annotation.js";
+import { ask, request } from "./api.js";
+import { button, byId, close, download, element, faint, fill, open, paragraph, row, scrolling, table } from "./dom.js";
 import { edit, on, set, state } from "./state.js";
 import { showTrack } from "./tracks.js";
 import { goTo, showBox } from "./view.js";
@@ -19,46 +18,62 @@ const MEANING = {
   mseg: "the clusters of a motion segmentation; takes some 20 seconds",
 };
 
+const inform = (title, text, ...more) => open(title, paragraph(text), ...more, row(button("Close", close)));
+
+/** Post what takes long, show for how long, with a way to cancel; `show` gets the answer. */
+async function work(title, text, what, body, show, failed = (message) => inform(title, message)) {
+  const controller = new AbortController();
+  const { signal } = controller;
+  const seconds = element("span");
+  const begun = performance.now();
+  const timer = setInterval(() => (seconds.textContent = ` ${Math.round((performance.now() - begun) / 1000)} s`), 500);
+  open(title, element("p", { role: "status" }, text, seconds), row(button("Cancel", close)));
+  byId("dialog").onclose = () => (controller.abort(), byId("stage").focus());
+  try {
+    const found = await ask(state.clip.name, what, body, { signal });
+    if (!signal.aborted) show(found);
+  } catch (error) {
+    if (!signal.aborted) failed(error.message);
+  } finally {
+    clearInterval(timer);
+  }
+}
+
+/** A strip over the frame with buttons, or none. */
+function strip(id, text, ...buttons) {
+  byId(id).hidden = !text;
+  fill(byId(id), element("span", {}, text), ...buttons);
+}
+
 // Proposals: a person accepts, corrects or rejects each
 
 export function propose() {
   const choices = Object.entries(state.clip.proposers).map(([name, lacking]) => {
     const meaning = MEANING[name] ?? "a method of an installed package";
-    const choice = element("button", { disabled: Boolean(lacking), onclick: () => request(name) }, name);
-    return line([choice, faint(lacking ? `${meaning}: ${lacking}` : meaning)]);
+    return [button(name, () => start(name), "", { disabled: Boolean(lacking) }),
+      faint(lacking ? `${meaning}: ${lacking}` : meaning)];
   });
-  open("Propose regions from", element("table", {}, choices), row(button("Cancel", close)));
+  open("Propose regions from", table(choices), row(button("Cancel", close)));
 }
 
-async function request(proposer) {
-  try {
-    const found = await working("Propose regions", `Asking ${proposer}…`,
-      (signal) => api.post(state.clip.name, `proposals/${proposer}`, state.doc, signal));
-    if (!found) return undefined;
-    const { objects } = found;
+const start = (proposer) =>
+  work("Propose regions", `Asking ${proposer}…`, `proposals/${proposer}`, state.doc, ({ objects }) => {
     if (!objects.length) return inform("Propose regions", `${proposer} found nothing that moves.`);
     set({ proposals: objects, compared: null });
-    review(0);
-  } catch (error) {
-    inform("No proposals", error.message);
-  }
-  return undefined;
-}
+    return review(0);
+  }, (message) => inform("No proposals", message));
 
 /** Show the proposals one by one on the frame. */
 function review(at) {
   close();
   const { proposals } = state;
-  if (!proposals?.length) {
-    end();
-    return;
-  }
+  if (!proposals?.length) return end();
   const index = (at + proposals.length) % proposals.length;
   const item = proposals[index];
-  const key = item.key_frames.find((k) => k.polygons.length);
-  goTo(key.frame);
+  const { frame, polygons } = item.key_frames.find((key) => key.polygons.length);
+  goTo(frame);
   set({ review: { item, index } });
-  showBox(boundsOf(key.polygons));
+  return showBox(boundsOf(polygons));
 }
 
 /** Take the proposal in view out of the list. */
@@ -89,18 +104,17 @@ function end() {
 }
 
 function drawReview() {
-  const { item, name, index } = state.review ?? {};
+  if (!state.review) return strip("review", "");
+  const { item, name, index } = state.review;
   const left = state.proposals?.length;
-  if (!state.review) strip("review", "");
-  else if (!item) {
-    const on = button(left ? `Go on (${left} left)` : "Done", () => review(index), "primary");
-    strip("review", `${name} is an object now: correct it, then`, on);
-  } else {
-    const first = button("Accept", () => (accept(), review(index)), "primary");
-    strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Correct", correct),
-      button("Reject", () => (settle(), review(index))), button("Skip", () => review(index + 1)), button("Done", end));
-    first.focus();
+  if (!item) {
+    const text = left ? `Go on (${left} left)` : "Done";
+    return strip("review", `${name} is an object now: correct it, then`, button(text, () => review(index), "primary"));
   }
+  const first = button("Accept", () => (accept(), review(index)), "primary");
+  strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Correct", correct),
+    button("Reject", () => (settle(), review(index))), button("Skip", () => review(index + 1)), button("Done", end));
+  return first.focus();
 }
 
 // Files
@@ -108,63 +122,54 @@ function drawReview() {
 /** Import and export. */
 export function exchange() {
   const rows = Object.entries(state.clip.formats).map(([name, suffix]) => {
-    const load = () => read(name, file.files[0]);
+    const load = () => file.files.length && read(name, file.files[0]);
     const file = element("input", { type: "file", accept: suffix, hidden: true, onchange: load });
     const choose = element("span", {}, button("Import…", () => file.click()), file);
-    return line([NAMES[name] ?? name, button("Export", () => write(name, suffix)), choose]);
+    return [NAMES[name] ?? name, button("Export", () => write(name, suffix)), choose];
   });
-  open("Files of other tools",
-    element("p", {}, faint("What an import does is shown before anything changes.")),
-    element("table", {}, rows), row(button("Close", close)));
+  open("Files of other tools", paragraph(faint("What an import does is shown before anything changes.")), table(rows),
+    row(button("Close", close)));
 }
 
 async function write(format, suffix) {
+  const { clip, doc } = state;
   try {
-    const content = await api.exportAs(state.clip.name, format, state.doc);
-    download(content, `${state.clip.name}_${format}${suffix}`);
+    const answer = await request(clip.name, `export/${format}`, doc);
+    download(await answer.blob(), `${clip.name}_${format}${suffix}`);
   } catch (error) {
     inform("Not exported", error.message);
   }
 }
 
 /** Ask the server what an import does; a person then decides. */
-async function read(format, file, choices = {}) {
-  if (!file) return;
-  try {
-    const found = await working("Import", `Reading ${file.name}…`, (signal) =>
-      api.post(state.clip.name, `import/${format}?${new URLSearchParams(choices)}`, file, signal));
-    if (found) decide(format, file, found);
-  } catch (error) {
-    open("Not imported", element("p", {}, error.message), ...again(format, file), row(button("Close", close)));
-  }
+function read(format, file, choices = {}) {
+  const what = `import/${format}?${new URLSearchParams(choices)}`;
+  const [shift, scale] = [["frames later", "1"], ["scale", "any"]].map(([name, step]) =>
+    element("input", { type: "number", step, "aria-label": name, size: 6 }));
+  const reread = button("Read again", () => read(format, file, { shift: shift.value, scale: scale.value }));
+  const again = row("Frames later by", shift, "coordinates times", scale, reread);
+  return work("Import", `Reading ${file.name}…`, what, file, (found) => decide(found, again),
+    (message) => inform("Not imported", message, again));
 }
 
-/** Frames and size as a person corrects them. */
-function again(format, file) {
-  const field = (name, step) => element("input", { type: "number", step, "aria-label": name, size: 6 });
-  const [shift, scale] = [field("frames later", "1"), field("scale", "any")];
-  const reread = () => read(format, file, { shift: shift.value, scale: scale.value });
-  return [row("Frames later by", shift, "coordinates times", scale, button("Read again", reread))];
-}
-
-function decide(format, file, { objects, plan }) {
+function decide({ objects, plan }, again) {
   const { doc } = state;
-  const settle = (edited) => {
+  const settled = (text, change, className) => button(text, () => {
     close();
-    edit(edited);
-    set({ selected: edited.objects.at(-1)?.id ?? null });
-  };
+    edit(change());
+    set({ selected: state.doc.objects.at(-1)?.id ?? null });
+  }, className);
   const used = nextMotion(doc) - 1;
   const ownMotion = (item) => ({ ...item, motion: item.motion >= 1 ? item.motion + used : item.motion });
-  const add = () => settle(objects.map(ownMotion).reduce(addObject, doc));
-  const replace = () => settle({ ...doc, objects, marks: [] });
+  const add = () => objects.map(ownMotion).reduce(addObject, doc);
+  const replace = () => ({ ...doc, objects, marks: [] });
   const drawn = doc.objects.length + (doc.marks?.length ?? 0);
   const choose = drawn
-    ? [button("Add to what is drawn", add, "primary"), button(`Replace what is drawn (${drawn})`, replace)]
-    : [button("Import", replace, "primary")];
+    ? [settled("Add to what is drawn", add, "primary"), settled(`Replace what is drawn (${drawn})`, replace)]
+    : [settled("Import", replace, "primary")];
   open(plan.doubts.length ? "Import: please check" : "Import",
-    element("ul", { className: "scroll" }, plan.lines.map((text) => element("li", {}, text))),
-    ...again(format, file), row(...choose, button("Cancel", close), faint("One edit: Ctrl+Z undoes it.")));
+    element("ul", { className: "scroll" }, plan.lines.map((text) => element("li", {}, text))), again,
+    row(...choose, button("Cancel", close), faint("One edit: Ctrl+Z undoes it.")));
 }
 
 // Two annotators
@@ -172,20 +177,14 @@ function decide(format, file, { objects, plan }) {
 const percent = (share) => `${(100 * share).toFixed(2)} %`;
 
 /** How far both annotators agree, and each difference in its place. */
-export async function compare() {
+export function compare() {
   if (!state.clip.compare) {
     return inform("Compare", "Start kt3dmoseg label with --compare FOLDER, the folder of the other annotator's files.");
   }
-  try {
-    const found = await working("Two annotators", "Comparing…",
-      (signal) => api.post(state.clip.name, "compare", state.doc, signal));
-    if (!found) return undefined;
+  return work("Two annotators", "Comparing…", "compare", state.doc, (found) => {
     set({ compared: { ...found, at: null }, proposals: null, review: null });
     list();
-  } catch (error) {
-    inform("Compare", error.message);
-  }
-  return undefined;
+  });
 }
 
 function list() {
@@ -193,12 +192,12 @@ function list() {
   const summary = `Same label for ${percent(agreement)} of ${trajectories} trajectories, `
     + `${percent(both)} of those that both labelled. Cohen's kappa ${kappa.toFixed(3)}. `
     + (different ? `${different} differ:` : "None differs.");
-  const rows = differences.map((d, k) =>
-    [button(`${d.row}`, () => visit(k)), d.frame, d.xy.map((v) => v.toFixed(0)).join(", "), d.mine, d.theirs]);
+  const rows = differences.map(({ row: track, frame, xy, mine, theirs }, k) =>
+    [button(`${track}`, () => visit(k)), frame, xy.map((v) => v.toFixed(0)).join(", "), mine, theirs]);
   const help = "Choose one to see it with the other annotator's outlines; ↑ ↓ walk the list, "
     + "Shift+G goes on from one to the next.";
-  open("Two annotators", element("p", {}, summary),
-    ...(rows.length ? [table(["trajectory", "frame", "at", "here", "other"], rows)] : []),
+  open("Two annotators", paragraph(summary),
+    rows.length ? scrolling(rows, ["trajectory", "frame", "at", "here", "other"]) : "",
     row(button("Close", leave), faint(rows.length ? help : "")));
 }
 
@@ -211,11 +210,8 @@ function visit(index) {
   showTrack(compared.differences[at].row, compared.differences[at].frame);
 }
 
-export function nextDifference() {
-  const { compared } = state;
-  if (!compared?.differences.length) return compare();
-  return visit((compared.at ?? -1) + 1);
-}
+export const nextDifference = () =>
+  (state.compared?.differences.length ? visit((state.compared.at ?? -1) + 1) : compare());
 
 function leave() {
   close();

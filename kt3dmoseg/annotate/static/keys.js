@@ -5,7 +5,7 @@ import { clips, openNext } from "./clips.js";
 import { button, close, element, open, row } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
-import { attempt, redo, state, toggleObject, undo } from "./state.js";
+import { attempt, notify, redo, state, toggleObject, undo } from "./state.js";
 import { nextProblem, nextUnexplained } from "./tracks.js";
 import * as view from "./view.js";
 
@@ -15,16 +15,25 @@ const DIRECTIONS = {
   "Shift+I": [0, -10], "Shift+K": [0, 10], "Shift+J": [-10, 0], "Shift+L": [10, 0],
   "Ctrl+ArrowLeft": [80, 0], "Ctrl+ArrowRight": [-80, 0], "Ctrl+ArrowUp": [0, 80], "Ctrl+ArrowDown": [0, -80],
 };
+const ON_OFF = [true, false];
+const COLOURINGS = { label: "Trajectories by label", length: "Trajectories by length", none: "No trajectories" };
+
+const step = (name) => view.goTo(state.frame + STEPS[name]);
 
 const nudge = (name) => actions.nudge(...DIRECTIONS[name]);
+
+function cycleColouring() {
+  view.cycle("colouring", Object.keys(COLOURINGS));
+  notify(COLOURINGS[state.colouring]);
+}
 
 /** A line of the help; `run` gets the name of the key that was pressed. */
 const key = (names, shown, text, run) => ({ names: names.split(" "), shown, text, run });
 
 export const KEYS = {
   "Frames": [
-    key("ArrowLeft Shift+ArrowLeft", "←", "previous frame (Shift: 5)", (name) => view.step(STEPS[name])),
-    key("ArrowRight Shift+ArrowRight", "→", "next frame (Shift: 5)", (name) => view.step(STEPS[name])),
+    key("ArrowLeft Shift+ArrowLeft", "←", "previous frame (Shift: 5)", step),
+    key("ArrowRight Shift+ArrowRight", "→", "next frame (Shift: 5)", step),
     key("Home", "Home", "first frame", () => view.goTo(0)),
     key("End", "End", "last frame", () => view.goTo(Infinity)),
     key("Space", "Space", "play, stop", view.play),
@@ -33,7 +42,8 @@ export const KEYS = {
     key(".", ".", "next key frame", () => view.toKeyFrame(1)),
   ],
   "Labels": [
-    key("1 2 3 4 5 6 7 8 9", "1 – 9", "motion of the object or the lasso", (name) => actions.setMotion(Number(name))),
+    key("1 2 3 4 5 6 7 8 9", "1 – 9", "motion of the object or lasso; its label in files is one more",
+      (name) => actions.setMotion(Number(name))),
     key("0", "0", "background: static, in front of a motion", () => actions.setMotion(0)),
     key("x", "X", "reject: ambiguous", () => actions.setMotion("reject")),
     key("q", "Q", "lasso trajectories, then a label", () => actions.setTool("lasso")),
@@ -70,17 +80,18 @@ export const KEYS = {
     key("Shift+Z", "Shift+Z", "whole frame", view.fitAll),
     key("Ctrl+ArrowLeft Ctrl+ArrowRight Ctrl+ArrowUp Ctrl+ArrowDown", "Ctrl+arrows", "pan (two fingers, wheel, drag)",
       (name) => view.pan(...DIRECTIONS[name])),
-    key("t", "T", "trails", () => view.toggle("trails")),
-    key("y", "Y", "colour by label, by length, none", view.cycleColouring),
-    key("u", "U", "only unlabelled and conflicts", () => view.toggle("problems")),
+    key("t", "T", "trails", () => view.cycle("trails", ON_OFF)),
+    key("y", "Y", "colour by label, by length, none", cycleColouring),
+    key("u", "U", "only unlabelled and conflicts", () => view.cycle("problems", ON_OFF)),
     key("g", "G", "go to the next of them", nextProblem),
     key("Shift+U", "Shift+U", "go to the next motion that no object explains", nextUnexplained),
     key("Shift+W", "Shift+W", "go to the next weak frame (hatched)", actions.nextWeak),
-    key("h", "H", "hide the regions", () => view.toggle("hidden")),
+    key("h", "H", "hide the regions", () => view.cycle("hidden", ON_OFF)),
     key("Shift+H", "Shift+H", "hide the object", () => toggleObject("unseen")),
     key("Shift+R", "Shift+R", "lock the object", () => toggleObject("locked")),
-    key("b", "B", "brighter picture, more contrast", view.brighten),
-    key("Shift+B", "Shift+B", "fill regions strongly, not at all, as usual", view.cycleOpacity),
+    key("b", "B", "brighter picture, more contrast", () => view.cycle("brightness", [0, 1, 2])),
+    key("Shift+B", "Shift+B", "fill regions strongly, not at all, as usual",
+      () => view.cycle("opacity", [1, 3, 0])),
   ],
   "Work": [
     key("Ctrl+z", "Ctrl+Z", "undo, without limit", undo),
@@ -99,16 +110,8 @@ export const KEYS = {
 
 const TABLE = new Map(Object.values(KEYS).flat().flatMap((entry) => entry.names.map((name) => [name, entry])));
 
-const MAC = /Mac|iP(hone|ad)/.test(navigator.platform);
-
 /** A key as this computer's keyboard names it. */
-const here = (shown) => (MAC ? shown.replace("Ctrl+", "⌘") : shown);
-
-/** What a key does, as the tooltip of the button that does the same. */
-export function describe(name) {
-  const { shown, text } = TABLE.get(name);
-  return `${text[0].toUpperCase()}${text.slice(1)} (${here(shown)})`;
-}
+const here = (shown) => (/Mac|iP(hone|ad)/.test(navigator.platform) ? shown.replace("Ctrl+", "⌘") : shown);
 
 function help() {
   const sections = Object.entries(KEYS).map(([title, lines]) => element("section", {}, element("h3", {}, title),
@@ -121,6 +124,14 @@ function help() {
     row(button("Close", close)));
 }
 
+/** Run the action of a key; true when it has one. */
+function press(name) {
+  const entry = TABLE.get(name);
+  if (!entry || !state.doc) return false;
+  attempt(() => entry.run(name));
+  return true;
+}
+
 function nameOf(event) {
   const pressed = event.key === " " ? "Space" : event.key;
   // Of other signs, Shift is part of the sign.
@@ -129,14 +140,6 @@ function nameOf(event) {
   // Some keyboards make brackets with Option (Mac) or AltGr, which browsers report as Ctrl and Alt.
   const ctrl = (event.ctrlKey || event.metaKey) && !event.altKey;
   return `${ctrl ? "Ctrl+" : ""}${shifted ? "Shift+" : ""}${letter}`;
-}
-
-/** Run the action of a key; true when it has one. */
-export function press(name) {
-  const entry = TABLE.get(name);
-  if (!entry || !state.doc) return false;
-  attempt(() => entry.run(name));
-  return true;
 }
 
 addEventListener("keydown", (event) => {
@@ -150,3 +153,9 @@ addEventListener("keydown", (event) => {
   if (target.matches("button") && (event.key === "Enter" || event.key === " ")) return;
   if ((!event.altKey || "[]".includes(event.key)) && press(nameOf(event))) event.preventDefault();
 });
+
+for (const b of document.querySelectorAll("[data-key]")) {
+  const { shown, text } = TABLE.get(b.dataset.key);
+  b.title = `${text[0].toUpperCase()}${text.slice(1)} (${here(shown)})`;
+  b.onclick = () => press(b.dataset.key);
+}

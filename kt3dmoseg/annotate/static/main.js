@@ -1,10 +1,10 @@
-// Puts the page together: its buttons, what it shows about itself, its size.
+// Puts the page together: what it shows about itself, its size.
 
 import { setTool } from "./actions.js";
+import { clamp } from "./annotation.js";
 import { clips, openClip } from "./clips.js";
 import { byId } from "./dom.js";
-import { clamp } from "./geometry.js";
-import { describe, press } from "./keys.js";
+import "./keys.js";
 import "./objects.js";
 import "./pointer.js";
 import { drawRegions } from "./regions.js";
@@ -33,64 +33,52 @@ on(["clip", "frame", "flickered", "view"], () => {
 });
 on(["hint", "pending", "tool"], () => (byId("hint").textContent = state.hint || instruction(state)));
 on(["computing"], () => (byId("loading").textContent = state.computing ?? ""));
-on(["tool", "playing", "flickered", "clip"], () => {
-  const mark = (id, name, wanted) => byId(id).classList.toggle(name, wanted);
-  document.querySelectorAll("[data-tool]").forEach((b) => b.classList.toggle("on", b.dataset.tool === state.tool));
-  mark("play", "on", state.playing);
-  mark("flicker", "on", state.flickered !== null);
-  mark("stage", "draw", state.tool === "draw");
-  mark("stage", "lasso", state.tool === "lasso");
+on(["tool", "playing", "flickered", "done", "undone", "clip"], () => {
+  for (const b of tools) b.classList.toggle("on", b.dataset.tool === state.tool);
+  byId("stage").className = state.tool;
+  byId("play").classList.toggle("on", state.playing);
+  byId("flicker").classList.toggle("on", state.flickered !== null);
+  byId("undo").disabled = !state.done.length;
+  byId("redo").disabled = !state.undone.length;
 });
 
-on(["undoable", "redoable", "clip"], () => {
-  byId("undo").disabled = !state.undoable;
-  byId("redo").disabled = !state.redoable;
-});
-
-for (const b of document.querySelectorAll("[data-key]")) {
-  b.title = describe(b.dataset.key);
-  b.addEventListener("click", () => press(b.dataset.key));
-}
-for (const b of document.querySelectorAll("[data-tool]")) {
-  b.addEventListener("click", () => state.doc && setTool(b.dataset.tool));
-}
-byId("clips").addEventListener("click", () => attempt(clips));
+const tools = document.querySelectorAll("[data-tool]");
+for (const b of tools) b.onclick = () => state.doc && setTool(b.dataset.tool);
+byId("clips").onclick = () => attempt(clips);
 
 // The panel's edges are dragged, or moved with the arrow keys; this browser keeps where they are.
 const EDGES = {
-  panel: { size: (x, y) => innerHeight - y, most: () => innerHeight - 240, larger: "ArrowUp", smaller: "ArrowDown" },
-  list: { size: (x) => x, most: () => innerWidth * 0.4, larger: "ArrowRight", smaller: "ArrowLeft" },
-  inspector: { size: (x) => innerWidth - x, most: () => innerWidth * 0.4, larger: "ArrowLeft", smaller: "ArrowRight" },
+  panel: { size: (x, y) => innerHeight - y, most: () => innerHeight - 240, keys: ["ArrowUp", "ArrowDown"] },
+  list: { size: (x) => x, most: () => innerWidth * 0.4, keys: ["ArrowRight", "ArrowLeft"] },
+  inspector: { size: (x) => innerWidth - x, most: () => innerWidth * 0.4, keys: ["ArrowLeft", "ArrowRight"] },
 };
 const LEAST = 110;
 const STEP = 24;
 
-for (const [name, { size, most, larger, smaller }] of Object.entries(EDGES)) {
+for (const [name, { size, most, keys: [larger, smaller] }] of Object.entries(EDGES)) {
   const edge = byId(`${name}-edge`);
   const place = (wanted) => {
     const pixels = Math.round(clamp(wanted, LEAST, Math.max(LEAST, most())));
     byId("panel").style.setProperty(`--${name}`, `${pixels}px`);
-    edge.setAttribute("aria-valuenow", pixels);
-    edge.setAttribute("aria-valuemax", Math.round(most()));
+    Object.assign(edge, { ariaValueMin: LEAST, ariaValueMax: Math.round(most()), ariaValueNow: pixels });
     localStorage.setItem(`size:${name}`, pixels);
   };
   const present = () => {
     const box = edge.getBoundingClientRect();
-    return Math.round(size(box.x + box.width / 2, box.y + box.height / 2));
+    return size(box.x + box.width / 2, box.y + box.height / 2);
   };
-  edge.setAttribute("aria-valuemin", LEAST);
   const kept = Number(localStorage.getItem(`size:${name}`));
   if (kept) place(kept);
-  else edge.setAttribute("aria-valuenow", present());
-  edge.addEventListener("pointerdown", (event) => edge.setPointerCapture(event.pointerId));
-  edge.addEventListener("pointermove", (event) => event.buttons & 1 && place(size(event.clientX, event.clientY)));
-  edge.addEventListener("keydown", (event) => {
+  else edge.ariaValueNow = Math.round(present());
+  edge.onpointerdown = (event) => edge.setPointerCapture(event.pointerId);
+  edge.onpointermove = (event) => event.buttons & 1 && place(size(event.clientX, event.clientY));
+  edge.onkeydown = (event) => {
     const by = { [larger]: STEP, [smaller]: -STEP }[event.key];
     if (!by) return;
     place(present() + by);
     event.preventDefault();
     event.stopPropagation();
-  });
+  };
 }
 
 const resized = new ResizeObserver((entries) => {

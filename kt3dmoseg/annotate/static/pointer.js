@@ -1,9 +1,10 @@
 // Mouse, pen and touch on the stage. What is being dragged is an object with `move` and `up`.
 
 import * as actions from "./actions.js";
-import { insertPoint, replacePoint, setKey, shift } from "./annotation.js";
+import {
+  clamp, distance, insertPoint, middle, nearestEdge, nearestVertex, replacePoint, setKey, shift,
+} from "./annotation.js";
 import { byId } from "./dom.js";
-import { clamp, distance, nearestEdge, nearestVertex } from "./geometry.js";
 import { cancel, edit, editable, preview, select, selectedObject, set, state } from "./state.js";
 import { pan, toImage, toScreen, zoom } from "./view.js";
 
@@ -33,8 +34,7 @@ function down(event) {
   const { screen, point } = at(event);
   if (event.button === 1) drag = panning(screen);
   else if (event.button === 2) removeVertex(point);
-  else if (state.pending) drag = drawing(screen, point);
-  else drag = grab(point, screen);
+  else drag = state.pending ? drawing(screen, point) : grab(point, screen);
 }
 
 /** What is under the pointer: a point, an edge or the inside of the selected region, or nothing. */
@@ -42,46 +42,34 @@ function grab(point, screen) {
   const reach = REACH / state.view.scale;
   const own = selectedObject();
   const item = state.hidden || !own || state.unseen.has(own.id) || state.locked.has(own.id) ? null : own;
-  const region = item && actions.regionHere();
-  const vertex = item && nearestVertex(point, region.polygons, reach);
+  const { polygons, visibility } = item ? actions.regionHere() : { polygons: [] };
+  const reshaping = (vertex, change) => reshape(item, visibility === "occluded" ? visibility : "visible", vertex, change);
+  const vertex = nearestVertex(point, polygons, reach);
   if (vertex) {
-    set({ vertex: { part: vertex.part, index: vertex.index } });
-    return movingVertex(item, region, vertex);
+    set({ vertex });
+    return reshaping(vertex, (to) => replacePoint(polygons, vertex, to));
   }
-  const edge = item && nearestEdge(point, region.polygons, reach * 0.7);
-  if (edge) return movingVertex(item, { ...region, polygons: withPoint(region, edge) }, edge);
+  const edge = nearestEdge(point, polygons, reach * 0.7);
+  if (edge) return reshaping(edge, (to) => replacePoint(insertPoint(polygons, edge), edge, to));
   const under = state.hidden ? null : actions.objectUnder(point);
-  return under && under === item ? movingRegion(item, region, point) : panning(screen, under);
+  if (!under || under !== item) return panning(screen, under);
+  set({ vertex: null });
+  return reshaping(null, (to) => shift(polygons, to[0] - point[0], to[1] - point[1]));
 }
 
-const withPoint = ({ polygons }, { part, index, point }) => insertPoint(polygons, part, index, point);
-
-function reshape(item, region, polygons) {
-  const visibility = region.visibility === "occluded" ? "occluded" : "visible";
-  preview(setKey(state.doc, item.id, state.frame, polygons, visibility));
-}
-
-function movingVertex(item, region, { part, index }) {
-  return {
-    move(_, point) {
-      reshape(item, region, replacePoint(region.polygons, part, index, point));
-      set({ vertex: { part, index } });
-    },
-    up: () => state.dragging && edit(state.doc),
-  };
-}
-
-function movingRegion(item, region, from) {
-  return {
-    move: (_, point) => reshape(item, region, shift(region.polygons, point[0] - from[0], point[1] - from[1])),
-    up: () => (state.dragging ? edit(state.doc) : set({ vertex: null })),
-  };
-}
+/** Drag a region, or a point of it; `change` makes its polygons from where the pointer is. */
+const reshape = (item, visibility, vertex, change) => ({
+  move(_, point) {
+    preview(setKey(state.doc, item.id, state.frame, change(point), visibility));
+    set({ vertex });
+  },
+  up: () => state.dragging && edit(state.doc),
+});
 
 /** Pan; a click that does not move selects what is under it. */
 function panning(from, under) {
   let moved = false;
-  stage.classList.add("panning");
+  stage.style.cursor = "grabbing";
   return {
     move(screen) {
       if (!moved && distance(screen, from) < FREEHAND) return;
@@ -119,34 +107,36 @@ function drawing(from, start) {
 function move(event) {
   if (!state.view || (fingers.has(event.pointerId) && pinch(event))) return;
   const { screen, point } = at(event);
-  if (drag) drag.move(screen, point);
-  else if (state.pending) set({ pointer: point });
-  else set({ pointer: point, hovered: state.doc ? actions.objectUnder(point)?.id ?? null : null });
+  if (drag) return drag.move(screen, point);
+  const hovered = state.doc && !state.pending ? actions.objectUnder(point)?.id ?? null : state.hovered;
+  set({ pointer: point, hovered });
 }
 
 function up(event) {
-  fingers.delete(event.pointerId);
   const ended = drag;
-  release();
+  release(event);
   ended?.up(at(event).point);
 }
 
+function release(event) {
+  fingers.delete(event.pointerId);
+  drag = null;
+  stage.style.cursor = "";
+}
+
 function doubleClick(event) {
-  if (state.pending) {
-    if (state.pending.points.length >= 3) actions.finish();
-    return;
-  }
-  if (!editable()) return;
+  if (state.pending) return state.pending.points.length >= 3 && actions.finish();
+  if (!editable()) return undefined;
   const { point } = at(event);
-  const region = actions.regionHere();
-  const edge = nearestEdge(point, region.polygons, REACH / state.view.scale);
-  if (edge && !nearestVertex(point, region.polygons, 2 / state.view.scale)) actions.draw(withPoint(region, edge));
+  const { polygons } = actions.regionHere();
+  const edge = nearestEdge(point, polygons, REACH / state.view.scale);
+  const onPoint = nearestVertex(point, polygons, 2 / state.view.scale);
+  return edge && !onPoint && actions.draw(insertPoint(polygons, edge));
 }
 
 function removeVertex(point) {
   if (state.pending) return actions.takeBackPoint();
-  if (!selectedObject()) return undefined;
-  const found = nearestVertex(point, actions.regionHere().polygons, REACH / state.view.scale);
+  const found = selectedObject() && nearestVertex(point, actions.regionHere().polygons, REACH / state.view.scale);
   return found && actions.deleteVertex(found);
 }
 
@@ -173,28 +163,23 @@ function pinch(event) {
   if (now.length < 2) return false;
   if (drag) {
     if (state.pending?.freehand) set({ pending: { ...state.pending, points: [], freehand: false } });
-    release();
+    drag = null;
     cancel();
   }
   if (before.length > 1 && event.type === "pointermove") {
-    const [from, to] = [centre(before), centre(now)];
+    const [from, to] = [middle(...before), middle(...now)];
     pan(to[0] - from[0], to[1] - from[1]);
     zoom(distance(now[0], now[1]) / Math.max(1, distance(before[0], before[1])), to);
   }
   return true;
 }
 
-const centre = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
-
-function release() {
-  drag = null;
-  stage.classList.remove("panning");
-}
-
-stage.addEventListener("pointerdown", down);
-stage.addEventListener("pointermove", move);
-stage.addEventListener("pointerup", up);
-stage.addEventListener("pointercancel", (event) => (fingers.delete(event.pointerId), release(), cancel()));
-stage.addEventListener("dblclick", doubleClick);
-stage.addEventListener("contextmenu", (event) => event.preventDefault());
+Object.assign(stage, {
+  onpointerdown: down,
+  onpointermove: move,
+  onpointerup: up,
+  onpointercancel: (event) => (release(event), cancel()),
+  ondblclick: doubleClick,
+  oncontextmenu: (event) => event.preventDefault(),
+});
 stage.addEventListener("wheel", wheel, { passive: false });

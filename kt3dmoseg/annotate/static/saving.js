@@ -1,16 +1,16 @@
 // Autosave: every edit is kept in this browser at once and sent soon; the server's answer is the truth.
 
-import * as api from "./api.js";
 import { merge } from "./annotation.js";
-import { ask, button, byId, close, download, element, faint, fill, line, row } from "./dom.js";
+import { ask } from "./api.js";
+import { button, byId, close, download, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { edit, now, on, notify, set, state } from "./state.js";
 
 const SOON = 350;
 // The server is asked this often whether it is there and can save, and given this long to answer.
 const PULSE = 2000;
 const PATIENCE = 3000;
-const OFFLINE = "The server does not answer";
-const RETRY = [1000, 2000, 4000, 8000];
+// Times after which a failed save is tried again: the first, doubled until the last.
+const [RETRY, LONGEST] = [1000, 8000];
 const TEXT = {
   saved: ({ revision }) => (revision ? `✓ saved · rev ${revision}` : "no edits yet · rev 0"),
   unsaved: () => "• edited",
@@ -32,7 +32,7 @@ export const saver = {
 
 let timer = 0;
 let sending = null;
-let failures = 0;
+let wait = RETRY;
 let draftKept = true;
 
 /** Start from what the server has, and restore edits that did not reach it before the page was closed. */
@@ -64,15 +64,11 @@ const show = (kind, message = "") => set({ saving: { kind, revision: saver.revis
 function documentChanged() {
   if (saver.base === undefined || state.dragging) return;
   const { kind } = state.saving;
-  if (!saver.pending) {
-    dropDraft(saver.clip);
-    if (kind !== "conflict") show("saved");
-    return;
-  }
-  keepDraft(saver.clip, saver.base, state.doc);
+  if (saver.pending) keepDraft();
+  else dropDraft();
   if (kind === "conflict") return;
-  if (kind !== "offline") show("unsaved");
-  schedule(SOON);
+  if (saver.pending) schedule(SOON);
+  if (kind !== "offline" || !saver.pending) show(saver.pending ? "unsaved" : "saved");
 }
 
 async function send() {
@@ -80,12 +76,12 @@ async function send() {
   const { doc } = state;
   if (state.saving.kind !== "offline") show("busy");
   try {
-    const answer = await api.putAnnotation(clip, doc, revision);
+    const answer = await ask(clip, "annotation", doc, { method: "PUT", headers: { "if-match": `"${revision}"` } });
     if (clip !== saver.clip) return;
-    failures = 0;
+    wait = RETRY;
     Object.assign(saver, { base: doc, revision: answer.revision });
     if (saver.pending) schedule(SOON);
-    else dropDraft(clip);
+    else dropDraft();
     show(saver.pending ? "unsaved" : "saved");
   } catch (error) {
     if (clip === saver.clip) failed(error);
@@ -98,7 +94,8 @@ function failed(error) {
     set({ conflict: error.body.annotation });
   } else if (error.offline || error.status >= 500) {
     show("offline", error.offline ? "" : error.message);
-    schedule(RETRY[Math.min(failures++, RETRY.length - 1)]);
+    schedule(wait);
+    wait = Math.min(2 * wait, LONGEST);
   } else {
     show("failed", error.message);
   }
@@ -106,26 +103,27 @@ function failed(error) {
 
 /** Somebody else saved in between: nothing is overwritten before a person chose. */
 function settleConflict() {
-  const theirs = state.conflict;
+  const { conflict: theirs, doc: mine } = state;
   if (!theirs) return;
-  const settle = (doc) => {
+  const choice = (text, doc, className) => button(text, () => {
     close();
     set({ conflict: null });
+    const chosen = doc();
     Object.assign(saver, { base: theirs, revision: theirs.revision });
     show("unsaved");
-    edit(doc);
+    edit(chosen);
     flush();
-  };
-  const mine = state.doc;
-  const first = button("Merge both", () => settle(merge(saver.base, mine, theirs)), "primary");
-  ask("Saved elsewhere in the meantime",
-    element("p", {}, `Another tab or person saved revision ${theirs.revision} of ${theirs.clip} after this page read `
+  }, className);
+  const first = choice("Merge both", () => merge(saver.base, mine, theirs), "primary");
+  open("Saved elsewhere in the meantime",
+    paragraph(`Another tab or person saved revision ${theirs.revision} of ${theirs.clip} after this page read `
       + `revision ${saver.revision}. Your edits are still here. Choose what revision ${theirs.revision + 1} holds.`),
-    element("table", {},
-      line([first, "objects changed on one side come from there; changed on both, you get both"]),
-      line([button("Keep mine", () => settle({ ...mine })), "what you see now replaces the other revision"]),
-      line([button("Take theirs", () => settle(theirs)), "the other revision; Ctrl+Z restores yours"])),
-    row(faint("Each is one edit: Ctrl+Z undoes it.")));
+    table([
+      [first, "objects changed on one side come from there; changed on both, you get both"],
+      [choice("Keep mine", () => ({ ...mine })), "what you see now replaces the other revision"],
+      [choice("Take theirs", () => theirs), "the other revision; Ctrl+Z restores yours"],
+    ]), row(faint("Each is one edit: Ctrl+Z undoes it.")));
+  byId("dialog").oncancel = (event) => event.preventDefault(); // must be answered: Escape does not close it
   first.focus();
 }
 
@@ -134,37 +132,32 @@ function settleConflict() {
 let pulse = 0;
 
 async function watch() {
-  clearTimeout(pulse);
   if (saver.clip) {
-    const trouble = await api.getTrouble(saver.clip, AbortSignal.timeout(PATIENCE)).catch((error) => error.message);
-    if (state.trouble && !trouble) flush();
-    set({ trouble });
+    const signal = AbortSignal.timeout(PATIENCE);
+    const answer = await ask(saver.clip, "trouble", null, { signal }).catch((error) => ({ trouble: error.message }));
+    if (state.trouble && !answer.trouble) flush();
+    set({ trouble: answer.trouble });
   }
   clearTimeout(pulse); // of another call that ended meanwhile
   pulse = setTimeout(watch, PULSE);
 }
 
-/** Names of the objects whose edits the server does not have. */
-function unsaved() {
-  if (!saver.pending) return [];
-  const names = (from, to) => from.objects.filter((item) => !to.objects.includes(item)).map((item) => item.name);
-  return [...new Set([...names(state.doc, saver.base), ...names(saver.base, state.doc)])];
-}
-
-const downloadDocument = () =>
-  download(new Blob([JSON.stringify(state.doc)], { type: "application/json" }), `${saver.clip}.json`);
-
 function drawBanner() {
-  const { saving, trouble } = state;
-  const problem = ["offline", "failed"].includes(saving.kind) ? saving.message || trouble || OFFLINE : trouble;
-  const names = unsaved();
+  const { saving, trouble, doc } = state;
+  const away = ["offline", "failed"].includes(saving.kind);
+  const problem = (away && saving.message) || trouble || (away && "The server does not answer");
   byId("banner").hidden = !problem;
   if (!problem) return;
-  const kept = saver.pending ? `Not saved, kept in this ${draftKept ? "browser" : "page only, do not close it"}: `
-    + `${names.slice(0, 6).join(", ") || "lassos"}${names.length > 6 ? ` and ${names.length - 6} more` : ""}.`
-    : "Everything before is saved; what you edit now is kept in this browser.";
+  let kept = "Everything before is saved; what you edit now is kept in this browser.";
+  if (saver.pending) {
+    const [mine, saved] = [new Set(doc.objects), new Set(saver.base.objects)];
+    const names = [...new Set([...mine.symmetricDifference(saved)].map((item) => item.name))];
+    kept = `Not saved, kept in this ${draftKept ? "browser" : "page only, do not close it"}: `
+      + `${names.slice(0, 6).join(", ") || "lassos"}${names.length > 6 ? ` and ${names.length - 6} more` : ""}.`;
+  }
+  const file = () => download(new Blob([JSON.stringify(doc)], { type: "application/json" }), `${saver.clip}.json`);
   fill(byId("banner"), element("span", {}, `${problem}. ${kept}`), button("Try now", () => (flush(), watch())),
-    button("Download the annotation", downloadDocument));
+    button("Download the annotation", file));
 }
 
 // Drafts: edits that the server does not have yet, so that closing the browser loses nothing. Each tab has
@@ -175,30 +168,28 @@ const keyOf = (clip, owner) => `draft:${clip}:${owner}`;
 
 navigator.locks?.request(`tab:${tab}`, { ifAvailable: true }, () => new Promise(() => {}));
 
-function keepDraft(clip, base, doc) {
+function keepDraft() {
+  const { clip, base } = saver;
   try {
-    localStorage.setItem(keyOf(clip, tab), JSON.stringify({ base, doc }));
+    localStorage.setItem(keyOf(clip, tab), JSON.stringify({ base, doc: state.doc }));
     draftKept = true;
   } catch {
     draftKept = false; // The browser's storage is full or forbidden: the edits stay in the page.
   }
 }
 
-const dropDraft = (clip) => localStorage.removeItem(keyOf(clip, tab));
+const dropDraft = () => localStorage.removeItem(keyOf(saver.clip, tab));
 
 /** Drafts of this clip by this tab, and by tabs that are gone; each is handed out once. */
 async function recover(clip) {
-  const locks = (await navigator.locks?.query())?.held?.map((lock) => lock.name) ?? [];
+  const alive = (await navigator.locks?.query())?.held?.map((lock) => lock.name.replace("tab:", "")) ?? [];
   const start = keyOf(clip, "");
-  const found = [];
-  for (const key of Object.keys(localStorage)) {
-    const owner = key.startsWith(start) ? key.slice(start.length) : null;
-    if (owner && (owner === tab || !locks.includes(`tab:${owner}`))) {
-      found.push(JSON.parse(localStorage.getItem(key)));
-      localStorage.removeItem(key);
-    }
-  }
-  return found;
+  const owners = Object.keys(localStorage).filter((key) => key.startsWith(start)).map((key) => key.slice(start.length));
+  return owners.filter((owner) => owner === tab || !alive.includes(owner)).map((owner) => {
+    const draft = JSON.parse(localStorage.getItem(keyOf(clip, owner)));
+    localStorage.removeItem(keyOf(clip, owner));
+    return draft;
+  });
 }
 
 now(["doc", "dragging"], documentChanged);

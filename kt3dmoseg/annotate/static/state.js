@@ -1,13 +1,13 @@
-// The page's state: plain values, their listeners, undo and redo.
+// The page's state: plain values, their listeners, undo and redo, and what is selected.
 
-import { objectOf } from "./annotation.js";
+import { keyAt, objectOf } from "./annotation.js";
 
-// What every clip begins with.
+// What every clip begins with. `dragging` is the document from before what is being dragged.
 const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
-  pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null, conflict: null,
-  computing: "loading", proposals: null, review: null, compared: null, dragging: false, flickered: null,
-  playing: false, hint: "", scrolled: 0, undoable: 0, redoable: 0, unseen: new Set(), locked: new Set(),
+  pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null,
+  conflict: null, computing: "loading", proposals: null, review: null, compared: null, dragging: null,
+  flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [], unseen: new Set(), locked: new Set(),
 };
 
 export const state = {
@@ -16,80 +16,52 @@ export const state = {
 };
 
 const listeners = [];
-const changed = new Set();
-
-/** Call `listener` in the next animation frame after any of `keys` changed: for drawing. */
-export const on = (keys, listener) => listeners.push({ keys, listener, now: false });
 
 /** Call `listener` at once when any of `keys` changes: for what must not wait for a picture. */
-export const now = (keys, listener) => listeners.push({ keys, listener, now: true });
+export const now = (keys, listener) => listeners.push({ keys, listener });
+
+/** Call `listener` in the next animation frame after any of `keys` changed: for drawing. */
+export function on(keys, listener) {
+  let waiting = 0;
+  const run = () => {
+    waiting = 0;
+    listener();
+  };
+  now(keys, () => (waiting ||= requestAnimationFrame(run)));
+}
 
 /** Change values and call the listeners. */
 export function set(changes) {
-  const fresh = Object.keys(changes).filter((key) => state[key] !== changes[key]);
+  const changed = Object.keys(changes).filter((key) => state[key] !== changes[key]);
   Object.assign(state, changes);
-  if (!changed.size && fresh.length) requestAnimationFrame(draw);
-  fresh.forEach((key) => changed.add(key));
-  call(fresh, true);
+  for (const { keys, listener } of listeners) if (changed.some((key) => keys.includes(key))) listener();
 }
-
-function draw() {
-  const keys = [...changed];
-  changed.clear();
-  call(keys, false);
-}
-
-function call(keys, immediately) {
-  for (const { keys: wanted, listener, now: immediate } of listeners) {
-    if (immediate === immediately && wanted.some((key) => keys.includes(key))) listener();
-  }
-}
-
-// Documents are never changed in place, so keeping all of them costs nothing.
-const done = [];
-const undone = [];
-let start = null;
 
 /** Forget the clip at hand and begin with another. */
-export function begin(clip, values) {
-  done.length = undone.length = 0;
-  start = null;
-  set({ ...FRESH, clip, ...values });
-}
+export const begin = (clip, values) => set({ ...FRESH, clip, ...values });
+
+// Documents are never changed in place, so keeping all of them costs nothing.
 
 /** Make `doc` the present document, as one edit. */
 export function edit(doc) {
-  const before = start ?? state.doc;
-  start = null;
-  if (doc !== before) {
-    done.push(before);
-    undone.length = 0;
-  }
-  set({ doc, dragging: false, undoable: done.length, redoable: undone.length });
+  const before = state.dragging ?? state.doc;
+  set({ doc, dragging: null, ...(doc === before ? {} : { done: [...state.done, before], undone: [] }) });
 }
 
 /** Show a document while something is being dragged; `edit` or `cancel` ends it. */
-export function preview(doc) {
-  start ??= state.doc;
-  set({ doc, dragging: true });
-}
+export const preview = (doc) => set({ doc, dragging: state.dragging ?? state.doc });
 
-export function cancel() {
-  if (start) set({ doc: start, dragging: false });
-  start = null;
-}
+export const cancel = () => state.dragging && set({ doc: state.dragging, dragging: null });
 
-export const undo = () => travel(done, undone, "Nothing to undo");
+export const undo = () => travel("done", "undone", "Nothing to undo");
 
-export const redo = () => travel(undone, done, "Nothing to redo");
+export const redo = () => travel("undone", "done", "Nothing to redo");
 
 function travel(source, target, nothing) {
-  if (source.length && !state.dragging) {
-    target.push(state.doc);
-    set({ doc: source.pop(), undoable: done.length, redoable: undone.length });
-  } else notify(nothing);
-  set({ vertex: null });
-  if (!selectedObject()) set({ selected: null });
+  const { [source]: from, [target]: to, dragging, doc } = state;
+  if (!from.length || dragging) return notify(nothing);
+  set({ doc: from.at(-1), [source]: from.slice(0, -1), [target]: [...to, doc], vertex: null });
+  return selectedObject() || set({ selected: null });
 }
 
 let hintTimer = 0;
@@ -128,12 +100,18 @@ export function editable() {
 
 /** Hide the selected object, lock it, or take that back; `kind` is "unseen" or "locked". */
 export function toggleObject(kind, id = chosen()?.id) {
-  if (id === undefined) return;
-  const changed = new Set(state[kind]);
-  if (!changed.delete(id)) changed.add(id);
-  set({ [kind]: changed });
+  if (id !== undefined) set({ [kind]: state[kind].symmetricDifference(new Set([id])) });
 }
 
 export function select(id) {
   if (id !== state.selected) set({ selected: id, vertex: null });
+}
+
+/** The region of an object in a frame: the document's where a person drew it, else the server's. */
+export function regionOf(item, frame, regions = state.regions) {
+  const key = keyAt(item, frame);
+  const found = regions?.[item.id]?.[frame];
+  if (!key && found && !found.key) return found;
+  const { visibility, polygons } = key ?? item.key_frames.findLast((k) => k.frame < frame) ?? item.key_frames[0];
+  return { visibility, polygons: polygons ?? [], key: Boolean(key) };
 }
