@@ -7,7 +7,7 @@ own, so static scene and moving objects are treated alike. Several bodies are ad
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +15,14 @@ import numpy as np
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
 # Stages of a descent: standard deviation over noise, and steps. From far to near where all points would be
-# outliers of cameras that have not moved, as in a deep scene; at once where motion is small or depth shallow.
+# outliers of cameras that have not moved, as in a deep scene; at once where motion is small or depth shallow;
+# from a factorisation.
 _GRADUAL = ((100.0, 5), (27.0, 5), (7.0, 5), (1.0, 10))
 _DIRECT = ((1.0, 25),)
+_FACTORED = ((27.0, 5), (7.0, 5), (1.0, 15))
 # Residual, in standard deviations, at which a trajectory loses half of its weight.
 _HALF_WEIGHT = 2.0
-# A stage ends when no body gains more than this part of its cost.
+# A stage ends for a body that gains less than this part of its cost.
 _GAIN = 1e-3
 # Depth below which a point is taken to be at this depth: behind a camera the image is meaningless.
 _NEAREST = 0.05
@@ -28,6 +30,8 @@ _NEAREST = 0.05
 _DEPTHS = (0.3, 1.7)
 _DAMPING = 1e-3
 _TINY = 1e-12
+# Least square of an axis of the shape, relative to the largest, that the metric upgrade may leave.
+_FLATTEST = 1e-2
 
 
 class Cameras(NamedTuple):
@@ -40,12 +44,13 @@ class Cameras(NamedTuple):
 class _State(NamedTuple):
     """Cameras, points (B, n, 3) and what follows from them.
 
-    `rotated` (B, F, 3, n) are the rays in the cameras' axes, `image` (2, B, F, n) where they appear,
-    `inverse` (B, F, n) one over the depth, `error` (2, B, F, n) the residuals, zero where unseen, `square`
+    `rotated` (B, F, 3, n) are the rays in the cameras' axes, `image` (B, 2, F, n) where they appear,
+    `inverse` (B, F, n) one over the depth, `error` (B, 2, F, n) the residuals, zero where unseen, `square`
     (B, n) their mean square over noise, and `cost` (B,) as `adjust` returns it.
     """
 
-    cameras: Cameras
+    rotation: FloatArray
+    translation: FloatArray
     points: FloatArray
     rotated: FloatArray
     image: FloatArray
@@ -54,6 +59,10 @@ class _State(NamedTuple):
     square: FloatArray
     cost: FloatArray
 
+    def of(self, bodies: IntArray) -> _State:
+        """State of some of the bodies."""
+        return _State(*(part[bodies] for part in self))
+
 
 def adjust(
     image: FloatArray, visible: BoolArray, rng: np.random.Generator, *, noise: float
@@ -61,9 +70,10 @@ def adjust(
     """Find the cameras of bodies from the images of their points, some of which may belong elsewhere.
 
     Levenberg and Marquardt's method with the points eliminated (Schur complement). A trajectory is an outlier
-    as a whole: its weight falls with its mean squared residual as Cauchy's does. Cameras start where they do
-    not move, once with random depths and a scale of outliers that narrows, once with equal depths; of
-    the two descents each body keeps the better.
+    as a whole: its weight falls with its mean squared residual as Cauchy's does. Of several descents each
+    body keeps the best: from cameras that do not move, with random depths and a scale of outliers that narrows;
+    from the same with equal depths; and, where all points are seen in all frames, from two factorisations
+    under weak perspective, which find bodies that turn far.
 
     Parameters
     ----------
@@ -89,46 +99,117 @@ def adjust(
     Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment: a modern synthesis", 1999. The start: Yu,
     Gallup, "3D reconstruction from accidental motion", CVPR 2014.
     """
+    reference = visible.sum(axis=2).argmax(axis=1)
     deep = rng.uniform(*_DEPTHS, (visible.shape[0], visible.shape[2]))
-    first, cost = _descend(image, visible, deep, _GRADUAL, noise)
-    second, other = _descend(image, visible, np.ones_like(deep), _DIRECT, noise)
-    return Cameras(*(_pick(other < cost, b, a) for a, b in zip(first, second, strict=True))), np.minimum(
-        cost, other
-    )
+    starts: list[tuple[Cameras, FloatArray, Sequence[tuple[float, int]]]] = [
+        (*_still(image, visible, reference, deep), _GRADUAL),
+        (*_still(image, visible, reference, np.ones_like(deep)), _DIRECT),
+    ]
+    if (visible == visible.any(axis=1, keepdims=True)).all():
+        starts += [(*start, _FACTORED) for start in _factored(image, visible, reference)]
+    ends = [_descend(image, visible, reference, *start, noise) for start in starts]
+    costs = np.stack([cost for _, cost in ends])
+    best = costs.argmin(axis=0), np.arange(len(visible))
+    rotation = np.stack([cameras.rotation for cameras, _ in ends])[best]
+    translation = np.stack([cameras.translation for cameras, _ in ends])[best]
+    return Cameras(rotation, translation), costs[best]
 
 
 def _descend(
     image: FloatArray,
     visible: BoolArray,
-    depths: FloatArray,
+    reference: IntArray,
+    cameras: Cameras,
+    points: FloatArray,
     stages: Sequence[tuple[float, int]],
     noise: float,
 ) -> tuple[Cameras, FloatArray]:
+    """Adjust bodies from a start; cameras and cost as `adjust` returns them."""
     n_bodies, n_frames, _ = visible.shape
-    reference = visible.sum(axis=2).argmax(axis=1)
-    points = np.concatenate([_nearest_image(image, visible, reference), depths[..., None]], axis=2)
-    cameras = Cameras(np.tile(np.eye(3), (n_bodies, n_frames, 1, 1)), np.zeros((n_bodies, n_frames, 3)))
     fixed = np.zeros((n_bodies, n_frames), dtype=np.bool_)
     fixed[np.arange(n_bodies), reference] = True
-    planes = np.moveaxis(image, -1, 0)
+    planes = np.moveaxis(image, -1, 1)
     for scale, steps in stages:
         sigma = scale * noise
         state = _evaluate(cameras, points, planes, visible, sigma)
         damping = np.full(n_bodies, _DAMPING)
+        active = np.arange(n_bodies)
         for _ in range(steps):
-            tried = _evaluate(*_step(state, visible, fixed, damping, sigma), planes, visible, sigma)
-            better = tried.cost < state.cost
-            gain = np.where(better, (state.cost - tried.cost) / np.maximum(state.cost, _TINY), np.inf)
-            state = _choose(better, tried, state)
-            damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-9, 1e6)
-            if (gain < _GAIN).all():
+            old = state.of(active)
+            step = _step(old, visible[active], fixed[active], damping[active], sigma)
+            tried = _evaluate(*step, planes[active], visible[active], sigma)
+            better = tried.cost < old.cost
+            gain = np.where(better, (old.cost - tried.cost) / np.maximum(old.cost, _TINY), np.inf)
+            for part, new in zip(state, tried, strict=True):
+                part[active[better]] = new[better]
+            damping[active] = np.clip(damping[active] * np.where(better, 0.2, 5.0), 1e-9, 1e6)
+            active = active[gain >= _GAIN]
+            if not len(active):
                 break
         # Scale and sign of translations and inverse depths are free together.
         depth = np.median(state.points[..., 2], axis=1)
         depth = np.where(np.abs(depth) > _TINY, depth, 1.0)
         points = state.points / np.stack([np.ones_like(depth), np.ones_like(depth), depth], axis=1)[:, None]
-        cameras = Cameras(state.cameras.rotation, state.cameras.translation * depth[:, None, None])
+        cameras = Cameras(state.rotation, state.translation * depth[:, None, None])
     return cameras, state.cost
+
+
+def _still(
+    image: FloatArray, visible: BoolArray, reference: IntArray, depths: FloatArray
+) -> tuple[Cameras, FloatArray]:
+    """Start with cameras that do not move, and points (B, n, 3) where they are seen, at inverse depths."""
+    n_bodies, n_frames, _ = visible.shape
+    points = np.concatenate([_nearest_image(image, visible, reference), depths[..., None]], axis=2)
+    still = np.tile(np.eye(3), (n_bodies, n_frames, 1, 1)), np.zeros((n_bodies, n_frames, 3))
+    return Cameras(*still), points
+
+
+def _factored(
+    image: FloatArray, visible: BoolArray, reference: IntArray
+) -> Iterator[tuple[Cameras, FloatArray]]:
+    """Yield two starts by factorisation of complete tracks, which differ by a reflection in depth.
+
+    Sources: Tomasi and Kanade, "Shape and motion from image streams under orthography", IJCV 1992; for weak
+    perspective Poelman and Kanade, "A paraperspective factorization method", PAMI 1997.
+    """
+    n_bodies, n_frames, n_points = visible.shape
+    seen = visible[:, :, None]
+    planes = np.moveaxis(image, -1, 2)
+    centre = (planes * seen).sum(axis=3) / np.maximum(seen.sum(axis=3), 1)
+    flat = ((planes - centre[..., None]) * seen).reshape(n_bodies, 2 * n_frames, n_points)
+    left, value, right = np.linalg.svd(flat, full_matrices=False)
+    motion = (left[..., :3] * value[:, None, :3]).reshape(n_bodies, n_frames, 2, 3)
+    upgrade = _metric(motion)
+    shape = right[:, :3].swapaxes(1, 2) @ np.linalg.inv(upgrade).swapaxes(1, 2)
+    left, value, right = np.linalg.svd(motion @ upgrade[:, None], full_matrices=False)
+    axes, scale = left @ right, np.maximum(value.mean(axis=-1), _TINY)
+    rotation = np.concatenate([axes, np.cross(axes[:, :, 0], axes[:, :, 1])[:, :, None]], axis=2)
+    # The centre lies at depth 1 in the reference frame, and elsewhere where its scale puts it.
+    ray = np.concatenate([centre, np.ones((n_bodies, n_frames, 1))], axis=2)
+    every = np.arange(n_bodies)
+    own = scale[every, reference, None]
+    for mirror in (np.array([1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])):
+        turned = rotation * mirror[:, None] * mirror
+        back = turned[every, reference].swapaxes(1, 2)
+        space = (shape * mirror) @ back * own[..., None] + ray[every, reference, None]
+        depth = np.maximum(space[..., 2:], _NEAREST)
+        turned = turned @ back[:, None]
+        moved = (own / scale)[..., None] * ray - np.einsum("bfij,bj->bfi", turned, ray[every, reference])
+        yield Cameras(turned, moved), np.concatenate([space[..., :2] / depth, 1 / depth], axis=2)
+
+
+def _metric(motion: FloatArray) -> FloatArray:
+    """Matrices (B, 3, 3) that make the two rows of motion (B, F, 2, 3) orthogonal and of equal length."""
+    i, j = np.triu_indices(3)
+    outer = motion[:, :, :, None, :, None] * motion[:, :, None, :, None, :]  # rows, rows, columns, columns
+    outer = (outer + outer.swapaxes(4, 5))[..., i, j] * np.where(i == j, 0.5, 1.0)
+    rows = np.concatenate([outer[:, :, 0, 0] - outer[:, :, 1, 1], outer[:, :, 0, 1]], axis=1)
+    _, vectors = np.linalg.eigh(rows.swapaxes(1, 2) @ rows)
+    square = np.empty((len(motion), 3, 3))
+    square[:, i, j] = square[:, j, i] = vectors[:, :, 0]
+    values, vectors = np.linalg.eigh(square * np.sign(np.trace(square, axis1=1, axis2=2))[:, None, None])
+    values = np.maximum(values, _FLATTEST * np.abs(values[:, -1:]))
+    return np.asarray(vectors * np.sqrt(values)[:, None], dtype=np.float64)
 
 
 def triangulate(
@@ -186,8 +267,8 @@ def triangulate(
         points[behind, 2] = 0
         _, projected, inverse = _project(cameras, points)
         weight = seen * inverse**2
-    error = (projected - np.moveaxis(image, -1, 0)[:, None]) * seen
-    return points, np.einsum("abfn,abfn->bn", error, error)
+    error = (projected - np.moveaxis(image, -1, 0)) * seen[:, None]
+    return points, np.einsum("bafn,bafn->bn", error, error)
 
 
 def _nearest_image(image: FloatArray, visible: BoolArray, reference: IntArray) -> FloatArray:
@@ -203,40 +284,25 @@ def _project(cameras: Cameras, points: FloatArray) -> tuple[FloatArray, FloatArr
     rotated = cameras.rotation @ rays[:, None]
     seen = rotated + cameras.translation[..., None] * points[:, None, None, :, 2]
     inverse = 1 / np.maximum(seen[:, :, 2], _NEAREST)
-    return rotated, np.moveaxis(seen[:, :, :2], 2, 0) * inverse, inverse
+    return rotated, seen[:, :, :2].swapaxes(1, 2) * inverse[:, None], inverse
 
 
 def _evaluate(
     cameras: Cameras, points: FloatArray, image: FloatArray, visible: BoolArray, noise: float
 ) -> _State:
     rotated, projected, inverse = _project(cameras, points)
-    error = (projected - image) * visible
+    error = (projected - image) * visible[:, None]
     frames = visible.sum(axis=1)
-    square = np.einsum("abfn,abfn->bn", error, error) / np.maximum(frames, 1) / noise**2
+    square = np.einsum("bafn,bafn->bn", error, error) / np.maximum(frames, 1) / noise**2
     cost = (frames * np.log1p(square / _HALF_WEIGHT**2)).sum(axis=1)
-    return _State(cameras, points, rotated, projected, inverse, error, square, cost)
-
-
-def _pick(chosen: BoolArray, a: FloatArray, b: FloatArray, axis: int = 0) -> FloatArray:
-    """Take the chosen bodies, along an axis, from `a` and the others from `b`."""
-    shape = [1] * a.ndim
-    shape[axis] = len(chosen)
-    return np.where(chosen.reshape(shape), a, b)
-
-
-def _choose(better: BoolArray, new: _State, old: _State) -> _State:
-    """Take the bodies of one state where it is better, else those of the other."""
-    cameras = Cameras(*(_pick(better, a, b) for a, b in zip(new.cameras, old.cameras, strict=True)))
-    axes = {"image": 1, "error": 1}
-    fields = _State._fields[1:]
-    return _State(cameras, *(_pick(better, getattr(new, f), getattr(old, f), axes.get(f, 0)) for f in fields))
+    return _State(*cameras, points, rotated, projected, inverse, error, square, cost)
 
 
 def _step(
     state: _State, visible: BoolArray, fixed: BoolArray, damping: FloatArray, noise: float
 ) -> tuple[Cameras, FloatArray]:
     """Solve the damped normal equations of cameras and points, and apply the solution."""
-    (rotation, translation), points = state.cameras, state.points
+    rotation, translation, points = state.rotation, state.translation, state.points
     n_bodies, n_frames, n_points = visible.shape
     size = 6 * n_frames
     weight = visible * np.sqrt(1 / (1 + state.square / _HALF_WEIGHT**2))[:, None] / noise
@@ -250,14 +316,14 @@ def _step(
     by_camera = np.empty((2, n_bodies, n_frames, 6, n_points))
     by_point = np.empty((2, n_bodies, n_frames, 3, n_points))
     for axis in (0, 1):
-        gz = -state.image[axis] * g
+        gz = -state.image[:, axis] * g
         gx, gy = (g, 0.0) if axis == 0 else (0.0, g)
         parts = (gz * y - gy * z, gx * z - gz * x, gy * x - gx * y, rho * gx, rho * gy, rho * gz)
         for k, part in enumerate(parts):
             by_camera[axis, :, :, k] = part
         by_point[axis] = g[:, :, None] * columns[:, :, axis] + gz[:, :, None] * columns[:, :, 2]
     by_camera *= ~fixed[:, :, None, None]
-    error = state.error * weight
+    error = (state.error * weight[:, None]).swapaxes(0, 1)
     cameras_normal = (by_camera @ by_camera.swapaxes(-1, -2)).sum(axis=0)
     cameras_right = -(by_camera @ error[..., None]).sum(axis=0).reshape(n_bodies, size)
     points_right = -(by_point * error[:, :, :, None]).sum(axis=(0, 2))

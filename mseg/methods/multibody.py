@@ -37,10 +37,12 @@ from mseg.kernels import unconnected_parts
 from mseg.methods.paper import KINDS, Subset
 from mseg.types import Segmentation
 
-# Noise of tracked points, as a fraction of the width of the image: the scale on which bodies are adjusted.
+# Noise of tracked points, as fractions of the width of the image: the scale on which bodies are adjusted, and
+# the least that is believed, below which lenses and trackers err alike for all points.
 _NOISE = 2.5e-4
+_LEAST_NOISE = 8e-5
 # Focal lengths tried where none is known, in widths of the image.
-_FOCAL = (0.6, 1.2, 2.4)
+_FOCAL = (0.6, 0.8, 1.1, 1.5, 2.1, 3.0)
 # Frames and trajectories of a body that are adjusted, bodies adjusted at once.
 _FRAMES = 10
 _SAMPLE = 48
@@ -245,7 +247,7 @@ class _Scene:
 
     def _measure_noise(self, bodies: list[_Body]) -> None:
         least = np.min([body.square for body in bodies], axis=0)
-        self.noise = max(float(np.sqrt(np.median(least))), 1e-3 * _NOISE)
+        self.noise = max(float(np.sqrt(np.median(least))), _LEAST_NOISE)
 
     def _scale(self, body: _Body) -> float:
         """Variance of a body's residuals, within what noise can be."""
