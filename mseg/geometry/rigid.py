@@ -71,7 +71,7 @@ def adjust(
 
     Levenberg and Marquardt's method with the points eliminated (Schur complement). A trajectory is an outlier
     as a whole: its weight falls with its mean squared residual as Cauchy's does. Of several descents each
-    body keeps the best: from cameras that do not move, with random depths and a scale of outliers that narrows;
+    body keeps the best: from cameras that do not move, with random depths and a scale that narrows;
     from the same with equal depths; and, where all points are seen in all frames, from two factorisations
     under weak perspective, which find bodies that turn far.
 
