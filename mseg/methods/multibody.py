@@ -11,8 +11,9 @@
    trajectory joins the body that explains it and its neighbours best.
 
 The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price * motions``:
-``c = log(1 + q / (9 s^2)) + log(s^2 / s_0^2) / 2`` for a mean squared residual q of trajectory i under a
-body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals; w_i grows
+``c = log(1 + q / (9 s^2)) + 0.3 log(s^2 / s_0^2)`` for a mean squared residual q of trajectory i under a
+body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals. (0.3 and
+not 1/2: what a lens or a tracker gets wrong is alike in neighbours, so there are fewer witnesses.) w_i grows
 with the length of the trajectory; the cut is the weight of edges between motions in the mean of the views'
 graphs, each with unit degrees.
 """
@@ -51,6 +52,8 @@ _BATCH = 24
 # a body in noises of the clip.
 _UNEXPLAINED = 3.0
 _NOISIEST = 10.0
+# Cost of a body's noise, per trajectory and logarithm of its variance over the clip's.
+_NOISIER = 0.3
 # A trajectory of this many frames weighs 1, the heaviest one 1.5.
 _USUAL_LENGTH = 10
 _HEAVIEST = 1.5
@@ -75,7 +78,7 @@ class MultiBody:
     """
 
     atoms: int = option(20, "clusters of the over-segmentation", low=2)
-    price: float = option(20.0, "cost of a motion", low=0)
+    price: float = option(16.0, "cost of a motion", low=0)
     coherence: float = option(12.0, "cost of an edge between motions, per unit of degree", low=0)
     most: int = option(7, "largest number of motions that is looked for", low=1)
     reject_outliers: bool = option(False, "label 0 for trajectories that fit no motion")
@@ -263,7 +266,7 @@ class _Scene:
         scale = np.array([self._scale(body) for body in bodies])[:, None]
         square = np.stack([body.square for body in bodies])
         residual = np.log1p(square / (_UNEXPLAINED**2 * scale))
-        return self.weight * (residual + np.log(scale / self.noise**2) / 2)
+        return self.weight * (residual + _NOISIER * np.log(scale / self.noise**2))
 
     def _choose(self, bodies: list[_Body], most: int, price: float) -> dict[int, tuple[IntArray, IntArray]]:
         """Choose M bodies and the one (A,) that each atom follows, for each M: add the best, then swap."""

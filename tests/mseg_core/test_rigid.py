@@ -65,6 +65,22 @@ def test_outliers_do_not_move_the_cameras():
     assert np.median(rms(residual[0], np.ones((10, 45)))) < 2 * NOISE
 
 
+@pytest.mark.parametrize("axis", [(0, 1, 0), (0.4, 0.9, 0.2)])
+def test_a_body_that_turns_far_before_the_camera(axis):
+    # From cameras that do not move the descent ends beside a turn of 70 degrees.
+    rng = np.random.default_rng(5)
+    shape = rng.uniform(-0.25, 0.25, (60, 3))
+    unit = np.array(axis) / np.linalg.norm(axis)
+    images = []
+    for frame in range(10):
+        seen = shape @ Rotation.from_rotvec(np.radians(7.8) * frame * unit).as_matrix().T + [0.1, 0, 1.5]
+        images.append(seen[:, :2] / seen[:, 2:])
+    image = np.array(images) + rng.normal(0, NOISE, (10, 60, 2))
+    cameras, _ = rigid.adjust(image[None], np.ones((1, 10, 60), dtype=bool), rng, noise=NOISE)
+    _, residual = rigid.triangulate(cameras, image, np.ones((10, 60), dtype=bool))
+    assert np.median(rms(residual[0], np.ones((10, 60)))) < 2 * NOISE
+
+
 @pytest.mark.parametrize("hidden", [0.3, 0.5])
 def test_trajectories_with_gaps(hidden):
     rng = np.random.default_rng(3)
