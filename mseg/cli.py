@@ -112,29 +112,34 @@ def run(
     """
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
+    from mseg.errors import EveryRunFailedError
     from mseg.evaluation.protocol import count
     from mseg.evaluation.submission import FAILED, META, parse_meta, prediction_files
 
+    code = 0
     with progress_bar("task", quiet=quiet) as progress:
-        folder = predict(
-            data,
-            output,
-            method,
-            n_motions=n_motions,
-            seeds=seeds,
-            parameters=parse_assignments(parameter),
-            workers=workers,
-            dask=dask,
-            progress=progress,
-        )
-    files = prediction_files(folder)
-    failed = [path for path in files if path.suffix == FAILED]
+        try:
+            predict(
+                data,
+                output,
+                method,
+                n_motions=n_motions,
+                seeds=seeds,
+                parameters=parse_assignments(parameter),
+                workers=workers,
+                dask=dask,
+                progress=progress,
+            )
+        except EveryRunFailedError as error:
+            code = error.exit_code
+    folder = Path(output)
+    failed = [path for path in prediction_files(folder) if path.suffix == FAILED]
     lines = [f"failed: {path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
     meta, _ = parse_meta((folder / META).read_bytes())
     lines += [f"note: {clip}: {note}" for clip, note in meta.notes.items()]
     lines.append(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))
     print(*lines, _NEXT.format(folder, data), sep="\n", file=sys.stderr)
-    return 1 if len(failed) == len(files) else 0
+    return code
 
 
 def example_submission(

@@ -14,9 +14,12 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import parse_json, sha256_file
-from kt3dmoseg.types import BoolArray, Camera, Clip, IntArray, Labels, Trajectories
+from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, IntArray, Labels, Trajectories
 
 _LONGEST = 200
+_FRACTION = 1.5  # a clip whose every coordinate is smaller is not in pixels
+_FAR = 1e9
+_MOST = 2000  # tracks and frames that are looked at
 _NUMBER = re.compile(r"-?[0-9]{1,18}")
 NUMBERS, TEXT = "biuf", "U"
 _KINDS = {NUMBERS: "numbers", "iu": "whole numbers", "f": "floating-point numbers", "bu": "true or false"}
@@ -146,6 +149,38 @@ def check_name(name: str, where: str) -> None:
     if not name.isprintable() or name in ("", ".", "..") or len(name) > _LONGEST or set(name) & set("/\\"):
         expected = f"a clip's name, at most {_LONGEST} characters without a slash"
         raise InvalidValueError(where, expected=expected, found=f"{name!r}")
+
+
+def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
+    """Refuse positions (N, F, 2) of others that are no pixels, or have tracks and frames exchanged.
+
+    From frame to frame a point moves less than it is from the next track to the one after; within a track the
+    points are closer together than within a frame.
+    """
+    xy, visible = xy[:_MOST, :_MOST], visible[:_MOST, :_MOST]
+    visible = visible & (np.abs(xy) < _FAR).all(axis=2)
+    if visible.any() and (farthest := np.abs(xy[visible]).max()) <= _FRACTION:
+        fix = "multiply fractions by width and height, and subtract 0.5"
+        raise InvalidValueError(name, expected="pixels", found=f"at most {farthest:g}", fix=fix)
+    tracks, frames = visible.shape
+    if min(tracks, frames) < 3:
+        return
+    step, next_step = (_median_step(xy, visible, axis, 1) for axis in (1, 0))
+    if step > 2 * next_step and _median_step(xy, visible, 1, frames // 2) > _median_step(
+        xy, visible, 0, tracks // 2
+    ):
+        found = f"steps of {step:.3g} px from frame to frame, of {next_step:.3g} px from track to track"
+        fix = "exchange the axes of tracks and frames; if they are right, save the tracks in another order"
+        raise InvalidValueError(
+            name, expected="points that move less than they are apart", found=found, fix=fix
+        )
+
+
+def _median_step(xy: FloatArray, visible: BoolArray, axis: int, lag: int) -> float:
+    """Return the median distance between points `lag` apart on an axis; 0 when there are none."""
+    points, seen = xy.swapaxes(0, axis), visible.swapaxes(0, axis)
+    steps = (points[lag:] - points[:-lag])[seen[lag:] & seen[:-lag]]
+    return float(np.median(np.hypot(*steps.T))) if len(steps) else 0.0
 
 
 def foreign_clip(

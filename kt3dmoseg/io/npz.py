@@ -3,7 +3,7 @@
 docs/formats.md lists the arrays of a clip, for those who have no HDF5. CoTracker: `pred_tracks`
 (1, F, N, 2) pixels with integers at pixel centres, `pred_visibility` (1, F, N) or (1, F, N, 1). TAP-Vid:
 `points` (N, F, 2) as fractions of width and height from the outer corner of the image, `occluded` (N, F),
-and `video` (F, H, W, C), (F, C, H, W) or (F, H, W), of which only the size is read.
+and `video` (F, H, W, C), (F, C, H, W) or (F, H, W), with whose first pictures the points are compared.
 """
 
 from __future__ import annotations
@@ -20,30 +20,34 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.files import SafeZip, ZipLimits, write_bytes, zip_bytes
-from kt3dmoseg.io.fields import NEEDED, Fields, clip_from, clip_values, foreign_clip
-from kt3dmoseg.types import Clip, Trajectories
+from kt3dmoseg.io.fields import NEEDED, NUMBERS, Fields, check_axes, clip_from, clip_values, foreign_clip
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, Trajectories
 
 _CHANNELS = {1, 3, 4}
 _OUTSIDE = 0.05  # a tracker may follow a point a little over the border
-_FRACTION = 1.5  # a clip whose every coordinate is smaller is not in pixels
 _FREE = 1 << 24
-# A video of TAP-Vid may be large; it is not read.
+# The video of TAP-Vid is compared at so many points that move so far, in so many bytes of its first pictures.
+_PICTURES, _ENOUGH, _MOVED, _SAME = 1 << 25, 20, 2.0, 0.25
+# A video of TAP-Vid may be large; most of it is not read.
 _LIMITS = ZipLimits(256, 1 << 32, 1 << 40, ratio=1100, free_bytes=_FREE)
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _MAX_HEADER = 10_000
 
 
-def read_npz(path: str | os.PathLike[str], shapes: Container[str] = ()) -> dict[str, npt.NDArray[Any]]:
+def read_npz(
+    path: str | os.PathLike[str], shapes: Container[str] = (), rows: int = 0
+) -> dict[str, npt.NDArray[Any]]:
     """Read the arrays of a .npz file; FileFormatError when it is damaged, or one is refused by `read_npy`.
 
-    Of those named in `shapes` only shape and type are read: their values are zeros, which take no memory.
+    Of those named in `shapes` only shape and type are read: their values are zeros, which take no memory;
+    with `rows`, their first rows.
     """
     where, out = os.fspath(path), {}
     with SafeZip(path, _LIMITS, where) as archive:
         for file, size in archive.sizes.items():
             name = file.removesuffix(".npy")
             with archive.open(file) as stream:
-                out[name] = read_npy(stream, size, f"{where}: {name}", only_shape=name in shapes)
+                out[name] = read_npy(stream, size, f"{where}: {name}", rows if name in shapes else None)
     return out
 
 
@@ -53,8 +57,10 @@ def is_lone_array(path: Path) -> bool:
         return len(archive.sizes) == 1
 
 
-def read_npy(stream: IO[bytes], size: int, where: str, only_shape: bool = False) -> npt.NDArray[Any]:
-    """Read a .npy of numbers or texts from a stream of at most `size` bytes, or only its shape and type.
+def read_npy(stream: IO[bytes], size: int, where: str, rows: int | None = None) -> npt.NDArray[Any]:
+    """Read a .npy of numbers or texts from a stream of at most `size` bytes, or its first rows only.
+
+    Of 0 rows, or of a file in Fortran's order, there are shape and type, and zeros.
 
     FileFormatError when it is damaged, holds Python objects, or declares a wrong size.
     """
@@ -70,8 +76,9 @@ def read_npy(stream: IO[bytes], size: int, where: str, only_shape: bool = False)
     if min(shape, default=0) < 0 or (0 in shape and math.prod(n or 1 for n in shape) > _FREE):
         expected = f"dimensions >= 0, in an empty array at most {_FREE} elements"
         raise FileFormatError(where, expected=expected, found=f"{shape!r:.80}")
-    if only_shape:
+    if rows == 0 or (rows and fortran):
         return np.broadcast_to(np.zeros((), dtype), shape)
+    shape = (min(rows, shape[0]), *shape[1:]) if rows else shape
     needed = math.prod(shape) * dtype.itemsize
     content = stream.read(needed) if needed <= size else b""
     if len(content) != needed:
@@ -106,7 +113,7 @@ def read(path: str | os.PathLike[str]) -> Clip:
     if names >= {"pred_tracks", "pred_visibility"}:
         return foreign_clip(path, "cotracker", _cotracker(fields))
     if names >= {"points", "occluded", "video"}:
-        return foreign_clip(path, "tap-vid", _tapvid(fields))
+        return foreign_clip(path, "tap-vid", _tapvid(fields, path))
     if names >= NEEDED:
         return clip_from(fields)
     raise FileFormatError(
@@ -126,25 +133,50 @@ def _cotracker(fields: Fields) -> Trajectories:
         raise fields.error("pred_visibility", "0 to 1", f"{seen.min():g} to {seen.max():g}")
     visible = seen.reshape(tracks.shape[1:3]).T > 0.5
     xy = tracks[0].swapaxes(0, 1).astype(np.float64)
-    if visible.any() and (farthest := np.abs(xy[visible]).max()) <= _FRACTION:
-        fix = "multiply fractions by width and height, and subtract 0.5"
-        raise fields.error("pred_tracks", "pixels", f"at most {farthest:g}", fix)
+    check_axes("pred_tracks", xy, visible)
     return Trajectories(np.where(visible[..., None], xy, np.nan), visible)
 
 
-def _tapvid(fields: Fields) -> Trajectories:
+def _tapvid(fields: Fields, path: str | os.PathLike[str]) -> Trajectories:
     points, video = fields.array("points", (None, None, 2)), fields["video"].shape
     visible = ~fields.flags("occluded", points.shape[:2])
     if len(video) not in (3, 4) or video[0] != points.shape[1]:
         fix = "swap tracks and frames of points and occluded" if video[:1] == points.shape[:1] else ""
         expected = f"{points.shape[1]} frames (F, H, W, C), as points (N, F, 2) have"
         raise fields.error("video", expected, f"video of shape {video}, points {points.shape}", fix)
-    if len(video) == 4 and not {video[1], video[3]} & _CHANNELS:
-        raise fields.error("video", "1, 3 or 4 channels, (F, H, W, C) or (F, C, H, W)", f"shape {video}")
-    height, width = video[2:4] if len(video) == 4 and video[3] not in _CHANNELS else video[1:3]
+    channels = [axis for axis in (1, 3) if len(video) == 4 and video[axis] in _CHANNELS]
+    if (len(channels) != 1) if len(video) == 4 else (video[0] in _CHANNELS - {1}):  # one picture's channels?
+        expected, fix = "(F, H, W, C) or (F, C, H, W), C = 1, 3 or 4", "of gray frames give video[..., None]"
+        raise fields.error("video", expected, f"shape {video}", fix)
+    height, width = (n for axis, n in enumerate(video) if axis not in (0, *channels))
     low, high = points[visible].min(initial=0), points[visible].max(initial=0)
     if low < -_OUTSIDE or high > 1 + _OUTSIDE:
         fix = "of pixels, add 0.5 and divide by width and height"
         raise fields.error("points", "fractions of width and height, 0 to 1", f"{low:g} to {high:g}", fix)
     xy = points.astype(np.float64) * (width, height) - 0.5
+    check_axes("points", xy, visible)
+    count = _PICTURES // max(1, math.prod(video[1:]) * fields["video"].itemsize)
+    if min(count, video[0]) > 1 and fields["video"].dtype.kind in NUMBERS:
+        pictures = read_npz(path, {"video"}, count)["video"]
+        _check_on_video(fields, xy, visible, pictures[[0, -1]].mean(axis=tuple(channels)), len(pictures) - 1)
     return Trajectories(np.where(visible[..., None], xy, np.nan), visible, image_size=(width, height))
+
+
+def _check_on_video(
+    fields: Fields, xy: FloatArray, visible: BoolArray, pictures: npt.NDArray[Any], n: int
+) -> None:
+    """Refuse points that keep their brightness from picture 0 to picture n, (2, H, W), only as (y, x)."""
+    (first, last), scale = pictures, np.array(pictures.shape[1:]) - 1
+    moved = visible[:, 0] & visible[:, n] & (np.abs(xy[:, n] - xy[:, 0]).max(axis=1) > _MOVED)
+    places = (xy[moved][:, [0, n]] + 0.5) / first.shape[::-1]
+
+    def change(order: tuple[int, int]) -> float:
+        """Return the mean change of brightness, as a share of that between points of different tracks."""
+        row, column = np.rint(places[..., order] * scale).clip(0, scale).astype(np.int64).T
+        before, after = first[row[0], column[0]], last[row[1], column[1]]
+        return float(np.abs(after - before).mean() / np.abs(np.roll(after, len(after) // 2) - before).mean())
+
+    with np.errstate(invalid="ignore", divide="ignore"):  # of pictures of one colour
+        if len(places) >= _ENOUGH and change((1, 0)) > 2 * max(change((0, 1)), _SAME):
+            found, fix = "points that follow the video only as (y, x)", "give points[..., ::-1]"
+            raise fields.error("points", "(x, y), x to the right", found, fix)

@@ -129,8 +129,8 @@ def track(
 def _check_axes(frames: Frames) -> None:
     if isinstance(frames, np.ndarray) and frames.ndim == 3:
         rows, columns, last = frames.shape
-        if last < min(rows, columns / 2):
-            fix = "of (H, W, F) give np.moveaxis(frames, -1, 0); of such narrow frames list(frames)"
+        if last < min(rows, columns / 2) or rows in (3, 4):  # perhaps the channels of one picture
+            fix = "of (H, W, F) give np.moveaxis(frames, -1, 0); of such narrow or few frames list(frames)"
             raise InvalidValueError("frames", expected="(F, H, W)", found=f"{frames.shape}", fix=fix)
 
 

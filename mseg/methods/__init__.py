@@ -10,6 +10,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.io.fields import check_axes
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import BoolArray, Clip, Labels, Trajectories
@@ -170,6 +171,7 @@ def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  
         raise InvalidValueError("visible", expected="True or False", found=f"values of type {given.dtype}")
     seen: BoolArray = given.astype(np.bool_)
     if seen.shape == xy.shape[:2]:  # else Trajectories raises
+        check_axes("xy", xy, seen)
         xy[~seen] = np.nan
     return Trajectories(xy, seen)
 

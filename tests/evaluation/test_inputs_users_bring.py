@@ -16,7 +16,7 @@ import mseg
 import mseg.cli
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.types import Clip, Labels, Trajectories
-from mseg.errors import SegmentationError
+from mseg.errors import EveryRunFailedError, SegmentationError
 from mseg.evaluation import (
     SubmissionMeta,
     score_submission,
@@ -136,6 +136,10 @@ def test_a_run_in_which_every_clip_failed_is_a_failure(tmp_path, capsys):
     command = ["run", str(tmp_path / "data"), "-o", str(tmp_path / "mine"), "--method", "lsa", "--quiet"]
     assert mseg.cli.main(command) == 1
     assert "failed: few.failed: " in capsys.readouterr().err
+    with pytest.raises(EveryRunFailedError, match=r"found few\.failed: ") as caught:
+        mseg.benchmark.predict(tmp_path / "data", tmp_path / "other", "lsa")
+    assert caught.value.exit_code == 1
+    assert (tmp_path / "other" / "meta.toml").is_file()
 
 
 def test_one_motion_found_where_one_is_true_is_valid(tmp_path):
@@ -355,6 +359,8 @@ def test_arrays_are_segmented_as_the_clip_is(given, more):
         ("clip.h5", {}, "kt3dmoseg.load"),
         (XY[..., 0], {}, r"shape \(N, F, 2\)"),
         (XY.swapaxes(1, 2), {}, r"shape \(N, F, 2\)"),
+        (XY.swapaxes(0, 1), {}, "move less than they are apart, .* exchange the axes of tracks and frames"),
+        (XY / (320, 240), {}, "xy: expected pixels, found at most"),
         (XY, {"visible": SEEN[1:]}, "visible"),
         (XY, {"visible": np.full(SEEN.shape, 0.5)}, "True or False"),
         (XY, {"visible": np.ones_like(SEEN)}, "finite"),

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 
+import cv2
 import h5py
 import numpy as np
 import pytest
@@ -77,6 +78,50 @@ def test_tapvid_arrays_in_another_order_are_refused(xy, tmp_path):
             load(tapvid(path, points, video))
     with pytest.raises(FileFormatError, match="occluded: expected 0 or 1, found -3"):
         load(tapvid(path, points, occluded=np.linspace(-3, 3, COUNT * FRAMES).reshape(COUNT, FRAMES)))
+
+
+@pytest.fixture(params=[(120, 160), (128, 128)], ids=["wide", "square"])
+def panned(request, rng):
+    """Points that follow a camera's pan: fractions (N, F, 2), and the video."""
+    size, frames = request.param, 12
+    scene = cv2.GaussianBlur(rng.random((size[0] + 50, size[1] + 50)), (0, 0), 2)
+    scene = cv2.normalize(scene, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    video = np.stack([scene[k : k + size[0], 3 * k : 3 * k + size[1]] for k in range(frames)])
+    xy = rng.uniform((40, 20), (size[1] - 10, size[0] - 10), (50, 2))[:, None]
+    xy = xy - np.arange(frames)[:, None] * (3, 1)
+    return (xy + 0.5) / size[::-1], video[..., None]
+
+
+def test_tapvid_points_with_x_and_y_exchanged_do_not_follow_the_video(panned, tmp_path):
+    points, video = panned
+    arrays = {"occluded": np.zeros(points.shape[:2]), "points": points, "video": video}
+    for changed in ({}, {"video": np.moveaxis(video, -1, 1)}, {"video": video[..., 0]}):
+        np.savez(tmp_path / "a.npz", **arrays | changed)
+        assert load(tmp_path / "a.npz").n_frames == 12
+    for changed in ({"points": points[..., ::-1]}, {"video": video.swapaxes(1, 2)}):
+        np.savez(tmp_path / "a.npz", **arrays | changed)
+        with pytest.raises(FileFormatError, match=r"points: expected \(x, y\), .* give points"):
+            load(tmp_path / "a.npz")
+
+
+def test_tracks_and_frames_exchanged_are_noticed_by_how_points_move(panned, tmp_path):
+    points, video = panned
+    with pytest.raises(FileFormatError, match="points: expected points that move less than they are apart"):
+        load(tapvid(tmp_path / "a.npz", points[:12].swapaxes(0, 1), video.shape))
+    pixels = points * 128
+    np.testing.assert_array_equal(load(cotracker(tmp_path / "b.npz", pixels)).dense.xy, pixels)
+    with pytest.raises(FileFormatError, match=r"pred_tracks: .* exchange the axes of tracks and frames"):
+        load(cotracker(tmp_path / "b.npz", pixels.swapaxes(0, 1)))
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_the_channels_of_one_picture_are_no_video(xy, tmp_path, channels):
+    points, path = fractions(xy[:, :channels]), tmp_path / "points.npz"
+    with pytest.raises(FileFormatError, match=r"video: .* found shape .* give video\[\.\.\., None\]"):
+        load(tapvid(path, points, (channels, HEIGHT, WIDTH)))
+    assert load(tapvid(path, points, (channels, HEIGHT, WIDTH, 1))).n_frames == channels
+    with pytest.raises(InvalidValueError, match=r"few frames list\(frames\)"):
+        kt3dmoseg.track(np.zeros((channels, HEIGHT, WIDTH), np.uint8))
 
 
 def test_a_point_a_little_over_the_border_is_no_pixel(xy, tmp_path):
