@@ -1,8 +1,9 @@
 // What a person can do to the annotation, by key, button or pointer.
 
-import * as annotation from "./annotation.js";
-import { clamp, distance, inside, keyAt, middle, rounded, setKey, simplify } from "./annotation.js";
-import { cancel, edit, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
+import {
+  addObject, changeObject, clamp, distance, inside, keyAt, middle, rounded, setKey, simplify, splice,
+} from "./annotation.js";
+import { cancel, edit, editLast, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
 import { rowsWhere, visitNext } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
@@ -19,16 +20,19 @@ export function editableRegion(item, frame) {
 /** The selected object's region here, ready to be edited. */
 export const regionHere = () => editableRegion(selectedObject(), state.frame);
 
-/** The document with a key frame of the selected object. */
+/** An action on the selected object, if there is one that may be changed. */
+const withObject = (action) => (...given) => {
+  const item = editable();
+  return item && action(item, ...given);
+};
+
 const withKey = (doc, frame, ...region) => setKey(doc, state.selected, frame, ...region);
 
 /** Make the selected object's region here a key frame. */
 export const draw = (polygons, visibility) => edit(withKey(state.doc, state.frame, polygons, visibility));
 
-/** Change an object's properties. */
-export function update(item, fields) {
-  if (editable()) edit(annotation.update(state.doc, item.id, fields));
-}
+/** Change an object's properties, while one is selected that may be changed. */
+export const update = withObject((_, { id }, fields) => edit(changeObject(state.doc, id, fields)));
 
 /** The item of a list after the one at an index, or before it; at no index (-1) the first or the last. */
 const nextOf = (list, at, by) => list.at(((at < 0 && by < 0 ? 0 : at) + by) % list.length);
@@ -40,7 +44,7 @@ export function setTool(tool, mode = "object") {
   set({ tool, pending, lassoed: null, vertex: null, cross: state.keyboard ? state.cross : null });
 }
 
-export const redraw = (mode) => editable() && setTool("draw", mode);
+export const redraw = withObject((_, mode) => setTool("draw", mode));
 
 /** End the outline being drawn: a new object, the region of one, or a lasso. */
 export function finish() {
@@ -54,8 +58,7 @@ export function finish() {
     return draw(mode === "part" ? [...regionHere().polygons, polygon] : [polygon]);
   }
   const first = { frame, visibility: "visible", polygons: [polygon] };
-  edit(annotation.addObject(state.doc, { key_frames: [first] }));
-  select(state.doc.objects.at(-1).id);
+  editLast(addObject(state.doc, { key_frames: [first] }));
   return notify("Press 1 to 9 for its motion, x to reject; name it on the right");
 }
 
@@ -109,15 +112,14 @@ const setMarks = (marks) => edit({ ...state.doc, marks });
 /** One key, one label: of the lassoed trajectories, else of the selected object. */
 export function setMotion(motion) {
   const { lassoed, doc } = state;
-  if (lassoed) {
-    const { frame, polygon, rows } = lassoed;
-    setMarks([...(doc.marks ?? []), { frame, motion, polygon }]);
-    set({ lassoed: null });
-    return notify(`${rows.length} trajectories marked`);
-  }
-  const item = editable();
-  return item && item.motion !== motion && update(item, { motion });
+  if (!lassoed) return setOwnMotion(motion);
+  const { frame, polygon, rows } = lassoed;
+  setMarks([...(doc.marks ?? []), { frame, motion, polygon }]);
+  set({ lassoed: null });
+  return notify(`${rows.length} trajectories marked`);
 }
+
+const setOwnMotion = withObject((item, motion) => item.motion !== motion && update(item, { motion }));
 
 export function removeMarksHere() {
   const before = state.doc.marks ?? [];
@@ -125,67 +127,56 @@ export function removeMarksHere() {
   if (marks.length !== before.length) setMarks(marks);
 }
 
-export function copyToNext() {
-  const item = editable();
+export const copyToNext = withObject((item) => {
   const next = state.frame + 1;
-  if (!item || next >= state.clip.n_frames) return;
+  if (next >= state.clip.n_frames) return undefined;
   if (!state.regions) notify("No trajectories yet: copied without motion");
   const { key, visibility, polygons } = editableRegion(item, next);
   if (visibility !== "visible" || !polygons.length) return notify("It is not visible there");
   if (!key) edit(withKey(state.doc, next, polygons));
-  goTo(next);
-}
+  return goTo(next);
+});
 
-export function setVisibility(visibility) {
-  const item = editable();
-  if (!item) return;
+export const setVisibility = withObject((item, visibility) => {
   const far = (key) => Math.abs(key.frame - state.frame);
-  const nearest = item.key_frames.filter((key) => key.polygons?.length).sort((a, b) => far(a) - far(b))[0];
-  const here = regionHere().polygons;
-  const polygons = here.length ? here : nearest?.polygons ?? [];
+  const drawn = item.key_frames.filter((key) => key.polygons?.length).sort((a, b) => far(a) - far(b));
+  const polygons = [regionHere(), ...drawn].find((region) => region.polygons.length)?.polygons ?? [];
   if (visibility === "visible" && !polygons.length) notify("Draw it here first: press R");
   else draw(visibility === "outside" ? [] : polygons, visibility);
-}
+});
 
-export function toggleVisibility(visibility) {
-  if (editable()) setVisibility(regionHere().visibility === visibility ? "visible" : visibility);
-}
+export const toggleVisibility = withObject((_, wanted) =>
+  setVisibility(regionHere().visibility === wanted ? "visible" : wanted));
 
 /** The object enters in this frame: drawn here, outside in the frame before. */
-export function enterHere() {
-  if (!editable()) return;
+export const enterHere = withObject(() => {
   const { doc, frame } = state;
   const { polygons, visibility } = regionHere();
   if (visibility !== "visible") return notify("It is not visible here");
   const drawn = withKey(doc, frame, polygons);
-  edit(frame ? withKey(drawn, frame - 1, [], "outside") : drawn);
-}
+  return edit(frame ? withKey(drawn, frame - 1, [], "outside") : drawn);
+});
 
-export function deleteHere() {
-  const item = editable();
-  if (!item) return;
+export const deleteHere = withObject((item) => {
   const { doc, frame, clip } = state;
   // Outside here, and back in the next frame as it is there.
   const { visibility, polygons, key } = regionOf(item, frame + 1);
   const back = frame + 1 < clip.n_frames && visibility !== "outside" && !key;
   edit(withKey(back ? withKey(doc, frame + 1, polygons, visibility) : doc, frame, [], "outside"));
   notify(`${item.name} is not in this frame; Shift+Delete removes it from the whole clip`);
-}
+});
 
-export function deleteObject() {
-  const item = editable();
-  if (!item) return;
+export const deleteObject = withObject((item) => {
   edit({ ...state.doc, objects: state.doc.objects.filter((other) => other !== item) });
   select(null);
   notify(`${item.name} deleted from the whole clip; Ctrl+Z restores it`);
-}
+});
 
-export function forgetKey() {
-  const item = editable();
-  if (!item || !keyAt(item, state.frame)) return;
-  if (item.key_frames.length === 1) return notify("This is its only key frame; Shift+Delete deletes the object");
-  update(item, { key_frames: item.key_frames.filter((key) => key.frame !== state.frame) });
-}
+export const forgetKey = withObject((item) => {
+  const key_frames = item.key_frames.filter((key) => key.frame !== state.frame);
+  if (!key_frames.length) notify("This is its only key frame; Shift+Delete deletes the object");
+  else if (keyAt(item, state.frame)) update(item, { key_frames });
+});
 
 /** Frames that an object was carried to with doubt: [frame, why]. */
 export const weakFrames = (item) => [...(state.weak?.[item.id] ?? []).entries()].filter(([, why]) => why);
@@ -205,43 +196,41 @@ export function nextWeak() {
 
 // Points
 
-export function cycleVertex(by) {
-  if (!editable()) return;
+export const cycleVertex = withObject((_, by) => {
   const all = regionHere().polygons.flatMap((polygon, part) => polygon.map((_, index) => ({ part, index })));
   const { vertex } = state;
   const at = all.findIndex(({ part, index }) => part === vertex?.part && index === vertex.index);
   if (all.length) set({ vertex: nextOf(all, at, by), cross: null });
-}
+});
 
 /** Move the selected point, or else the keyboard's cross, by whole pixels. */
 export function nudge(dx, dy) {
-  const { vertex, cross } = state;
-  if (vertex && selectedObject()) {
-    if (!editable()) return undefined;
-    const { polygons } = regionHere();
-    const [x, y] = polygons[vertex.part][vertex.index];
-    return draw(annotation.replacePoint(polygons, vertex, [x + dx, y + dy]));
-  }
-  const [width, height] = state.clip.image_size;
+  const { vertex, cross, clip: { image_size: [width, height] } } = state;
+  if (vertex && selectedObject()) return movePoint(dx, dy);
   const [x, y] = cross ? [cross[0] + dx, cross[1] + dy] : inSight().map(Math.round);
   return set({ keyboard: true, cross: [clamp(x, 0, width - 1), clamp(y, 0, height - 1)] });
 }
 
-export function insertVertex() {
-  const { vertex } = state;
-  if (!editable() || !vertex) return notify("Choose a point first: press V");
+const movePoint = withObject((_, dx, dy) => {
   const { polygons } = regionHere();
-  const polygon = polygons[vertex.part];
-  const index = vertex.index + 1;
-  const point = middle(polygon[vertex.index], polygon[index % polygon.length]);
-  draw(annotation.insertPoint(polygons, { part: vertex.part, index, point }).map(rounded));
-  set({ vertex: { part: vertex.part, index } });
-}
+  const [x, y] = polygons[state.vertex.part][state.vertex.index];
+  draw(splice(polygons, state.vertex, 1, [x + dx, y + dy]));
+});
 
-export function deleteVertex(which = state.vertex) {
-  if (!editable() || !which) return notify("Choose a point first: press V");
-  const changed = annotation.removePoint(regionHere().polygons, which);
+export const insertVertex = withObject(() => {
+  if (!state.vertex) return notify("Choose a point first: press V");
+  const { part, index } = state.vertex;
+  const { polygons } = regionHere();
+  const vertex = { part, index: index + 1 };
+  const [point] = rounded([middle(polygons[part][index], polygons[part][(index + 1) % polygons[part].length])]);
+  draw(splice(polygons, vertex, 0, point));
+  return set({ vertex });
+});
+
+export const deleteVertex = withObject((_, which = state.vertex) => {
+  if (!which) return notify("Choose a point first: press V");
+  const changed = splice(regionHere().polygons, which, 1);
   if (!changed.length) return notify("An outline needs three points; Delete takes the object out of this frame");
   draw(changed);
-  set({ vertex: null });
-}
+  return set({ vertex: null });
+});

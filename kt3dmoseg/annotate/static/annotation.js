@@ -2,9 +2,7 @@
 // geometry of its outlines, in pixels.
 
 export const objectOf = (doc, id) => doc.objects.find((item) => item.id === id) ?? null;
-
 export const keyAt = (item, frame) => item.key_frames.find((key) => key.frame === frame) ?? null;
-
 export const nextMotion = (doc) => Math.max(0, ...doc.objects.map((item) => item.motion).filter(Number.isInteger)) + 1;
 
 /** Add an object under the next free id; what is not given is a car with the next free motion. */
@@ -15,14 +13,14 @@ export function addObject(doc, values) {
   return { ...doc, objects: [...doc.objects, { ...item, ...values, id }] };
 }
 
-export const update = (doc, id, fields) =>
+export const changeObject = (doc, id, fields) =>
   ({ ...doc, objects: doc.objects.map((item) => (item.id === id ? { ...item, ...fields } : item)) });
 
 /** Draw an object in one frame, or make it occluded or outside from there on. */
 export function setKey(doc, id, frame, polygons, visibility = "visible") {
   const others = objectOf(doc, id).key_frames.filter((key) => key.frame !== frame);
   const key_frames = [...others, { frame, visibility, polygons }].sort((a, b) => a.frame - b.frame);
-  return update(doc, id, { key_frames });
+  return changeObject(doc, id, { key_frames });
 }
 
 /** Merge two documents made from the same saved one: nothing that either side drew is lost.
@@ -53,26 +51,14 @@ function mergeLists(lists, keyOf) {
 
 // Outlines
 
-const changePart = (polygons, part, change) => polygons.map((polygon, k) => (k === part ? change(polygon) : polygon));
-
-export const replacePoint = (polygons, { part, index }, point) =>
-  changePart(polygons, part, (polygon) => polygon.with(index, point));
-
-export const insertPoint = (polygons, { part, index, point }) =>
-  changePart(polygons, part, (polygon) => polygon.toSpliced(index, 0, point));
-
-/** Remove a point; a polygon of three vanishes. */
-export const removePoint = (polygons, { part, index }) =>
-  changePart(polygons, part, (polygon) => polygon.toSpliced(index, 1)).filter((polygon) => polygon.length >= 3);
+/** Take out points of one of the polygons and put others there; a polygon of fewer than three vanishes. */
+export const splice = (polygons, { part, index }, taken, ...points) =>
+  polygons.with(part, polygons[part].toSpliced(index, taken, ...points)).filter((polygon) => polygon.length >= 3);
 
 export const shift = (polygons, dx, dy) => polygons.map((polygon) => polygon.map(([x, y]) => [x + dx, y + dy]));
-
 export const rounded = (polygon) => polygon.map(([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 100) / 100]);
-
 export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
-
 export const distance = ([ax, ay], [bx, by]) => Math.hypot(ax - bx, ay - by);
-
 export const middle = ([ax, ay], [bx, by]) => [(ax + bx) / 2, (ay + by) / 2];
 
 /** Even-odd rule. */
@@ -92,21 +78,20 @@ function nearestOnSegment(p, a, b) {
   return [a[0] + t * dx, a[1] + t * dy];
 }
 
-export const nearestVertex = (p, polygons, reach) =>
-  nearest(p, polygons, reach, (vertex, _, index) => ({ point: vertex, index }));
+export const nearestVertex = (p, polygons, reach) => nearest(p, polygons, reach, (vertex) => vertex);
 
 /** The edge near p, as the index at which a new vertex would go. */
-export const nearestEdge = (p, polygons, reach) =>
-  nearest(p, polygons, reach, (a, b, index) => ({ point: nearestOnSegment(p, a, b), index: index + 1 }));
+export function nearestEdge(p, polygons, reach) {
+  const edge = nearest(p, polygons, reach, (a, b) => nearestOnSegment(p, a, b));
+  return edge && { ...edge, index: edge.index + 1 };
+}
 
-function nearest(p, polygons, reach, candidate) {
-  let best = null;
-  polygons.forEach((polygon, part) => polygon.forEach((vertex, i) => {
-    const { point, index } = candidate(vertex, polygon[(i + 1) % polygon.length], i);
-    const gap = distance(p, point);
-    if (gap <= (best?.gap ?? reach)) best = { part, index, gap, point };
+function nearest(p, polygons, reach, pointOf) {
+  const all = polygons.flatMap((polygon, part) => polygon.map((vertex, index) => {
+    const point = pointOf(vertex, polygon[(index + 1) % polygon.length]);
+    return { part, index, point, gap: distance(p, point) };
   }));
-  return best;
+  return all.filter(({ gap }) => gap <= reach).sort((a, b) => a.gap - b.gap)[0];
 }
 
 /** Left, top, right and bottom; null without a point. */

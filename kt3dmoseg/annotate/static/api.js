@@ -2,9 +2,7 @@
 // `offline` where the server cannot be reached at all.
 
 const failure = (message, status, body) => Object.assign(new Error(message), { status, body, offline: status === 0 });
-
 const address = (clip, what) => ["/api/clips", encodeURIComponent(clip), what].filter(Boolean).join("/");
-
 export const frameAddress = (clip, frame) => address(clip, `frames/${frame}`);
 
 /** Ask for something of a clip; a body, an annotation or a file, is posted. */
@@ -22,13 +20,4 @@ export async function request(clip, what, body, { headers, ...options } = {}) {
 }
 
 export const ask = (...parts) => request(...parts).then((response) => response.json());
-
 export const listClips = () => ask("").then(({ clips }) => clips);
-
-/** Trajectories as { xy: Float32Array, count, frames }, or { done, total } while they are computed. */
-export async function getTracks(clip) {
-  const response = await request(clip, "tracks");
-  if (response.status === 202) return response.json();
-  const [count, frames] = response.headers.get("x-shape").split(",").map(Number);
-  return { xy: new Float32Array(await response.arrayBuffer()), count, frames };
-}

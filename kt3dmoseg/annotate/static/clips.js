@@ -1,7 +1,7 @@
 // Opening clips, the list of them, and how far this one and all are.
 
 import { ask, listClips } from "./api.js";
-import { button, byId, close, element, faint, fill, open, paragraph, row, scrolling } from "./dom.js";
+import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { flush, saver, startFrom } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
 import { loadTracks, unexplained } from "./tracks.js";
@@ -13,25 +13,20 @@ const HEADS = ["clip", "frames", "objects", "motions", "state", "", "left", "sav
 /** Open a clip, or report why it cannot be opened. */
 export async function openClip(name, pushHistory = true) {
   try {
-    await show(name, pushHistory);
+    await flush(); // what cannot be saved of the present clip stays in this browser
+    const clip = await ask(name);
+    if (pushHistory) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
+    stop();
+    saver.base = undefined;
+    clip.numbers = numbersOf(clip.frame_names);
+    begin(clip, { work: clip.work, doc: clip.annotation, view: fit(clip.image_size) });
+    byId("stage").focus({ preventScroll: true });
+    await startFrom(name, clip.annotation);
+    attempt(() => loadTracks(clip));
   } catch (error) {
     const again = button("Try again", () => (close(), openClip(name, pushHistory)));
     open("The clip cannot be opened", paragraph(error.message), row(again, button("Close", close)));
   }
-}
-
-/** What is not saved of the present clip is saved first, or stays in this browser. */
-async function show(name, pushHistory) {
-  await flush();
-  const clip = await ask(name);
-  if (pushHistory) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
-  stop();
-  saver.base = undefined;
-  clip.numbers = numbersOf(clip.frame_names);
-  begin(clip, { work: clip.work, doc: clip.annotation, view: fit(clip.image_size) });
-  byId("stage").focus({ preventScroll: true });
-  await startFrom(name, clip.annotation);
-  await loadTracks(clip);
 }
 
 export async function openNext(by) {
@@ -52,7 +47,6 @@ function stateOf({ work, revision }) {
 }
 
 const isDone = (name) => ["done", "reviewed"].includes(name);
-
 const left = (count) => (count ? `${count} motion${count > 1 ? "s" : ""} to check` : "no motion to check");
 
 async function setState(wanted) {
@@ -84,12 +78,10 @@ let timer = 0;
 
 async function refresh() {
   clearTimeout(timer);
-  try {
-    set({ summaries: await listClips() });
-    if (state.summaries.some((summary) => summary.counting)) timer = setTimeout(refresh, POLL);
-  } catch {
-    // The server is away: the next save retries.
-  }
+  const summaries = await listClips().catch(() => null);
+  if (!summaries) return; // the server is away: the next save counts again
+  set({ summaries });
+  if (summaries.some((summary) => summary.counting)) timer = setTimeout(refresh, POLL);
 }
 
 function drawProgress() {
@@ -107,7 +99,7 @@ function drawProgress() {
 
 // The list
 
-const body = element("div");
+const body = element("div", { className: "scroll" });
 
 export function clips() {
   const rename = button(`You: ${yourName() ?? "?"}`, askName, "", {
@@ -121,14 +113,8 @@ export function clips() {
 function drawClips() {
   const { summaries } = state;
   if (!body.isConnected) return;
-  if (!summaries) {
-    fill(body, paragraph("Counting…"));
-    return;
-  }
-  const focused = document.activeElement?.dataset?.clip;
-  const top = body.querySelector(".scroll")?.scrollTop ?? 0;
-  fill(body, total(summaries), scrolling(summaries.map(cells), HEADS));
-  body.querySelector(".scroll").scrollTop = top;
+  const focused = document.activeElement?.dataset.clip;
+  fill(body, summaries ? [total(summaries), table(summaries.map(cells), HEADS)] : paragraph("Counting…"));
   if (focused) body.querySelector(`[data-clip="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
 }
 
@@ -141,13 +127,14 @@ function total(summaries) {
 }
 
 function cells(summary) {
-  const { name, n_frames, objects = "", motions = "", revision, counts, unexplained: open, error, counting } = summary;
-  const go = button(name, () => (close(), openClip(name)), name === state.clip?.name ? "on" : "", { "data-clip": name });
+  const { name, n_frames, objects = "", motions = "", revision, counts, unexplained: groups, error } = summary;
+  const here = name === state.clip.name ? "on" : "";
+  const go = button(name, () => (close(), openClip(name)), here, { "data-clip": name });
   const { now, detail } = stateOf(summary);
-  let hint = [Number.isInteger(open) && left(open), counts && `${counts.conflict + counts.short} open`];
-  hint = hint.filter(Boolean).join(", ");
+  const open = counts && `${counts.conflict + counts.short} open`;
+  let hint = [Number.isInteger(groups) && left(groups), open].filter(Boolean).join(", ");
   if (error) hint = element("span", { className: "bad" }, error);
-  if (counting) hint = faint("counting…");
+  if (summary.counting) hint = faint("counting…");
   return [go, n_frames, objects, motions, now, faint(detail), hint, objects === "" ? "" : `rev ${revision}`];
 }
 

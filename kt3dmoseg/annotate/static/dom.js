@@ -19,18 +19,12 @@ export const button = (text, run, className = "", more = {}) =>
   element("button", { type: "button", onclick: () => run(), className, ...more }, text);
 
 export const row = (...content) => element("div", { className: "row" }, ...content);
-
 export const paragraph = (...content) => element("p", {}, ...content);
-
 export const faint = (text) => element("span", { className: "faint" }, text);
-
 const line = (cells, name = "td") => element("tr", {}, cells.map((cell) => element(name, {}, cell)));
 
 export const table = (rows, heads) =>
   element("table", {}, heads ? line(heads, "th") : [], rows.map((cells) => line(cells)));
-
-/** A table that scrolls; its buttons are walked with the arrow keys. */
-export const scrolling = (...content) => element("div", { className: "scroll" }, table(...content));
 
 /** A square in a colour. */
 export const chip = (text, colour, title = "") =>
@@ -56,7 +50,6 @@ export function colourOfTrack(label, reason) {
   return reason === 2 || reason === 3 ? PROBLEM : colourOfMotion(label - 1);
 }
 
-/** Colour by the share of the frames that a trajectory lives. */
 export const colourOfLength = (share) => LENGTHS[Math.min(LENGTHS.length - 1, Math.floor(share * LENGTHS.length))];
 
 /** A motion's sign, and what it means in files. */
@@ -79,6 +72,7 @@ export function begin(canvas) {
 
 const dialog = byId("dialog");
 
+// The buttons of what scrolls are walked with the arrow keys.
 dialog.addEventListener("keydown", (event) => {
   const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
   const buttons = [...dialog.querySelectorAll(".scroll button")];
@@ -99,7 +93,6 @@ export function open(title, ...content) {
 
 export const close = () => dialog.open && dialog.close();
 
-/** Save a blob as a file of this computer. */
 export function download(content, name) {
   const link = element("a", { href: URL.createObjectURL(content), download: name });
   link.click();

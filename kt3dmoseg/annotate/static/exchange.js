@@ -2,8 +2,8 @@
 
 import { addObject, boundsOf, nextMotion } from "./annotation.js";
 import { ask, request } from "./api.js";
-import { button, byId, close, download, element, faint, fill, open, paragraph, row, scrolling, table } from "./dom.js";
-import { edit, on, set, state } from "./state.js";
+import { button, byId, close, download, element, faint, fill, open, paragraph, row, table } from "./dom.js";
+import { editLast, on, set, state } from "./state.js";
 import { showTrack } from "./tracks.js";
 import { goTo, showBox } from "./view.js";
 
@@ -63,11 +63,10 @@ const start = (proposer) =>
     return review(0);
   }, (message) => inform("No proposals", message));
 
-/** Show the proposals one by one on the frame. */
 function review(at) {
   close();
   const { proposals } = state;
-  if (!proposals?.length) return end();
+  if (!proposals?.length) return leave();
   const index = (at + proposals.length) % proposals.length;
   const item = proposals[index];
   const { frame, polygons } = item.key_frames.find((key) => key.polygons.length);
@@ -76,30 +75,25 @@ function review(at) {
   return showBox(boundsOf(polygons));
 }
 
-/** Take the proposal in view out of the list. */
-function settle() {
-  const { proposals, review: { item } } = state;
+/** Take the proposal in view out of the list; an accepted one becomes an object. */
+function settle(accepted) {
+  const { doc, proposals, review: { item } } = state;
   set({ proposals: proposals.filter((other) => other !== item) });
-}
-
-/** The same, and make it an object. */
-function accept() {
-  const { doc, review: { item } } = state;
-  settle();
-  edit(addObject(doc, { ...item, motion: item.motion === "reject" ? "reject" : nextMotion(doc) }));
-  set({ selected: state.doc.objects.at(-1).id });
+  if (accepted) editLast(addObject(doc, { ...item, motion: item.motion === "reject" ? "reject" : nextMotion(doc) }));
 }
 
 /** Wait until a person has put the accepted proposal right. */
 function correct() {
   const { item, index } = state.review;
-  accept();
+  settle(true);
   set({ review: { item: null, name: item.name, index } });
   byId("stage").focus();
 }
 
-function end() {
-  set({ proposals: null, review: null });
+/** End looking at proposals and at differences. */
+function leave() {
+  close();
+  set({ proposals: null, review: null, compared: null, cross: null });
   byId("stage").focus();
 }
 
@@ -111,15 +105,15 @@ function drawReview() {
     const text = left ? `Go on (${left} left)` : "Done";
     return strip("review", `${name} is an object now: correct it, then`, button(text, () => review(index), "primary"));
   }
-  const first = button("Accept", () => (accept(), review(index)), "primary");
+  const first = button("Accept", () => (settle(true), review(index)), "primary");
   strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Correct", correct),
-    button("Reject", () => (settle(), review(index))), button("Skip", () => review(index + 1)), button("Done", end));
+    button("Reject", () => (settle(false), review(index))), button("Skip", () => review(index + 1)),
+    button("Done", leave));
   return first.focus();
 }
 
 // Files
 
-/** Import and export. */
 export function exchange() {
   const rows = Object.entries(state.clip.formats).map(([name, suffix]) => {
     const load = () => file.files.length && read(name, file.files[0]);
@@ -154,11 +148,7 @@ function read(format, file, choices = {}) {
 
 function decide({ objects, plan }, again) {
   const { doc } = state;
-  const settled = (text, change, className) => button(text, () => {
-    close();
-    edit(change());
-    set({ selected: state.doc.objects.at(-1)?.id ?? null });
-  }, className);
+  const settled = (text, change, className) => button(text, () => (close(), editLast(change())), className);
   const used = nextMotion(doc) - 1;
   const ownMotion = (item) => ({ ...item, motion: item.motion >= 1 ? item.motion + used : item.motion });
   const add = () => objects.map(ownMotion).reduce(addObject, doc);
@@ -174,6 +164,7 @@ function decide({ objects, plan }, again) {
 
 // Two annotators
 
+const DIFFERENCE = ["trajectory", "frame", "at", "here", "other"];
 const percent = (share) => `${(100 * share).toFixed(2)} %`;
 
 /** How far both annotators agree, and each difference in its place. */
@@ -197,7 +188,7 @@ function list() {
   const help = "Choose one to see it with the other annotator's outlines; ↑ ↓ walk the list, "
     + "Shift+G goes on from one to the next.";
   open("Two annotators", paragraph(summary),
-    rows.length ? scrolling(rows, ["trajectory", "frame", "at", "here", "other"]) : "",
+    element("div", { className: "scroll" }, rows.length ? table(rows, DIFFERENCE) : []),
     row(button("Close", leave), faint(rows.length ? help : "")));
 }
 
@@ -212,11 +203,6 @@ function visit(index) {
 
 export const nextDifference = () =>
   (state.compared?.differences.length ? visit((state.compared.at ?? -1) + 1) : compare());
-
-function leave() {
-  close();
-  set({ compared: null, cross: null });
-}
 
 function drawDifference() {
   const { at, differences } = state.compared ?? {};

@@ -5,7 +5,7 @@ import { clips, openNext } from "./clips.js";
 import { button, close, element, open, row } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
-import { attempt, notify, redo, state, toggleObject, undo } from "./state.js";
+import { attempt, redo, state, toggleObject, undo } from "./state.js";
 import { nextProblem, nextUnexplained } from "./tracks.js";
 import * as view from "./view.js";
 
@@ -16,16 +16,9 @@ const DIRECTIONS = {
   "Ctrl+ArrowLeft": [80, 0], "Ctrl+ArrowRight": [-80, 0], "Ctrl+ArrowUp": [0, 80], "Ctrl+ArrowDown": [0, -80],
 };
 const ON_OFF = [true, false];
-const COLOURINGS = { label: "Trajectories by label", length: "Trajectories by length", none: "No trajectories" };
 
 const step = (name) => view.goTo(state.frame + STEPS[name]);
-
 const nudge = (name) => actions.nudge(...DIRECTIONS[name]);
-
-function cycleColouring() {
-  view.cycle("colouring", Object.keys(COLOURINGS));
-  notify(COLOURINGS[state.colouring]);
-}
 
 /** A line of the help; `run` gets the name of the key that was pressed. */
 const key = (names, shown, text, run) => ({ names: names.split(" "), shown, text, run });
@@ -81,7 +74,8 @@ export const KEYS = {
     key("Ctrl+ArrowLeft Ctrl+ArrowRight Ctrl+ArrowUp Ctrl+ArrowDown", "Ctrl+arrows", "pan (two fingers, wheel, drag)",
       (name) => view.pan(...DIRECTIONS[name])),
     key("t", "T", "trails", () => view.cycle("trails", ON_OFF)),
-    key("y", "Y", "colour by label, by length, none", cycleColouring),
+    key("y", "Y", "colour by label, by length, none",
+      () => view.cycle("colouring", ["label", "length", "none"], "Colour of trajectories: ")),
     key("u", "U", "only unlabelled and conflicts", () => view.cycle("problems", ON_OFF)),
     key("g", "G", "go to the next of them", nextProblem),
     key("Shift+U", "Shift+U", "go to the next motion that no object explains", nextUnexplained),

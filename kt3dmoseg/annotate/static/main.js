@@ -15,7 +15,6 @@ import { drawPicture, fitAll } from "./view.js";
 
 const TITLE = { object: "a new object", region: "the object again in this frame", part: "another part" };
 
-/** What to do next while drawing. */
 function instruction({ pending, tool }) {
   if (!pending) return "";
   if (tool === "lasso") return "Draw around trajectories; Esc cancels";
@@ -47,35 +46,33 @@ for (const b of tools) b.onclick = () => state.doc && setTool(b.dataset.tool);
 byId("clips").onclick = () => attempt(clips);
 
 // The panel's edges are dragged, or moved with the arrow keys; this browser keeps where they are.
-const EDGES = {
-  panel: { size: (x, y) => innerHeight - y, most: () => innerHeight - 240, keys: ["ArrowUp", "ArrowDown"] },
-  list: { size: (x) => x, most: () => innerWidth * 0.4, keys: ["ArrowRight", "ArrowLeft"] },
-  inspector: { size: (x) => innerWidth - x, most: () => innerWidth * 0.4, keys: ["ArrowLeft", "ArrowRight"] },
-};
+const EDGES = [
+  ["panel", "panel", "offsetHeight", "ArrowUp", "ArrowDown"],
+  ["list", "objects", "offsetWidth", "ArrowRight", "ArrowLeft"],
+  ["inspector", "inspector", "offsetWidth", "ArrowLeft", "ArrowRight"],
+];
 const LEAST = 110;
 const STEP = 24;
 
-for (const [name, { size, most, keys: [larger, smaller] }] of Object.entries(EDGES)) {
+for (const [name, part, side, larger, smaller] of EDGES) {
   const edge = byId(`${name}-edge`);
   const place = (wanted) => {
-    const pixels = Math.round(clamp(wanted, LEAST, Math.max(LEAST, most())));
+    const most = Math.max(LEAST, side === "offsetHeight" ? innerHeight - 240 : innerWidth * 0.4);
+    const pixels = Math.round(clamp(wanted, LEAST, most));
     byId("panel").style.setProperty(`--${name}`, `${pixels}px`);
-    Object.assign(edge, { ariaValueMin: LEAST, ariaValueMax: Math.round(most()), ariaValueNow: pixels });
+    Object.assign(edge, { ariaValueMin: LEAST, ariaValueMax: Math.round(most), ariaValueNow: pixels });
     localStorage.setItem(`size:${name}`, pixels);
-  };
-  const present = () => {
-    const box = edge.getBoundingClientRect();
-    return size(box.x + box.width / 2, box.y + box.height / 2);
   };
   const kept = Number(localStorage.getItem(`size:${name}`));
   if (kept) place(kept);
-  else edge.ariaValueNow = Math.round(present());
+  else edge.ariaValueNow = byId(part)[side];
   edge.onpointerdown = (event) => edge.setPointerCapture(event.pointerId);
-  edge.onpointermove = (event) => event.buttons & 1 && place(size(event.clientX, event.clientY));
+  edge.onpointermove = ({ buttons, clientX, clientY }) =>
+    buttons & 1 && place({ panel: innerHeight - clientY, list: clientX, inspector: innerWidth - clientX }[name]);
   edge.onkeydown = (event) => {
     const by = { [larger]: STEP, [smaller]: -STEP }[event.key];
     if (!by) return;
-    place(present() + by);
+    place(byId(part)[side] + by);
     event.preventDefault();
     event.stopPropagation();
   };

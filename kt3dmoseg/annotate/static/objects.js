@@ -1,8 +1,8 @@
 // The panel below the frame: the objects, their key frames over time, and the properties of the selected one.
 
-import { deleteHere, deleteObject, forgetKey, setMotion, setVisibility, update, weakFrames } from "./actions.js";
+import { setMotion, setVisibility, update, weakFrames } from "./actions.js";
 import {
-  BACKGROUND, PROBLEM, REJECTED, begin, button, byId, chip, colourOfMotion, element, faint, fill, meaningOf, row, signOf,
+  BACKGROUND, PROBLEM, REJECTED, begin, button, byId, chip, colourOfMotion, element, faint, fill, meaningOf, signOf,
 } from "./dom.js";
 import { on, regionOf, select, selectedObject, set, state, toggleObject } from "./state.js";
 import { fitObject, goTo } from "./view.js";
@@ -17,12 +17,17 @@ const FIRST_STEPS = [
   "E where it leaves, O where it is hidden. ? shows all keys.",
 ];
 const MOTIONS = [1, 2, 3, 4, 5, 6, 7, 8, 9, 0, "reject"];
-const VISIBILITY = { visible: "seen here", occluded: "occluded from here on (O)", outside: "outside from here on (E)" };
 
 const list = byId("objects");
 const canvas = byId("timeline");
-const properties = byId("inspector");
+const properties = byId("properties");
 const context = canvas.getContext("2d");
+
+// A square of 5 pixels of slanted lines, for weak frames.
+const tile = new OffscreenCanvas(5, 5).getContext("2d");
+Object.assign(tile, { strokeStyle: "#eceff4", lineWidth: 1.2 });
+tile.stroke(new Path2D("M-1 6L6 -1M-1 1L1 -1M4 6L6 4"));
+const HATCH = context.createPattern(tile.canvas, "repeat");
 
 function drawList() {
   if (!state.doc) return;
@@ -42,7 +47,8 @@ function entry(item) {
   const object = element("button", {
     className: "object", title: note, "aria-pressed": String(chosen), onclick: () => select(id), ondblclick: fitObject,
     "aria-label": `${name}, ${kind}, motion ${motion}${weak ? `, ${weak} weak frames` : ""}`,
-  }, chip(signOf(motion), colourOfMotion(motion), meaningOf(motion)), element("span", { className: "name" }, name), doubt);
+  }, chip(signOf(motion), colourOfMotion(motion), meaningOf(motion)),
+  element("span", { className: "name" }, name), doubt);
   // Not on the way of Tab, which goes from object to object: both have keys.
   const toggle = (what, text, title) => button(text, () => toggleObject(what, id), "switch", {
     title, tabIndex: -1, "aria-label": `${title} ${name}`, "aria-pressed": String(state[what].has(id)),
@@ -51,7 +57,6 @@ function entry(item) {
     toggle("unseen", "H", "Hide (Shift+H)"), toggle("locked", "L", "Lock (Shift+R)"));
 }
 
-/** One row per object, one column per frame. */
 function drawTimeline() {
   if (!state.doc) return;
   begin(canvas);
@@ -91,25 +96,9 @@ function drawRow(item, top, column, width) {
     context.globalAlpha = { visible: 0.6, occluded: 0.25, outside: 0 }[visibility];
     bar(colour, left, middle - 3, column + 0.5, 6);
     context.globalAlpha = 1;
-    if (state.weak?.[item.id]?.[frame]) hatch(left, top + 3, column, ROW - 6);
+    if (state.weak?.[item.id]?.[frame]) bar(HATCH, left, top + 3, column, ROW - 6);
     if (key) drawKey(left + column / 2, middle, visibility === "visible", colour);
   }
-}
-
-function hatch(left, top, width, height) {
-  context.save();
-  context.beginPath();
-  context.rect(left, top, width, height);
-  context.clip();
-  context.beginPath();
-  for (let x = left - height; x < left + width; x += 5) {
-    context.moveTo(x, top + height);
-    context.lineTo(x + height, top);
-  }
-  context.strokeStyle = "#eceff4";
-  context.lineWidth = 1.2;
-  context.stroke();
-  context.restore();
 }
 
 function drawKey(x, y, seen, colour) {
@@ -130,72 +119,48 @@ function click({ type, offsetX, offsetY }) {
 
 // The selected object's properties; without one, how the trajectories are labelled.
 
+let shown = null;
+
 function drawProperties() {
-  const focused = properties.contains(document.activeElement) ? document.activeElement : null;
-  if (!state.doc || state.dragging || focused?.matches("input")) return;
-  const item = selectedObject();
-  fill(properties, item ? propertiesOf(item) : counts());
-  if (focused) properties.querySelector(`[data-focus="${focused.dataset.focus}"]`)?.focus();
+  if (!state.doc || state.dragging || properties.querySelector("input:focus")) return;
+  shown = selectedObject();
+  properties.hidden = !shown;
+  fill(byId("counts"), shown ? [] : counts());
+  if (!shown) return;
+  const { visibility, key } = regionOf(shown, state.frame);
+  const { name, kind, note, forget } = properties.elements;
+  for (const field of [name, kind, note]) field.value = shown[field.name] ?? "";
+  for (const b of properties.querySelectorAll("[value]")) {
+    const on = [visibility, String(shown.motion)].includes(b.value);
+    b.classList.toggle("on", on);
+    b.ariaPressed = on;
+  }
+  forget.disabled = !key;
 }
 
-function propertiesOf(item) {
-  const region = regionOf(item, state.frame);
-  return [
-    field("Name", input(item, "name")),
-    field("Kind", kinds(item)),
-    field("Motion", element("div", { className: "keys" }, MOTIONS.map((motion) => motionButton(item, motion)))),
-    field("Here", element("div", { className: "three" }, Object.entries(VISIBILITY).map(([name, title]) =>
-      choice(name, title, () => setVisibility(name), region.visibility === name ? "on" : "")))),
-    field("Note", input(item, "note", "why, when it is not obvious")),
-    row(
-      choice("Forget key", "Let it follow the motion here (Backspace)", forgetKey, "", { disabled: !region.key }),
-      choice("Delete here", "Not in this frame (Delete)", deleteHere),
-      choice("Delete object", "From the whole clip (Shift+Delete)", deleteObject, "danger")),
-  ];
+function change({ target }) {
+  const { name } = target;
+  const value = target.value.trim();
+  if (value !== (shown[name] ?? "") && (value || name !== "name")) update(shown, { [name]: value });
+  if (target.matches("select")) target.blur();
 }
 
-const field = (name, content) => row(element("label", {}, name), content);
-
-const choice = (text, title, run, className, more) => button(text, run, className, { title, "data-focus": text, ...more });
-
-function input(item, name, placeholder = "") {
-  const commit = (event) => {
-    const value = event.target.value.trim();
-    if (value !== (item[name] ?? "") && (value || name !== "name")) update(item, { [name]: value });
-  };
-  return element("input", {
-    value: item[name] ?? "", maxLength: 200, "aria-label": name, "data-focus": name, placeholder, onchange: commit,
-    // Not before the focus has gone to where Tab sends it: what is drawn again cannot take it.
-    onblur: () => setTimeout(drawProperties),
-  });
-}
-
-function kinds(item) {
-  const choose = (event) => {
-    update(item, { kind: event.target.value });
-    event.target.blur();
-  };
-  return element("select", { "aria-label": "Kind", "data-focus": "kind", onchange: choose },
-    state.clip.kinds.map((kind) => element("option", { value: kind, selected: kind === item.kind }, kind)));
-}
-
-function motionButton(item, motion) {
-  const chosen = item.motion === motion;
-  return choice(signOf(motion), meaningOf(motion), () => setMotion(motion), chosen ? "on" : "",
-    { style: `background: ${colourOfMotion(motion)}`, "aria-pressed": String(chosen) });
-}
+byId("motions").append(...MOTIONS.map((motion) => button(signOf(motion), () => setMotion(motion), "",
+  { title: meaningOf(motion), value: motion, style: `background: ${colourOfMotion(motion)}` })));
+properties.onclick = ({ target }) => target.name === "visibility" && setVisibility(target.value);
+properties.onchange = change;
+properties.addEventListener("focusout", drawProperties);
 
 function counts() {
   const { labels, doc, tracks } = state;
   const head = (text) => element("h2", {}, text);
-  if (!labels) return [head("Trajectories"), element("p", { className: "faint" }, tracks ? "labelling…" : "not there yet")];
+  if (!labels) return [head("Trajectories"), faint(tracks ? "labelling…" : "not there yet")];
   const { motions, rejected, short, conflict } = labels.counts;
   const names = new Map(doc.objects.map((item) => [item.motion, item.name]));
   const numbers = Object.keys(motions).map((label) => label - 1).filter((motion) => motion >= 1);
   const rows = [
     ["background (label 1)", BACKGROUND, motions[1] ?? 0],
-    ...numbers.map((motion) =>
-      [`${names.get(motion) ?? `motion ${motion}`} (label ${motion + 1})`, colourOfMotion(motion), motions[motion + 1]]),
+    ...numbers.map((m) => [`${names.get(m) ?? `motion ${m}`} (label ${m + 1})`, colourOfMotion(m), motions[m + 1]]),
     ["rejected", REJECTED, rejected],
     ["too short to label", PROBLEM, short],
     ["in conflict", PROBLEM, conflict],
@@ -211,4 +176,5 @@ canvas.addEventListener("wheel", (event) => (list.scrollTop += event.deltaY), { 
 list.onscroll = () => set({ scrolled: list.scrollTop });
 on(["doc", "selected", "clip", "unseen", "locked", "weak"], drawList);
 on(["doc", "frame", "selected", "clip", "regions", "weak", "scrolled", "resized"], drawTimeline);
+on(["clip"], () => fill(properties.elements.kind, state.clip.kinds.map((kind) => element("option", {}, kind))));
 on(["doc", "selected", "frame", "labels", "regions", "dragging", "clip"], drawProperties);

@@ -1,9 +1,7 @@
 // Mouse, pen and touch on the stage. What is being dragged is an object with `move` and `up`.
 
 import * as actions from "./actions.js";
-import {
-  clamp, distance, insertPoint, middle, nearestEdge, nearestVertex, replacePoint, setKey, shift,
-} from "./annotation.js";
+import { clamp, distance, middle, nearestEdge, nearestVertex, setKey, shift, splice } from "./annotation.js";
 import { byId } from "./dom.js";
 import { cancel, edit, editable, preview, select, selectedObject, set, state } from "./state.js";
 import { pan, toImage, toScreen, zoom } from "./view.js";
@@ -43,14 +41,14 @@ function grab(point, screen) {
   const own = selectedObject();
   const item = state.hidden || !own || state.unseen.has(own.id) || state.locked.has(own.id) ? null : own;
   const { polygons, visibility } = item ? actions.regionHere() : { polygons: [] };
-  const reshaping = (vertex, change) => reshape(item, visibility === "occluded" ? visibility : "visible", vertex, change);
+  const reshaping = (...change) => reshape(item, visibility === "occluded" ? visibility : "visible", ...change);
   const vertex = nearestVertex(point, polygons, reach);
   if (vertex) {
     set({ vertex });
-    return reshaping(vertex, (to) => replacePoint(polygons, vertex, to));
+    return reshaping(vertex, (to) => splice(polygons, vertex, 1, to));
   }
   const edge = nearestEdge(point, polygons, reach * 0.7);
-  if (edge) return reshaping(edge, (to) => replacePoint(insertPoint(polygons, edge), edge, to));
+  if (edge) return reshaping(edge, (to) => splice(polygons, edge, 0, to));
   const under = state.hidden ? null : actions.objectUnder(point);
   if (!under || under !== item) return panning(screen, under);
   set({ vertex: null });
@@ -131,7 +129,7 @@ function doubleClick(event) {
   const { polygons } = actions.regionHere();
   const edge = nearestEdge(point, polygons, REACH / state.view.scale);
   const onPoint = nearestVertex(point, polygons, 2 / state.view.scale);
-  return edge && !onPoint && actions.draw(insertPoint(polygons, edge));
+  return edge && !onPoint && actions.draw(splice(polygons, edge, 0, edge.point));
 }
 
 function removeVertex(point) {

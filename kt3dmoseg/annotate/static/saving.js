@@ -9,8 +9,6 @@ const SOON = 350;
 // The server is asked this often whether it is there and can save, and given this long to answer.
 const PULSE = 2000;
 const PATIENCE = 3000;
-// Times after which a failed save is tried again: the first, doubled until the last.
-const [RETRY, LONGEST] = [1000, 8000];
 const TEXT = {
   saved: ({ revision }) => (revision ? `✓ saved · rev ${revision}` : "no edits yet · rev 0"),
   unsaved: () => "• edited",
@@ -32,7 +30,6 @@ export const saver = {
 
 let timer = 0;
 let sending = null;
-let wait = RETRY;
 let draftKept = true;
 
 /** Start from what the server has, and restore edits that did not reach it before the page was closed. */
@@ -46,7 +43,6 @@ export async function startFrom(clip, doc) {
   }
 }
 
-/** Save now. */
 export async function flush() {
   clearTimeout(timer);
   if (!saver.pending || state.saving.kind === "conflict") return sending;
@@ -59,7 +55,8 @@ function schedule(delay) {
   timer = setTimeout(flush, delay);
 }
 
-const show = (kind, message = "") => set({ saving: { kind, revision: saver.revision, message } });
+const show = (kind, message = "", theirs = null) =>
+  set({ saving: { kind, revision: saver.revision, message, theirs } });
 
 function documentChanged() {
   if (saver.base === undefined || state.dragging) return;
@@ -78,36 +75,22 @@ async function send() {
   try {
     const answer = await ask(clip, "annotation", doc, { method: "PUT", headers: { "if-match": `"${revision}"` } });
     if (clip !== saver.clip) return;
-    wait = RETRY;
     Object.assign(saver, { base: doc, revision: answer.revision });
     if (saver.pending) schedule(SOON);
     else dropDraft();
     show(saver.pending ? "unsaved" : "saved");
-  } catch (error) {
-    if (clip === saver.clip) failed(error);
-  }
-}
-
-function failed(error) {
-  if (error.status === 412) {
-    show("conflict");
-    set({ conflict: error.body.annotation });
-  } else if (error.offline || error.status >= 500) {
-    show("offline", error.offline ? "" : error.message);
-    schedule(wait);
-    wait = Math.min(2 * wait, LONGEST);
-  } else {
-    show("failed", error.message);
+  } catch ({ status, body, offline, message }) {
+    if (clip !== saver.clip) return;
+    if (status === 412) show("conflict", "", body.annotation);
+    else show(offline || status >= 500 ? "offline" : "failed", offline ? "" : message);
   }
 }
 
 /** Somebody else saved in between: nothing is overwritten before a person chose. */
 function settleConflict() {
-  const { conflict: theirs, doc: mine } = state;
-  if (!theirs) return;
+  const { saving: { theirs }, doc: mine } = state;
   const choice = (text, doc, className) => button(text, () => {
     close();
-    set({ conflict: null });
     const chosen = doc();
     Object.assign(saver, { base: theirs, revision: theirs.revision });
     show("unsaved");
@@ -129,18 +112,15 @@ function settleConflict() {
 
 // The banner: what is wrong with the server or its folder, noticed also while nothing is edited
 
-let pulse = 0;
-
-async function watch() {
-  if (saver.clip) {
-    const signal = AbortSignal.timeout(PATIENCE);
-    const answer = await ask(saver.clip, "trouble", null, { signal }).catch((error) => ({ trouble: error.message }));
-    if (state.trouble && !answer.trouble) flush();
-    set({ trouble: answer.trouble });
-  }
-  clearTimeout(pulse); // of another call that ended meanwhile
-  pulse = setTimeout(watch, PULSE);
+async function check() {
+  if (!saver.clip) return;
+  const signal = AbortSignal.timeout(PATIENCE);
+  const answer = await ask(saver.clip, "trouble", null, { signal }).catch((error) => ({ trouble: error.message }));
+  set({ trouble: answer.trouble });
+  if (!answer.trouble && state.saving.kind === "offline") flush();
 }
+
+const watch = () => check().finally(() => setTimeout(watch, PULSE));
 
 function drawBanner() {
   const { saving, trouble, doc } = state;
@@ -156,7 +136,7 @@ function drawBanner() {
       + `${names.slice(0, 6).join(", ") || "lassos"}${names.length > 6 ? ` and ${names.length - 6} more` : ""}.`;
   }
   const file = () => download(new Blob([JSON.stringify(doc)], { type: "application/json" }), `${saver.clip}.json`);
-  fill(byId("banner"), element("span", {}, `${problem}. ${kept}`), button("Try now", () => (flush(), watch())),
+  fill(byId("banner"), element("span", {}, `${problem}. ${kept}`), button("Try now", () => (flush(), check())),
     button("Download the annotation", file));
 }
 
@@ -182,25 +162,24 @@ const dropDraft = () => localStorage.removeItem(keyOf(saver.clip, tab));
 
 /** Drafts of this clip by this tab, and by tabs that are gone; each is handed out once. */
 async function recover(clip) {
-  const alive = (await navigator.locks?.query())?.held?.map((lock) => lock.name.replace("tab:", "")) ?? [];
+  const held = (await navigator.locks?.query())?.held?.map((lock) => lock.name) ?? [];
   const start = keyOf(clip, "");
-  const owners = Object.keys(localStorage).filter((key) => key.startsWith(start)).map((key) => key.slice(start.length));
-  return owners.filter((owner) => owner === tab || !alive.includes(owner)).map((owner) => {
-    const draft = JSON.parse(localStorage.getItem(keyOf(clip, owner)));
-    localStorage.removeItem(keyOf(clip, owner));
+  const free = (key) => key === keyOf(clip, tab) || !held.includes(`tab:${key.slice(start.length)}`);
+  return Object.keys(localStorage).filter((key) => key.startsWith(start) && free(key)).map((key) => {
+    const draft = JSON.parse(localStorage.getItem(key));
+    localStorage.removeItem(key);
     return draft;
   });
 }
 
 now(["doc", "dragging"], documentChanged);
-on(["conflict"], settleConflict);
 on(["saving", "trouble", "doc"], drawBanner);
 on(["saving"], () => {
   const { kind, message } = state.saving;
+  if (kind === "conflict") settleConflict();
   Object.assign(byId("saved"), { textContent: TEXT[kind](state.saving), className: kind, title: message ?? "" });
 });
 watch();
-addEventListener("online", flush);
 addEventListener("beforeunload", (event) => {
   if (saver.pending) event.preventDefault();
 });

@@ -6,7 +6,7 @@ import { keyAt, objectOf } from "./annotation.js";
 const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
   pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null,
-  conflict: null, computing: "loading", proposals: null, review: null, compared: null, dragging: null,
+  computing: "loading", proposals: null, review: null, compared: null, dragging: null,
   flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [], unseen: new Set(), locked: new Set(),
 };
 
@@ -30,14 +30,12 @@ export function on(keys, listener) {
   now(keys, () => (waiting ||= requestAnimationFrame(run)));
 }
 
-/** Change values and call the listeners. */
 export function set(changes) {
   const changed = Object.keys(changes).filter((key) => state[key] !== changes[key]);
   Object.assign(state, changes);
   for (const { keys, listener } of listeners) if (changed.some((key) => keys.includes(key))) listener();
 }
 
-/** Forget the clip at hand and begin with another. */
 export const begin = (clip, values) => set({ ...FRESH, clip, ...values });
 
 // Documents are never changed in place, so keeping all of them costs nothing.
@@ -48,13 +46,16 @@ export function edit(doc) {
   set({ doc, dragging: null, ...(doc === before ? {} : { done: [...state.done, before], undone: [] }) });
 }
 
+/** The same, and select its last object. */
+export function editLast(doc) {
+  edit(doc);
+  select(doc.objects.at(-1)?.id ?? null);
+}
+
 /** Show a document while something is being dragged; `edit` or `cancel` ends it. */
 export const preview = (doc) => set({ doc, dragging: state.dragging ?? state.doc });
-
 export const cancel = () => state.dragging && set({ doc: state.dragging, dragging: null });
-
 export const undo = () => travel("done", "undone", "Nothing to undo");
-
 export const redo = () => travel("undone", "done", "Nothing to redo");
 
 function travel(source, target, nothing) {
@@ -73,13 +74,7 @@ export function notify(hint) {
 }
 
 /** Run an action; a failure, for instance because the server is away, becomes a hint. */
-export async function attempt(action) {
-  try {
-    await action();
-  } catch (error) {
-    notify(error.message);
-  }
-}
+export const attempt = (action) => (async () => action())().catch(({ message }) => notify(message));
 
 export const selectedObject = () => state.doc && objectOf(state.doc, state.selected);
 

@@ -2,9 +2,9 @@
 // does not draw them again.
 
 import { clamp } from "./annotation.js";
-import { ask, getTracks } from "./api.js";
+import { ask, request } from "./api.js";
 import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
-import { attempt, now, on, notify, set, state } from "./state.js";
+import { now, on, notify, set, state } from "./state.js";
 import { goTo, showPoint, toScreen } from "./view.js";
 
 const SOON = 40;
@@ -12,6 +12,14 @@ const POLL = 400;
 const TRAIL = 6;
 // What needs a person's eye is drawn larger.
 const LARGER = 3;
+
+/** Trajectories as { xy: Float32Array, count, frames }, or { done, total } while they are computed. */
+async function getTracks(clip) {
+  const response = await request(clip, "tracks");
+  if (response.status === 202) return response.json();
+  const [count, frames] = response.headers.get("x-shape").split(",").map(Number);
+  return { xy: new Float32Array(await response.arrayBuffer()), count, frames };
+}
 
 /** Fetch the trajectories of the clip, waiting while the server computes them. */
 export async function loadTracks(clip) {
@@ -23,10 +31,8 @@ export async function loadTracks(clip) {
     if (answer.error && !answer.error.offline) return;
     if (!answer.xy) await new Promise((resolve) => setTimeout(resolve, POLL));
   }
-  attempt(async () => {
-    const { groups } = await ask(clip.name, "moving");
-    if (clip === state.clip) set({ moving: groups });
-  });
+  const { groups } = await ask(clip.name, "moving");
+  if (clip === state.clip) set({ moving: groups });
 }
 
 function progressText({ error, done, total }) {
@@ -70,9 +76,7 @@ function position(row, frame) {
 }
 
 const range = (count) => [...Array(count).keys()];
-
 const rows = () => range(state.tracks?.count ?? 0);
-
 const framesOf = (row) => range(state.tracks.frames).filter((frame) => position(row, frame));
 
 /** Rows of the trajectories whose position in a frame satisfies a test. */
@@ -96,13 +100,13 @@ export function visitNext(kind, places, nothing, visit, at = ((last[kind] ?? -1)
   return notify(visit(places[at], `${at + 1} of ${places.length}`));
 }
 
-/** Go to the next trajectory that is unlabelled or in conflict. */
 export function nextProblem() {
   const reason = state.labels?.reason ?? [];
   const problems = [...reason.keys()].filter((row) => [2, 3].includes(reason[row]));
   visitNext("problem", problems, "No trajectory is unlabelled or in conflict", (row, which) => {
     showTrack(row);
-    return `trajectory ${row} is ${reason[row] === 3 ? "in conflict" : "too short to label"} (${which}); lasso it with Q`;
+    const why = reason[row] === 3 ? "in conflict" : "too short to label";
+    return `trajectory ${row} is ${why} (${which}); lasso it with Q`;
   });
 }
 
@@ -115,7 +119,6 @@ export function unexplained() {
   return [...found.values()].filter(open);
 }
 
-/** Go to the next motion that no object explains. */
 export function nextUnexplained() {
   const found = unexplained();
   const nothing = found ? "No motion is left to check" : "The scene's motion is not known";
@@ -128,7 +131,6 @@ export function nextUnexplained() {
 const canvas = byId("tracks");
 let groups = new Map();
 
-/** Group the rows by colour: one path each. */
 function group() {
   const { tracks, labels, colouring } = state;
   groups = Map.groupBy(rows(), (row) => (colouring === "length"

@@ -32,7 +32,6 @@ export function numbersOf(names) {
 
 let timer = 0;
 
-/** Stop playing and flickering. */
 export function stop() {
   clearInterval(timer);
   set({ playing: false, flickered: null });
@@ -67,9 +66,7 @@ export function toKeyFrame(direction) {
 // View
 
 export const toScreen = ([x, y]) => [(x - state.view.x) * state.view.scale, (y - state.view.y) * state.view.scale];
-
 export const toImage = ([x, y]) => [x / state.view.scale + state.view.x, y / state.view.scale + state.view.y];
-
 const middle = () => [stage.clientWidth / 2, stage.clientHeight / 2];
 
 /** The middle of what is in sight, on the image. */
@@ -80,19 +77,14 @@ const viewOf = ([x, y], scale, [left, top] = middle()) => ({ x: x - left / scale
 
 /** The largest scale at which a size fits on the stage. */
 const scaleFor = (width, height) => Math.min(stage.clientWidth / width, stage.clientHeight / height);
-
-/** The view of the whole frame. */
 export const fit = ([width, height]) => viewOf([(width - 1) / 2, (height - 1) / 2], scaleFor(width, height));
-
 export const fitAll = () => set({ view: fit(state.clip.image_size) });
 
-/** Show a box with some surroundings. */
 export function showBox([left, top, right, bottom]) {
   const scale = Math.min(CLOSEST / 2, 0.6 * scaleFor(right - left + 8, bottom - top + 8));
   set({ view: viewOf([(left + right) / 2, (top + bottom) / 2], scale) });
 }
 
-/** Zoom in on a point, and put the cross there. */
 export const showPoint = (cross) => set({ cross, view: viewOf(cross, Math.max(state.view.scale, 4)) });
 
 export function fitObject() {
@@ -121,8 +113,10 @@ export function pan(dx, dy) {
 }
 
 /** Set what is shown to the next one of its values. */
-export function cycle(name, values) {
-  set({ [name]: values[(values.indexOf(state[name]) + 1) % values.length] });
+export function cycle(name, values, hint) {
+  const next = values[(values.indexOf(state[name]) + 1) % values.length];
+  set({ [name]: next });
+  if (hint) notify(`${hint}${next}`);
 }
 
 // The picture: frames are loaded once, the shown one first, then its neighbours
@@ -140,7 +134,8 @@ export function drawPicture() {
 async function load() {
   const { clip, frame } = state;
   await image(clip, frame).decode().catch(() => {});
-  for (let k = 1; clip === state.clip && k < Math.min(AHEAD, clip.n_frames); k++) image(clip, (frame + k) % clip.n_frames);
+  const last = Math.min(AHEAD, clip.n_frames);
+  for (let k = 1; clip === state.clip && k < last; k++) image(clip, (frame + k) % clip.n_frames);
 }
 
 function image(clip, frame) {
