@@ -17,11 +17,11 @@ HALF = [(60, 70), (100, 70), (100, 130), (60, 130)]
 SAME_PLACE = [(60, 70), (140, 70), (140, 130), (60, 131)]
 
 
-# Watches the picture for two seconds, or until two different ones were seen.
+# Watches the picture for twenty seconds, or until two different ones were seen.
 DIFFERENT_PICTURES = """() => new Promise((done) => {
   const context = document.getElementById("picture").getContext("2d");
   const seen = new Set();
-  const end = performance.now() + 2000;
+  const end = performance.now() + 20000;
   const look = () => {
     seen.add(context.getImageData(0, 0, 800, 400).data.join());
     if (seen.size < 2 && performance.now() < end) requestAnimationFrame(look);
