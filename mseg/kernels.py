@@ -40,30 +40,12 @@ def sample_hypotheses(
     per_pair: int = 500,
     gap: int = 1,
 ) -> Hypotheses:
-    """Fit models to uniform minimal samples of every frame pair, all pairs at once.
+    """Fit models to `per_pair` uniform minimal samples of every frame pair, all pairs at once.
 
     The points of a pair are normalised together (Hartley), and a fundamental matrix is made rank 2
     in that frame. Degenerate samples are drawn again, at most eleven times; then they are left out,
     so a pair may hold fewer models than requested. A pair with fewer visible points than a minimal
-    sample holds none.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The points to sample from.
-    kind : {"affine", "homography", "fundamental"}
-        Kind of model.
-    rng : numpy.random.Generator
-        Randomness.
-    per_pair : int
-        Hypotheses per frame pair (500 in Xu, Cheong, Li, CVPR 2018, section 4).
-    gap : int
-        Frames from the first to the second of a pair.
-
-    Returns
-    -------
-    Hypotheses
-        In pixel coordinates, pairs ascending.
+    sample holds none. Models are in pixel coordinates, pairs ascending.
     """
     model = MODELS[kind]
     frames = [(f, f + gap) for f in range(trajectories.n_frames - gap)]
@@ -102,31 +84,14 @@ def _draw_subsets(sizes: IntArray, count: int, rng: np.random.Generator) -> IntA
 
 
 def draw_near_subsets(points: FloatArray, count: int, size: int, rng: np.random.Generator) -> IntArray:
-    """Draw subsets of points that lie near each other, since near points more often belong to one motion.
+    """Draw subsets (M, p) of near points (N, D): they more often belong to one motion.
 
     The first points run through all points in turn; the others are drawn one by one, without
     replacement, with probability proportional to ``exp(-d^2 / sigma^2)``, d the distance to the first and
     sigma a quarter of the largest distance between points.
-
-    Parameters
-    ----------
-    points : (N, D) float64
-        Points as rows.
-    count, size : int
-        Number M of subsets and their size p <= N.
-    rng : numpy.random.Generator
-        Randomness.
-
-    Returns
-    -------
-    (M, p) int64
-
-    References
-    ----------
-    Toldo and Fusiello, "Robust multiple structures estimation with J-linkage", ECCV 2008, section 2.1.
-    Drawing without replacement by the largest perturbed logarithms: Vieira, "Gumbel-max trick and
-    weighted reservoir sampling", 2014.
     """
+    # Toldo and Fusiello, "Robust multiple structures estimation with J-linkage", ECCV 2008, section 2.1;
+    # by the largest perturbed logarithms: Vieira, "Gumbel-max trick and weighted reservoir sampling", 2014.
     squares = (points**2).sum(axis=1)
     distance = np.maximum(squares[:, None] + squares - 2 * (points @ points.T), 0)
     widest = _REACH**2 * float(distance.max())
@@ -152,34 +117,14 @@ def view_kernel(
     fraction: float = 0.1,
     distance: Distance = "sampson",
 ) -> Float32Array:
-    """Accumulate ordered residual kernels over frame pairs and divide by co-visibility.
+    """Accumulate ordered residual kernels over frame pairs and divide by co-visibility: (N, N) in 0..1.
 
     The ordered residual kernel of two points in a frame pair is |S_i and S_j| / h: the share of common
-    hypotheses among the h that each of them prefers.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        The N points to compare.
-    hypotheses : Hypotheses
-        Models in pixel coordinates; each pair of frames is ranked by itself.
-    fraction : float
-        Part of a pair's hypotheses that a point prefers.
-    distance : {"sampson", "transfer"}
-        Residual.
-
-    Returns
-    -------
-    (N, N) float32
-        Symmetric, in 0..1: sum over pairs of shared preferences, divided by the number of frames
-        in which both points are visible, plus 0.1. Zero for points that never meet.
-
-    References
-    ----------
-    Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR 2018,
-    section 3.1, after Chin, Wang, Suter, "Robust fitting of multiple structures: the statistical learning
-    approach", ICCV 2009, with the first window alone.
+    hypotheses among the h that each of them prefers, a `fraction` of the pair's. The sum is divided by the
+    number of frames in which both points are visible, plus 0.1; it is zero for points that never meet.
     """
+    # Xu, Cheong, Li, CVPR 2018, section 3.1, after Chin, Wang, Suter, "Robust fitting of multiple structures:
+    # the statistical learning approach", ICCV 2009, with the first window alone.
     change = np.flatnonzero((hypotheses.pair[1:] != hypotheses.pair[:-1]).any(axis=1)) + 1
     bounds = [0, *change.tolist(), len(hypotheses.pair)]
     sizes = np.diff(bounds)
@@ -212,13 +157,18 @@ def covisible_frames(trajectories: Trajectories) -> Float32Array:
     return together
 
 
-def unconnected_parts(trajectories: Trajectories, gap: int) -> list[str]:
-    """Warn of trajectories in parts that no pair of frames sees together, or no frame (gap 0)."""
-    visible = trajectories.visible
+def count_parts(visible: BoolArray, gap: int) -> int:
+    """Count the parts of trajectories (n, F) that no pair of frames sees together, or no frame (gap 0)."""
     pairs = (visible[:, : visible.shape[1] - gap] & visible[:, gap:]).astype(np.int64)
     pairs = pairs[pairs.any(axis=1)][:, pairs.any(axis=0)]
-    parts = connected_components(block_array([[None, csr_array(pairs)], [csr_array(pairs.T), None]]))[0]
-    what = "pair of frames" if gap else "frame"
+    if not pairs.size:
+        return 0
+    return int(connected_components(block_array([[None, csr_array(pairs)], [csr_array(pairs.T), None]]))[0])
+
+
+def unconnected_parts(trajectories: Trajectories, gap: int) -> list[str]:
+    """Warn of several parts, see `count_parts`."""
+    parts, what = count_parts(trajectories.visible, gap), "pair of frames" if gap else "frame"
     warning = f"{parts} parts of the trajectories share no {what}: nothing shows which move together"
     return [warning] if parts > 1 else []
 
@@ -244,35 +194,19 @@ def _preferences(residuals: _Array, count: int) -> BoolArray:
 
 
 def sparsify(kernel: _Array, alpha: float | None = None) -> _Array:
-    """Keep the neighbours of an entropy-based neighbourhood of every point.
+    """Keep the neighbours of an entropy-based neighbourhood of every point of a kernel (N, N) in 0..1.
 
     With B = K^alpha, the distances s_ij = max_j B_ij - B_ij of row i are read as a distribution
     P_ij = s_ij / sum_j s_ij, and those neighbours stay whose log P_ij lies below its mean under P,
-    the negative entropy of the row. A constant row distinguishes no neighbours and keeps none.
+    the negative entropy of the row. A constant row distinguishes no neighbours and keeps none. An entry stays
+    where both points keep each other, half of it where one of them does.
 
     No power suits all clips: a high one cuts the kernels of long complete tracks to pieces, a low one ties
     motions together where depths differ. Without `alpha`, close neighbours (power 9) make the graph, and weak
     ties to wide ones (power 3) join its pieces: together they weigh a tenth of the close neighbours,
     whatever the sizes of the two neighbourhoods in the clip.
-
-    Parameters
-    ----------
-    kernel : (N, N) float
-        Symmetric affinity in 0..1.
-    alpha : float, optional
-        A single power that sharpens the affinity first; larger keeps fewer neighbours.
-
-    Returns
-    -------
-    (N, N) float of the kernel's dtype
-        The kernel where both points keep each other, half of it where one of them does, else 0; without
-        `alpha` the sum of two such, one of them scaled.
-
-    References
-    ----------
-    Xu, Cheong, Li, "Motion segmentation by exploiting complementary geometric models", CVPR 2018,
-    section 4 (the neighbourhood of the authors' released code). The weak ties are ours.
     """
+    # Xu, Cheong, Li, CVPR 2018, section 4 (neighbourhood of the authors' code). The weak ties are ours.
     close: _Array = _neighbourhood_mask(kernel, _CLOSE if alpha is None else alpha)
     close *= kernel
     if alpha is None:

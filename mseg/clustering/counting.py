@@ -27,18 +27,10 @@ _RESTARTS = 10
 
 @dataclass(frozen=True)
 class Count:
-    """A number of clusters.
+    """A number of clusters."""
 
-    Parameters
-    ----------
-    number : int
-        The number found.
-    scores : mapping of int to float
-        Score of every number that was compared, the higher the better.
-    """
-
-    number: int
-    scores: Mapping[int, float]
+    number: int  # the number found
+    scores: Mapping[int, float]  # of every number that was compared, the higher the better
 
     @property
     def runners_up(self) -> list[int]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise, starmap
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray, IntArray
@@ -17,28 +15,20 @@ from mseg.clustering.spectral import GraphLaplacian, Symmetric, fixed_sign, smal
 
 # Residuals of the eigenvectors, of the first sweeps and of the last: an objective is off by their square.
 _ROUGH, _ACCURATE = 1e-4, 1e-5
-# Entries of a matrix computed at once: they stay in the cache. Up to _KEPT_ENTRIES are kept.
+# Entries of a matrix computed at once: they stay in the cache.
 _BLOCK_ENTRIES = 1 << 17
-_KEPT_ENTRIES = 1 << 27
+# Points up to which the subset constraint is in double precision. Above, its weight takes the error of single
+# precision below that of the eigenvectors.
+_DOUBLE = 250
 
 
 @dataclass(frozen=True, eq=False)
 class Fusion:
-    """Embeddings of the views after they have been made to agree.
+    """Embeddings of the views after they have been made to agree."""
 
-    Parameters
-    ----------
-    embeddings : tuple of (N, K) float64
-        One orthonormal embedding per view.
-    objectives : tuple of float
-        Value of the monitored objective after every sweep over the views.
-    converged : bool
-        Whether the last two objectives differ by less than the tolerance.
-    """
-
-    embeddings: tuple[FloatArray, ...]
-    objectives: tuple[float, ...]
-    converged: bool
+    embeddings: tuple[FloatArray, ...]  # (N, K) each: one orthonormal embedding per view
+    objectives: tuple[float, ...]  # the monitored objective after every sweep over the views
+    converged: bool  # whether the last two objectives differ by less than the tolerance
 
     def joint(self) -> FloatArray:
         """All embeddings side by side, (N, V * K): unit rows per view, then unit rows overall."""
@@ -136,9 +126,14 @@ def constrain_subsets(
     """
 
     def nesting(embeddings: list[FloatArray], view: int) -> Symmetric:
-        smaller = embeddings[view - 1] if view > 0 else None
-        larger = embeddings[view + 1] if view + 1 < len(embeddings) else None
-        return _Nesting(smaller, larger, len(embeddings[view]))
+        size = len(embeddings[view])
+        total: Symmetric = np.zeros((size, size), np.float64 if size <= _DOUBLE else np.float32)
+        for clip, other in ((np.maximum, view - 1), (np.minimum, view + 1)):
+            if 0 <= other < len(embeddings):
+                u = embeddings[other].astype(total.dtype)
+                for rows in _blocks(size):
+                    total[rows] += clip(u[rows] @ u.T, 0)
+        return total
 
     def earned(embeddings: list[FloatArray], view: int) -> float:
         complete = view == len(embeddings) - 1
@@ -192,8 +187,12 @@ class WeightedSum:
         return np.asarray(sum(weight * np.asarray(matrix) for weight, matrix in self.terms))
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        """Multiply with (N, b)."""
-        return np.asarray(sum(weight * (matrix @ vectors) for weight, matrix in self.terms))
+        """Multiply with (N, b), an array in single precision in that."""
+        total = np.zeros_like(vectors)
+        for weight, matrix in self.terms:
+            product = matrix @ vectors.astype(getattr(matrix, "dtype", np.float64), copy=False)
+            total += weight * product.astype(np.float64, copy=False)
+        return total
 
 
 class _LowRank:
@@ -209,83 +208,27 @@ class _LowRank:
         return np.asarray(self.factor @ (self.factor.T @ vectors))
 
 
-class _Nesting:
-    """max(U U^T, 0) of the smaller model plus min(U U^T, 0) of the larger, (N, N); one may be missing.
-
-    Computed once and kept while it is not too large. Products are in single precision: the weight of the
-    constraint takes its error below that of the eigenvectors.
-    """
-
-    def __init__(self, smaller: FloatArray | None, larger: FloatArray | None, size: int) -> None:
-        self.smaller, self.larger, self.shape = smaller, larger, (size, size)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        return np.concatenate([self._rows(part, np.float64) for part in _parts(self.shape[0])])
-
-    def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        single = vectors.astype(np.float32)
-        if self._kept is not None:
-            return (self._kept @ single).astype(np.float64)
-        blocks = [self._rows(part, np.float32) @ single for part in _parts(self.shape[0])]
-        return np.concatenate(blocks).astype(np.float64)
-
-    @cached_property
-    def _kept(self) -> npt.NDArray[Any] | None:
-        if self.shape[0] ** 2 > _KEPT_ENTRIES:
-            return None
-        kept: npt.NDArray[Any] = np.empty(self.shape, np.float32)
-        for part in _parts(self.shape[0]):
-            kept[part] = self._rows(part, np.float32)
-        return kept
-
-    def _rows(self, part: slice, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-        total, *others = [
-            _clipped(clip, embedding.astype(dtype), part)
-            for clip, embedding in ((np.maximum, self.smaller), (np.minimum, self.larger))
-            if embedding is not None
-        ]
-        for other in others:
-            total += other
-        return total
-
-
 def _nested(smaller: FloatArray, larger: FloatArray) -> float:
     """Traces of U_L^T max(S, 0) U_L and U_S^T min(L, 0) U_S, S and L the kernels of the embeddings U."""
     total = 0.0
-    for part in _parts(len(smaller)):
-        together = _clipped(np.maximum, smaller, part) @ larger
-        apart = _clipped(np.minimum, larger, part) @ smaller
-        total += float(np.vdot(together, larger[part]) + np.vdot(apart, smaller[part]))
+    for rows in _blocks(len(smaller)):
+        small, large = smaller[rows] @ smaller.T, larger[rows] @ larger.T
+        total += float(np.vdot(np.maximum(small, 0), large) + np.vdot(np.minimum(large, 0), small))
     return total
 
 
-def _parts(size: int) -> Iterator[slice]:
-    """Blocks of rows of a square matrix."""
+def _blocks(size: int) -> list[slice]:
+    """Blocks of rows of a square matrix that stay in the cache."""
     rows = max(1, _BLOCK_ENTRIES // max(1, size))
-    return (slice(start, start + rows) for start in range(0, size, rows))
-
-
-def _clipped(clip: np.ufunc, embedding: npt.NDArray[Any], part: slice) -> npt.NDArray[Any]:
-    """Rows of max(U U^T, 0) or min(U U^T, 0)."""
-    agreement: npt.NDArray[Any] = embedding[part] @ embedding.T
-    clip(agreement, 0, out=agreement)
-    return agreement
+    return [slice(start, start + rows) for start in range(0, size, rows)]
 
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """A partition and what it cuts.
+    """A partition and what it cuts."""
 
-    Parameters
-    ----------
-    labels : (N,) int64
-        Cluster of each vertex, 0..K-1.
-    value : float
-        Sum over graphs and clusters of the weight that leaves the cluster, divided by all its weight.
-    """
-
-    labels: IntArray
-    value: float
+    labels: IntArray  # (N,): cluster of each vertex, 0..K-1
+    value: float  # over graphs and clusters, the weight that leaves a cluster divided by all its weight
 
 
 def lower_cut(graphs: Sequence[GraphLaplacian], labels: IntArray, n_clusters: int) -> Cut:

@@ -13,21 +13,11 @@ from mseg.errors import TooFewPointsError
 
 @dataclass(frozen=True, eq=False)
 class KMeans:
-    """The best of the restarts.
+    """The best of the restarts."""
 
-    Parameters
-    ----------
-    labels : (N,) int64
-        Cluster of each point, 0..K-1.
-    centres : (K, d) float64
-        Means of the clusters.
-    inertia : float
-        Sum of squared distances of the points to their centres.
-    """
-
-    labels: IntArray
-    centres: FloatArray
-    inertia: float
+    labels: IntArray  # (N,): cluster of each point, 0..K-1
+    centres: FloatArray  # (K, d): means of the clusters
+    inertia: float  # sum of squared distances of the points to their centres
 
 
 def kmeans(points: FloatArray, n_clusters: int, rng: np.random.Generator, *, n_restarts: int = 20) -> KMeans:

@@ -160,17 +160,7 @@ def smallest_subspace(
 ) -> FloatArray:
     """Find what `smallest_eigenvectors` finds, without fixed signs, and some approximate ones more.
 
-    Parameters
-    ----------
-    matrix, count, tolerance
-        See there.
-    start : (N, m) float64, optional
-        What this function gave for a matrix nearby; saves most of the work.
-
-    Returns
-    -------
-    (N, m) float64
-        Orthonormal, m > K (m = N at most); the first K columns are the eigenvectors.
+    `start` is what this function gave for a matrix nearby; it saves most of the work.
     """
     size = matrix.shape[0]
     if not 1 <= count <= size:

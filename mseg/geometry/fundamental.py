@@ -20,29 +20,14 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 
 def eight_point(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Fit fundamental matrices to many samples at once by the eight-point algorithm.
+    """Fit rank-2 fundamental matrices (K, 3, 3) to samples of points (K, 8, 2); and which are fixed (K,).
 
     In the coordinates as they are, for points that are normalised together, as those of a frame pair:
     normalising each sample by itself moves the frame in which the nearest matrix of rank 2 is taken, and
-    costs two points of error of the fundamental view on KT3DMoSeg.
-
-    Parameters
-    ----------
-    x1, x2 : (K, 8, 2) float64
-        K samples of eight corresponding points.
-
-    Returns
-    -------
-    models : (K, 3, 3) float64
-        Matrices of rank 2; meaningless where not `ok`.
-    ok : (K,) bool
-        False where the equations leave more than one solution (repeated points, points and motions on a
-        plane) to within rounding.
-
-    References
-    ----------
-    Hartley, "In defense of the eight-point algorithm", TPAMI 1997.
+    costs two points of error of the fundamental view on KT3DMoSeg. Not fixed: repeated points, or points and
+    motions on a plane, leave more than one solution to within rounding.
     """
+    # Hartley, "In defense of the eight-point algorithm", TPAMI 1997.
     models, ok = np.empty((len(x1), 3, 3)), np.empty(len(x1), dtype=np.bool_)
     for start in range(0, len(x1), _TOGETHER):
         part = slice(start, start + _TOGETHER)
@@ -52,23 +37,11 @@ def eight_point(x1: FloatArray, x2: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 def sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
-    """Squared Sampson distances of points to fundamental matrices.
+    """Squared Sampson distances (P, K) of points (P, 2) to fundamental matrices, in the points' dtype.
 
-    (x2^T F x1)^2 / ((F x1)_1^2 + (F x1)_2^2 + (F^T x2)_1^2 + (F^T x2)_2^2), Hartley and Zisserman,
-    "Multiple View Geometry", 2004, equation 11.9.
-
-    Parameters
-    ----------
-    models : (K, 3, 3) float
-        Fundamental matrices.
-    x1, x2 : (P, 2) float
-        Corresponding points; their dtype is that of the result.
-
-    Returns
-    -------
-    (P, K) float
-        NaN for a pair of points that both are epipoles.
+    (x2^T F x1)^2 / ((F x1)_1^2 + (F x1)_2^2 + (F^T x2)_1^2 + (F^T x2)_2^2); NaN where both are epipoles.
     """
+    # Hartley and Zisserman, "Multiple View Geometry", 2004, equation 11.9.
     f = models.astype(np.float64)
     first, second = _homogeneous(x1), _homogeneous(x2)
     algebraic: _Array = _outer(second, first).astype(x1.dtype) @ f.reshape(-1, 9).T.astype(x1.dtype)

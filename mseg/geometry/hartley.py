@@ -16,25 +16,11 @@ _KEPT = 64
 
 
 def normalise(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Translate and scale sets of points to a common size.
+    """Move centroids of sets of points (..., P, 2) to the origin and scale mean distances from it to sqrt 2.
 
-    Parameters
-    ----------
-    points : (..., P, 2) float64
-        One or many sets of points.
-
-    Returns
-    -------
-    normalised : (..., P, 2) float64
-        The points with their centroid at the origin and mean distance sqrt 2 from it. A set whose
-        points all coincide is only translated.
-    transform : (..., 3, 3) float64
-        The similarity that does it, on homogeneous columns.
-
-    References
-    ----------
-    Hartley, "In defense of the eight-point algorithm", TPAMI 1997, section 4.
+    Returns the points and the similarities (..., 3, 3) that do it. A set whose points coincide is only moved.
     """
+    # Hartley, "In defense of the eight-point algorithm", TPAMI 1997, section 4.
     centroid = points.mean(axis=-2, keepdims=True)
     centred = points - centroid
     distance = np.sqrt(np.einsum("...pc,...pc->...p", centred, centred)).mean(axis=-1)
@@ -97,22 +83,12 @@ def unit_norm(models: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
-    """Points visible in two frames, each side normalised by `normalise`.
+    """Points visible in two frames, each side normalised by `normalise`."""
 
-    Parameters
-    ----------
-    rows : (P,) int64
-        Which trajectories they are.
-    x1, x2 : (P, 2) float64
-        Normalised points.
-    t1, t2 : (3, 3) float64
-        The similarities that made them from pixels.
-    """
-
-    rows: IntArray
-    x1: FloatArray
+    rows: IntArray  # (P,): which trajectories they are
+    x1: FloatArray  # (P, 2): normalised points
     x2: FloatArray
-    t1: FloatArray
+    t1: FloatArray  # (3, 3): the similarities that made them from pixels
     t2: FloatArray
 
 

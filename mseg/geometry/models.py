@@ -30,19 +30,13 @@ _TRIANGLE = 1e-6
 class Model:
     """A kind of model between two frames.
 
-    Parameters
-    ----------
-    minimal : int
-        Size p of a minimal sample.
-    fit : callable
-        ``fit(x1 (K, p, 2), x2 (K, p, 2)) -> models (K, 3, 3), ok (K,)``; not ok = fixes no model.
-    residuals : mapping of {"sampson", "transfer"} to callable
-        ``residual(models (K, 3, 3), x1 (P, 2), x2 (P, 2)) -> (P, K)``: squared Sampson distances or symmetric
-        transfer errors, in the units and the dtype of the points. Fundamental matrices, which map points to
-        lines, have Sampson's alone.
+    ``fit(x1 (K, p, 2), x2 (K, p, 2))`` gives models (K, 3, 3) and where a sample fixes one (K,);
+    ``residual(models (K, 3, 3), x1 (P, 2), x2 (P, 2))`` gives (P, K) squared Sampson distances or symmetric
+    transfer errors, in the units and the dtype of the points. Fundamental matrices, which map points to
+    lines, have Sampson's alone.
     """
 
-    minimal: int
+    minimal: int  # size p of a minimal sample
     fit: Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]]
     residuals: Mapping[Distance, Callable[[_Array, _Array, _Array], _Array]]
 

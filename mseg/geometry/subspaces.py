@@ -13,30 +13,13 @@ from kt3dmoseg.types import Camera, FloatArray, IntArray, Trajectories
 
 
 def normalising_matrix(trajectories: Trajectories, camera: Camera | None = None) -> FloatArray:
-    """Matrix that maps normalised to pixel coordinates, by the first of three rules that applies.
+    """Matrix (3, 3) that maps normalised to pixel coordinates, by the first of three rules that applies.
 
     1. The camera's own matrix ``K``. Hopkins155 files hold the one with which that benchmark
        normalised its coordinates, so that ``x = inv(K) y`` is the file's own ``x``.
     2. The image size: the borders map to -1 and 1, ``x = 2 y / size - 1`` in each direction (the
        convention of most Hopkins155 sequences; anisotropic).
     3. The range of the visible positions takes the place of the image borders, in each direction.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Their image size, or the positions, are used where there is no camera.
-    camera : Camera or None
-        The clip's camera.
-
-    Returns
-    -------
-    (3, 3) float64
-        Upper triangular, invertible.
-
-    Raises
-    ------
-    InvalidValueError
-        When the camera's matrix is singular or its last row is not (0, 0, 1).
     """
     if camera is not None and camera.K is not None:
         affine = np.isfinite(camera.K).all() and np.array_equal(camera.K[2], (0, 0, 1))
@@ -67,58 +50,22 @@ def trajectory_matrix(xy: FloatArray) -> FloatArray:
 
 
 def leading_row_space(matrix: FloatArray, dimension: int) -> FloatArray:
-    """Leading right singular vectors: whitened coordinates of the columns.
-
-    Parameters
-    ----------
-    matrix : (D, N) float64
-        Complete data.
-    dimension : int
-        Number of vectors wanted; clipped to the smaller side of `matrix`.
-
-    Returns
-    -------
-    (N, r) float64
-        Orthonormal columns, by decreasing singular value (which is dropped).
-    """
+    """Leading right singular vectors (N, r) of a matrix (D, N): whitened coordinates of its columns."""
     _, _, right = np.linalg.svd(matrix, full_matrices=False)
     return np.ascontiguousarray(right[:dimension].T)
 
 
 def project(matrix: FloatArray, dimension: int) -> FloatArray:
-    """Coordinates of the columns in the best subspace of a dimension: ``U_r^T X``, uncentred PCA.
-
-    Parameters
-    ----------
-    matrix : (D, N) float64
-        Complete data.
-    dimension : int
-        Dimension r, clipped to the smaller side of `matrix`.
-
-    Returns
-    -------
-    (r, N) float64
-        Projected columns; inner products are those of the best rank-r approximation.
-    """
+    """Coordinates (r, N) of columns (D, N) in their best subspace of a dimension r: uncentred PCA."""
     left, _, _ = np.linalg.svd(matrix, full_matrices=False)
     return np.asarray(left[:, :dimension].T @ matrix, dtype=np.float64)
 
 
 def flat_distances(points: FloatArray, samples: IntArray) -> FloatArray:
-    """Distances of points to the flats through samples of them.
+    """Distances (N, M) of points (N, D) to the flats through samples (M, p) of them, each of dimension p - 1.
 
-    Parameters
-    ----------
-    points : (N, D) float64
-        Points as rows.
-    samples : (M, p) int64
-        The p points that each flat, of dimension p - 1, passes through. A flat through points that
-        depend on each other is one of those that contain them.
-
-    Returns
-    -------
-    (N, M) float64
-        Euclidean distances; zero everywhere where D < p: such a flat is all of space.
+    A flat through points that depend on each other is one of those that contain them; where D < p it is
+    all of space.
     """
     origin = points[samples[:, 0]]
     directions = points[samples[:, 1:]] - origin[:, None]

@@ -23,27 +23,27 @@ ALGORITHM_VERSION: int = 3
 METHODS = Registry(
     "method",
     {
-        "one_motion": "mseg.methods.one_motion:OneMotion",
-        "prevalence": "mseg.methods.one_motion:OneMotion",
+        "one_motion": "mseg.methods.paper:OneMotion",
+        "prevalence": "mseg.methods.paper:OneMotion",
         "affine": "mseg.methods.paper:Affine",
         "homography": "mseg.methods.paper:Homography",
         "fundamental": "mseg.methods.paper:Fundamental",
         "keradd": "mseg.methods.paper:KerAdd",
         "coreg": "mseg.methods.paper:CoReg",
         "subset": "mseg.methods.paper:Subset",
-        "lsa": "mseg.methods.lsa:LSA",
-        "gpca": "mseg.methods.gpca:GPCA",
+        "lsa": "mseg.methods.subspaces:LSA",
+        "gpca": "mseg.methods.subspaces:GPCA",
         "alc": "mseg.methods.alc:ALC",
-        "ssc": "mseg.methods.ssc:SSC",
+        "ssc": "mseg.methods.self_expression:SSC",
         "tpv": "mseg.methods.tpv:TPV",
-        "lrr": "mseg.methods.lrr:LRR",
+        "lrr": "mseg.methods.self_expression:LRR",
         "tlinkage": "mseg.methods.tlinkage:TLinkage",
-        "s3c": "mseg.methods.s3c:S3C",
+        "s3c": "mseg.methods.self_expression:S3C",
         "rsim": "mseg.methods.rsim:RSIM",
-        "mssc": "mseg.methods.mssc:MSSC",
-        "ransac": "mseg.methods.ransac:Ransac",
+        "mssc": "mseg.methods.paper:MSSC",
+        "ransac": "mseg.methods.subspaces:Ransac",
         "rpa": "mseg.methods.rpa:RPA",
-        "lrssc": "mseg.methods.lrssc:LRSSC",
+        "lrssc": "mseg.methods.self_expression:LRSSC",
         "consistent": "mseg.methods.consistent:ConsistentMoSeg",
         "multibody": "mseg.methods.multibody:MultiBody",
     },
@@ -111,6 +111,8 @@ def segment(
     UnknownNameError, InvalidValueError
         For a bad method name, parameter, number of motions, seed, clip or array.
     """
+    from mseg.kernels import count_parts  # which takes long to import
+
     check_whole("seed", seed, 0)
     if n_motions is not None:
         check_whole("n_motions", n_motions, 1)
@@ -133,7 +135,7 @@ def segment(
             fix="this is a fault of the method",
         )
     outliers, visible = bool(getattr(chosen, "reject_outliers", False)), hidden.evaluated_trajectories.visible
-    notes = _notes(result, n_motions, outliers=outliers, parts=_parts(visible))
+    notes = _notes(result, n_motions, outliers=outliers, parts=count_parts(visible, 1))
     return Segmentation(result.labels, {**result.report, "notes": notes})
 
 
@@ -146,12 +148,11 @@ def check_whole(name: str, value: object, least: int) -> None:
 
 def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  # checked
     """Return a clip, or make one of trajectories or arrays."""
-    if isinstance(value, (Clip, Trajectories)):
-        if visible is not None:
-            raise InvalidValueError("visible", expected="nothing with a clip", found="an array")
-    else:
-        given = value if isinstance(value, tuple) and len(value) == 2 else (value, visible)
-        value = _trajectories(*given)
+    if not isinstance(value, (Clip, Trajectories)):
+        pair = isinstance(value, tuple) and len(value) == 2
+        value = _trajectories(*(value if pair else (value, visible)))
+    elif visible is not None:
+        raise InvalidValueError("visible", expected="nothing with a clip", found="an array")
     if isinstance(value, Clip):
         return value
     return Clip("clip", value, np.arange(len(value)), Labels(np.zeros(len(value), dtype=np.int64)))
@@ -174,20 +175,6 @@ def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  
         check_axes("xy", xy, seen)
         xy[~seen] = np.nan
     return Trajectories(xy, seen)
-
-
-def _parts(visible: BoolArray) -> int:
-    """Count the parts of a clip (n, F) that no trajectory links: none is in two frames in a row of both."""
-    steps = (visible[:, :-1] & visible[:, 1:]).astype(np.float32)
-    linked = steps.T @ steps > 0
-    left, parts = {*np.flatnonzero(linked.diagonal()).tolist()}, 0
-    while left:
-        parts, reached = parts + 1, [left.pop()]
-        while reached:
-            near = left.intersection(np.flatnonzero(linked[reached.pop()]).tolist())
-            left -= near
-            reached += near
-    return parts
 
 
 def _notes(result: Segmentation, n_motions: int | None, *, outliers: bool, parts: int) -> tuple[str, ...]:

@@ -200,7 +200,8 @@ class _Groups:
         if not failed and np.diagonal(factor).min() >= 1:
             half, _ = dtrtrs(factor, right, lower=1)
             return 2 * float(np.log(np.diagonal(factor)).sum()), np.einsum("kj,kj->j", half, half)
-        return _eliminate(matrix, right)
+        logarithm, squares = _eliminate(matrix[None], right[None])
+        return float(logarithm[0]), squares[0]
 
     def _bits(self, size: FloatArray | float, logarithm: FloatArray) -> FloatArray:
         n, total = self.points.shape
@@ -215,29 +216,21 @@ def _log_determinants(matrices: FloatArray) -> FloatArray:
             return np.asarray(2 * np.log(pivots).sum(axis=1))
     except np.linalg.LinAlgError:
         pass
-    # Rounding made S indefinite. Elimination leaves pivots of 1 plus something >= 0; less is rounding, in a
-    # direction without scatter.
-    matrices = matrices.transpose(1, 2, 0).copy()
-    total = np.zeros(matrices.shape[2])
+    return _eliminate(matrices, np.zeros((len(matrices), matrices.shape[1], 0)))[0]
+
+
+def _eliminate(matrices: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return log det B (b,) and ``w^T B^-1 w`` (b, m) of B = I + S (b, n, n) where rounding made S indefinite.
+
+    Elimination leaves pivots of 1 plus something >= 0; less is rounding, in a direction without scatter.
+    """
+    matrices, right = matrices.transpose(1, 2, 0).copy(), right.transpose(1, 2, 0).copy()
+    logarithm, squares = np.zeros(matrices.shape[2]), np.zeros(right.shape[1:])
     for k in range(len(matrices)):
-        pivot = matrices[k, k]
-        scattered = pivot > 1
-        total += np.log(pivot, out=np.zeros_like(pivot), where=scattered)
-        column = matrices[k + 1 :, k]
-        factor = np.divide(column, pivot, out=np.zeros_like(column), where=scattered)
-        matrices[k + 1 :, k + 1 :] -= factor[:, None] * column[None]
-    return total
-
-
-def _eliminate(matrix: FloatArray, right: FloatArray) -> tuple[float, FloatArray]:
-    """Do what Cholesky's factorisation does for a matrix I + S where rounding makes S indefinite."""
-    logarithm, squares = 0.0, np.zeros(right.shape[1])
-    for k in range(len(matrix)):
-        pivot = max(float(matrix[k, k]), 1.0)
-        logarithm += float(np.log(pivot))
+        pivot = np.maximum(matrices[k, k], 1)
+        logarithm += np.log(pivot)
         squares += right[k] ** 2 / pivot
-        if matrix[k, k] > 1:
-            factor = matrix[k + 1 :, k] / pivot
-            right[k + 1 :] -= factor[:, None] * right[k]
-            matrix[k + 1 :, k + 1 :] -= factor[:, None] * matrix[k, k + 1 :]
-    return logarithm, squares
+        factor = np.where(matrices[k, k] > 1, matrices[k + 1 :, k] / pivot, 0)
+        right[k + 1 :] -= factor[:, None] * right[k]
+        matrices[k + 1 :, k + 1 :] -= factor[:, None] * matrices[k, k + 1 :]
+    return logarithm, squares.T

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -34,28 +34,13 @@ _DIAGONAL = 800.0
 
 @dataclass(frozen=True, eq=False)
 class CompleteData:
-    """Complete trajectories of a clip.
+    """Complete trajectories of a clip."""
 
-    Parameters
-    ----------
-    pixels : (2F', n') float64
-        Trajectory matrix in pixels, rows x1, y1, x2, y2, ...
-    unit : float
-        Pixels per unit of thresholds: an image with a diagonal of 800 pixels (640 x 480) has 1. Where the
-        image size is unknown, the range of the positions takes its place.
-    normalised : (2F', n') float64
-        The same in normalised coordinates, see `mseg.geometry.subspaces.normalising_matrix`.
-    used : (n,) bool
-        Which evaluated trajectories the columns are.
-    report : mapping
-        What completion did.
-    """
-
-    pixels: FloatArray
-    unit: float
-    normalised: FloatArray
-    used: BoolArray
-    report: Mapping[str, Any] = field(default_factory=dict)
+    pixels: FloatArray  # (2F', n'): trajectory matrix, rows x1, y1, x2, y2, ...
+    unit: float  # pixels per unit of thresholds: an image with a diagonal of 800 pixels (640 x 480) has 1
+    normalised: FloatArray  # (2F', n'): in the coordinates of `normalising_matrix`
+    used: BoolArray  # (n,): which evaluated trajectories the columns are
+    report: Mapping[str, Any]  # what completion did
 
     @property
     def n_points(self) -> int:
@@ -73,24 +58,8 @@ def complete_data(
 ) -> CompleteData:
     """Trajectory matrices of the evaluated trajectories, without gaps.
 
-    Parameters
-    ----------
-    clip : Clip
-        The sequence.
-    completion : {"chen", "local", "rpca", "none"}
-        Fill gaps by `mseg.completion.complete` or `mseg.completion.complete_locally`; take the low-rank part
-        of `mseg.completion.robust_pca`, gaps or not; or refuse gaps.
-    rank : int
-        Rank of the completion "chen", with which "local" starts.
-
-    Raises
-    ------
-    IncompleteTrajectoriesError
-        When there are gaps and `completion` is "none".
-    TooFewPointsError
-        When fewer than two trajectories or frames are usable.
-    SegmentationError
-        When all trajectories coincide.
+    `completion` fills gaps by `mseg.completion.complete` or `complete_locally`, takes the low-rank part of
+    `robust_pca`, gaps or not, or refuses gaps; `rank` is that of the completion "chen".
     """
     trajectories = clip.evaluated_trajectories
     used = trajectories.lengths >= _FEWEST_FRAMES
@@ -123,7 +92,7 @@ def complete_data(
 
 
 def _unit(trajectories: Trajectories) -> float:
-    """Pixels per unit of `CompleteData.unit`."""
+    """Pixels per unit; where the image size is unknown, the range of the positions takes its place."""
     seen = trajectories.xy[trajectories.visible]
     extent = np.ptp(seen, axis=0) if trajectories.image_size is None else trajectories.image_size
     return float(np.hypot(*extent)) / _DIAGONAL or 1.0

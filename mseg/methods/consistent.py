@@ -12,11 +12,11 @@ from scipy.sparse import csr_array
 from kt3dmoseg.options import option
 from kt3dmoseg.types import Float32Array, FloatArray, Trajectories
 from mseg.clustering import smallest_eigenvectors, unit_rows
-from mseg.clustering.self_expression import keep_largest
 from mseg.clustering.spectral import smallest_subspace
 from mseg.iteration import Convergence, iterate
 from mseg.kernels import GUARD, covisible_frames
 from mseg.methods.paper import KINDS, ViewMethod
+from mseg.methods.self_expression import keep_largest
 from mseg.types import Grouping
 
 _GUARD = 0.2
@@ -73,26 +73,11 @@ class ConsistentMoSeg(ViewMethod):
         return np.asarray(kernel * scale, dtype=np.float32)
 
     def solve(self, views: FloatArray, n_clusters: int) -> tuple[FloatArray, FloatArray, Convergence]:
-        """Solve step 2.
+        """Solve step 2 for affinities (V, N, N): C (N, N), D_v (V, N, N), and how the sweeps ended.
 
         Where no view has weight, C is zero and D_v is its bound from the first sweep on, so that the sweeps
-        run over the E pairs with weight in some view, entries above the diagonal.
-
-        Parameters
-        ----------
-        views : (V, N, N) float
-            Symmetric affinities Z_v >= 0; diagonals are ignored.
-        n_clusters : int
-            Number K of components.
-
-        Returns
-        -------
-        shared : (N, N) float64
-            Symmetric C.
-        specific : (V, N, N) float64
-            D_v.
-        convergence : Convergence
-            Of the squared change of C, or that of all D_v together if it is larger.
+        run over the E pairs with weight in some view, entries above the diagonal. The residual is the squared
+        change of C, or that of all D_v together if it is larger.
         """
         first, second = np.nonzero(np.triu(views.any(axis=0), 1))
         weights = views[:, first, second].astype(np.float64)

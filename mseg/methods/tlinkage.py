@@ -102,26 +102,7 @@ class TLinkage(CompleteDataMethod):
 def flat_residuals(
     pixels: FloatArray, dimension: int, samples: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Points of trajectories, and their distances to flats through neighbours; see `TLinkage`, steps 1 and 2.
-
-    Parameters
-    ----------
-    pixels : (2F, N) float64
-        Complete trajectory matrix.
-    dimension : int
-        Dimension D of the projection.
-    samples : int
-        Flats per trajectory.
-    rng : numpy.random.Generator
-        Draws the neighbours.
-
-    Returns
-    -------
-    points : (N, D) float64
-        Centred principal components, root mean square pixels per frame.
-    residuals : (N, M) float64
-        Distances in the same unit.
-    """
+    """Points (N, D) of trajectories (2F, N), and distances (N, M) to flats: steps 1 and 2."""
     centred = pixels - pixels.mean(axis=1, keepdims=True)
     points = np.asarray(project(centred, dimension).T / np.sqrt(len(pixels) / 2))
     subsets = draw_near_subsets(points, samples * len(points), min(_SAMPLE, len(points)), rng)

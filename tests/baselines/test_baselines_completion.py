@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kt3dmoseg.errors import InvalidValueError
-from mseg.completion import complete, robust_pca, shrink
-from mseg.completion.robust_pca import _shrink_eigenvalues, _shrink_singular_values
+from mseg.completion import _shrink_eigenvalues, _shrink_singular_values, complete, robust_pca, shrink
 from mseg.errors import TooFewPointsError
 
 

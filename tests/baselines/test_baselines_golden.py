@@ -6,9 +6,9 @@ from scipy.optimize import linear_sum_assignment
 
 import kt3dmoseg
 import mseg.methods as methods
-from mseg.clustering.self_expression import low_rank_representation, sparse_affinity, sparse_representation
 from mseg.evaluation import load_protocol
 from mseg.methods.complete_data import complete_data
+from mseg.methods.self_expression import low_rank_representation, sparse_affinity, sparse_representation
 
 pytestmark = pytest.mark.data
 

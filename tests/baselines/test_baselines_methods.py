@@ -17,7 +17,7 @@ from mseg.geometry.subspaces import (
     trajectory_matrix,
 )
 from mseg.methods.complete_data import complete_data
-from mseg.methods.gpca import exponents, gradients, vanishing_polynomial
+from mseg.methods.subspaces import exponents, gradients, vanishing_polynomial
 from mseg.types import Segmentation
 
 SUBSPACE = ["lsa", "gpca", "ssc", "lrr", "s3c", "rsim", "lrssc", "ransac"]

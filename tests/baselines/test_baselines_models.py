@@ -7,18 +7,18 @@ from hypothesis import strategies as st
 
 from kt3dmoseg.errors import InvalidValueError
 from mseg.clustering import count_by_eigengap
-from mseg.clustering.self_expression import (
+from mseg.errors import SegmentationError
+from mseg.iteration import iterate
+from mseg.methods.rsim import _discretise, _ncut_embedding
+from mseg.methods.self_expression import (
     _ShiftedInverse,
     keep_largest,
+    low_rank_affinity,
     low_rank_representation,
     low_rank_sparse_representation,
     sparse_affinity,
     sparse_representation,
 )
-from mseg.errors import SegmentationError
-from mseg.iteration import iterate
-from mseg.methods.lrr import _affinity
-from mseg.methods.rsim import _discretise, _ncut_embedding
 from mseg.methods.tlinkage import tanimoto_distance
 
 
@@ -87,7 +87,7 @@ def test_low_rank_coefficients_of_clean_data_are_the_shape_interaction_matrix(rn
     right = np.linalg.svd(data)[2][:6]
     assert solved.convergence.converged
     np.testing.assert_allclose(solved.coefficients, right.T @ right, atol=1e-4)
-    assert across(_affinity(solved.coefficients), labels) < 1e-6
+    assert across(low_rank_affinity(solved.coefficients), labels) < 1e-6
 
 
 def test_low_rank_sparse_coefficients(rng):

@@ -191,16 +191,6 @@ def test_fusion_of_large_views_is_that_of_small_ones(fuse, rng):
         assert_allclose(found @ found.T, expected @ expected.T, atol=1e-5)
 
 
-def test_nestings_too_large_to_keep_are_computed_again(monkeypatch, rng):
-    graphs = [GraphLaplacian(gaussian(blobs(90, rng) / 3)) for _ in range(3)]
-    kept = constrain_subsets(graphs, 3)
-    monkeypatch.setattr("mseg.clustering.fusion._KEPT_ENTRIES", 0)
-    again = constrain_subsets(graphs, 3)
-    assert_allclose(again.objectives, kept.objectives, rtol=1e-9)
-    for first, second in zip(kept.embeddings, again.embeddings, strict=True):
-        assert_allclose(first @ first.T, second @ second.T, atol=1e-6)
-
-
 def test_joint_embedding_has_unit_rows():
     joint = coregularise(LAPLACIANS, 2).joint()
     assert joint.shape == (8, 6)

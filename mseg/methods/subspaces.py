@@ -1,0 +1,222 @@
+"""Subspace methods of the Hopkins155 benchmark: LSA, GPCA and RANSAC.
+
+All three see trajectories as points in the row space of the trajectory matrix (Tron and Vidal, "A benchmark
+for the comparison of 3-D motion segmentation algorithms", CVPR 2007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from kt3dmoseg.options import option
+from kt3dmoseg.types import FloatArray, IntArray
+from mseg.clustering import spectral_clustering, unit_rows
+from mseg.errors import TooFewPointsError
+from mseg.geometry.subspaces import leading_row_space
+from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.types import Grouping
+
+_LARGEST_BASIS = 4
+# Samples of RANSAC drawn together; relative size of a singular value that counts as zero.
+_BATCH, _DEGENERATE = 100, 1e-10
+
+
+@dataclass(frozen=True)
+class LSA(CompleteDataMethod):
+    """Group trajectories whose neighbours span similar subspaces.
+
+    1. Trajectories become points of R^r: rows of the r leading right singular vectors of the matrix
+       in pixels, at unit length.
+    2. Each point and its k nearest by angle span a local subspace of dimension d = min(4, r - 1).
+    3. Affinity ``exp(-sum_m sin^2 theta_m)`` over the d principal angles between local subspaces;
+       with projectors P, ``sum sin^2 = d - <P_i, P_j>``, so all pairs are one matrix product.
+    4. Spectral clustering.
+
+    Source: Yan and Pollefeys, "A general framework for motion segmentation", ECCV 2006, in the form of
+    the Hopkins155 benchmark (Tron and Vidal, CVPR 2007), whose "LSA 4n" is r = 4 K and k = 6.
+    Input: complete trajectories (gaps are completed), at least k + 1 of them; the number of motions
+    must be given. Outliers: not handled. Cost: O(N^2 r^2 + N^3) time, O(N^2 + N r^2) memory.
+    """
+
+    dimension: int = option(0, "dimension r of the projection; 0 = four times the number of motions", low=0)
+    n_neighbours: int = option(6, "neighbours k that span a local subspace", low=1)
+    restarts: int = option(10, "restarts of k-means", low=1)
+
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
+        """Label the columns of the trajectory matrix."""
+        assert n_motions is not None
+        if data.n_points <= self.n_neighbours:
+            raise TooFewPointsError(
+                "LSA", expected=f"more than {self.n_neighbours} trajectories", found=str(data.n_points)
+            )
+        points = unit_rows(leading_row_space(data.pixels, self.dimension or 4 * n_motions))
+        affinity = _local_subspace_affinity(points, self.n_neighbours)
+        labels = spectral_clustering(affinity, n_motions, rng, n_restarts=self.restarts)
+        return labels, {"dimension": points.shape[1]}
+
+
+def _local_subspace_affinity(points: FloatArray, n_neighbours: int) -> FloatArray:
+    """Affinity (N, N) of unit points (N, r) by the principal angles of their local subspaces."""
+    n, r = points.shape
+    basis_size = max(1, min(_LARGEST_BASIS, r - 1))
+    cosine = points @ points.T
+    np.fill_diagonal(cosine, np.inf)  # the point itself always belongs to its neighbourhood
+    nearest = np.argsort(-cosine, axis=1, kind="stable")[:, : n_neighbours + 1]
+    left, _, _ = np.linalg.svd(points[nearest].transpose(0, 2, 1), full_matrices=False)
+    basis = left[:, :, :basis_size]
+    projector = (basis @ basis.transpose(0, 2, 1)).reshape(n, r * r)
+    sines = np.maximum(basis_size - projector @ projector.T, 0)
+    return np.asarray(np.exp(-sines))
+
+
+@dataclass(frozen=True)
+class GPCA(CompleteDataMethod):
+    """Fit one polynomial that vanishes on all motions; its gradients distinguish them.
+
+    1. Trajectories become unit points of R^5: rows of the 5 leading right singular vectors of the
+       matrix in pixels. A motion fills at most a hyperplane there.
+    2. The degree-K polynomial p that vanishes on K hyperplanes is the null vector of the points'
+       degree-K monomials (Veronese map): the right singular vector of the smallest singular value.
+    3. The gradient of p at a point is the normal of that point's hyperplane. Affinity: squared cosine of
+       the normals.
+    4. Spectral clustering.
+
+    Source: Vidal, Ma, Sastry, "Generalized principal component analysis (GPCA)", TPAMI 2005, equations
+    12-20; Vidal, Tron, Hartley, "Multiframe motion segmentation with missing data using PowerFactorization
+    and GPCA", IJCV 2008; in the form of the Hopkins155 benchmark (Tron and Vidal, CVPR 2007).
+    Input: complete trajectories (gaps are completed), at least C(K + 4, 4) of them (15, 35, 70, 126 for K =
+    2, 3, 4, 5); the number of motions must be given. Outliers: not handled. Cost: O(N M^2 + N^3) with M
+    monomials; O(N^2) memory. Known weakness: for three and more motions the polynomial is too sensitive.
+    """
+
+    dimension: int = option(5, "dimension of the projection", low=2)
+    restarts: int = option(10, "restarts of k-means", low=1)
+
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
+        """Label the columns of the trajectory matrix."""
+        assert n_motions is not None
+        points = unit_rows(leading_row_space(data.pixels, self.dimension))
+        powers = exponents(n_motions, points.shape[1])
+        if len(points) < len(powers):
+            raise TooFewPointsError(
+                f"GPCA with {n_motions} motions",
+                expected=f"at least {len(powers)} trajectories",
+                found=str(len(points)),
+            )
+        normals = unit_rows(gradients(points, powers, vanishing_polynomial(points, powers)))
+        labels = spectral_clustering((normals @ normals.T) ** 2, n_motions, rng, n_restarts=self.restarts)
+        return labels, {"monomials": len(powers)}
+
+
+def exponents(degree: int, dimension: int) -> IntArray:
+    """Exponents (M, dimension) of all monomials of a degree, in lexicographic order."""
+    factors = list(combinations_with_replacement(range(dimension), degree))
+    rows = np.repeat(np.arange(len(factors)), degree)
+    table = np.zeros((len(factors), dimension), dtype=np.int64)
+    np.add.at(table, (rows, np.ravel(factors)), 1)
+    return table
+
+
+def vanishing_polynomial(points: FloatArray, powers: IntArray) -> FloatArray:
+    """Coefficients (M,) of the unit polynomial of least squared values at the points (N, D)."""
+    _, _, right = np.linalg.svd(_monomials(points, powers), full_matrices=True)
+    return np.asarray(right[len(powers) - 1])
+
+
+def gradients(points: FloatArray, powers: IntArray, coefficients: FloatArray) -> FloatArray:
+    """Gradients (N, D) of a polynomial at the points (N, D)."""
+    out = np.empty_like(points)
+    for axis in range(points.shape[1]):
+        lowered = powers.copy()
+        lowered[:, axis] = np.maximum(lowered[:, axis] - 1, 0)
+        out[:, axis] = _monomials(points, lowered) @ (coefficients * powers[:, axis])
+    return out
+
+
+def _monomials(points: FloatArray, powers: IntArray) -> FloatArray:
+    return np.asarray(np.prod(points[:, None, :] ** powers, axis=2))
+
+
+@dataclass(frozen=True)
+class Ransac(CompleteDataMethod):
+    """Find one motion after the other by random sampling, then let every trajectory choose.
+
+    1. Trajectories become points of R^5: rows of the 5 leading right singular vectors of the matrix in
+       pixels, not scaled.
+    2. K times: the 4-dimensional subspace through 4 random points with most inliers (squared distance under
+       the threshold) among the points not yet taken; samples until one free of outliers was drawn with the
+       wanted confidence. Its inliers are taken.
+    3. Each group's best subspace is refitted, and every point joins the nearest one.
+
+    Source: Fischler and Bolles, CACM 1981; for motion Tron and Vidal, "A benchmark for the comparison of
+    3-D motion segmentation algorithms", CVPR 2007, section 3.4. Where fewer points are left than a sample
+    needs, samples are drawn from all points.
+    Input: complete trajectories (gaps are completed), at least 4. The number of motions must be given.
+    Outliers: found on the way, but labelled in the end. Cost: O(K T N) for T <= 3000 trials; O(N) memory
+    per trial.
+    """
+
+    dimension: int = option(5, "dimension of the projection", low=2)
+    subspace: int = option(4, "dimension of a motion", low=1)
+    threshold: float = option(2e-5, "squared distance of an inlier", low=0)
+    confidence: float = option(0.99, "probability of one sample without outliers", low=0, high=0.999999)
+    max_trials: int = option(3000, "cap on samples per motion", low=1)
+
+    def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
+        """Label the columns of the trajectory matrix."""
+        assert n_motions is not None
+        points = leading_row_space(data.pixels, self.dimension)
+        size = min(self.subspace, points.shape[1] - 1, len(points))
+        free, trials, confident = np.arange(len(points)), [], True
+        groups: list[IntArray] = []
+        for _ in range(n_motions):
+            pool = free if len(free) >= size else np.arange(len(points))
+            inliers, count = self._one(points[pool], size, rng)
+            groups.append(pool[inliers])
+            free = np.setdiff1d(free, groups[-1])
+            trials.append(count)
+            confident &= count >= _trials(len(inliers) / len(pool), size, self.confidence)
+        bases = [_leading_basis(points[g], size) for g in groups if len(g)]
+        distance = np.stack([_squared_distance(points, basis) for basis in bases])
+        return distance.argmin(axis=0) + 1, {
+            "trials": trials,
+            "left": len(free),
+            "converged": bool(confident),
+        }
+
+    def _one(self, points: FloatArray, size: int, rng: np.random.Generator) -> tuple[IntArray, int]:
+        """Inliers of the best subspace, and how many samples were drawn."""
+        best, needed, trials = np.arange(0), float(self.max_trials), 0
+        while trials < needed:
+            sample = points[rng.integers(len(points), size=(_BATCH, size))]
+            bases, values, _ = np.linalg.svd(sample.transpose(0, 2, 1), full_matrices=False)
+            proper = values[:, -1] > _DEGENERATE * np.maximum(values[:, 0], _DEGENERATE)
+            inside = _squared_distance(points, bases) < self.threshold
+            counts = np.where(proper, inside.sum(axis=1), -1)
+            top = int(counts.argmax())
+            if counts[top] > len(best):
+                best = np.flatnonzero(inside[top])
+            trials += _BATCH
+            needed = min(float(self.max_trials), _trials(len(best) / len(points), size, self.confidence))
+        return best, trials
+
+
+def _squared_distance(points: FloatArray, basis: FloatArray) -> FloatArray:
+    """Squared distances (..., N) of points (N, D) to the spans of orthonormal bases (..., D, d)."""
+    inside = ((points @ basis) ** 2).sum(axis=-1)
+    return np.asarray((points**2).sum(axis=1) - inside)
+
+
+def _leading_basis(points: FloatArray, size: int) -> FloatArray:
+    _, _, right = np.linalg.svd(points, full_matrices=False)
+    return np.asarray(right[:size].T)
+
+
+def _trials(share: float, size: int, confidence: float) -> float:
+    clean = share**size
+    if clean >= 1:
+        return 0.0
+    return float("inf") if clean <= 0 else float(np.log(1 - confidence) / np.log1p(-clean))
