@@ -220,7 +220,7 @@ def _log_determinants(matrices: FloatArray) -> FloatArray:
 
 
 def _eliminate(matrices: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return log det B (b,) and ``w^T B^-1 w`` (b, m) of B = I + S (b, n, n) where rounding made S indefinite.
+    """Return log det B (b,) and ``w^T B^-1 w`` (b, m) of B = I + S (b, n, n) that rounding made indefinite.
 
     Elimination leaves pivots of 1 plus something >= 0; less is rounding, in a direction without scatter.
     """
