@@ -17,7 +17,7 @@ from kt3dmoseg.types import BoolArray, Clip, Labels, Trajectories
 from mseg.errors import SegmentationError
 from mseg.types import Method, Segmentation
 
-ALGORITHM_VERSION: int = 3
+ALGORITHM_VERSION: int = 4
 """Part of the identity of stored results; raised by hand whenever the labels of a method change."""
 
 METHODS = Registry(

@@ -7,8 +7,8 @@ row by row, the fundamental matrix.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, IntArray, Trajectories
 from mseg.clustering import count_by_eigengap, spectral_clustering
 from mseg.errors import SegmentationError, TooFewPointsError
-from mseg.geometry import hartley
+from mseg.geometry import MODELS, hartley
 from mseg.iteration import Convergence, iterate
 from mseg.methods.self_expression import Representation, sparse_affinity
-from mseg.types import Segmentation
+from mseg.types import ModelKind, Segmentation
 
 _PIECES = (4, 6, 8, 12)
 # Three times the points that fix a fundamental matrix; of fewer, any will fit.
@@ -28,6 +28,10 @@ _MOST_SWEEPS = 100
 # Points whose coefficients are sought together: their state stays in the processor's cache.
 _BLOCK = 32
 _LARGEST = float(np.finfo(np.float64).max)
+# Where homographies leave so little more than epipolar geometry (logarithm of variances), motions are planes.
+_PLANES = 0.1
+# Squared distances that count as far: points that a homography maps to infinity.
+_FAR = 1e6
 
 
 @dataclass(frozen=True)
@@ -49,12 +53,16 @@ class TPV:
        alone let K geometries per pair explain wrong groups as well; the cut alone parts the largest motion.)
        Then trajectories move to the group whose matrices fit them best until none moves. Of the five
        segmentations the cheapest stays.
+    5. Planes that move leave their fundamental matrices undetermined, and wrong groups fit as well. So step 4
+       is done with homographies too, whose distances are two numbers (``log`` in place of ``1/2 log``).
+       Where these groups explain the trajectories about as well, a mean logarithm of the variance per number
+       of at most 0.1 more, they stay.
 
     Trajectories that no pair sees join the largest motion.
 
     Source: Li, Guo, Cheong, Zhou, "Perspective motion segmentation via collaborative clustering", ICCV 2013.
     No code of it is public, and the paper was not at hand: it too over-segments and merges, but which pairs,
-    alpha, the stopping rule, the scaling of the affinity and all of step 4 are ours.
+    alpha, the stopping rule, the scaling of the affinity and all of steps 4 and 5 are ours.
     Input: gaps allowed. Number of motions: given, or the relative eigengap of the affinity (ours). Outliers:
     not handled. Cost: P pairs, O(P N^2) per iteration, up to 400, O(N^3) for the spectral step; O(N^2)
     memory.
@@ -98,16 +106,18 @@ class TPV:
     def _grouped(
         self, views: FloatArray, affinity: FloatArray, count: int, rng: np.random.Generator
     ) -> tuple[IntArray, Convergence]:
-        """Labels 1..count by steps 3 and 4."""
-        direct = spectral_clustering(affinity, count, rng, n_restarts=self.restarts)
+        """Labels 1..count by steps 3 to 5."""
+        most = len(affinity) // _POINTS_PER_PIECE
+        sizes = [p for p in _PIECES if count < p <= most] if self.merge else []
+        pieces = [spectral_clustering(affinity, p, rng, n_restarts=self.restarts) for p in (count, *sizes)]
         if not self.merge:
-            return direct, Convergence(True, 0, 0.0)
-        epipolar = _EpipolarGroups(views, affinity, self.noise, self.cut)
-        candidates = [epipolar.reassign(direct, _MOST_SWEEPS)]
-        for pieces in (p for p in _PIECES if count < p <= len(affinity) // _POINTS_PER_PIECE):
-            groups = spectral_clustering(affinity, pieces, rng, n_restarts=self.restarts)
-            candidates.append(epipolar.reassign(epipolar.merge(groups, count), _MOST_SWEEPS))
-        return min(candidates, key=lambda candidate: epipolar.cost(candidate[0]))
+            return pieces[0], Convergence(True, 0, 0.0)
+        bodies, planes = (
+            _ViewGroups(views, affinity, self.noise, self.cut, kind) for kind in ("fundamental", "homography")
+        )
+        by_bodies, by_planes = bodies.best(pieces, count), planes.best(pieces, count)
+        more = planes.log_variance(by_planes[0]) - bodies.log_variance(by_bodies[0])
+        return by_planes if more <= _PLANES else by_bodies
 
 
 def _epipolar_views(trajectories: Trajectories, most: int, gap: float) -> FloatArray:
@@ -193,33 +203,49 @@ class _Columns:
         return max(float(np.abs(fitted - self.sparse).max()), float(np.abs(self.sparse - before).max()))
 
 
-@dataclass(frozen=True, eq=False)
-class _EpipolarGroups:
+class _ViewGroups:
     """The cost of step 4, of groups of the N trajectories of `views`, and partitions that cost little."""
 
-    views: FloatArray
-    affinity: FloatArray
-    noise: float
-    weight: float
+    def __init__(
+        self, views: FloatArray, affinity: FloatArray, noise: float, weight: float, kind: ModelKind
+    ) -> None:
+        self.affinity, self.noise, self.weight, self.kind = affinity, noise, weight, kind
+        self.numbers = 1 if kind == "fundamental" else 2
+        # The last row of x' x^T is x, the last column x', both at the scale of w.
+        rows = [np.flatnonzero(view.any(axis=0)) for view in views]
+        scaled = [view[:, r] / view[8, r] for view, r in zip(views, rows, strict=True)]
+        points = [(w[6:8].T, w[2:8:3].T) for w in scaled]
+        self.pairs = [(r, *x, _moments(kind, *x)) for r, x in zip(rows, points, strict=True)]
+
+    def best(self, pieces: list[IntArray], count: int) -> tuple[IntArray, Convergence]:
+        """Merge each of several partitions, reassign, and take the cheapest of what results."""
+        found = [self.reassign(self.merge(each, count), _MOST_SWEEPS) for each in pieces]
+        return min(found, key=lambda each: self.cost(each[0]))
 
     def cost(self, labels: IntArray) -> float:
         """Cost of the groups 1..K of `labels` (N,)."""
-        return sum(self._cost(labels == k) for k in np.unique(labels).tolist())
+        return float(self._costs(_masks(labels)).sum())
+
+    def log_variance(self, labels: IntArray) -> float:
+        """Mean logarithm of the variance that groups leave, over trajectories and views."""
+        return 2 / self.numbers * float(self._nats(_masks(labels)).sum())
 
     def merge(self, labels: IntArray, count: int) -> IntArray:
         """Merge two groups at a time, those whose union lowers the cost most, until `count` are left."""
-        groups = [labels == k for k in np.unique(labels).tolist()]
-        costs = [self._cost(group) for group in groups]
+        groups = [*_masks(labels)]
+        costs = self._costs(np.array(groups)).tolist()
         rise = np.full((len(groups), len(groups)), np.inf)
-        for a, b in combinations(range(len(groups)), 2):
-            rise[a, b] = self._cost(groups[a] | groups[b]) - costs[a] - costs[b]
+        first, second = np.triu_indices(len(groups), 1)
         while len(groups) > count:
+            if len(first):
+                unions = np.array([groups[a] | groups[b] for a, b in zip(first, second, strict=True)])
+                rise[first, second] = self._costs(unions) - np.take(costs, first) - np.take(costs, second)
             a, b = divmod(int(rise.argmin()), len(groups))
-            groups[a] |= groups.pop(b)
             costs[a] += costs.pop(b) + float(rise[a, b])
+            groups[a] = groups[a] | groups.pop(b)
             rise = np.delete(np.delete(rise, b, axis=0), b, axis=1)
-            for c in (c for c in range(len(groups)) if c != a):
-                rise[min(a, c), max(a, c)] = self._cost(groups[a] | groups[c]) - costs[a] - costs[c]
+            others = np.delete(np.arange(len(groups)), a)
+            first, second = np.minimum(a, others), np.maximum(a, others)
         return np.asarray(np.stack(groups).argmax(axis=0) + 1)
 
     def reassign(self, labels: IntArray, max_iterations: int) -> tuple[IntArray, Convergence]:
@@ -230,13 +256,19 @@ class _EpipolarGroups:
         becomes empty, and a trajectory that no view decides keeps its label. The convergence is that of the
         share of trajectories that moved.
         """
-        count = int(labels.max())
 
         def step() -> float:
             nonlocal labels
-            nats = np.array([self._mean_nats(labels == k) for k in range(1, count + 1)])
+            masks = _masks(labels)
+            nats, views = np.zeros(masks.shape), np.zeros(masks.shape)
+            for rows, number, variance, squares in self._residuals(masks):
+                known = (number > 8)[:, None]
+                each = squares / variance[:, None] + self.numbers * np.log(variance)[:, None]
+                nats[:, rows] += np.where(known, each / 2, 0)
+                views[:, rows] += known
+            nats = np.divide(nats, views, out=np.full(nats.shape, _LARGEST), where=views > 0)
             moved = np.where((nats < _LARGEST).any(axis=0), nats.argmin(axis=0) + 1, labels)
-            if len(np.unique(moved)) < len(np.unique(labels)):
+            if len(np.unique(moved)) < len(masks):
                 return 0.0
             before, labels = labels, moved
             return float((before != labels).mean())
@@ -244,41 +276,47 @@ class _EpipolarGroups:
         convergence = iterate(step, tolerance=0.0, max_iterations=max_iterations)
         return labels, convergence
 
-    def _cost(self, group: BoolArray) -> float:
-        part = self.views[:, :, group]
-        seen, squares = _distances(part, _fundamental_matrices(part))
-        number = seen.sum(axis=1)
-        mean = squares.sum(axis=1) / np.maximum(number, 1)
-        nats = float(number @ np.log(mean + self.noise**2)) / 2 / float(self.views.any(axis=1).sum())
-        weights = self.affinity[group]
-        return nats + self.weight * (1 - float(weights[:, group].sum() / max(weights.sum(), 1e-300)))
+    def _costs(self, masks: BoolArray) -> FloatArray:
+        """Costs (G,) of groups (G, N)."""
+        weights = masks @ self.affinity
+        inside, total = (weights * masks).sum(axis=1), np.maximum(weights.sum(axis=1), 1e-300)
+        return np.asarray(self._nats(masks) + self.weight * (1 - inside / total))
 
-    def _mean_nats(self, group: BoolArray) -> FloatArray:
-        """Nats (N,) per view of each trajectory in a group; the largest number where no view decides."""
-        seen, squares = _distances(self.views, _fundamental_matrices(self.views[:, :, group]))
-        number = seen[:, group].sum(axis=1)
-        variance = squares[:, group].sum(axis=1) / np.maximum(number, 1) + self.noise**2
-        known = seen & (number > self.views.shape[1] - 1)[:, None]
-        nats = np.where(known, (squares / variance[:, None] + np.log(variance)[:, None]) / 2, 0).sum(axis=0)
-        views = known.sum(axis=0)
-        return np.asarray(np.divide(nats, views, out=np.full(nats.shape, _LARGEST), where=views > 0))
+    def _nats(self, masks: BoolArray) -> FloatArray:
+        nats = sum(number * np.log(variance) for _, number, variance, _ in self._residuals(masks))
+        return np.asarray(self.numbers / 2 * nats / sum(len(rows) for rows, *_ in self.pairs))
+
+    def _residuals(self, masks: BoolArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray, FloatArray]]:
+        """Per view, the n trajectories it sees, and of groups (G, N) what follows.
+
+        How many of these are in each (G,), their variance per number (G,), and squared Sampson distances
+        (G, n) from the matrix of least algebraic error.
+        """
+        for rows, x1, x2, moments in self.pairs:
+            inside = masks[:, rows].astype(np.float64)
+            number = inside.sum(axis=1)
+            _, vectors = np.linalg.eigh((inside @ moments).reshape(-1, 9, 9))
+            distance = MODELS[self.kind].residuals["sampson"](vectors[:, :, 0].reshape(-1, 3, 3), x1, x2).T
+            # Both points epipoles: on every line.
+            distance = np.minimum(np.nan_to_num(distance, nan=0 if self.numbers == 1 else _FAR), _FAR)
+            variance = (distance * inside).sum(axis=1) / np.maximum(self.numbers * number, 1)
+            yield rows, number, variance + self.noise**2, distance
 
 
-def _fundamental_matrices(views: FloatArray) -> FloatArray:
-    """Matrices (V, 3, 3) of least algebraic error of the points of views (V, 9, n)."""
-    _, vectors = np.linalg.eigh(views @ views.transpose(0, 2, 1))
-    return np.asarray(vectors[:, :, 0].reshape(-1, 3, 3))
+def _masks(labels: IntArray) -> BoolArray:
+    """Tell the groups of labels (N,) apart, (K, N)."""
+    return np.asarray(np.unique(labels)[:, None] == labels)
 
 
-def _distances(views: FloatArray, models: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Which points the views see (V, n), and squared Sampson distances, zero where they do not.
-
-    The last row of ``x' x^T`` is x, the last column x', both at the scale of w: the distance is free of it.
-    """
-    seen = np.asarray(views.any(axis=1))
-    algebraic = np.einsum("vd,vdn->vn", models.reshape(-1, 9), views)
-    back = models[:, :, :2].transpose(0, 2, 1)
-    lines = np.concatenate([models[:, :2] @ views[:, 6:], back @ views[:, 2::3]], axis=1)
-    gradient = np.einsum("vdn,vdn->vn", lines, lines)
-    squares = np.divide(algebraic**2, gradient, out=np.zeros_like(gradient), where=gradient > 0)
-    return seen, squares
+def _moments(kind: ModelKind, x1: FloatArray, x2: FloatArray) -> FloatArray:
+    """Products (n, 81) of the linear equations that points (n, 2) pose to the nine entries of a matrix."""
+    first, second = (np.column_stack([x, np.ones(len(x))]) for x in (x1, x2))
+    if kind == "fundamental":
+        equations = (second[:, :, None] * first[:, None]).reshape(-1, 1, 9)
+        equations /= np.linalg.norm(equations, axis=2, keepdims=True)
+    else:  # x' (h3 x) - h1 x = 0, y' (h3 x) - h2 x = 0
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        equations = np.zeros((len(x1), 2, 9))
+        equations[:, 0, :3] = equations[:, 1, 3:6] = -first
+        equations[:, :, 6:] = x2[:, :, None] * first[:, None]
+    return np.asarray(equations.transpose(0, 2, 1) @ equations).reshape(-1, 81)

@@ -19,8 +19,7 @@ from mseg.methods.tlinkage import _code_length, _count_large, _linkage, _reassig
 from mseg.methods.tpv import (
     _collaborative_representation,
     _epipolar_views,
-    _EpipolarGroups,
-    _fundamental_matrices,
+    _ViewGroups,
 )
 
 
@@ -163,7 +162,7 @@ def two_motions(make_scene, unseen=0):
     views = _epipolar_views(clip.evaluated_trajectories, 4, 0.5)
     views[:, :, :unseen] = 0
     truth = clip.labels.label
-    return _EpipolarGroups(views, (truth[:, None] == truth).astype(float), 0.005, 1.0), truth
+    return _ViewGroups(views, (truth[:, None] == truth).astype(float), 0.005, 1.0, "fundamental"), truth
 
 
 def test_pieces_of_motions_merge(make_scene):
@@ -185,13 +184,27 @@ def test_trajectories_move_to_their_motion_and_the_cost_falls(make_scene):
     assert not groups.reassign(wrong, 1)[1].converged
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_tpv_separates_planes_that_move(seed):
+    """Two planes across one another, growing and shifting: no fundamental matrix of theirs is determined."""
+    rng = np.random.default_rng(seed)
+    truth, frames = np.repeat([1, 2], 60), np.arange(8)[:, None]
+    start, step = rng.uniform((40, 40), (280, 200), (120, 2)), rng.uniform(-3, 3, (2, 2))
+    growth = 1 + 0.01 * frames * truth[:, None, None]
+    xy = (start[:, None] - (160, 120)) * growth + (160, 120) + step[truth - 1][:, None] * frames
+    xy += rng.normal(0, 0.1, xy.shape)
+    tracks = Trajectories(xy, np.ones(xy.shape[:2], dtype=bool), image_size=(320, 240))
+    clip = Clip("planes", tracks, np.arange(120), Labels(truth))
+    assert agree(methods.segment(clip, "tpv", n_motions=2).labels, truth)
+
+
 def test_epipolar_distance_is_that_of_sampson(make_scene):
     clip = make_scene(np.random.default_rng(6), (25,), noise=0.5)
     view = _epipolar_views(clip.evaluated_trajectories, 1, 1.0)[0]
     first, second = view[6:8] / view[8], view[2:8:3] / view[8]
-    models = _fundamental_matrices(view[None])
+    models = np.linalg.eigh(view @ view.T)[1][:, 0].reshape(1, 3, 3)
     expected = fundamental.sampson(models, first.T, second.T)[:, 0]
-    cost = _EpipolarGroups(view[None], np.eye(25), 1e-9, 0.0).cost(np.ones(25, dtype=int))
+    cost = _ViewGroups(view[None], np.eye(25), 1e-9, 0.0, "fundamental").cost(np.ones(25, dtype=int))
     assert cost == pytest.approx(np.log(expected.mean() + 1e-18) / 2)
 
 
