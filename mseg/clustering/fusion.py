@@ -107,12 +107,8 @@ def constrain_subsets(
 
     Parameters
     ----------
-    laplacians : sequence of V matrices (N, N)
-        As in `coregularise`, the smallest model first: affine, homography, fundamental.
-    n_clusters, tolerance, max_sweeps
-        As in `coregularise`.
-    weight : float
-        gamma of the paper.
+    laplacians, n_clusters, weight, tolerance, max_sweeps
+        As in `coregularise`, the smallest model first (affine, homography, fundamental); gamma of the paper.
 
     Returns
     -------

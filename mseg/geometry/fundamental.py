@@ -46,9 +46,9 @@ def sampson(models: _Array, x1: _Array, x2: _Array) -> _Array:
     first, second = _homogeneous(x1), _homogeneous(x2)
     algebraic: _Array = _outer(second, first).astype(x1.dtype) @ f.reshape(-1, 9).T.astype(x1.dtype)
     # |(F x1)_12|^2 is a quadratic form of x1 with the matrix F_12^T F_12; likewise of x2.
-    forms1 = _symmetric_part(f[:, :2].transpose(0, 2, 1) @ f[:, :2])
-    forms2 = _symmetric_part(f[:, :, :2] @ f[:, :, :2].transpose(0, 2, 1))
-    points = np.concatenate([_squares(first), _squares(second)], axis=1).astype(x1.dtype)
+    forms1 = symmetric_part(f[:, :2].transpose(0, 2, 1) @ f[:, :2])
+    forms2 = symmetric_part(f[:, :, :2] @ f[:, :, :2].transpose(0, 2, 1))
+    points = np.concatenate([squares(first), squares(second)], axis=1).astype(x1.dtype)
     gradient: _Array = points @ np.concatenate([forms1, forms2], axis=1).astype(x1.dtype).T
     algebraic *= algebraic
     # Cancellation may leave the gradient at an epipole a rounding error below zero.
@@ -123,14 +123,14 @@ def _product(left: FloatArray, right: FloatArray) -> FloatArray:
     return out
 
 
-def _squares(points: FloatArray) -> FloatArray:
+def squares(points: FloatArray) -> FloatArray:
     """Monomials (P, 6) of degree two of homogeneous points."""
     x, y, w = points.T
     return np.stack([x * x, y * y, w * w, x * y, x * w, y * w], axis=1)
 
 
-def _symmetric_part(forms: FloatArray) -> FloatArray:
-    """Coefficients (K, 6) of quadratic forms (K, 3, 3) in the monomials of `_squares`."""
+def symmetric_part(forms: FloatArray) -> FloatArray:
+    """Coefficients (K, 6) of quadratic forms (K, 3, 3) in the monomials of `squares`."""
     m = forms
     return np.stack(
         [m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], 2 * m[:, 0, 1], 2 * m[:, 0, 2], 2 * m[:, 1, 2]], axis=1

@@ -208,12 +208,11 @@ def _gradient_products(
     row i.
     """
     h1, h2, h3 = h[:, 0, :2], h[:, 1, :2], h[:, 2, :2]
-    one, x, y = first[:, 2], first[:, 0], first[:, 1]
+    one = first[:, 2]
     g11, g22, g33 = (np.einsum("ki,ki->k", g, g) for g in (h1, h2, h3))
     g12, g13, g23 = (np.einsum("ki,ki->k", p, q) for p, q in ((h1, h2), (h1, h3), (h2, h3)))
-    a, b, c = h[:, 2].T
-    depth = np.stack([x * x, y * y, one, x * y, x, y], axis=1)
-    depth_weights = np.stack([a * a, b * b, c * c, 2 * a * b, 2 * a * c, 2 * b * c], axis=1)
+    depth = fundamental.squares(first)
+    depth_weights = fundamental.symmetric_part(h[:, 2, :, None] * h[:, 2, None])
     s11 = _products(
         [depth, np.stack([one, yy, yy * yy], axis=1)],
         [depth_weights, np.stack([g22, -2 * g23, g33], axis=1)],

@@ -23,13 +23,7 @@ _KEPT = 9
 
 
 class KernelCache:
-    """Kernels by what they depend on, the latest few in memory and, on request, all of them on disk.
-
-    Parameters
-    ----------
-    folder : path or None
-        Where `kt3dmoseg.parallel.Cache` keeps them; None keeps nothing beyond memory.
-    """
+    """Kernels by what they depend on, the latest few in memory and, in a folder if given, all of them."""
 
     def __init__(self, folder: str | Path | None = None) -> None:
         self.saved_seconds = 0.0
@@ -38,11 +32,7 @@ class KernelCache:
         self._memory: OrderedDict[str, dict[str, npt.NDArray[Any]]] = OrderedDict()
 
     def get(self, depends_on: Mapping[str, object], make: Callable[[], Float32Array]) -> Float32Array:
-        """Return a kernel, made when it is not there.
-
-        `depends_on` is everything it depends on (see `kt3dmoseg.parallel.cache_key`), but for the versions of
-        the package and of the algorithm, which are added here.
-        """
+        """Return a kernel, made when it is not there; versions are added to what it `depends_on`."""
         key = cache_key({"versions": [__version__, kernels.ALGORITHM_VERSION], **depends_on})
         entry = self._memory.pop(key, None) or self._disk.get(key)
         if entry is None:
@@ -68,17 +58,7 @@ def kernel_cache(folder: str | Path | None = None) -> Iterator[KernelCache]:
     """Share kernels between the `segment` calls inside the block.
 
     Calls share a kernel when clip, seed and everything that shapes it (hypotheses, gap, residual)
-    are the same; alpha, lambda, gamma, the fusion and k-means may differ.
-
-    Parameters
-    ----------
-    folder : path, optional
-        Also keep them there, for later runs. A few megabytes each; safe to delete.
-
-    Examples
-    --------
-    >>> with kernel_cache():  # doctest: +SKIP
-    ...     results = [segment(clip, "subset", n_motions=3, alpha=a) for a in (5, 8, 10)]
+    are the same; alpha, lambda, gamma, the fusion and k-means may differ. With a folder, later runs do too.
     """
     cache = KernelCache(folder)
     token = current_cache.set(cache)

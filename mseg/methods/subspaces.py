@@ -179,7 +179,7 @@ class Ransac(CompleteDataMethod):
             free = np.setdiff1d(free, groups[-1])
             trials.append(count)
             confident &= count >= _trials(len(inliers) / len(pool), size, self.confidence)
-        bases = [_leading_basis(points[g], size) for g in groups if len(g)]
+        bases = [np.linalg.svd(points[g], full_matrices=False)[2][:size].T for g in groups if len(g)]
         distance = np.stack([_squared_distance(points, basis) for basis in bases])
         return distance.argmin(axis=0) + 1, {
             "trials": trials,
@@ -208,11 +208,6 @@ def _squared_distance(points: FloatArray, basis: FloatArray) -> FloatArray:
     """Squared distances (..., N) of points (N, D) to the spans of orthonormal bases (..., D, d)."""
     inside = ((points @ basis) ** 2).sum(axis=-1)
     return np.asarray((points**2).sum(axis=1) - inside)
-
-
-def _leading_basis(points: FloatArray, size: int) -> FloatArray:
-    _, _, right = np.linalg.svd(points, full_matrices=False)
-    return np.asarray(right[:size].T)
 
 
 def _trials(share: float, size: int, confidence: float) -> float:
