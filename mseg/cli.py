@@ -112,7 +112,7 @@ def run(
     """
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
-    from mseg.errors import EveryRunFailedError
+    from mseg.errors import SegmentationError
     from mseg.evaluation.protocol import count
     from mseg.evaluation.submission import FAILED, META, parse_meta, prediction_files
 
@@ -130,8 +130,8 @@ def run(
                 dask=dask,
                 progress=progress,
             )
-        except EveryRunFailedError as error:
-            code = error.exit_code
+        except SegmentationError:
+            code = 1
     folder = Path(output)
     failed = [path for path in prediction_files(folder) if path.suffix == FAILED]
     lines = [f"failed: {path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]

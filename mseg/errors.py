@@ -17,12 +17,6 @@ class IncompleteTrajectoriesError(SegmentationError, InvalidValueError):
     """A method that needs complete trajectories was given gaps."""
 
 
-class EveryRunFailedError(SegmentationError):
-    """A method failed on every clip, with every seed."""
-
-    exit_code = 1
-
-
 class RejectedSubmissionError(KT3DMoSegError):
     """A submission is invalid."""
 

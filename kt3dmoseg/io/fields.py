@@ -162,25 +162,18 @@ def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
     if visible.any() and (farthest := np.abs(xy[visible]).max()) <= _FRACTION:
         fix = "multiply fractions by width and height, and subtract 0.5"
         raise InvalidValueError(name, expected="pixels", found=f"at most {farthest:g}", fix=fix)
-    tracks, frames = visible.shape
-    if min(tracks, frames) < 3:
-        return
-    step, next_step = (_median_step(xy, visible, axis, 1) for axis in (1, 0))
-    if step > 2 * next_step and _median_step(xy, visible, 1, frames // 2) > _median_step(
-        xy, visible, 0, tracks // 2
-    ):
-        found = f"steps of {step:.3g} px from frame to frame, of {next_step:.3g} px from track to track"
-        fix = "exchange the axes of tracks and frames; if they are right, save the tracks in another order"
-        raise InvalidValueError(
-            name, expected="points that move less than they are apart", found=found, fix=fix
-        )
-
-
-def _median_step(xy: FloatArray, visible: BoolArray, axis: int, lag: int) -> float:
-    """Return the median distance between points `lag` apart on an axis; 0 when there are none."""
-    points, seen = xy.swapaxes(0, axis), visible.swapaxes(0, axis)
-    steps = (points[lag:] - points[:-lag])[seen[lag:] & seen[:-lag]]
-    return float(np.median(np.hypot(*steps.T))) if len(steps) else 0.0
+    medians = []
+    for axis in (0, 1):
+        points, seen = xy.swapaxes(0, axis), visible.swapaxes(0, axis)
+        for lag in (1, max(1, len(points) // 2)):
+            moved = (points[lag:] - points[:-lag])[seen[lag:] & seen[:-lag]]
+            medians.append(float(np.median(np.hypot(*moved.T))) if len(moved) else 0.0)
+    between, extent, step, way = medians
+    if min(visible.shape) > 2 and step > 2 * between and way > extent:
+        expected, fix = "points that move less than they are apart", "exchange the axes of tracks and frames"
+        found = f"steps of {step:.3g} px from frame to frame, of {between:.3g} px from track to track"
+        fix += "; if they are right, save the tracks in another order"
+        raise InvalidValueError(name, expected=expected, found=found, fix=fix)
 
 
 def foreign_clip(

@@ -16,9 +16,10 @@ import numpy as np
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import listed
 from kt3dmoseg.io.fields import FIELDS, clip_name, clip_values
-from kt3dmoseg.types import Clip
+from kt3dmoseg.types import Clip, Trajectories
 
 _HEAD = 128
+_MANY, _OUTSIDE = 2000, 0.05  # tracks that are looked at, share of their points outside of the image
 _LEVELS = 3  # of folders in which clips are looked for
 _FIX = "is the file complete? fetch it, or write it, again"
 _SAVE_MAT = "save it in MATLAB with the option '-v7'"
@@ -85,9 +86,22 @@ def load(path: str | os.PathLike[str]) -> Clip:
         file = files[0]
     try:
         clip: Clip = import_module(recognise(file).module).read(file)
+        _check_size(clip.dense)
     except InvalidValueError as error:
         raise FileFormatError(f"{file}: {error}") from None
     return clip
+
+
+def _check_size(tracks: Trajectories) -> None:
+    """Refuse positions that lie in the image only when x and y, or its width and height, are exchanged."""
+    if tracks.image_size is None:
+        return
+    width, height = tracks.image_size
+    x, y = tracks.xy[:_MANY][tracks.visible[:_MANY]].T
+    outside = np.count_nonzero((x >= width) | (y >= height)) > _OUTSIDE * len(x)
+    if outside and (x < height).all() and (y < width).all():
+        found = f"positions inside of {height}x{width} only; are x and y exchanged, or width and height?"
+        raise InvalidValueError("image_size", expected=f"positions in {width}x{height} px", found=found)
 
 
 def save(clip: Clip, path: str | os.PathLike[str]) -> None:

@@ -166,17 +166,16 @@ def _check_on_video(
     fields: Fields, xy: FloatArray, visible: BoolArray, pictures: npt.NDArray[Any], n: int
 ) -> None:
     """Refuse points that keep their brightness from picture 0 to picture n, (2, H, W), only as (y, x)."""
-    (first, last), scale = pictures, np.array(pictures.shape[1:]) - 1
+    size = np.array(pictures.shape[1:])
     moved = visible[:, 0] & visible[:, n] & (np.abs(xy[:, n] - xy[:, 0]).max(axis=1) > _MOVED)
-    places = (xy[moved][:, [0, n]] + 0.5) / first.shape[::-1]
-
-    def change(order: tuple[int, int]) -> float:
-        """Return the mean change of brightness, as a share of that between points of different tracks."""
-        row, column = np.rint(places[..., order] * scale).clip(0, scale).astype(np.int64).T
-        before, after = first[row[0], column[0]], last[row[1], column[1]]
-        return float(np.abs(after - before).mean() / np.abs(np.roll(after, len(after) // 2) - before).mean())
-
-    with np.errstate(invalid="ignore", divide="ignore"):  # of pictures of one colour
-        if len(places) >= _ENOUGH and change((1, 0)) > 2 * max(change((0, 1)), _SAME):
-            found, fix = "points that follow the video only as (y, x)", "give points[..., ::-1]"
-            raise fields.error("points", "(x, y), x to the right", found, fix)
+    places, change = (xy[moved][:, [0, n]] + 0.5) / size[::-1], []
+    if len(places) < _ENOUGH:
+        return
+    for order in (places[..., ::-1], places):  # of brightness, as a share of that between other points
+        (y0, y1), (x0, x1) = (order * size).clip(0, size - 1).astype(np.int64).T
+        before, after = pictures[0, y0, x0], pictures[1, y1, x1]
+        apart = np.abs(np.roll(after, len(after) // 2) - before).mean()
+        change.append(np.abs(after - before).mean() / max(apart, 1e-9))
+    if change[0] > 2 * max(change[1], _SAME):
+        found, fix = "points that follow the video only as (y, x)", "give points[..., ::-1]"
+        raise fields.error("points", "(x, y), x to the right", found, fix)

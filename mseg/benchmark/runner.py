@@ -24,7 +24,7 @@ from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
 from kt3dmoseg.types import Clip, IntArray, Labels
 from mseg.benchmark.results import BenchmarkResult, Configuration
-from mseg.errors import EveryRunFailedError
+from mseg.errors import SegmentationError
 from mseg.evaluation import (
     Protocol,
     SubmissionMeta,
@@ -225,7 +225,7 @@ def predict(
     InvalidValueError
         When the folder holds predictions of another configuration, other numbers of motions or
         another layout, or `n_motions` is not positive.
-    EveryRunFailedError
+    SegmentationError
         When the method failed on every clip; the reasons are in the folder all the same.
     """
     if n_motions is not None:
@@ -282,7 +282,7 @@ def predict(
     failed = [path for path in prediction_files(folder) if path.suffix == FAILED]
     reasons = [f"{path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
     if len(failed) == len(runs.keys):
-        raise EveryRunFailedError(f"{folder}", expected="a run that succeeds", found=first_few(reasons, 3))
+        raise SegmentationError(f"{folder}", expected="a run that succeeds", found=first_few(reasons, 3))
     return folder
 
 

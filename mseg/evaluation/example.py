@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import listed, read_bytes
 from kt3dmoseg.io import save
 from kt3dmoseg.io.predictions import MAX_FILE_BYTES, first_few, is_zero_based, label_vector
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
@@ -257,7 +257,7 @@ def read_brox_labels(path: Path) -> IntArray:
 
 def _label_files(folder: Path, clips: Mapping[str, Clip]) -> dict[str, Path]:
     files: dict[str, Path] = {}
-    for file in sorted(folder.iterdir()):
+    for file in filter(Path.is_file, listed(folder)):
         name = file.stem if file.stem in clips else file.stem.removesuffix("_Tracks")
         if name in clips and file.suffix.lower() in _READERS:
             if name in files:
@@ -314,12 +314,14 @@ def _matlab(path: Path) -> dict[str, npt.NDArray[Any]]:
 def _matlab73(file: h5py.File) -> dict[str, npt.NDArray[Any]]:
     out: dict[str, npt.NDArray[Any]] = {}
     for name, item in file.items():
-        if isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype:
+        if isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype and item.size <= _MAX_LABELS:
             # MATLAB stores arrays transposed, cells as references into the same file.
-            cells = [np.asarray(file[ref]).ravel() for ref in np.asarray(item).T.ravel()]
+            cells = [file[ref] for ref in np.asarray(item).T.ravel()]
+            if sum(cell.size for cell in cells) > _MAX_LABELS:
+                raise ValueError("too many labels")
             out[name] = np.empty(len(cells), dtype=object)
-            out[name][:] = cells
-        elif isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf":
+            out[name][:] = [np.asarray(cell).ravel() for cell in cells]
+        elif isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.size <= _MAX_LABELS:
             out[name] = np.asarray(item)
     return out
 

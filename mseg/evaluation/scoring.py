@@ -23,6 +23,7 @@ from kt3dmoseg.io.predictions import (
     Problem,
     clip_labels,
     first_few,
+    is_zero_based,
     label_table,
     label_vector,
     numbered,
@@ -224,8 +225,8 @@ def score(
     Parameters
     ----------
     truth : (n,) array of int, Labels, Clip, table, path, or mapping of clip names to these
-        True labels, 0 = not scored. A table has the columns `track` and `label`; a path leads to a
-        data file or folder.
+        True labels, 0 = not scored; an array of mostly 0, which may count from 0, is refused. A table has
+        the columns `track` and `label`; a path leads to a data file or folder.
     pred : (n,) array of int, Segmentation, Labels, table, path, or mapping of clip names to these
         Predicted labels 1, 2, ..., in the order of the truth; those of a table (or an indexed series) are
         joined by track. A mapping may also be of seeds to such mappings. A path leads to a submission or
@@ -302,7 +303,14 @@ def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401 
         return value
     table = label_table(value, where)
     if table is None:
-        return Labels(label_vector(value, where))
+        label = label_vector(value, where)
+        if is_zero_based(label) and np.bincount(label).argmax() == 0:
+            found, fix = (
+                "mostly label 0, which is not scored",
+                "add 1 if they count from 0, or give Labels(truth)",
+            )
+            raise InvalidValueError(where, expected="labels 1, 2, ...", found=found, fix=fix)
+        return Labels(label)
     n = len(table.columns["track"])
     tracks = Trajectories(
         np.full((n, 1, 2), np.nan), np.zeros((n, 1), dtype=np.bool_), table.columns["track"]

@@ -1,5 +1,7 @@
 """Label vectors as people have them become valid submissions."""
 
+import os
+
 import h5py
 import numpy as np
 import pytest
@@ -141,3 +143,30 @@ def test_command(tmp_path, data, capsys):
     assert mseg.cli.main(["example-submission", str(data), "--from", str(folder), "-o", str(out)]) == 2
     assert mseg.cli.main(["example-submission", "--from", str(folder), "-o", str(tmp_path / "o")]) == 2
     assert "the folder of clips" in capsys.readouterr().err
+
+
+def test_pipes_hidden_files_and_broken_links_among_label_files(tmp_path):
+    for name, label in truth().items():
+        np.savetxt(tmp_path / f"{name}.txt", label, fmt="%d")
+    (tmp_path / f"._{NAMES[0]}.txt").write_bytes(b"\0")
+    same(read_label_files(tmp_path, CLIPS))
+    (tmp_path / f"{NAMES[0]}.txt").unlink()
+    os.mkfifo(tmp_path / f"{NAMES[0]}.txt")
+    assert list(read_label_files(tmp_path, CLIPS)) == NAMES[1:]
+    (tmp_path / f"{NAMES[0]}.csv").symlink_to("nowhere")
+    with pytest.raises(InputFileError, match="a link that leads nowhere"):
+        read_label_files(tmp_path, CLIPS)
+
+
+def test_no_more_labels_than_clips_can_have_are_read_from_matlab(tmp_path):
+    path = tmp_path / "c.mat"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("ClusterIdx", shape=(1 << 33,), chunks=(1 << 16,), dtype="f8")
+    with pytest.raises(FileFormatError, match="expected the variable ClusterIdx"):
+        read_label_files(path, CLIPS)
+    with h5py.File(path, "w") as file:
+        file["a"] = np.ones(10_000)
+        references = np.full((1, 10_000), file["a"].ref, dtype=h5py.ref_dtype)
+        file.create_dataset("ClusterIdx", data=references)
+    with pytest.raises(FileFormatError, match="cannot be read as one"):
+        read_label_files(path, CLIPS)

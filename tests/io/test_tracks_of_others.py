@@ -114,6 +114,20 @@ def test_tracks_and_frames_exchanged_are_noticed_by_how_points_move(panned, tmp_
         load(cotracker(tmp_path / "b.npz", pixels.swapaxes(0, 1)))
 
 
+@pytest.mark.parametrize("suffix", [".h5", ".npz"])
+def test_x_and_y_exchanged_are_noticed_where_the_size_is_known(xy, tmp_path, suffix):
+    xy[..., 0] += 100
+    labels, seen = Labels(np.ones(COUNT, int)), np.ones(xy.shape[:2], bool)
+    for size, positions in (((WIDTH, HEIGHT), xy[..., ::-1]), ((HEIGHT, WIDTH), xy)):
+        dense = Trajectories(positions, seen, image_size=size)
+        save(Clip("clip", dense, np.arange(COUNT), labels), tmp_path / f"clip{suffix}")
+        with pytest.raises(FileFormatError, match="are x and y exchanged, or width and height"):
+            load(tmp_path / f"clip{suffix}")
+    dense = Trajectories(xy, seen, image_size=(WIDTH, HEIGHT))
+    save(Clip("clip", dense, np.arange(COUNT), labels), tmp_path / f"clip{suffix}")
+    assert len(load(tmp_path / f"clip{suffix}").dense) == COUNT
+
+
 @pytest.mark.parametrize("channels", [3, 4])
 def test_the_channels_of_one_picture_are_no_video(xy, tmp_path, channels):
     points, path = fractions(xy[:, :channels]), tmp_path / "points.npz"

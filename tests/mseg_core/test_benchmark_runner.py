@@ -29,7 +29,7 @@ from mseg.benchmark.runner import (
     run_task,
 )
 from mseg.cli import main
-from mseg.errors import EveryRunFailedError
+from mseg.errors import SegmentationError
 from mseg.evaluation import load_protocol, validate_submission
 from mseg.methods import METHODS, create
 
@@ -112,7 +112,7 @@ def dying(work, tasks, *, lost, **_):
 def test_predictions_whose_workers_died_are_made_by_the_next_run(data, monkeypatch, tmp_path):
     with monkeypatch.context() as broken:
         broken.setattr("mseg.benchmark.runner.run_tasks", dying)
-        with pytest.raises(EveryRunFailedError, match="died 3 times"):
+        with pytest.raises(SegmentationError, match="died 3 times"):
             predict(data, tmp_path / "p", "affine")
     assert validate_submission(tmp_path / "p", data).ok
     assert len(list((tmp_path / "p").glob("*.failed"))) == 3
@@ -294,7 +294,7 @@ def test_unlabelled_clips_need_a_number_or_a_method_that_finds_it(make_clip, tmp
     assert (tmp_path / "given" / "bare.csv").is_file()
     predict(tmp_path / "bare.h5", tmp_path / "found", "affine")
     assert (tmp_path / "found" / "bare.csv").is_file()
-    with pytest.raises(EveryRunFailedError, match=r"found bare\.failed: .*cannot find it"):
+    with pytest.raises(SegmentationError, match=r"found bare\.failed: .*cannot find it"):
         predict(tmp_path / "bare.h5", tmp_path / "unknown", "lsa")
     assert "cannot find it" in (tmp_path / "unknown" / "bare.failed").read_text()
 

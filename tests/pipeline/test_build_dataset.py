@@ -21,7 +21,7 @@ from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip, write_masks
 import kt3dmoseg
 from kt3dmoseg import flow, pipeline, tracking
 from kt3dmoseg.cli import main
-from kt3dmoseg.errors import InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import hold_folder
 from kt3dmoseg.frames import FrameFolder
 from kt3dmoseg.io import hdf5, load
@@ -57,6 +57,28 @@ def test_one_file_per_clip_then_nothing_to_do(frames, tmp_path):
     assert sorted(before) == ["a.h5", "b.h5", "c.h5"]
     assert statuses(build(frames, tmp_path / "out")) == dict.fromkeys("abc", "up to date")
     assert contents(tmp_path / "out") == before
+
+
+def test_a_changed_byte_counts_unless_it_lies_in_a_gap_of_the_file(frames, tmp_path):
+    build(frames, tmp_path / "out")
+    path = tmp_path / "out" / "a.h5"
+    intact, content, found = load(path), path.read_bytes(), {}
+    for at in range(50, len(content), 61):
+        changed = bytearray(content)
+        changed[at] ^= 16
+        path.write_bytes(changed)
+        try:
+            found.setdefault("up to date", (at, load(path)))
+        except KT3DMoSegError:
+            found.setdefault("built", (at, intact))
+    for status, (at, clip) in found.items():
+        changed = bytearray(content)
+        changed[at] ^= 16
+        path.write_bytes(changed)
+        assert statuses(build(frames, tmp_path / "out"))["a"] == status
+        np.testing.assert_array_equal(clip.dense.xy, intact.dense.xy)
+        np.testing.assert_array_equal(clip.labels.label, intact.labels.label)
+    assert len(found) == 2
 
 
 def test_one_word_counts_as_the_options_it_means(frames, tmp_path, capsys):
