@@ -143,7 +143,7 @@ def recognise(file: Path) -> Format:
             return format
     found, fix = f"a file that starts with {head[:8]!r}", _FIX
     if all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in head):
-        word = re.search(rb"[^\d\s+.eE-]\S*", head)
+        word = re.search(rb"\S*[^\d\s+.eE-]\S*", head)
         found = f"a text file with {word[0].decode()!r}" if word else "a text file"
         fix = _SAVE_MAT if matlab else ""
     found, fix = next(((what, do) for start, what, do in _FOREIGN if re.match(start, head)), (found, fix))

@@ -254,6 +254,7 @@ def test_only_damage_is_answered_with_fetch_it_again(tmp_path):
     ("text", "message"),
     [
         ("2\n1\n1 1\n0.5 nan 0\n", "a text file with 'nan'"),
+        ("2\n1\n1 1\n0.5 1 0\nend\n", "a text file with 'end'"),
         ("2\n1\n1 1\n0.5 1.2.3 0\n", r"value 6: .* found '1\.2\.3'"),
         ("2\n1\n1 1\n0.5 " + "9" * 400 + " 0\n", "value 6: expected finite numbers"),
         ("2\n1\n1 1\n0.5 1e999 0\n", "value 6: .* found '1e999'"),
