@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from mseg.methods import segment as segment
     from mseg.types import Hypotheses as Hypotheses
     from mseg.types import Segmentation as Segmentation
+    from mseg.videos import video as video
 
 # Public names and where they live; imported on first use so that `--help` stays fast.
 _PUBLIC = {
     "segment": "methods",
     "score": "evaluation",
+    "video": "videos",
     "Segmentation": "types",
     "Hypotheses": "types",
 }

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _NAMES = ("methods", "run", "example-submission", "validate", "score", "compare", "report", "leaderboard")
 COMMANDS = {name: f"mseg.cli:{name.replace('-', '_')}" for name in (*_NAMES, "benchmark")}
+COMMANDS["video"] = "mseg.videos:video"
 _PURPOSE = "3D motion segmentation of point trajectories: methods, benchmarks, scores."
 
 program = app.application("mseg", _PURPOSE, COMMANDS)

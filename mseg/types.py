@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import label_vector
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, frozen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,21 +39,26 @@ class Hypotheses:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Predicted motions of the evaluated trajectories of a clip.
+    """Predicted motions of the evaluated trajectories of a clip, or of all.
 
     Parameters
     ----------
     labels : (n,) int64
-        1, 2, ... = predicted motions; 0 = outlier. In the order of ``clip.evaluated``.
+        1, 2, ... = predicted motions; 0 = outlier. In the order of ``clip.evaluated``, or of `rows`.
     report : mapping of str to object
         What the method reports: objective values, convergence, chosen rank, timings. `notes` are the
         sentences that one must know to trust the labels, see `mseg.segment`.
+    rows : (n,) int64 or None
+        Rows of ``clip.dense`` that the labels belong to; None: the evaluated ones.
     """
 
     labels: IntArray
     report: Mapping[str, Any] = field(default_factory=dict)
+    rows: IntArray | None = None
 
     def __post_init__(self) -> None:
+        if self.rows is not None:
+            object.__setattr__(self, "rows", frozen(self.rows, np.int64))
         labels = label_vector(self.labels, "labels")
         labels.flags.writeable = False
         object.__setattr__(self, "labels", labels)
@@ -80,7 +85,7 @@ class Segmentation:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild through the constructor: a read-only mapping view does not pickle."""
-        return Segmentation, (self.labels, dict(self.report))
+        return Segmentation, (self.labels, dict(self.report), self.rows)
 
     def _repr_html_(self) -> str:
         from kt3dmoseg.draw.display import group_labels, html_table, labels_html
@@ -106,7 +111,7 @@ class Segmentation:
         from kt3dmoseg.draw.painting import by_prediction
 
         if clip is not None:
-            painting = by_prediction(clip, self._checked_labels(clip))
+            painting = by_prediction(*self._on(clip))
             return plot_painting(painting, frame, title=clip.name, picture=picture, ax=ax)
         if frame is not None or picture is not None:
             raise InvalidValueError("clip", expected="the clip whose trajectories to plot", found="none")
@@ -116,14 +121,33 @@ class Segmentation:
         """Give one row per trajectory: `label`; with `clip` also `track`, by which `mseg.score` joins."""
         import pandas as pd
 
-        tracks = {} if clip is None else {"track": clip.dense.track_id[clip.evaluated]}
-        return pd.DataFrame({**tracks, "label": self.labels if clip is None else self._checked_labels(clip)})
+        if clip is None:
+            return pd.DataFrame({"label": self.labels})
+        shown, labels = self._on(clip)
+        return pd.DataFrame({"track": shown.dense.track_id[shown.evaluated], "label": labels})
 
-    def _checked_labels(self, clip: Clip) -> IntArray:
+    def evaluated_labels(self, clip: Clip) -> IntArray:
+        """Return the labels of the evaluated trajectories of `clip`, (n,) int64, whichever `rows` there are.
+
+        Raises InvalidValueError when some have none: it is another clip.
+        """
+        shown, labels = self._on(clip)
+        every = np.full(len(clip.dense), -1)
+        every[shown.evaluated] = labels
+        found = every[clip.evaluated]
+        if (found < 0).any():
+            expected = f"labels of its {len(found)} evaluated trajectories"
+            raise InvalidValueError(f"clip {clip.name}", expected=expected, found=f"{(found >= 0).sum()}")
+        return found
+
+    def _on(self, clip: Clip) -> tuple[Clip, IntArray]:
+        """Give the clip with the rows of these labels as the evaluated ones, and the labels."""
+        if self.rows is not None:
+            clip = replace(clip, evaluated=self.rows, labels=Labels(np.zeros(len(self.rows), dtype=np.int64)))
         if len(clip.evaluated) != len(self.labels):
             expected, found = f"{len(self.labels)} evaluated trajectories", f"{len(clip.evaluated)}"
             raise InvalidValueError(f"clip {clip.name}", expected=expected, found=found)
-        return self.labels
+        return clip, self.labels
 
 
 class Method(Protocol):

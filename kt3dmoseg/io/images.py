@@ -200,6 +200,17 @@ def encode_indices(indices: ByteArray, palette: ByteArray) -> bytes:
     return buffer.getvalue()
 
 
+def davis_palette() -> ByteArray:
+    """Return the palette of PASCAL VOC and DAVIS, (256, 3) RGB.
+
+    The bits of the index are spread over the high bits of the channels.
+    """
+    palette, index = np.zeros((256, 3), dtype=np.int64), np.arange(256)
+    for bit in range(8):
+        palette[:, bit % 3] |= ((index >> bit) & 1) << (7 - bit // 3)
+    return palette.astype(np.uint8)
+
+
 def _loaded(content: bytes, where: str) -> tuple[Image.Image, str]:
     """Return a checked picture and how Pillow describes its storage; what Pillow raises becomes one line."""
     fix = "the file is damaged; fetch it again"

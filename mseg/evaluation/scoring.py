@@ -325,7 +325,7 @@ def _labels(truth: Clip | Labels) -> Labels:
 def _predicted(value: Any, truth: Clip | Labels, where: str, *, outliers: bool) -> IntArray:  # noqa: ANN401
     """Predicted labels in the order of the truth, (n,)."""
     if isinstance(value, (Labels, Segmentation)):  # there 0 has a meaning
-        value, outliers = bare_labels(value), True
+        value, outliers = bare_labels(value, truth), True
     if isinstance(value, (str, os.PathLike)):
         label = _labels_of(Path(value), truth)
     elif isinstance(truth, Clip):

@@ -169,7 +169,7 @@ def write_prediction(
     InvalidValueError
         When the labels do not fit the clip, or its name cannot be a file name.
     """
-    label = clip_labels(bare_labels(labels), clip, f"labels of {clip.name}")
+    label = clip_labels(bare_labels(labels, clip), clip, f"labels of {clip.name}")
     if format not in get_args(FileFormat):
         raise InvalidValueError("format", expected=" or ".join(get_args(FileFormat)), found=repr(format))
     path = file_of(folder, clip.name, seed, f".{format}")
@@ -235,7 +235,8 @@ def write_submission(
     for seed, run in prediction_runs(predictions).items():
         check_names(run, by_name, "predictions")
         for name, values in run.items():
-            labels[seed, name] = clip_labels(bare_labels(values), by_name[name], f"predictions of {name}")
+            clip = by_name[name]
+            labels[seed, name] = clip_labels(bare_labels(values, clip), clip, f"predictions of {name}")
     written = {file_of(folder, name, seed, "") for seed, name in labels}
     older = [path for path in prediction_files(folder) if path.with_suffix("") not in written]
     if older:
@@ -256,8 +257,10 @@ def prediction_files(folder: str | os.PathLike[str]) -> list[Path]:
     return [path for path in files if not any(p.startswith(".") for p in path.relative_to(folder).parts)]
 
 
-def bare_labels(values: Any) -> Any:  # noqa: ANN401  # as clip_labels takes them
-    """Take the vector out of a Labels or a Segmentation."""
+def bare_labels(values: Any, clip: Clip | Labels) -> Any:  # noqa: ANN401  # as clip_labels takes them
+    """Take the vector out of a Labels or a Segmentation, of one of all trajectories the clip's evaluated."""
+    if isinstance(values, Segmentation) and values.rows is not None and isinstance(clip, Clip):
+        return values.evaluated_labels(clip)
     if isinstance(values, Labels):
         return values.label
     return values.labels if isinstance(values, Segmentation) else values

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import builtins
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +16,14 @@ from kt3dmoseg.options import from_mapping
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import BoolArray, Clip, Labels, Trajectories
 from mseg.errors import SegmentationError
+from mseg.spreading import spread_labels
 from mseg.types import Method, Segmentation
 
 ALGORITHM_VERSION: int = 4
 """Part of the identity of stored results; raised by hand whenever the labels of a method change."""
+
+# Largest number of trajectories that are segmented where all are labelled: kernels grow with its square.
+_MOST = 2000
 
 METHODS = Registry(
     "method",
@@ -77,6 +82,7 @@ def segment(
     n_motions: int | None = None,
     seed: int = 0,
     visible: npt.ArrayLike | None = None,
+    rows: Literal["evaluated", "all"] = "evaluated",
     **parameters: Any,  # noqa: ANN401
 ) -> Segmentation:
     """Segment the evaluated trajectories of a clip, or all of some trajectories.
@@ -94,15 +100,20 @@ def segment(
         Same seed, same labels.
     visible : (N, F) bool, optional
         Where the points of an array are visible, and finite.
+    rows : {"evaluated", "all"}
+        What is labelled. With "all", the method segments the evaluated trajectories, or 2,000 of them drawn
+        at random when there are more, and every other one gets the label of the nearest in position and
+        motion.
     **parameters
         Parameters of the method, when it is given by name.
 
     Returns
     -------
     Segmentation
-        One label per (evaluated) trajectory. ``report["notes"]`` has one sentence each on another number
-        of groups than asked for, outliers that were not asked for, a method that did not converge, parts of
-        the clip that no trajectory links, and whatever the method has in ``report["warnings"]``.
+        One label per (evaluated) trajectory; with "all" also `rows`. ``report["notes"]`` has one sentence
+        each on another number of groups than asked for, outliers that were not asked for, a method that did
+        not converge, parts of the clip that no trajectory links, and what the method has in
+        ``report["warnings"]``.
 
     Raises
     ------
@@ -118,7 +129,11 @@ def segment(
         check_whole("n_motions", n_motions, 1)
     if not isinstance(method, str) and parameters:
         raise InvalidValueError("parameters", expected="none with a method object", found=str([*parameters]))
+    if rows not in ("evaluated", "all"):
+        raise InvalidValueError("rows", expected="evaluated or all", found=f"{rows!r:.40}")
     hidden = _clip(clip, visible).without_labels()
+    if rows == "all":
+        hidden = _sampled(hidden, seed)
     chosen = create(method, **parameters) if isinstance(method, str) else method
     if isinstance(chosen, type) or not hasattr(chosen, "segment"):
         expected = "the name of a method, or an object with the function segment"
@@ -136,7 +151,20 @@ def segment(
         )
     outliers, visible = bool(getattr(chosen, "reject_outliers", False)), hidden.evaluated_trajectories.visible
     notes = _notes(result, n_motions, outliers=outliers, parts=count_parts(visible, 1))
-    return Segmentation(result.labels, {**result.report, "notes": notes})
+    report = {**result.report, "notes": notes}
+    if rows == "evaluated":
+        return Segmentation(result.labels, report)
+    every = spread_labels(hidden.dense, hidden.evaluated, result.labels)
+    report["trajectories_segmented"] = len(hidden.evaluated)
+    return Segmentation(every, report, np.arange(len(every)))
+
+
+def _sampled(clip: Clip, seed: int) -> Clip:
+    """Give the clip with as many evaluated trajectories as a method takes, drawn uniformly."""
+    if len(clip.evaluated) <= _MOST:
+        return clip
+    chosen = np.random.default_rng(seed).choice(clip.evaluated, _MOST, replace=False)
+    return replace(clip, evaluated=np.sort(chosen), labels=Labels(np.zeros(_MOST, dtype=np.int64)))
 
 
 def check_whole(name: str, value: object, least: int) -> None:

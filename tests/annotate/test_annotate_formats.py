@@ -15,14 +15,13 @@ from hypothesis.extra import numpy as hnp
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, formats
 from kt3dmoseg.annotate.formats.masks import (
-    davis_palette,
     decode_rle,
     encode_rle,
     mask_of,
     polygons_of,
 )
 from kt3dmoseg.errors import KT3DMoSegError, MissingDependencyError
-from kt3dmoseg.io.images import decode_indices, encode_indices
+from kt3dmoseg.io.images import davis_palette, decode_indices, encode_indices
 
 ALL = formats.FORMATS.names()
 EMPTY = replace(scene(), objects=(), marks=())

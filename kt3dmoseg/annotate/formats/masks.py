@@ -35,9 +35,9 @@ from kt3dmoseg.annotate.model import (
 )
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.files import zip_bytes
-from kt3dmoseg.io.images import decode_indices, encode_indices, void_ids
+from kt3dmoseg.io.images import davis_palette, decode_indices, encode_indices, void_ids
 from kt3dmoseg.matching import number_in
-from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
 _RUNS = re.compile("(?:[P-o]{0,5}[0-O])++")  # numbers of up to 6 digits
 _MORE, _SIGN = 32, 16
@@ -307,17 +307,6 @@ def _read_mots_text(content: bytes, into: Import) -> None:
 DAVIS = AnnotationFormat(".zip", "application/zip", _write_davis, _read_davis, "{:05d}.png")
 MOTS_PNG = AnnotationFormat(".zip", "application/zip", _write_mots_png, _read_mots_png)
 MOTS_TXT = AnnotationFormat(".txt", "text/plain", _write_mots_text, _read_mots_text)
-
-
-def davis_palette() -> ByteArray:
-    """Return the palette of PASCAL VOC and DAVIS, (256, 3) RGB.
-
-    The bits of the index are spread over the high bits of the channels.
-    """
-    palette, index = np.zeros((256, 3), dtype=np.int64), np.arange(256)
-    for bit in range(8):
-        palette[:, bit % 3] |= ((index >> bit) & 1) << (7 - bit // 3)
-    return palette.astype(np.uint8)
 
 
 def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> None:

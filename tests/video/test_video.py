@@ -1,0 +1,186 @@
+"""The command `video` on small rendered drives: shots, motions, files, and inputs of every kind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kt3dmoseg
+import mseg
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.io.images import (
+    davis_palette,
+    decode_indices,
+    read_picture,
+    read_video,
+    write_moving,
+    write_png,
+)
+from kt3dmoseg.synthetic import SceneOptions, make_scene
+from kt3dmoseg.tracking import find_cuts
+from mseg import videos
+from mseg.cli import main
+
+SMALL = {"width": 320, "height": 120, "frames": 8, "objects": 1, "noise": 1.0, "samples": 1}
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """A drive with one moving car; rendered once."""
+    return rendered()
+
+
+def rendered(**options):
+    scene = make_scene(SceneOptions(**SMALL | options))
+    return scene, scene.frames()
+
+
+def write(folder, frames):
+    for number, frame in enumerate(frames, start=1):
+        write_png(folder / f"{number:06d}.png", frame)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def found(scene, tmp_path_factory):
+    """What is found in a folder of frames, the number of motions not given."""
+    root = tmp_path_factory.mktemp("video")
+    lines = []
+    shots = mseg.video(write(root / "drive", scene[1]), output=root / "out", report=lines.append, quiet=True)
+    return shots, lines, root / "out"
+
+
+def test_the_motions_of_a_drive(scene, found):
+    [shot], [line], _ = found
+    assert line == str(shot)
+    assert line.startswith(f"drive: 8 frames, {len(shot.clip.dense)} trajectories, 2 motions, ")
+    assert "(the next best number costs" in line
+    rows, xy = shot.clip.dense.at(4)
+    truth = scene[0].ids(4)[tuple(np.rint(xy[:, ::-1]).astype(int).T)]
+    assert mseg.score(truth=np.maximum(truth, 1), pred=shot.clip.labels.label[rows])["error"] < 0.05
+
+
+def test_what_is_written(found):
+    [shot], _, folder = found
+    assert sorted(path.name for path in folder.iterdir()) == ["drive.h5", "drive.mp4", "masks"]
+    saved = kt3dmoseg.load(folder / "drive.h5")
+    assert saved.frame_numbers.tolist() == list(range(1, 9))
+    assert len(saved.evaluated) == len(saved.dense)
+    assert np.array_equal(saved.labels.label, shot.clip.labels.label)
+    assert saved.labels.background == 1
+    assert saved.provenance["labels"]["method"] == "multibody"
+    pictures = list(read_video(folder / "drive.mp4"))
+    assert [picture.shape for picture in pictures] == [(120, 320, 3)] * 8
+
+
+def test_masks_have_the_palette_of_davis_and_the_shape_of_the_car(scene, found):
+    folder = found[2] / "masks" / "drive"
+    assert [path.name for path in sorted(folder.iterdir())] == [f"{k:05d}.png" for k in range(1, 9)]
+    mask, bits = decode_indices((folder / "00005.png").read_bytes(), "mask")
+    assert bits == 8
+    car, painted = scene[0].ids(4) == 2, mask == 1
+    assert (car & painted).sum() > 0.5 * (car | painted).sum()
+    assert np.array_equal(read_picture(folder / "00005.png"), davis_palette()[mask])
+
+
+def test_masks_go_back_into_a_dataset(found, scene, tmp_path):
+    frames = write(tmp_path / "drive", scene[1])
+    [outcome] = kt3dmoseg.pipeline.build_dataset(frames, tmp_path / "o", masks=found[2] / "masks", workers=1)
+    assert outcome.status == "built"
+    assert kt3dmoseg.load(outcome.path).n_motions == 2
+
+
+@pytest.mark.parametrize("frames", [8, 2])
+def test_one_motion_is_one(frames, tmp_path, capsys):
+    _, pictures = rendered(objects=0, frames=frames)
+    assert main(["video", str(write(tmp_path / "street", pictures)), "-o", str(tmp_path / "out")]) == 0
+    out, _ = capsys.readouterr()
+    assert f"street: {frames} frames, " in out
+    assert " 1 motion, " in out
+    assert not any(decode_indices(p.read_bytes(), "")[0].any() for p in tmp_path.glob("out/masks/*/*.png"))
+
+
+def test_nothing_moves_before_a_static_camera(tmp_path):
+    _, pictures = rendered(objects=0, speed=0.0, turn=0.0)
+    [shot] = mseg.video(write(tmp_path / "a", pictures), output=tmp_path / "out", report=id, quiet=True)
+    assert shot.clip.n_motions == 1
+
+
+def test_each_shot_by_itself(scene, tmp_path):
+    _, other = rendered(seed=5, frames=6)
+    frames = [*scene[1], *other, 255 - scene[1][0]]
+    assert find_cuts(iter(frames)) == ([0, 8, 14], 15)
+    write_moving(tmp_path / "trip.avi", (np.repeat(frame[..., None], 3, axis=2) for frame in frames), 10)
+    lines = []
+    shots = mseg.video(
+        tmp_path / "trip.avi", output=tmp_path / "out", method="one_motion", report=lines.append, quiet=True
+    )
+    assert [(shot.name, shot.frames) for shot in shots] == [("trip_1", 8), ("trip_2", 6), ("trip_3", 1)]
+    assert lines[2] == "trip_3: 1 frame, not segmented: frames: expected at least 2 frames, found 1"
+    assert shots[2].clip is None
+    assert shots[1].clip.frame_numbers.tolist() == list(range(8, 14))
+    names = sorted(path.name for path in (tmp_path / "out" / "masks" / "trip_2").iterdir())
+    assert names[0] == "00008.png"
+    assert {path.name for path in (tmp_path / "out").glob("*.*")} == {
+        "trip_1.h5",
+        "trip_1.mp4",
+        "trip_2.h5",
+        "trip_2.mp4",
+    }
+
+
+def test_no_cut_where_brightness_changes_or_nothing_is_seen(scene):
+    frames = scene[1]
+    assert find_cuts([*frames[:4], *(frame // 2 + 20 for frame in frames[4:])])[0] == [0]
+    flat = np.full((100, 200), 90, dtype=np.uint8)
+    assert find_cuts([flat, flat + 1, flat])[0] == [0]
+    assert find_cuts([flat, flat[:50], flat[:50]]) == ([0, 1], 3)
+
+
+def test_a_clip_file_with_and_without_frames(scene, found, tmp_path):
+    clip = found[0][0].clip
+    kt3dmoseg.save(clip, tmp_path / "drive.h5")
+    options = {"method": "subset", "n_motions": 2, "report": id, "quiet": True}
+    [bare] = mseg.video(tmp_path / "drive.h5", output=tmp_path / "a", **options)
+    assert {path.name for path in (tmp_path / "a").iterdir()} == {"drive.h5", "drive.mp4"}
+    frames = write(tmp_path / "frames", scene[1])
+    [shown] = mseg.video(tmp_path / "drive.h5", frames, output=tmp_path / "b", **options)
+    assert len(list((tmp_path / "b" / "masks" / "drive").iterdir())) == 8
+    assert np.array_equal(bare.clip.labels.label, shown.clip.labels.label)
+    assert np.array_equal(bare.clip.dense.track_id, clip.dense.track_id)
+
+
+def test_a_long_shot_in_parts(scene, found, tmp_path, monkeypatch):
+    monkeypatch.setattr(videos, "_PART", 6)
+    monkeypatch.setattr(videos, "_OVERLAP", 5)
+    options = {"method": "subset", "n_motions": 2, "report": id, "quiet": True}
+    frames = write(tmp_path / "drive", scene[1])
+    [shot] = mseg.video(frames, output=tmp_path / "out", **options)
+    assert mseg.score(found[0][0].clip, shot.clip.labels.label)["error"] < 0.05
+
+
+def test_mistakes_are_one_line(scene, tmp_path, monkeypatch):
+    frames = write(tmp_path / "frames", scene[1][:3])
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a.txt").write_text("")
+    with pytest.raises(InputFileError, match="a new or empty folder"):
+        mseg.video(frames, output=tmp_path / "full")
+    for options in ({"rate": 0.0}, {"method": "multybody"}, {"flow": "diss"}):
+        with pytest.raises(KT3DMoSegError):
+            mseg.video(frames, output=tmp_path / "new", quiet=True, **options)
+    blank = write(tmp_path / "blank", [np.full((64, 64), 9, np.uint8)] * 3)
+    with pytest.raises(InvalidValueError, match="expected motions in some shot"):
+        mseg.video(blank, output=tmp_path / "none", report=id, quiet=True)
+    single = write(tmp_path / "single", scene[1][:1])
+    with pytest.raises(InputFileError, match="at least two numbered frames"):
+        mseg.video(single, output=tmp_path / "none2", quiet=True)
+
+
+def test_without_a_codec_the_masks_are_all_there(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("cv2.VideoWriter.isOpened", lambda _: False)
+    lines = []
+    frames = write(tmp_path / "frames", scene[1])
+    mseg.video(frames, output=tmp_path / "out", method="one_motion", report=lines.append, quiet=True)
+    assert "no overlay: " in lines[0]
+    assert len(list((tmp_path / "out" / "masks" / "frames").iterdir())) == 8
+    assert not list((tmp_path / "out").glob("*.mp4"))
