@@ -122,6 +122,9 @@ def video(
 
     source, folder, say = Path(input), Path(output), report or (lambda line: print(line, flush=True))
     create(method)
+    if not source.exists():
+        expected = "a video, a folder of frames or a clip file"
+        raise InputFileError(f"{source}", expected=expected, found="no such path")
     if folder.is_dir() and any(folder.iterdir()):
         fix = "give another folder, or remove it"
         raise InputFileError(f"{folder}", expected="a new or empty folder", found="files", fix=fix)

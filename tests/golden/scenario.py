@@ -78,6 +78,9 @@ SESSION = {
     "mseg leaderboard mistake": "mseg leaderboard rank --db nowhere.sqlite",
     "mseg benchmark": "mseg benchmark kt3dmoseg --data bench --methods one_motion --no-cache --quiet",
     "mseg benchmark mistake": "mseg benchmark kitti",
+    "mseg video help": "mseg video --help",
+    "mseg video": "mseg video {frames}/street -o motions --method one_motion --quiet",
+    "mseg video mistake": "mseg video nowhere -o other --quiet",
 }
 
 
@@ -201,7 +204,7 @@ def plain(text: str) -> str:
     text = re.sub(r"\b\d+(\.\d+)? (s|ms)\b", "SECONDS", text)
     text = re.sub(r"\b\d+\.\d+\.\d+(\.\d+)?\b", "VERSION", text)
     # What the tracker finds is compared with the frozen clip, with the tolerance that OpenCV's versions need.
-    text = re.sub(r"\b\d+ (trajectories in|trajectories, \d+ evaluated)", r"N \1", text)
+    text = re.sub(r"\b\d+ (trajectories in|trajectories, \d+ (evaluated|motion))", r"N \1", text)
     text = re.sub(r"N trajectories, \d+ evaluated", "N trajectories, N evaluated", text)
     return "\n".join(line.rstrip() for line in text.splitlines()) + "\n" * bool(text)
 
