@@ -18,7 +18,7 @@ from kt3dmoseg.io.images import (
 )
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.tracking import find_cuts
-from mseg import videos
+from mseg import shots as parts
 from mseg.cli import main
 
 SMALL = {"width": 320, "height": 120, "frames": 8, "objects": 1, "noise": 1.0, "samples": 1}
@@ -151,8 +151,8 @@ def test_a_clip_file_with_and_without_frames(scene, found, tmp_path):
 
 
 def test_a_long_shot_in_parts(scene, found, tmp_path, monkeypatch):
-    monkeypatch.setattr(videos, "_PART", 6)
-    monkeypatch.setattr(videos, "_OVERLAP", 5)
+    monkeypatch.setattr(parts, "_PART", 6)
+    monkeypatch.setattr(parts, "_OVERLAP", 5)
     options = {"method": "subset", "n_motions": 2, "report": id, "quiet": True}
     frames = write(tmp_path / "drive", scene[1])
     [shot] = mseg.video(frames, output=tmp_path / "out", **options)

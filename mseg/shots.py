@@ -1,0 +1,210 @@
+"""Shots of a video: cut, tracked, segmented, written; see `mseg.videos.video`."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from kt3dmoseg.draw import Painting, draw_frame, label_colour
+from kt3dmoseg.draw.painting import groups
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import write_bytes
+from kt3dmoseg.frames import frames_of
+from kt3dmoseg.io import load, save
+from kt3dmoseg.io.fields import clip_name
+from kt3dmoseg.io.images import (
+    davis_palette,
+    encode_indices,
+    frame_number,
+    frame_paths,
+    gray,
+    read_picture,
+    read_video,
+    write_moving,
+)
+from kt3dmoseg.matching import match_labels
+from kt3dmoseg.tracking import find_cuts, track
+from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
+from mseg.methods import segment
+from mseg.spreading import dense_mask, spread_labels
+
+# Motions are found in this many frames at once; a longer shot is taken in parts that overlap.
+_PART, _OVERLAP = 40, 10
+_SHORTEST = 5  # frames of a trajectory
+_DRAWN = 3000  # trajectories in the overlay
+_TINT = 0.35  # of moving objects in it
+_SURE = 20.0  # price of a motion
+
+_Progress: TypeAlias = Callable[[int, int | None, str], None]
+_Pictures: TypeAlias = Iterator[ByteArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A shot of a video; printed, it is one line: frames, trajectories, motions, how sure."""
+
+    name: str  # of its files
+    frames: int
+    clip: Clip | None = None  # every trajectory, with its label: 1 is the largest motion, the background
+    margin: float | None = None  # what the next best number of motions costs more, in the least sure part
+    reason: str = ""  # why no motions were found; then there is no clip
+
+    def __str__(self) -> str:
+        """One line."""
+        start = f"{self.name}: {_count(self.frames, 'frame')}"
+        if self.clip is None:
+            return f"{start}, not segmented: {self.reason}"
+        found = f"{len(self.clip.dense)} trajectories, {_count(self.clip.n_motions, 'motion')}"
+        if self.margin is None:
+            return f"{start}, {found}"
+        sure = "sure" if self.margin >= _SURE else "not sure"
+        return f"{start}, {found}, {sure} (the next best number costs {self.margin:.1f} more)"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + "s" * (number != 1)
+
+
+def clip_shot(path: Path, frames: str | os.PathLike[str] | None) -> Iterator[tuple[Shot, _Pictures | None]]:
+    """Give a clip file as a shot, with its frames if there are any."""
+    clip = load(path)
+    yield Shot(clip.name, clip.n_frames, clip), None if frames is None else iter(frames_of(clip, frames))
+
+
+def tracked_shots(path: Path, flow: str, bar: _Progress) -> Iterator[tuple[Shot, _Pictures]]:
+    """Read a video or folder three times, frame by frame: for cuts, trajectories, and what is written."""
+    paths = frame_paths(path) if path.is_dir() else None
+    base = path.resolve().name if paths else clip_name(path)
+
+    def read() -> _Pictures:
+        return map(read_picture, paths) if paths else read_video(path)
+
+    def shown(pictures: _Pictures, total: int | None, text: str) -> _Pictures:
+        for done, picture in enumerate(pictures, start=1):
+            bar(done, total, text)
+            yield gray(picture, base, "luma")
+
+    starts, count = find_cuts(shown(read(), len(paths) if paths else None, "cuts"))
+    numbers = np.array([frame_number(p) for p in paths] if paths else range(count))
+    to_track, to_show = read(), read()
+    for k, (first, end) in enumerate(pairwise([*starts, count]), start=1):
+        shot = Shot(f"{base}_{k}" if len(starts) > 1 else base, end - first)
+        own = islice(to_track, shot.frames)
+        try:
+            gray_frames = shown(own, shot.frames, f"{shot.name}: trajectories")
+            tracks = track(gray_frames, flow, min_length=min(_SHORTEST, shot.frames))
+        except InvalidValueError as error:
+            shot = replace(shot, reason=f"{error}")
+        else:
+            labels = Labels(np.zeros(len(tracks), dtype=np.int64))
+            clip = Clip(shot.name, tracks, np.arange(len(tracks)), labels, numbers[first:end])
+            shot = replace(shot, clip=clip)
+        yield shot, islice(to_show, shot.frames)
+
+
+def segmented(shot: Shot, options: dict[str, Any], bar: _Progress) -> Shot:
+    """Label every trajectory of a shot; the motions are numbered by size."""
+    clip = shot.clip
+    if clip is None:
+        return shot
+    try:
+        labels, margin = _motions(clip, options, bar)
+    except KT3DMoSegError as error:
+        return replace(shot, clip=None, reason=f"{error}")
+    values, group = np.unique(labels, return_inverse=True)
+    size = np.bincount(group, weights=clip.dense.lengths) * (values > 0)
+    rank = 1 + np.argsort(np.argsort(-size, kind="stable"))
+    found = Labels(np.where(values > 0, rank, 0)[group], background=1, names={1: "background"})
+    origin = {**clip.provenance, "labels": {"found_by": "mseg video", **options}}
+    clip = replace(clip, evaluated=np.arange(len(clip.dense)), labels=found, provenance=origin)
+    return replace(shot, clip=clip, margin=margin)
+
+
+def _motions(clip: Clip, options: dict[str, Any], bar: _Progress) -> tuple[IntArray, float | None]:
+    """Label all trajectories, those of a long shot in parts, joined by the trajectories that they share."""
+    if clip.n_frames <= _PART:
+        bar(0, 1, f"{clip.name}: motions")
+        result = segment(clip, rows="all", **options)
+        return result.labels, result.report.get("margin")
+    labels, margins, failure = np.zeros(len(clip.dense), dtype=np.int64), [], None
+    firsts = range(0, clip.n_frames - _OVERLAP, _PART - _OVERLAP)
+    for k, first in enumerate(firsts):
+        bar(k, len(firsts), f"{clip.name}: motions")
+        rows, tracks = _part(clip.dense, first, min(first + _PART, clip.n_frames))
+        try:
+            result = segment(tracks, rows="all", **options)
+        except KT3DMoSegError as error:
+            failure = error
+            continue
+        margins.append(result.report.get("margin"))
+        before, here = labels[rows], result.labels
+        same = match_labels(here[before > 0], before[before > 0])
+        new = [label for label in np.unique(here[here > 0]).tolist() if label not in same]
+        same |= {label: int(labels.max()) + j for j, label in enumerate(new, start=1)}
+        labels[rows] = np.where(before > 0, before, [same.get(label, 0) for label in here.tolist()])
+    if failure and not labels.any():
+        raise failure
+    known = np.flatnonzero(labels)
+    least = min((margin for margin in margins if margin is not None), default=None)
+    return spread_labels(clip.dense, known, labels[known]), least
+
+
+def _part(tracks: Trajectories, first: int, last: int) -> tuple[IntArray, Trajectories]:
+    """Cut some frames out of the trajectories that live long enough there; their rows."""
+    seen = [tracks.at(frame) for frame in range(first, last)]
+    rows, length = np.unique(np.concatenate([row for row, _ in seen]), return_counts=True)
+    rows = rows[length >= _SHORTEST]
+    xy = np.full((len(rows), last - first, 2), np.nan)
+    for frame, (row, place) in enumerate(seen):
+        _, at, of = np.intersect1d(rows, row, assume_unique=True, return_indices=True)
+        xy[at, frame] = place[of]
+    return rows, Trajectories(xy, np.isfinite(xy[..., 0]), image_size=tracks.image_size)
+
+
+def write_shot(clip: Clip, pictures: _Pictures | None, folder: Path, rate: float, bar: _Progress) -> str:
+    """Write a shot; return a note when OpenCV cannot write the overlay."""
+    save(clip, folder / f"{clip.name}.h5")
+    painted, note = _painted(clip, pictures, folder / "masks" / clip.name, bar), ""
+    try:
+        write_moving(folder / f"{clip.name}.mp4", painted, rate)
+    except InputFileError as error:
+        note = f"; no overlay: {error}"
+    deque(painted, maxlen=0)
+    return note
+
+
+def _painted(clip: Clip, pictures: _Pictures | None, masks: Path, bar: _Progress) -> _Pictures:
+    """Write the mask of every frame, and yield the frame with mask and trajectories drawn on it."""
+    painting, palette = _painting(clip), davis_palette()
+    colours = np.array([label_colour(k, 1) for k in range(256)])
+    for frame, number in enumerate(clip.frame_numbers.tolist()):
+        bar(frame + 1, clip.n_frames, f"{clip.name}: masks and overlay")
+        title = f"{clip.name}  frame {frame + 1}/{clip.n_frames}"
+        if pictures is None:
+            yield draw_frame(painting, frame, None, title)
+            continue
+        picture = next(pictures)
+        rows, xy = clip.dense.at(frame)
+        label = clip.labels.label[rows]
+        mask = dense_mask(picture, xy[label > 0], label[label > 0])
+        write_bytes(masks / f"{number:05d}.png", encode_indices(np.maximum(mask, 1) - 1, palette))
+        canvas, moves = draw_frame(painting, frame, gray(picture, clip.name, "luma"), title), mask > 1
+        canvas[moves] = (1 - _TINT) * canvas[moves] + _TINT * colours[mask[moves]]
+        yield canvas
+
+
+def _painting(clip: Clip) -> Painting:
+
+    rows = np.unique(np.linspace(0, len(clip.dense) - 1, _DRAWN).astype(np.int64))
+    colours = [label_colour(label, 1) for label in clip.labels.label[rows].tolist()]
+    legend = [
+        (f"{value} {name}: {size}", label_colour(value, 1)) for value, name, size in groups(clip.labels)
+    ]
+    return Painting(clip.dense.select(rows), np.array(colours, dtype=np.uint8), legend)
