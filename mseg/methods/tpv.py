@@ -54,9 +54,9 @@ class TPV:
        Then trajectories move to the group whose matrices fit them best until none moves. Of the five
        segmentations the cheapest stays.
     5. Planes that move leave their fundamental matrices undetermined, and wrong groups fit as well. So step 4
-       is done with homographies too, whose distances are two numbers (``log`` in place of ``1/2 log``).
-       Where these groups explain the trajectories about as well, a mean logarithm of the variance per number
-       of at most 0.1 more, they stay.
+       is done with homographies too, on two clusterings; their distances are two numbers (``log`` in place of
+       ``1/2 log``). Where these groups explain the trajectories about as well, a mean logarithm of the
+       variance per number of at most 0.1 more, they stay.
 
     Trajectories that no pair sees join the largest motion.
 
@@ -115,7 +115,7 @@ class TPV:
         bodies, planes = (
             _ViewGroups(views, affinity, self.noise, self.cut, kind) for kind in ("fundamental", "homography")
         )
-        by_bodies, by_planes = bodies.best(pieces, count), planes.best(pieces, count)
+        by_bodies, by_planes = bodies.best(pieces, count), planes.best(pieces[:2], count)
         more = planes.log_variance(by_planes[0]) - bodies.log_variance(by_bodies[0])
         return by_planes if more <= _PLANES else by_bodies
 
