@@ -240,9 +240,9 @@ def _decide_by_motion(
         errors[np.isnan(errors).any(axis=2)] = np.nan
         known = np.isfinite(errors[..., 0]).sum(axis=0) >= _MIN_STEPS
         of_object, of_background, gap = np.nanmedian(errors[:, known], axis=0).T
-        told = gap >= rule.least_gap
-        yield rows[known][told & (of_background * rule.ratio <= of_object)], BACKGROUND
-        yield rows[known][told & (of_object * rule.ratio <= of_background)], item.motion
+        clear = gap >= rule.least_gap
+        yield rows[known][clear & (of_background * rule.ratio <= of_object)], BACKGROUND
+        yield rows[known][clear & (of_object * rule.ratio <= of_background)], item.motion
 
 
 def _region_depths(trajectories: Trajectories, regions: Sequence[Region], reach: float) -> FloatArray:

@@ -171,9 +171,9 @@ def _collide(first: Vehicle, second: Vehicle, seconds: float) -> bool:
     width, _, length = second.size
     for time in np.linspace(-seconds / 2, seconds / 2, 7):
         apart = np.linalg.inv(first.drive.pose(time)) @ second.drive.pose(time)
-        ahead, beside = abs(apart[2, 2]), abs(apart[0, 2])
-        across = 0.5 * (first.size[0] + width * ahead + length * beside) + 0.3
-        along = 0.5 * (first.size[2] + length * ahead + width * beside) + 0.5
+        ahead, aside = abs(apart[2, 2]), abs(apart[0, 2])
+        across = 0.5 * (first.size[0] + width * ahead + length * aside) + 0.3
+        along = 0.5 * (first.size[2] + length * ahead + width * aside) + 0.5
         if abs(apart[0, 3]) < across and abs(apart[2, 3]) < along:
             return True
     return False

@@ -194,7 +194,7 @@ class Appearance:
         """Correct the step of the trajectories into this frame; keep those alive that look like their start.
 
         `forward` (H, W, 2) is the flow from the frame before, `xy` (L, 2) are the positions there, `target`
-        (L, 2) where it leads, and `alive` (L,) says which have not stopped; the last two are returned anew.
+        (L, 2) where it leads, and `alive` (L,) says which have not stopped; the last two are new arrays.
 
         The affine map from the start's patch to the present one is carried along by the flow,
         A <- (1 + grad w) A: a camera that drives forward enlarges what it sees by some percent per frame.

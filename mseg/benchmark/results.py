@@ -128,7 +128,7 @@ class BenchmarkResult:
                 notes.append(f"{group.title}: {missing} of {group.n_clips} clips are missing{listed}.")
         if self.others:
             notes.append(f"Not counted: {first_few(self.others, LISTED)}.")
-        said = [f"{c.title} on {clip}, seed {seed}: {note}" for c, clip, seed, note in self.notes]
-        notes += [f"Reported: {first_few(said, LISTED)}."] if said else []
+        reported = [f"{c.title} on {clip}, seed {seed}: {note}" for c, clip, seed, note in self.notes]
+        notes += [f"Reported: {first_few(reported, LISTED)}."] if reported else []
         wrong = (f"{c.title} on {clip}, seed {seed}: {reason}" for c, clip, seed, reason in self.failures)
         return [*notes, *(f"Counted as fully wrong: {each}." for each in wrong)]
