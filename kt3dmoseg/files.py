@@ -324,6 +324,8 @@ class SafeZip:
             if packed <= limits.total_bytes:
                 self._archive = zipfile.ZipFile(source)
                 infos = self._archive.infolist()
+                for info in infos:  # some Windows programs write backslashes
+                    info.filename = info.filename.replace("\\", "/")
         except KT3DMoSegError:
             raise
         except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
@@ -343,8 +345,9 @@ class SafeZip:
     def _accept(self, info: zipfile.ZipInfo, name: str, packed: int) -> None:
         limits = self._limits
         most = min(limits.file_bytes, max(limits.free_bytes, limits.ratio * packed))
-        if not _stays_inside(info.orig_filename, limits.depth) or not _stays_inside(name, limits.depth):
-            found = "'..', an absolute path, a drive, a backslash or too many folders"
+        stored = info.orig_filename.replace("\\", "/")
+        if not _stays_inside(stored, limits.depth) or not _stays_inside(name, limits.depth):
+            found = "'..', an absolute path, a drive or too many folders"
             fix = "zip the content of the folder with relative names"
             self._refuse("unsafe-path", repr(info.filename)[1:-1], "a path inside the archive", found, fix)
         elif stat.S_ISLNK(info.external_attr >> 16):
@@ -374,8 +377,7 @@ def _stays_inside(name: str, depth: int) -> bool:
     """Whether a name is a plain relative path on every system."""
     parts = PurePosixPath(name).parts
     absolute = name.startswith("/") or name[1:2] == ":"
-    plain = name.isprintable() and "\\" not in name and not absolute
-    return plain and ".." not in parts and 0 < len(parts) <= depth
+    return name.isprintable() and not absolute and ".." not in parts and 0 < len(parts) <= depth
 
 
 def sha256_file(path: PathLike) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
-from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, Annotation, Polygon, parse_document
+from kt3dmoseg.annotate.model import KINDS, MAX_FRAMES, MAX_OBJECTS, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray
 
@@ -60,6 +60,7 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
 def _read(content: bytes, into: Import) -> None:
     data = parse_document(content, "COCO")
     try:
+        into.count("images", len(data["images"]), MAX_FRAMES)
         images = {int(image["id"]): image for image in data["images"]}
         files = dict(zip(images, _files(data), strict=True))
         kinds = {int(c["id"]): str(c["name"]) for c in data.get("categories", [])}

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from kt3dmoseg.annotate.formats.foreign import (
     AnnotationFormat,
     Import,
@@ -30,7 +32,7 @@ from kt3dmoseg.annotate.formats.foreign import (
 )
 from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.geometry import arrays
-from kt3dmoseg.annotate.model import KINDS, MAX_POINTS, Annotation, Kind, Polygon, Visibility
+from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, MAX_POINTS, Annotation, Kind, Polygon, Visibility
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.matching import number_in, several, stem
 
@@ -43,10 +45,11 @@ _UNWRITABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 _UNKNOWN = "\ufffd"
 _DIGITS = 9
 _STEP = re.compile(r"step\s*=\s*(\d{1,6})")
-_MOST_NODES = 400_000
+_MOST_NODES = 300_000
 # Overlap of two outlines from which on they are of one object, as intersection over union.
 _SAME_PLACE = 0.3
 _COARSE = 128
+_MOST_TRACKS = 2 * MAX_OBJECTS
 # CVAT needs points where an object is hidden; these mean "somewhere".
 _NOWHERE = "0.00,0.00;1.00,0.00;0.00,1.00"
 
@@ -189,12 +192,14 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
     numbered = [_numbered(where, track, into) for where, track in tracks.items()]
     frames = _frames(sorted({n for shapes in numbered for n, _ in shapes}), task, into)
     scale = into.scale(task.pictures, _WHAT)
-    ends: dict[Key, tuple[Kind, int, list[Polygon]]] = {}
+    ends: dict[tuple[Kind, int], dict[Key, int]] = {}
     for (where, track), shapes in zip(tracks.items(), numbered, strict=True):
         placed = [(frames[n], shape) for n, shape in shapes if n in frames]
         keys = [pair for pair in placed if pair[1].get("keyframe", "1") == "1"] or placed
         drawn: dict[int, Drawn] = {}
-        for frame, shape in sorted(keys, key=lambda pair: pair[0]):
+        if len(last := dict(keys)) < len(keys):
+            into.skip(f"{where}: of several shapes in one frame, all but the last")
+        for frame, shape in sorted(last.items()):
             with into.skipping(f"{where}: frame {frame}"):
                 drawn[frame] = _shape(shape, scale, into)
         if drawn:
@@ -223,33 +228,36 @@ def _key(
     kind: Kind,
     fields: Mapping[str, str],
     drawn: Mapping[int, Drawn],
-    ends: dict[Key, tuple[Kind, int, list[Polygon]]],
+    ends: dict[tuple[Kind, int], dict[Key, int]],
     into: Import,
 ) -> Key:
     """Return the object of a track: as stated, that which ends where and when it begins, or a new one."""
     key, _ = identity_in(fields, ("object",))
+    if key is not None:
+        return key
+    into.note("ids are the tracks")
+    into.count("tracks", 1, _MOST_TRACKS)
     begin, end = min(drawn), max(drawn)
-    if key is None:
-        into.note("ids are the tracks")
-        ended = (
-            other
-            for other, (*when, place) in ends.items()
-            if when == [kind, begin] and _same_place(place, drawn[begin][1], into.like)
-        )
-        key = next(ended, where)
-        if key != where:
-            into.note(f"{where} goes on where {key} ends: one object")
-    ends.pop(key, None)
+    ended, place = ends.get((kind, begin), {}), _place(drawn[begin][1], into.like)
+    key = next((other for other, left in ended.items() if _overlap(left, place)), where)
+    if key != where:
+        del ended[key]
+        into.note(f"{where} goes on where {key} ends: one object")
     shown = [polygons for _, polygons in drawn.values() if polygons]
     if shown and drawn[end][0] == "outside":
-        ends[key] = kind, end, shown[-1]
+        ends.setdefault((kind, end), {})[key] = _place(shown[-1], into.like)
     return key
 
 
-def _same_place(left: Sequence[Polygon], right: Sequence[Polygon], like: Annotation) -> bool:
+def _place(polygons: Sequence[Polygon], like: Annotation) -> int:
+    """Where outlines lie: a bit for each cell of a coarse grid, as many are compared."""
     scale = _COARSE / max(like.image_size)
-    a, b = (mask_of([scale * p for p in arrays(polygons)], (_COARSE, _COARSE)) for polygons in (left, right))
-    return bool((a & b).sum() >= _SAME_PLACE * max(1, (a | b).sum()))
+    mask = mask_of([scale * p for p in arrays(polygons)], (_COARSE, _COARSE))
+    return int.from_bytes(np.packbits(mask).tobytes())
+
+
+def _overlap(left: int, right: int) -> bool:
+    return (left & right).bit_count() >= _SAME_PLACE * max(1, (left | right).bit_count())
 
 
 def _frames(numbers: Sequence[int], task: _Task, into: Import) -> dict[int, int]:

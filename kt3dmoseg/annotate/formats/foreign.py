@@ -40,12 +40,13 @@ from kt3dmoseg.types import FloatArray
 Key: TypeAlias = int | str
 Regions: TypeAlias = Mapping[int, list[Region]]
 
-_LIMITS = ZipLimits(files=MAX_FRAMES, file_bytes=32 << 20, total_bytes=128 << 20)
+_LIMITS = ZipLimits(files=50_000, file_bytes=32 << 20, total_bytes=128 << 20)
 _FRAME_NAME = "{:06d}.png"
 _DECIMALS = 2
 # What all outlines of a file may have together: 20 frames of 100 outlines of 250 corners; and all masks that
-# are decoded: 400 frames of 20 boxes of 200x200.
-_MOST = {"corners": 500_000, "pixels in masks": 400_000_000}
+# are decoded: 100 frames of 20 boxes of 200x200. An outline counts as 20 corners and 5,000 pixels at least.
+_MOST = {"corners": 500_000, "pixels in masks": 100_000_000, "files": _LIMITS.files, "skipped": 20_000}
+_LEAST = 20
 _MAX_SIDE = 10**9
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01
@@ -187,7 +188,7 @@ class Import:
         self._counts[what] += number
         limit = _MOST[what] if most is None else most
         if self._counts[what] > limit:
-            raise KT3DMoSegError("file", expected=f"at most {limit} {what}", found="more")
+            raise KT3DMoSegError("file", expected=f"at most {limit} {what}", found="more", fix="split it")
 
     @contextmanager
     def skipping(self, where: str) -> Iterator[None]:
@@ -203,13 +204,14 @@ class Import:
 
     def skip(self, text: str) -> None:
         """Note what is left out and why; of very many, the first."""
-        self._counts["skipped"] += 1
+        self.count("skipped", 1)
         if len(self.skipped) < _MOST_SKIPS:
             self.skipped.append(text)
 
     def match(self, files: Iterable[str], what: str) -> dict[str, int]:
         """Find the frame of each file, as `match_frames` does; raises FileFormatError when none has one."""
         given = list(files)
+        self.count("files", len(given))
         match = match_frames(given, self.names, clip=self.like.clip, shift=self.choices.shift)
         first = number_in(self.names[0])
         numbers = [n for file in (*match.frames, *match.unmatched) if (n := number_in(file)) is not None]
@@ -250,8 +252,8 @@ class Import:
         """Return an outline from the top-left corner as one from the centre of that pixel, scaled."""
         given = polygon_from(list(islice(points, MAX_POINTS + 1)), "points")  # of more, a part is as wrong
         moved = np.round(np.array(given) * scale - 0.5, _DECIMALS)
-        self.count("corners", len(moved))
-        return tuple((x, y) for x, y in moved.tolist())
+        self.count("corners", max(_LEAST, len(moved)))
+        return tuple(map(tuple, moved.tolist()))
 
     def check_shape(self, shape: tuple[int, ...], where: str) -> None:
         """Raise FileFormatError for a mask (H, W) of another size than the clip's frames."""

@@ -45,6 +45,7 @@ _DAVIS_VOID = 254
 _BLOCK = 1 << 20
 # Of one region; a car that fills a large picture has some thousand.
 _MOST_CORNERS = 300_000
+_PART = 5_000
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
 _MOTS_LINE = re.compile(r"(\d{1,9}) +(\d{1,9}) +\S+ +(\d{1,9}) +(\d{1,9}) +(\S+)")
@@ -138,22 +139,24 @@ def _loops(part: BoolArray) -> list[FloatArray]:
     if len(points) > _MOST_CORNERS:
         raise FileFormatError("mask", expected="regions that a person draws", found="noise")
     ends = np.cumsum([len(contour) for contour in contours])
-    after = np.roll(points, -1, axis=0)
+    after = np.concatenate([points[1:], points[:1]])
     after[ends - 1] = points[np.append(0, ends[:-1])]
     even = points % 2 == 0
     corners = np.where(even, points, after) / 2
     kept = even.all(axis=1) | (points != after).all(axis=1)
     loops = [corners[a:b][kept[a:b]] for a, b in pairwise([0, *ends])]
     outer = loops.pop(int(np.argmin(tree[:, 3])))  # the one without a parent
-    return [np.roll(outer[::-1], 1, axis=0), *loops]  # clockwise
+    return [np.concatenate([outer[:1], outer[:0:-1]]), *loops]  # clockwise
 
 
 def _joined(loops: list[FloatArray]) -> FloatArray:
-    """One outline from the outer loop and those of the holes.
+    """One outline from the outer loop and those of the holes, of very many the longest.
 
     The slit to a hole runs along pixel edges only: there no pixel centre can fall on it.
     """
     outer, *holes = loops
+    if len(holes) > MAX_POLYGONS:
+        holes = sorted(holes, key=len)[-MAX_POLYGONS:]
     pieces = [outer, outer[:1]]
     for hole in holes:
         corner = np.array([[outer[0, 0], hole[0, 1]]])
@@ -208,14 +211,14 @@ def _decoded(text: str) -> list[int]:
 
 def outlines_of(mask: BoolArray, into: Import, corner: tuple[int, int] = (0, 0)) -> list[Polygon]:
     """Return the outlines of a mask that begins at the pixel `corner` (x, y), and count them."""
-    boxes = ndimage.find_objects(mask.view(np.uint8))
-    if not boxes:
-        return []
-    part = mask[boxes[0]]
-    into.count("pixels in masks", part.size)
-    x, y = corner[0] + boxes[0][1].start, corner[1] + boxes[0][0].start
-    polygons = polygons_of(part)
+    left, top, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
+    part = mask[top : top + height, left : left + width]
+    x, y = corner[0] + left, corner[1] + top
+    polygons = polygons_of(part) if part.size else []
+    into.count("pixels in masks", part.size + _PART * len(polygons))
     into.count("corners", sum(map(len, polygons)))
+    if len(polygons) == MAX_POLYGONS or max(map(len, polygons), default=0) > MAX_POINTS // 4:
+        into.note("where a mask has very many parts, holes or corners, the largest are kept")
     return [tuple((a + x, b + y) for a, b in polygon) for polygon in polygons]
 
 
