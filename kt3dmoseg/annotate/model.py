@@ -52,6 +52,7 @@ MAX_POINTS = 5_000
 MAX_SIDE = 100_000
 _MAX_BYTES = 32 << 20
 _MAX_VALUES = 3_000_000
+_OTHERS = {"segmentations": "YouTube-VIS", "result": "JSON of Label Studio"}
 _DECIMALS = 2
 _ORDER = ("clip", "revision", "protocol", "annotator", "image_size", "n_frames", "objects", "marks")
 
@@ -270,11 +271,17 @@ def load_annotation(path: str | os.PathLike[str]) -> Annotation:
 
 
 def parse_document(content: bytes, where: str) -> Any:  # noqa: ANN401  # whatever JSON holds
-    """Parse JSON of at most 32 MiB and as many values as fit into 300 MB; FileFormatError names `where`."""
+    """Parse JSON of at most 32 MiB and 300 MB of values; FileFormatError names `where` or the wrong tool."""
     values = sum(content.count(mark) for mark in (b",", b"[", b"{"))
     if values > _MAX_VALUES:
         raise FileFormatError(where, expected=f"at most {_MAX_VALUES} values", found=str(values))
-    return parse_json(content, where, _MAX_BYTES)
+    found = part = parse_json(content, where, _MAX_BYTES)
+    while part and isinstance(part, list | dict):
+        for tool in (_OTHERS[key] for key in _OTHERS if key in part):
+            fix = "write COCO, one annotation per object and frame, with track_id"
+            raise FileFormatError(where, expected="another format", found=tool, fix=fix)
+        part = part[0] if isinstance(part, list) else part.get("annotations")
+    return found
 
 
 def save_annotation(path: str | os.PathLike[str], annotation: Annotation) -> None:

@@ -94,7 +94,8 @@ def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[i
     names = {path.name: path for path in paths}
     match = match_frames(names, [f"{number}.png" for number in numbers])
     if doubt := match.doubt(len(numbers)):
-        expected, fix = f"numbers within {numbers[0]}..{numbers[-1]}", "number them as the frames"
+        expected = f"numbers within {numbers[0]}..{numbers[-1]}"
+        fix = "number them as the frames, or shift them by kt3dmoseg annotations import --shift"
         raise InputFileError(f"masks of {clip}", expected=expected, found=doubt, fix=fix)
     return {frame: names[name] for name, frame in match.frames.items()}
 

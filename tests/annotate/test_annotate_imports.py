@@ -12,6 +12,7 @@ from annotation_scenes import zipped
 
 from kt3dmoseg.annotate import Annotation, formats, label_tracks
 from kt3dmoseg.annotate.formats.foreign import Choices, SkippedWarning
+from kt3dmoseg.annotate.formats.masks import encode_rle
 from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.types import Trajectories
 
@@ -241,6 +242,8 @@ RIGHT_COCO = {
     "track_id": coco({"track_id": 0}),
     "track_id as text": coco({"track_id": "car-7"}),
     "instance_id": coco({"instance_id": 5}),
+    "ids of pandas": coco({"track_id": 5.0}),
+    "a mark of the byte order": b"\xef\xbb\xbf" + coco({"track_id": 5}),
     "no id, one of a category": coco({}),
     "image ids from 0": coco({"track_id": 1}, first=0),
     "image ids of no order": coco({"track_id": 1}, first=900),
@@ -284,7 +287,14 @@ def test_coco_gives_right_labels(case, tracks):
     check_labels(found, tracks)
 
 
+LABEL_STUDIO = json.dumps([{"id": 1, "annotations": [{"result": [{"type": "polygonlabels"}]}]}]).encode()
+YOUTUBE_VIS = json.dumps(
+    {"videos": [{"id": 1}], "annotations": [{"video_id": 1, "segmentations": [crowd(0), None]}]}
+).encode()
 REFUSED_COCO = {
+    "Label Studio": (LABEL_STUDIO, "found JSON of Label Studio; write COCO"),
+    "YouTube-VIS": (YOUTUBE_VIS, "found YouTube-VIS; write COCO"),
+    "shares": (coco({"track_id": 1}, segment=lambda k: flat(k, 1 / 320)), "0 to 1"),
     "boxes": (coco({"track_id": 1}, segment=lambda k: []), "a box only"),
     "numbers from 1": (
         coco({"track_id": 1}, names="frame_{:06d}.png", listed=range(1, F + 1), frames=[1]),
@@ -328,6 +338,8 @@ def labelme(k, scale=1, size=(W, H), points=None, **fields):
 
 RIGHT_LABELME = {
     "labels only": zipped(**{f"{k:06d}.json": labelme(k) for k in range(F)}),
+    "groups as floats": zipped(**{f"{k:06d}.json": labelme(k, group_id=(3, 3.0)[k % 2]) for k in range(F)}),
+    "folders of Windows": zipped(**{f"clip\\{k:06d}.JSON": labelme(k) for k in range(F)}),
     "groups": zipped(**{f"{k:06d}.json": labelme(k, group_id=3, label=f"car {k}") for k in range(F)}),
     "two files": zipped(**{f"{k:06d}.json": labelme(k) for k in (0, 7)}),
     "rectangles": zipped(
@@ -350,6 +362,10 @@ REFUSED_LABELME = {
     "other proportions": (zipped(**{"000000.json": labelme(0, size=(640, 360))}), "640x360"),
     "lines": (zipped(**{"000000.json": labelme(0, shape_type="line")}), "'line'"),
     "frames from 1": (zipped(**{f"{k + 1:06d}.json": labelme(k) for k in range(F)}), "000008.json"),
+    "another frame's picture": (zipped(**{"000001.json": labelme(0)}), "000001.json is not named as"),
+    "COCO": (coco({}), "imagePath"),
+    "Label Studio": (LABEL_STUDIO, "found JSON of Label Studio; write COCO"),
+    "YouTube-VIS": (YOUTUBE_VIS, "found YouTube-VIS; write COCO"),
     "two of one label": (
         zipped(
             **{
@@ -450,7 +466,7 @@ REFUSED_MASKS = {
     "from 0, frames from 1": ({f"{k:06d}.png": mask(k) for k in range(F)}, FROM_ONE, "shift of 1"),
     "from 1, frames from 0": ({f"{k + 1:06d}.png": mask(k) for k in range(F)}, NAMES, "000008.png"),
     "another size": ({"000000.png": mask(0, size=(W + 100, H))}, NAMES, "420x240"),
-    "colours": ({"000000.png": COLOURS}, NAMES, "3 channels"),
+    "colours": ({"000000.png": COLOURS}, NAMES, "3 channels; write it as indexed PNG"),
     "16 bits": ({"000000.png": mask(0, 1, np.uint16)}, NAMES, "16 bits"),
     "255 and gray levels": ({"000000.png": mask(0, 255), "000001.png": mask(1, 128)}, NAMES, "255"),
     "pictures": ({"000000.jpg": b"x"}, NAMES, r"\*\.png"),
@@ -464,6 +480,34 @@ def test_masks_say_why_they_are_not_read(case):
     files, names, word = REFUSED_MASKS[case]
     with pytest.raises(KT3DMoSegError, match=word):
         formats.load("davis").parse(zipped(**files), LIKE, names)
+
+
+def test_a_crowd_beside_objects_is_rejected():
+    data = json.loads(coco({"track_id": 1}))
+    data["annotations"].append({"image_id": 1, "category_id": 1, "iscrowd": 1, "segmentation": crowd(0)})
+    plan = formats.plan("coco", json.dumps(data).encode(), LIKE, NAMES)
+    assert [item.motion for item in plan.annotation.objects] == [1, "reject"]
+    assert "crowds are rejected" in " ".join(plan.notes)
+
+
+def test_of_two_shapes_of_a_track_in_one_frame_the_last_counts_and_that_is_said(tracks):
+    shapes = [shape(k, outline(k)) for k in range(F)]
+    plan = formats.plan("cvat", cvat(track(0, shape(3, outline(0)), *shapes)), LIKE, NAMES)
+    assert plan.skipped == ["track[0]: of several shapes in one frame, all but the last"]
+    check_labels(plan.annotation, tracks)
+
+
+def test_what_is_left_out_of_a_noisy_mask_is_said():
+    noise = np.random.default_rng(0).integers(0, 2, (H, W)).astype(np.uint8)
+    content = zipped(**{"000000.png": cv2.imencode(".png", noise)[1].tobytes()})
+    assert "very many parts" in " ".join(formats.plan("davis", content, LIKE, NAMES).notes)
+
+
+@pytest.mark.parametrize(("mark", "between"), [(b"\xef\xbb\xbf", b" "), (b"", b"\t")])
+def test_mots_text_as_spreadsheets_write_it(mark, between):
+    line = f"0 1001 1 {H} {W} {encode_rle(np.eye(H, W, dtype=bool))}".encode()
+    found = formats.plan("mots_txt", mark + line.replace(b" ", between), LIKE, NAMES)
+    assert (len(found.annotation.objects), found.skipped) == (1, [])
 
 
 def test_255_next_to_other_ids_is_void():

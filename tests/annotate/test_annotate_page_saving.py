@@ -106,6 +106,14 @@ def test_a_folder_that_cannot_be_written_is_noticed_before_the_first_edit(page, 
     page.tab.locator("#banner").wait_for(state="hidden")
 
 
+def test_what_is_wrong_with_a_clip_is_in_the_banner_of_that_clip(page, shared):
+    doubted = {"doubt": "two: other frames"}
+    page.tab.route("**/api/clips/two", lambda route: route.fulfill(json=route.fetch().json() | doubted))
+    assert not page.tab.locator("#banner").is_visible()
+    page.tab.goto(f"{shared.address}?clip=two")
+    page.shows("#banner", "two: other frames")
+
+
 def test_edits_survive_closing_the_tab_while_the_server_is_away(context, clips, server, tmp_path):
     page = Page(context, server.address)
     server.stop(signal.SIGKILL)

@@ -18,11 +18,12 @@ from kt3dmoseg.annotate import AnnotatedObject, KeyFrame, label_tracks, load_ann
 from kt3dmoseg.annotate.model import from_json, to_json
 from kt3dmoseg.annotate.server import app
 from kt3dmoseg.annotate.server.app import create_app, is_loopback
-from kt3dmoseg.annotate.server.clip_session import ClipSession
+from kt3dmoseg.annotate.server.clip_session import ClipSession, sessions_of
 from kt3dmoseg.annotate.server.routes import _WORKERS, Routes
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.frames import find_clips
 from kt3dmoseg.io import load
+from kt3dmoseg.io import save as save_clip
 from kt3dmoseg.types import Trajectories
 
 HOST = "127.0.0.1:8000"
@@ -50,6 +51,19 @@ def routes(clips, tmp_path, tracker=never, tracks=True, **options):
 
 def client(routes, **options):
     return Client(create_app(routes, hosts=[HOST], **options), f"http://{HOST}")
+
+
+def test_frames_of_another_clip_are_said_on_the_page_of_that_clip(tmp_path, capsys):
+    for name in ("one", "two"):
+        write_clip(tmp_path, name, tracks=10)
+    path = tmp_path / "tracks" / "two.npz"
+    source = {"kind": "frames", "sha256": "0" * 64}
+    save_clip(replace(load(path), provenance={"inputs": {"source": source}}), path)
+    found = find_clips(tmp_path / "frames", annotations=tmp_path / "notes", tracks=tmp_path / "tracks")
+    page = client(Routes(sessions_of(found, never)))
+    assert "sha256" in capsys.readouterr().err
+    assert page.get("/api/clips/one").json()["doubt"] == ""
+    assert "other contents (by their sha256)" in page.get("/api/clips/two").json()["doubt"]
 
 
 @pytest.fixture

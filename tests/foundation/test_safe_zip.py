@@ -45,9 +45,28 @@ def test_a_good_archive_gives_names_sizes_and_contents(tmp_path):
                 assert stream.read(2) == b"tw"
 
 
+def test_folders_of_windows_are_folders():
+    with SafeZip(entry(GOOD, "c\\d\\x.txt"), LIMITS, "x.zip") as archive:
+        assert list(archive.sizes) == ["a/a.txt", "b.txt", "c/d/x.txt"]
+        assert archive.read("c/d/x.txt") == b"bad"
+
+
 @pytest.mark.parametrize(
     "name",
-    ["", "../evil", "/abs", "a/../../evil", "C:/evil", "a\\..\\evil", "a\nb", "nul\0l", "1/2/3/4", "."],
+    [
+        "",
+        "\\abs",
+        "C:\\evil",
+        "../evil",
+        "/abs",
+        "a/../../evil",
+        "C:/evil",
+        "a\\..\\evil",
+        "a\nb",
+        "nul\0l",
+        "1/2/3/4",
+        ".",
+    ],
 )
 def test_a_path_that_leads_out_is_refused(name):
     content = entry(GOOD, name)

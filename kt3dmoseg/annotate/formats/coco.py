@@ -14,9 +14,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions, identity_in
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
-from kt3dmoseg.annotate.model import KINDS, MAX_FRAMES, MAX_OBJECTS, Annotation, Polygon, parse_document
+from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, REJECT, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import BoolArray
 
@@ -60,11 +60,12 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
 def _read(content: bytes, into: Import) -> None:
     data = parse_document(content, "COCO")
     try:
-        into.count("images", len(data["images"]), MAX_FRAMES)
+        into.count("images", len(data["images"]), 100 * MAX_OBJECTS)
         images = {int(image["id"]): image for image in data["images"]}
         files = dict(zip(images, _files(data), strict=True))
         kinds = {int(c["id"]): str(c["name"]) for c in data.get("categories", [])}
         shapes = list(data["annotations"])
+        crowds = {bool(shape.get("iscrowd")) for shape in shapes} == {True, False}
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         problem = f"{type(error).__name__}: {error}"[:100]
         raise FileFormatError("COCO", expected="images, annotations, categories", found=problem) from error
@@ -79,7 +80,11 @@ def _read(content: bytes, into: Import) -> None:
                 label = kinds.get(int(shape.get("category_id", 0)), "other")
                 polygons = _outlines(shape, images[identity], file, into)
                 given = {key: shape[key] for key in _IDENTITIES if key in shape}
-                into.add(frames[file], label, polygons, (shape.get("attributes") or {}) | given)
+                fields = (shape.get("attributes") or {}) | given
+                if crowds and shape.get("iscrowd") and identity_in(fields)[0] is None:
+                    into.note("crowds are rejected: no trajectory in them is labelled")
+                    label, fields = f"crowd of {label}", fields | {"motion": REJECT}
+                into.add(frames[file], label, polygons, fields)
     surely = {files[key] for key, image in images.items() if image.get("annotated") is True}
     into.annotated |= {frame for file, frame in frames.items() if file in surely}
     into.list_frames([frame for file, frame in frames.items() if file not in surely])

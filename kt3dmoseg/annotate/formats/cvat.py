@@ -45,11 +45,10 @@ _UNWRITABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 _UNKNOWN = "\ufffd"
 _DIGITS = 9
 _STEP = re.compile(r"step\s*=\s*(\d{1,6})")
-_MOST_NODES = 300_000
+_MOST_NODES = 200_000
 # Overlap of two outlines from which on they are of one object, as intersection over union.
 _SAME_PLACE = 0.3
 _COARSE = 128
-_MOST_TRACKS = 2 * MAX_OBJECTS
 # CVAT needs points where an object is hidden; these mean "somewhere".
 _NOWHERE = "0.00,0.00;1.00,0.00;0.00,1.00"
 
@@ -236,10 +235,15 @@ def _key(
     if key is not None:
         return key
     into.note("ids are the tracks")
-    into.count("tracks", 1, _MOST_TRACKS)
+    into.count("tracks", 1, 2 * MAX_OBJECTS)
     begin, end = min(drawn), max(drawn)
     ended, place = ends.get((kind, begin), {}), _place(drawn[begin][1], into.like)
-    key = next((other for other, left in ended.items() if _overlap(left, place)), where)
+    alike = (
+        other
+        for other, left in ended.items()
+        if (left & place).bit_count() >= _SAME_PLACE * max(1, (left | place).bit_count())
+    )
+    key = next(alike, where)
     if key != where:
         del ended[key]
         into.note(f"{where} goes on where {key} ends: one object")
@@ -254,10 +258,6 @@ def _place(polygons: Sequence[Polygon], like: Annotation) -> int:
     scale = _COARSE / max(like.image_size)
     mask = mask_of([scale * p for p in arrays(polygons)], (_COARSE, _COARSE))
     return int.from_bytes(np.packbits(mask).tobytes())
-
-
-def _overlap(left: int, right: int) -> bool:
-    return (left & right).bit_count() >= _SAME_PLACE * max(1, (left | right).bit_count())
 
 
 def _frames(numbers: Sequence[int], task: _Task, into: Import) -> dict[int, int]:
@@ -334,9 +334,8 @@ def _shape(shape: ET.Element, scale: tuple[float, float], into: Import) -> Drawn
 
 
 def _polygon(shape: ET.Element, scale: tuple[float, float], into: Import) -> list[Polygon]:
-    corners = shape.get("points", "").split(";", MAX_POINTS + 1)[
-        : MAX_POINTS + 1
-    ]  # of more, a part is as wrong
+    # Of more, a part is as wrong.
+    corners = shape.get("points", "").split(";", MAX_POINTS + 1)[: MAX_POINTS + 1]
     try:
         pairs = [tuple(map(float, pair.split(",", 2))) for pair in corners]
     except ValueError:

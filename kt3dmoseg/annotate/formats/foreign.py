@@ -46,7 +46,6 @@ _DECIMALS = 2
 # What all outlines of a file may have together: 20 frames of 100 outlines of 250 corners; and all masks that
 # are decoded: 100 frames of 20 boxes of 200x200. An outline counts as 20 corners and 5,000 pixels at least.
 _MOST = {"corners": 500_000, "pixels in masks": 100_000_000, "files": _LIMITS.files, "skipped": 20_000}
-_LEAST = 20
 _MAX_SIDE = 10**9
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01
@@ -252,7 +251,7 @@ class Import:
         """Return an outline from the top-left corner as one from the centre of that pixel, scaled."""
         given = polygon_from(list(islice(points, MAX_POINTS + 1)), "points")  # of more, a part is as wrong
         moved = np.round(np.array(given) * scale - 0.5, _DECIMALS)
-        self.count("corners", max(_LEAST, len(moved)))
+        self.count("corners", max(20, len(moved)))
         return tuple(map(tuple, moved.tolist()))
 
     def check_shape(self, shape: tuple[int, ...], where: str) -> None:
@@ -343,6 +342,8 @@ class Import:
         (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
         width, height = self.like.image_size
         over = max(-left, -top, right - width, bottom - height)
+        if outlines and min(left, top) >= -0.5 and max(right, bottom) <= 0.5:  # the first pixel
+            self.doubts.append("all coordinates are 0 to 1; they are taken as pixels, not as shares")
         if not self._sized and over > _BEYOND + _SAME_SHAPE * max(width, height):
             self.doubts.append(
                 f"outlines reach from ({left:.0f}, {top:.0f}) to ({right:.0f}, {bottom:.0f}) in pictures of "
@@ -407,7 +408,8 @@ def identity_in(values: Mapping[str, Any], names: Sequence[str] = _IDENTITIES) -
         value = values.get(name)
         if isinstance(value, bool) or value is None or str(value).strip() == "":
             continue
-        text = str(value).strip()[:100]
+        whole = isinstance(value, float) and value.is_integer()
+        text = str(int(value) if whole else value).strip()[:100]
         return (int(text) if text.isdecimal() and len(text) <= 9 else text), name
     return None, ""
 

@@ -17,6 +17,7 @@ from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions
 from kt3dmoseg.annotate.model import Annotation, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
+from kt3dmoseg.matching import stem
 
 _DESCRIPTION = re.compile(r"kind=(\w+) motion=(\d{1,4}|reject)")
 
@@ -52,9 +53,11 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
 
 def _read(content: bytes, into: Import) -> None:
     """Read a zip of files, or a single one."""
-    if content.lstrip()[:1] == b"{":
+    if not content.startswith(b"PK"):
         data = parse_document(content, "LabelMe")
-        path = str(data.get("imagePath"))
+        if not isinstance(data, dict) or "imagePath" not in data:
+            raise FileFormatError("LabelMe", expected="imagePath and shapes", found=repr(data)[:80])
+        path = str(data["imagePath"])
         _read_file(data, path, into.match([path], "LabelMe imagePath")[path], into)
         return
     for frame, file, text in into.unzip(content, ".json", "LabelMe"):
@@ -69,6 +72,9 @@ def _read_file(data: Any, file: str, frame: int, into: Import) -> None:  # noqa:
         expected, found = "shapes with label and points", repr(data)[:80]
         raise FileFormatError(f"LabelMe: {file}", expected=expected, found=found)
     scale = into.scale((data.get("imageWidth"), data.get("imageHeight")), f"LabelMe: {file}")
+    named = stem(str(data.get("imagePath") or file))
+    if named != stem(file) and named in map(stem, into.names) and not into.doubts:
+        into.doubts.append(f"{file} is not named as its imagePath, {named}")
     into.annotated.add(frame)
     for k, shape in enumerate(shapes):
         with into.skipping(f"{file}: shapes[{k}]"):

@@ -48,7 +48,7 @@ _MOST_CORNERS = 300_000
 _PART = 5_000
 _MOTS_IGNORE = 10_000
 _MOTS_STEP = 1000
-_MOTS_LINE = re.compile(r"(\d{1,9}) +(\d{1,9}) +\S+ +(\d{1,9}) +(\d{1,9}) +(\S+)")
+_MOTS_LINE = re.compile(r"(\d{1,9})\s+(\d{1,9})\s+\S+\s+(\d{1,9})\s+(\d{1,9})\s+(\S+)")
 _MOTS_CLASS = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
 _MOTS_KIND = {1: "car", 2: "pedestrian", 3: "other"}
 
@@ -283,7 +283,7 @@ def _read_mots_png(content: bytes, into: Import) -> None:
 
 
 def _read_mots_text(content: bytes, into: Import) -> None:
-    lines = content.decode("ascii", "replace").splitlines()
+    lines = content.decode("utf-8-sig", "replace").splitlines()
     into.count("lines", len(lines), MAX_OBJECTS * into.like.n_frames)
     width, height = into.like.image_size
     found: list[tuple[str, str, int, str]] = []

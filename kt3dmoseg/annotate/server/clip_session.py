@@ -55,6 +55,7 @@ class ClipSession:
         self._carried = lru_cache(_KEPT_OBJECTS)(self._carry)
         self._doubted = lru_cache(_KEPT_OBJECTS)(self._doubt)
         self._asked: object = None
+        self.doubt = ""  # what is wrong with the clip's files, for the page
         self._counted: tuple[object, dict[str, Any]] = (None, {})
 
     @cached_property
@@ -247,6 +248,7 @@ def sessions_of(clips: Mapping[str, ClipFiles], tracker: Tracker) -> dict[str, C
         except KT3DMoSegError as error:
             if len(sessions) == 1:
                 raise
+            session.doubt = str(error)
             _warn(f"{name}: {error}")
     files = {source.annotation.name for source in clips.values()}
     (folder,) = {source.annotation.parent for source in clips.values()}

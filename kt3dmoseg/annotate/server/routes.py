@@ -122,6 +122,7 @@ class Routes:
             "formats": self.suffixes,
             "proposers": self.proposers,
             "compare": self.other is not None,
+            "doubt": session.doubt,
         }
 
     def _frame(self, request: Request, session: ClipSession, _: bytes) -> Answer:

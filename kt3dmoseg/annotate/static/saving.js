@@ -123,11 +123,14 @@ async function check() {
 const watch = () => check().finally(() => setTimeout(watch, PULSE));
 
 function drawBanner() {
-  const { saving, trouble, doc } = state;
+  const { clip, saving, trouble, doc } = state;
   const away = ["offline", "failed"].includes(saving.kind);
   const problem = (away && saving.message) || trouble || (away && "The server does not answer");
-  byId("banner").hidden = !problem;
-  if (!problem) return;
+  byId("banner").hidden = !(problem || clip?.doubt);
+  if (!problem) {
+    fill(byId("banner"), element("span", {}, clip?.doubt ?? ""));
+    return;
+  }
   let kept = "Everything before is saved; what you edit now is kept in this browser.";
   if (saver.pending) {
     const [mine, saved] = [new Set(doc.objects), new Set(saver.base.objects)];
@@ -173,7 +176,7 @@ async function recover(clip) {
 }
 
 now(["doc", "dragging"], documentChanged);
-on(["saving", "trouble", "doc"], drawBanner);
+on(["clip", "saving", "trouble", "doc"], drawBanner);
 on(["saving"], () => {
   const { kind, message } = state.saving;
   if (kind === "conflict") settleConflict();
