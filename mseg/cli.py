@@ -101,6 +101,9 @@ def run(
     n_motions: Annotated[Positive | None, Parameter(help=_N_MOTIONS)] = None,
     seeds: Annotated[Positive, Parameter(help="Number of seeds; several go to seed-0/, seed-1/, ...")] = 1,
     parameter: Settings = (),
+    all_: Annotated[
+        Flag, Parameter(name="--all", help="Label all trajectories, too: into another folder, OUTPUT-all.")
+    ] = False,
     workers: Workers = 1,
     dask: Dask = "",
     quiet: Quiet = False,
@@ -127,6 +130,7 @@ def run(
                 n_motions=n_motions,
                 seeds=seeds,
                 parameters=parse_assignments(parameter),
+                rows="all" if all_ else "evaluated",
                 workers=workers,
                 dask=dask,
                 progress=progress,

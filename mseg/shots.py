@@ -40,7 +40,7 @@ _PART, _OVERLAP = 40, 10
 _SHORTEST = 5  # frames of a trajectory
 _DRAWN = 3000  # trajectories in the overlay
 _TINT = 0.35  # of moving objects in it
-_SURE = 20.0  # price of a motion
+_SURE = 16.0  # price of a motion
 
 _Progress: TypeAlias = Callable[[int, int | None, str], None]
 _Pictures: TypeAlias = Iterator[ByteArray]

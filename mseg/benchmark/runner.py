@@ -8,10 +8,10 @@ import platform
 import re
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 from uuid import uuid4
 
 import numpy as np
@@ -51,6 +51,7 @@ _THIS_PROCESS = uuid4().hex
 _RECORD = ".mseg-run.json"
 _LARGEST_RECORD = 64 << 20
 
+Rows: TypeAlias = Literal["evaluated", "all"]
 Progress = Callable[[int, int, str], None]
 """Called with the number of tasks done, their total, and the name of the last."""
 
@@ -73,6 +74,7 @@ class Task:
     seed: int
     work: Mapping[str, Configuration]  # by the keys of their outcomes
     kernels: str = ""  # folder where kernels are kept for later runs
+    rows: Rows = "evaluated"  # what is labelled, see `mseg.segment`
 
     @property
     def name(self) -> str:
@@ -189,6 +191,7 @@ def predict(
     n_motions: int | None = None,
     seeds: int | Sequence[int] = 1,
     parameters: Mapping[str, Any] | None = None,
+    rows: Rows = "evaluated",
     workers: int = 1,
     dask: str = "",
     progress: Progress | None = None,
@@ -210,6 +213,9 @@ def predict(
         Number of seeds, counted from 0, or the seeds.
     parameters : mapping, optional
         Parameters of the method.
+    rows : {"evaluated", "all"}
+        With "all", the labels of all trajectories are written, too, into another folder, ``<output>-all``;
+        see `mseg.segment`.
     workers, dask
         Where to run, see `mseg.benchmark.run`.
     progress : callable, optional
@@ -235,7 +241,7 @@ def predict(
     made: Any = create(method, **configuration.parameters)
     clips = load_clips(data)
     given = {name: n_motions or clip.n_motions or None for name, clip in clips.items()}
-    runs = _Runs([configuration], clips, given, wanted)
+    runs = _Runs([configuration], clips, given, wanted, rows)
     check_writable(folder)
     values, layout = asdict(made), "seed-N" if len(wanted) > 1 else "flat"
     description = {
@@ -245,6 +251,10 @@ def predict(
         "n_motions": n_motions,
         "layout": layout,
     }
+    folders = [folder]
+    if rows == "all":
+        description["rows"] = rows
+        folders.append(Path(f"{folder}-all"))
     record = _open_record(folder, description)
     files: dict[str, list[tuple[str, int | None]]] = {}  # key of an outcome -> clips and seeds of its files
     for (_, name, seed), key in runs.keys.items():
@@ -252,15 +262,11 @@ def predict(
     kept = {
         key
         for key in record["done"].keys() & files.keys()
-        if all(any(file_of(folder, *run, e).is_file() for e in (".csv", FAILED)) for run in files[key])
+        if all(_is_there(folders, *run) for run in files[key])
     }
     for key, outcome in runs.outcomes(kept, progress, workers=workers, dask=dask):
         for name, place in files[key]:
-            if outcome.reason:
-                file_of(folder, name, place, ".csv").unlink(missing_ok=True)
-                write_failure(folder, clips[name], outcome.reason, seed=place)
-            else:
-                write_prediction(folder, clips[name], outcome.labels, seed=place)
+            _write_outcome(folders, clips[name], outcome, place)
         if not np.isnan(outcome.seconds):  # else its workers died: the next run tries again
             record["done"][key], record["notes"][key] = outcome.seconds, outcome.notes
         write_text(folder / _RECORD, json.dumps(record, indent=1))
@@ -379,6 +385,7 @@ class _Runs:
     clips: Mapping[str, Clip]
     numbers: Mapping[str, int | None]  # of motions, given to the methods
     seeds: Sequence[int]
+    rows: Rows = "evaluated"
 
     @cached_property
     def keys(self) -> dict[tuple[int, str, int], str]:
@@ -405,7 +412,7 @@ class _Runs:
                 claimed.add(key)
                 todo.setdefault((name, seed), {})[key] = self.configurations[m]
         tasks = [
-            Task(self.clips[name].without_labels(), self.numbers.get(name), seed, work, kernels)
+            Task(self.clips[name].without_labels(), self.numbers.get(name), seed, work, kernels, self.rows)
             for (name, seed), work in todo.items()
         ]
         tasks.sort(key=lambda task: -len(task.clip.evaluated) * task.clip.n_frames)
@@ -424,7 +431,7 @@ def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[st
             labels, reason, notes = np.zeros(0, dtype=np.int64), "", ()
             try:
                 given: Any = {"n_motions": task.n_motions, "seed": task.seed, **made.parameters}
-                found = segment(task.clip, made.method, **given)
+                found = segment(task.clip, made.method, rows=task.rows, **given)
                 labels, notes = np.array(found.labels), found.report["notes"]
             except (KT3DMoSegError, MemoryError, np.linalg.LinAlgError) as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
@@ -479,6 +486,26 @@ def keep_outcome(cache: Cache, key: str, outcome: Outcome) -> None:
 
 
 # --- the folder of predictions ----------------------------------------------------------------------
+
+
+def _is_there(folders: Sequence[Path], clip: str, seed: int | None) -> bool:
+    """Whether an earlier run has written a clip's labels into every folder, or why there are none."""
+    failed = file_of(folders[0], clip, seed, FAILED).is_file()
+    return failed or all(file_of(folder, clip, seed, ".csv").is_file() for folder in folders)
+
+
+def _write_outcome(folders: Sequence[Path], clip: Clip, outcome: Outcome, seed: int | None) -> None:
+    """Write the labels of the evaluated trajectories, and into a second folder those of all."""
+    if outcome.reason:
+        for folder in folders:
+            file_of(folder, clip.name, seed, ".csv").unlink(missing_ok=True)
+        write_failure(folders[0], clip, outcome.reason, seed=seed)
+    elif len(folders) == 1:
+        write_prediction(folders[0], clip, outcome.labels, seed=seed)
+    else:
+        write_prediction(folders[0], clip, outcome.labels[clip.evaluated], seed=seed)
+        whole = replace(clip, evaluated=np.arange(len(clip.dense)), labels=Labels(outcome.labels))
+        write_prediction(folders[1], whole, outcome.labels, seed=seed)
 
 
 def _note(notes: Mapping[tuple[str, int], str], clip: str, seeds: Sequence[int]) -> str:

@@ -58,6 +58,7 @@ SESSION = {
     "mseg methods mistake": "mseg methods subst",
     "mseg run": "mseg run built --method affine --seeds 2 -o affine --quiet",
     "mseg run other": "mseg run built --method one_motion -o one --quiet",
+    "mseg run all": "mseg run built --method one_motion --all -o whole --quiet",
     "mseg run mistake": "mseg run built --method affine -p gapp=1 -o wrong",
     "mseg example-submission": "mseg example-submission built -o mine",
     "mseg example-submission mistake": "mseg example-submission built -o theirs --from nowhere",

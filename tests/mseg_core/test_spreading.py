@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import kt3dmoseg
 import mseg
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Labels, Trajectories
 from mseg import methods
+from mseg.benchmark import predict
+from mseg.evaluation.validation import validate_submission
 from mseg.spreading import dense_mask, spread_labels
 
 
@@ -107,3 +110,20 @@ def test_a_mask_ends_at_the_edge():
         assert (mask > 0).all()
         assert ((mask == 2) != inside).sum() < 0.2 * inside.sum()
     assert not dense_mask(picture, xy[:0], labels[:0]).any()
+
+
+def test_a_run_writes_all_labels_next_to_the_submission(clip, tmp_path):
+    clip, _ = clip
+    kt3dmoseg.save(clip, tmp_path / "data" / "tiny.h5")
+    out = predict(tmp_path / "data", tmp_path / "out", "affine", seeds=2, rows="all")
+    assert validate_submission(out, tmp_path / "data").ok
+    every = mseg.segment(clip, "affine", n_motions=3, seed=1, rows="all")
+    text = (tmp_path / "out-all" / "seed-1" / "tiny.csv").read_text().split()
+    assert text == [
+        "track,label",
+        *(f"{t},{v}" for t, v in zip(clip.dense.track_id, every.labels, strict=True)),
+    ]
+    before = (tmp_path / "out-all" / "seed-0" / "tiny.csv").read_bytes()
+    (tmp_path / "out-all" / "seed-0" / "tiny.csv").unlink()
+    predict(tmp_path / "data", tmp_path / "out", "affine", seeds=2, rows="all")
+    assert (tmp_path / "out-all" / "seed-0" / "tiny.csv").read_bytes() == before
