@@ -155,8 +155,7 @@ def _joined(loops: list[FloatArray]) -> FloatArray:
     The slit to a hole runs along pixel edges only: there no pixel centre can fall on it.
     """
     outer, *holes = loops
-    if len(holes) > MAX_POLYGONS:
-        holes = sorted(holes, key=len)[-MAX_POLYGONS:]
+    holes = holes if len(holes) <= MAX_POLYGONS else sorted(holes, key=len)[-MAX_POLYGONS:]
     pieces = [outer, outer[:1]]
     for hole in holes:
         corner = np.array([[outer[0, 0], hole[0, 1]]])
@@ -213,13 +212,12 @@ def outlines_of(mask: BoolArray, into: Import, corner: tuple[int, int] = (0, 0))
     """Return the outlines of a mask that begins at the pixel `corner` (x, y), and count them."""
     left, top, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
     part = mask[top : top + height, left : left + width]
-    x, y = corner[0] + left, corner[1] + top
     polygons = polygons_of(part) if part.size else []
     into.count("pixels in masks", part.size + _PART * len(polygons))
     into.count("corners", sum(map(len, polygons)))
     if len(polygons) == MAX_POLYGONS or max(map(len, polygons), default=0) > MAX_POINTS // 4:
         into.note("where a mask has very many parts, holes or corners, the largest are kept")
-    return [tuple((a + x, b + y) for a, b in polygon) for polygon in polygons]
+    return [tuple((x + corner[0] + left, y + corner[1] + top) for x, y in polygon) for polygon in polygons]
 
 
 def _write_davis(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
