@@ -1,8 +1,9 @@
-"""Draw the figures of docs/reproduction.md from results that ``mseg benchmark --json`` wrote.
+"""Draw the figures of the methods in docs/ from results that ``mseg benchmark --json`` wrote.
 
-python tools/make_reproduction_figures.py --results kt3dmoseg.json --sweeps sweep-*.json -o docs/figures
+mseg benchmark kt3dmoseg --seeds 10 --json kt3dmoseg.json --methods affine homography fundamental ...
+python tools/make_reproduction_figures.py --results kt3dmoseg.json -o docs/figures
 
-docs/reproduction.md lists these runs. The virtual planar slices need none: they are made of a
+The virtual planar slices need none: they are made of a
 synthetic scene.
 """
 
@@ -10,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,6 @@ import matplotlib.pyplot as plt
 ORDER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 PUBLISHED = {"keradd": "KerAdd", "coreg": "CoReg", "subset": "Subset"}
 COLOURS = dict(zip(ORDER, ("#999999", "#777777", "#555555", "#1b6ca8", "#d97a27", "#3a8f4d"), strict=True))
-# With their defaults; that of alpha is no power.
-SWEPT = {"alpha": None, "lam": 0.01, "gamma": 0.01}
-NAMES = {"alpha": "alpha", "lam": "lambda (CoReg)", "gamma": "gamma (Subset)"}
 
 
 def main() -> None:
@@ -39,7 +36,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--results", type=Path, required=True, help="one run of the six methods, all seeds")
-    parser.add_argument("--sweeps", type=Path, nargs="*", default=[], help="runs with other parameters")
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
@@ -47,11 +43,9 @@ def main() -> None:
         {"svg.hashsalt": "mseg", "font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
     )
     results = json.loads(arguments.results.read_text())
-    sweeps = [json.loads(path.read_text()) for path in arguments.sweeps]
     drawings = {
         "seeds": seeds_figure(results),
         "per_clip": per_clip_figure(results),
-        "sensitivity": sensitivity_figure(results, sweeps),
         "planar_slices": planar_slices_figure(),
     }
     for name, figure in drawings.items():
@@ -117,50 +111,6 @@ def per_clip_figure(results: dict[str, Any]) -> Figure:
     axes.set_ylabel("error, %; line: range over seeds")
     axes.legend(frameon=False, ncols=5, loc="upper left", bbox_to_anchor=(0, 1.15))
     return figure
-
-
-def sensitivity_figure(results: dict[str, Any], sweeps: list[dict[str, Any]]) -> Figure:
-    """Mean error over each swept parameter, on the seeds that the sweeps have."""
-    figure, panels = plt.subplots(1, 3, figsize=(9, 2.8), sharey=True, width_ratios=(2, 1, 1))
-    for axes, parameter in zip(panels, SWEPT, strict=True):
-        for method, points in sorted(_swept(results, sweeps, parameter).items()):
-            values = sorted(points)
-            mean = [points[v].mean() for v in values]
-            low, high = ([f(points[v].mean(axis=0)) for v in values] for f in (np.min, np.max))
-            axes.plot(values, mean, "o-", color=COLOURS[method], label=method, markersize=3)
-            axes.fill_between(values, low, high, color=COLOURS[method], alpha=0.15, linewidth=0)
-            default = SWEPT[parameter]
-            if default is not None:
-                axes.plot(default, points[default].mean(), "D", color=COLOURS[method], markersize=6)
-        axes.set_xlabel(NAMES[parameter])
-        if parameter != "alpha":
-            axes.set_xscale("log")
-    panels[0].set_ylabel("mean error, %")
-    panels[0].set_ylim(bottom=0)
-    seeds = {points.shape[1] for points in _swept(results, sweeps, "alpha").get("keradd", {}).values()}
-    figure.suptitle(
-        f"{min(seeds, default=0)} seeds; band: range of a seed's mean; diamond: default", fontsize=9
-    )
-    if panels[0].lines:
-        panels[0].legend(frameon=False, ncols=2)
-    return figure
-
-
-def _swept(
-    results: dict[str, Any], sweeps: list[dict[str, Any]], parameter: str
-) -> dict[str, dict[float, np.ndarray]]:
-    out: dict[str, dict[float, np.ndarray]] = defaultdict(dict)
-    for sweep in sweeps:
-        for row, method in enumerate(sweep["methods"]):
-            if list(method["parameters"]) == [parameter]:
-                errors = 100 * np.array(sweep["errors"][row])
-                out[method["method"]][float(method["parameters"][parameter])] = errors
-    if (default := SWEPT[parameter]) is None:
-        return out
-    for method, points in out.items():
-        seeds = next(iter(points.values())).shape[1]
-        points.setdefault(default, errors_of(results, method)[:, :seeds])
-    return out
 
 
 def planar_slices_figure() -> Figure:

@@ -44,7 +44,7 @@ class ConsistentMoSeg(ViewMethod):
     for Hopkins155 and MTPV62 (0.005 and 0.05 for Hopkins12, 0.001 and 0.01 for KT3DMoSeg). Deviation: their
     affinity is left unsymmetric by the last step and goes into spectral clustering as such; here it is
     averaged with its transpose, and a small uniform weight is added as in the paper's views. The affinity
-    itself equals that of their code (docs/baselines.md).
+    itself equals that of their code (docs/methods.md).
     Input: gaps allowed. Number of motions: given or found. Outliers: not handled. Cost: that of the three
     views and up to 500 sweeps of O(N^2 K); O(N^2) memory.
     """

@@ -103,7 +103,7 @@ class ViewMethod(ABC):
     )
     fraction: float = option(0.1, "part of a pair's hypotheses that a point prefers", low=0, high=1)
     # The authors add 2e-16 to every entry, too little to keep a few points that hang on no others from
-    # taking eigenvectors for themselves; see docs/reproduction.md.
+    # taking eigenvectors for themselves; see docs/methods.md.
     uniform: float = option(
         0.003, "weight spread over all pairs of points, as a fraction of the mean degree", low=0
     )

@@ -181,7 +181,7 @@ def test_complete_tracks_do_not_fall_to_pieces(data_root, name):
 
 @pytest.mark.data
 def test_real_clip(data_root):
-    """A clip that every view and fusion solves; others are a matter of docs/reproduction.md."""
+    """A clip that every view and fusion solves; others are a matter of docs/methods.md."""
     clip = load(data_root / "kt3dmoseg" / "release" / "Seq011_Clip01_Tracks.mat")
     for method in FUSED:
         labels = mseg.segment(clip, method, n_motions=4, seed=0).labels
