@@ -182,8 +182,15 @@ def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  #
     elif visible is not None:
         raise InvalidValueError("visible", expected="nothing with a clip", found="an array")
     if isinstance(value, Clip):
-        return value
-    return Clip("clip", value, np.arange(len(value)), Labels(np.zeros(len(value), dtype=np.int64)))
+        clip = value
+    else:
+        clip = Clip("clip", value, np.arange(len(value)), Labels(np.zeros(len(value), dtype=np.int64)))
+    points, size = clip.dense.xy[clip.dense.visible], clip.dense.image_size
+    if size and points.size and np.abs(points).max() <= 1.5 < min(size) / 16:
+        expected = f"pixels of {size[0]} x {size[1]}"
+        fix = "multiply fractions by width and height, and subtract 0.5"
+        raise InvalidValueError(clip.name, expected=expected, found="all within 1.5", fix=fix)
+    return clip
 
 
 def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  # noqa: ANN401  # checked

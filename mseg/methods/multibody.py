@@ -152,7 +152,7 @@ class _Scene:
     ) -> None:
         seen = points.xy[points.visible]
         low, high = seen.min(axis=0), seen.max(axis=0)
-        self.width = float(points.image_size[0]) if points.image_size else float(max(high - low)) + 1
+        self.width = float(points.image_size[0]) if points.image_size else float(max(high - low)) or 1.0
         centre = (np.array(points.image_size) - 1) / 2 if points.image_size else (low + high) / 2
         frames = np.unique(np.linspace(0, points.n_frames - 1, _FRAMES).round().astype(np.int64))
         visible = points.visible[:, frames]

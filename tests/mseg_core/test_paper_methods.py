@@ -7,7 +7,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import mseg
+from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io import load
+from kt3dmoseg.types import Trajectories
 from mseg.errors import SegmentationError, TooFewPointsError
 from mseg.evaluation import classification_error
 from mseg.methods.kernel_cache import kernel_cache
@@ -194,3 +196,10 @@ def test_real_clip_with_a_labelled_trajectory_that_is_never_visible(data_root):
     result = mseg.segment(clip, "keradd", n_motions=3, seed=0)
     assert result.report["trajectories_left_out"] == 1
     assert result.labels[534] == np.bincount(result.labels).argmax()
+
+
+def test_a_clip_in_fractions_of_its_image_is_refused(make_clip):
+    tracks = make_clip(points=20).dense
+    fractions = Trajectories(tracks.xy / 2000, tracks.visible, image_size=(2000, 1000))
+    with pytest.raises(InvalidValueError, match=r"expected pixels of 2000 x 1000, found all within 1\.5"):
+        mseg.segment(fractions, n_motions=2)
