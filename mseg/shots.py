@@ -40,7 +40,9 @@ _PART, _OVERLAP = 40, 10
 _SHORTEST = 5  # frames of a trajectory
 _DRAWN = 3000  # trajectories in the overlay
 _TINT = 0.35  # of moving objects in it
-_SURE = 16.0  # price of a motion
+# Share of the largest group, and least number of it, that is segmented the second time; the dataset draws a
+# tenth of its background too.
+_BACKGROUND, _FEWEST = 0.1, 200
 
 _Progress: TypeAlias = Callable[[int, int | None, str], None]
 _Pictures: TypeAlias = Iterator[ByteArray]
@@ -48,7 +50,7 @@ _Pictures: TypeAlias = Iterator[ByteArray]
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A shot of a video; printed, it is one line: frames, trajectories, motions, how sure."""
+    """A shot of a video; printed, it is one line: frames, trajectories, motions."""
 
     name: str  # of its files
     frames: int
@@ -64,8 +66,7 @@ class Shot:
         found = f"{len(self.clip.dense)} trajectories, {_count(self.clip.n_motions, 'motion')}"
         if self.margin is None:
             return f"{start}, {found}"
-        sure = "sure" if self.margin >= _SURE else "not sure"
-        return f"{start}, {found}, {sure} (the next best number costs {self.margin:.1f} more)"
+        return f"{start}, {found} (the next best number costs {self.margin:.1f} more)"
 
 
 def _count(number: int, what: str) -> str:
@@ -131,20 +132,19 @@ def _motions(clip: Clip, options: dict[str, Any], bar: _Progress) -> tuple[IntAr
     """Label all trajectories, those of a long shot in parts, joined by the trajectories that they share."""
     if clip.n_frames <= _PART:
         bar(0, 1, f"{clip.name}: motions")
-        result = segment(clip, rows="all", **options)
-        return result.labels, result.report.get("margin")
+        return _segmented_twice(clip.dense, options)
     labels, margins, failure = np.zeros(len(clip.dense), dtype=np.int64), [], None
     firsts = range(0, clip.n_frames - _OVERLAP, _PART - _OVERLAP)
     for k, first in enumerate(firsts):
         bar(k, len(firsts), f"{clip.name}: motions")
         rows, tracks = _part(clip.dense, first, min(first + _PART, clip.n_frames))
         try:
-            result = segment(tracks, rows="all", **options)
+            here, margin = _segmented_twice(tracks, options)
         except KT3DMoSegError as error:
             failure = error
             continue
-        margins.append(result.report.get("margin"))
-        before, here = labels[rows], result.labels
+        margins.append(margin)
+        before = labels[rows]
         same = match_labels(here[before > 0], before[before > 0])
         new = [label for label in np.unique(here[here > 0]).tolist() if label not in same]
         same |= {label: int(labels.max()) + j for j, label in enumerate(new, start=1)}
@@ -154,6 +154,21 @@ def _motions(clip: Clip, options: dict[str, Any], bar: _Progress) -> tuple[IntAr
     known = np.flatnonzero(labels)
     least = min((margin for margin in margins if margin is not None), default=None)
     return spread_labels(clip.dense, known, labels[known]), least
+
+
+def _segmented_twice(tracks: Trajectories, options: dict[str, Any]) -> tuple[IntArray, float | None]:
+    """Label all trajectories; the second time with a part of the largest group, in which small ones drown."""
+    first = segment(tracks, rows="all", **options)
+    of_largest = first.labels == np.bincount(first.labels[first.labels > 0]).argmax()
+    largest, others = np.flatnonzero(of_largest), np.flatnonzero(~of_largest)
+    part = max(_FEWEST, round(_BACKGROUND * len(largest)))
+    if not len(others) or part >= len(largest):
+        return first.labels, first.report.get("margin")
+    drawn = np.random.default_rng(options.get("seed", 0)).choice(largest, part, replace=False)
+    rows = np.union1d(drawn, others)
+    thinned = Clip("shot", tracks, rows, Labels(np.zeros(len(rows), dtype=np.int64)))
+    second = segment(thinned, rows="all", **options)
+    return second.labels, second.report.get("margin")
 
 
 def _part(tracks: Trajectories, first: int, last: int) -> tuple[IntArray, Trajectories]:

@@ -18,8 +18,10 @@ from kt3dmoseg.io.images import (
 )
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.tracking import find_cuts
+from kt3dmoseg.types import Clip, Trajectories
 from mseg import shots as parts
 from mseg.cli import main
+from mseg.types import Segmentation
 
 SMALL = {"width": 320, "height": 120, "frames": 8, "objects": 1, "noise": 1.0, "samples": 1}
 
@@ -53,8 +55,9 @@ def found(scene, tmp_path_factory):
 def test_the_motions_of_a_drive(scene, found):
     [shot], [line], _ = found
     assert line == str(shot)
-    assert line.startswith(f"drive: 8 frames, {len(shot.clip.dense)} trajectories, 2 motions, ")
-    assert "(the next best number costs" in line
+    assert line.startswith(
+        f"drive: 8 frames, {len(shot.clip.dense)} trajectories, 2 motions (the next best number costs "
+    )
     rows, xy = shot.clip.dense.at(4)
     truth = scene[0].ids(4)[tuple(np.rint(xy[:, ::-1]).astype(int).T)]
     assert mseg.score(truth=np.maximum(truth, 1), pred=shot.clip.labels.label[rows])["error"] < 0.05
@@ -96,7 +99,7 @@ def test_one_motion_is_one(frames, tmp_path, capsys):
     assert main(["video", str(write(tmp_path / "street", pictures)), "-o", str(tmp_path / "out")]) == 0
     out, _ = capsys.readouterr()
     assert f"street: {frames} frames, " in out
-    assert " 1 motion, " in out
+    assert " 1 motion (the next" in out
     assert not any(decode_indices(p.read_bytes(), "")[0].any() for p in tmp_path.glob("out/masks/*/*.png"))
 
 
@@ -184,3 +187,21 @@ def test_without_a_codec_the_masks_are_all_there(scene, tmp_path, monkeypatch):
     assert "no overlay: " in lines[0]
     assert len(list((tmp_path / "out" / "masks" / "frames").iterdir())) == 8
     assert not list((tmp_path / "out").glob("*.mp4"))
+
+
+def test_the_largest_group_is_thinned_the_second_time(monkeypatch):
+    rng = np.random.default_rng(0)
+    start, speed = rng.uniform(0, 600, (1000, 1, 2)), np.repeat([0.0, 3.0], [950, 50])[:, None, None]
+    tracks = Trajectories(start + speed * np.arange(6)[:, None], np.ones((1000, 6), dtype=bool))
+    seen = []
+
+    def halves(clip, *, rows, **_):
+        evaluated = clip.evaluated if isinstance(clip, Clip) else np.arange(1000)
+        seen.append(evaluated)
+        return Segmentation(1 + (np.arange(1000) >= 950), {"margin": 20.0}, np.arange(1000))
+
+    monkeypatch.setattr(parts, "segment", halves)
+    labels, margin = parts._segmented_twice(tracks, {"method": "any", "seed": 1})
+    assert (len(seen[0]), len(seen[1])) == (1000, 250)  # 200 of the background, and all others
+    assert set(range(950, 1000)) <= set(seen[1].tolist())
+    assert (np.bincount(labels).tolist(), margin) == ([0, 950, 50], 20.0)
