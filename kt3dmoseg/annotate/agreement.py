@@ -13,7 +13,10 @@ from kt3dmoseg.annotate.formats.masks import mask_of
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.matching import match_labels
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.types import ByteArray, FloatArray, IntArray
+
+# Bytes of eight pixels each, of all objects together, that are compared at once.
+_BLOCK = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +92,24 @@ def overlaps(
     a: Mapping[int, list[Region]], b: Mapping[int, list[Region]], image_size: tuple[int, int]
 ) -> FloatArray:
     """Return the intersection over union (len(a), len(b)) of objects, of the visible pixels of all frames."""
+    width = -(-image_size[0] * image_size[1] // 8)
 
-    def masks(side: Mapping[int, list[Region]], frame: int) -> FloatArray:
+    def masks(side: Mapping[int, list[Region]], frame: int) -> ByteArray:
         shown = (regions[frame] for regions in side.values())
         drawn = [mask_of(r.polygons if r.visibility == "visible" else (), image_size) for r in shown]
-        return np.array(drawn, dtype=np.float64).reshape(len(side), -1)
+        return np.array([np.packbits(mask) for mask in drawn], dtype=np.uint8).reshape(len(side), width)
 
     shared, union = np.zeros((len(a), len(b))), np.zeros((len(a), len(b)))
+    step = max(1, _BLOCK // (len(a) + len(b) + 1))
     for frame in range(max((len(regions) for regions in (*a.values(), *b.values())), default=0)):
-        mine, theirs = masks(a, frame), masks(b, frame)
-        both = mine @ theirs.T
-        shared += both
-        union += mine.sum(axis=1)[:, None] + theirs.sum(axis=1) - both
+        packed = masks(a, frame), masks(b, frame)
+        for first in range(0, width, step):
+            mine, theirs = (
+                np.unpackbits(side[:, first : first + step], axis=1).astype(np.float32) for side in packed
+            )
+            both = mine @ theirs.T
+            shared += both
+            union += mine.sum(axis=1)[:, None] + theirs.sum(axis=1) - both
     return np.asarray(shared / np.maximum(union, 1), dtype=np.float64)
 
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -21,8 +22,9 @@ from sklearn.metrics import cohen_kappa_score
 
 from kt3dmoseg import cli, io
 from kt3dmoseg.annotate import load_annotation, save_revision
-from kt3dmoseg.annotate.agreement import agree
+from kt3dmoseg.annotate.agreement import agree, overlaps
 from kt3dmoseg.annotate.overlay import draw_view
+from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.draw.palette import motion_colour
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Labels
@@ -174,3 +176,16 @@ def test_kill_9_never_breaks_the_file(tmp_path, moment):
     found = load_annotation(path)
     assert found.revision in (last, last + 1)
     assert save_revision(path, found).revision == found.revision + 1
+
+
+def test_many_objects_are_compared_in_bounded_memory():
+    square = np.array([[0, 0], [50, 0], [50, 50], [0, 50.0]])
+    mine = {k: [Region("visible", (square + 10 * k,), True)] for k in range(1, 61)}
+    tracemalloc.start()
+    found = overlaps(mine, mine, (1242, 375))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6  # one float64 per pixel and object would be 450 MB
+    assert np.array_equal(np.diag(found)[:30], np.ones(30))
+    assert found[0, 1] == pytest.approx(40**2 / (2 * 50**2 - 40**2), abs=0.03)
+    assert overlaps({}, mine, (1242, 375)).shape == (0, 60)
