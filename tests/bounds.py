@@ -1,4 +1,4 @@
-"""Bounds on what reads files of strangers: a process of its own with 3 s of processor time and 300 MB."""
+"""Bounds on what reads files of strangers: a process of its own with 3 s of processor time and 128 MB."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import traceback
 
 from kt3dmoseg.errors import KT3DMoSegError
 
-SECONDS, BYTES = 3, 300 << 20
+SECONDS, BYTES = 3, 128 << 20
 
 
 def bounded(test):

@@ -61,7 +61,7 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
 def test_the_bounds_are_limits_of_the_process(monkeypatch):
     @bounded
     def hungry():
-        survives(lambda: np.ones(400 << 20, np.uint8))
+        survives(lambda: np.ones(200 << 20, np.uint8))
 
     @bounded
     def busy():

@@ -29,7 +29,7 @@ from kt3dmoseg.io.predictions import read_prediction
 
 _ENDS = [b"\0", b"\xff", b"\x7f", b"9", b"-", b" "]
 thorough = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
