@@ -75,8 +75,16 @@ class Page:
         """Wait until an element is to be seen, with that text somewhere in it."""
         self.tab.locator(selector).filter(has_text=text).first.wait_for()
 
+    def box(self, selector):
+        """Where an element is, measured in one step of the page: it may be drawn again at any time."""
+        self.until(f"document.querySelector('{selector}')")
+        return self.value(
+            f"(({{ x, y, width, height }}) => ({{ x, y, width, height }}))"
+            f"(document.querySelector('{selector}').getBoundingClientRect())"
+        )
+
     def at(self, point):
-        box = self.tab.locator("#stage").bounding_box()
+        box = self.box("#stage")
         view = self.value("labeller.state.view")
         return [box[k] + (point[i] - view[k]) * view["scale"] for i, k in enumerate("xy")]
 

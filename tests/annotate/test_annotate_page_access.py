@@ -122,7 +122,7 @@ def test_a_large_screen_and_a_small_one(context, shared):
         page.until(f"document.getElementById('regions').width === {size[0]}")
         left, top = page.at((0, 0))
         right, bottom = page.at((319, 199))
-        box = page.tab.locator("#stage").bounding_box()
+        box = page.box("#stage")
         assert box["x"] <= left < right <= box["x"] + box["width"]
         assert box["y"] <= top < bottom <= box["y"] + box["height"]
     assert page.errors == []

@@ -22,7 +22,7 @@ def many(page, count=30):
 
 
 def box(page, selector):
-    return page.tab.locator(selector).bounding_box()
+    return page.box(selector)
 
 
 def wheel(page, dx, dy, **more):
@@ -49,13 +49,13 @@ def test_the_bar_stays_and_the_list_scrolls_to_any_object(page, size):
     page.press("Escape", "[")
     page.until("labeller.state.selected === 30")
     page.until("document.querySelector('.entry.on .object')?.textContent.includes('object 30')")
+    page.until("labeller.state.scrolled > 0")
     assert box(page, "#bar")["y"] == 0
     assert page.value("document.scrollingElement.scrollTop + document.body.scrollTop") == 0
     shown, listed = box(page, ".entry.on"), box(page, "#objects")
     assert (
         listed["y"] <= shown["y"] < shown["y"] + shown["height"] <= listed["y"] + listed["height"] <= size[1]
     )
-    page.until("labeller.state.scrolled > 0")
     page.tab.locator("#timeline").hover()
     page.tab.mouse.wheel(0, -2000)
     page.until("labeller.state.scrolled === 0")

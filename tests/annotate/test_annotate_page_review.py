@@ -71,7 +71,7 @@ def button(page, name):
 def colour(page, layer, point):
     """Red, green, blue, alpha of a canvas at an image position."""
     x, y = page.at(point)
-    box = page.tab.locator("#stage").bounding_box()
+    box = page.box("#stage")
     where = f"{round(x - box['x'])}, {round(y - box['y'])}, 1, 1"
     return page.value(f"[...document.getElementById('{layer}').getContext('2d').getImageData({where}).data]")
 
@@ -296,7 +296,7 @@ def test_clips_flicker_play_zoom_and_pan(page):
     assert page.value("labeller.state.view.y") != before["y"]
     page.press("Shift+Z", *["Control+ArrowLeft"] * 40, *["Control+ArrowUp"] * 40)
     left, top = page.at((0, 0))
-    box = page.tab.locator("#stage").bounding_box()
+    box = page.box("#stage")
     assert (box["x"] + box["width"] - left, box["y"] + box["height"] - top) == pytest.approx((60, 60), abs=1)
     page.press("F2")
     page.tab.get_by_role("button", name="two", exact=True).click()
