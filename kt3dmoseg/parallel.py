@@ -7,7 +7,9 @@ import io
 import json
 import multiprocessing
 import os
+import pickle
 import signal
+import subprocess
 import sys
 import threading
 import traceback
@@ -35,6 +37,7 @@ Progress: TypeAlias = Callable[..., None]
 
 _MAX_DEATHS = 3
 _CONNECT_SECONDS = 20
+_POLL = 0.2  # seconds between two looks whether work is to be stopped
 _ENVIRONMENT = {  # read once: by a library when it is loaded, by glibc when the process starts
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -219,6 +222,49 @@ def _on_cluster(
             except distributed.scheduler.KilledWorker:
                 result = lost(task, "its Dask workers died, one after the other")
             yield task, result
+
+
+def run_apart(work: Callable[..., ResultT], *given: object, stop: threading.Event) -> ResultT:
+    """Return ``work(*given)``, computed in a process of its own that is killed as soon as `stop` is set.
+
+    Not one of multiprocessing, which would run the caller's script again. What goes there and back is
+    pickled; an exception of `work` is raised here. Raises KT3DMoSegError when stopped, or when it dies.
+    """
+    sent: bytes | None = pickle.dumps((work, given))
+    command = [sys.executable, "-c", f"from {__name__} import _apart; _apart()"]
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=paths) as process:
+        try:
+            answer = _wait_for(process, sent, stop)
+        finally:
+            process.kill()
+    if not answer:
+        raise KT3DMoSegError("cancelled" if stop.is_set() else f"its process died, code {process.returncode}")
+    done, value = pickle.loads(answer)  # noqa: S301  # of our own process
+    if not done:
+        raise value
+    return cast(ResultT, value)
+
+
+def _wait_for(process: subprocess.Popen[bytes], sent: bytes | None, stop: threading.Event) -> bytes:
+    while not stop.is_set():
+        try:
+            return process.communicate(sent, timeout=_POLL)[0]
+        except subprocess.TimeoutExpired:
+            sent = None
+    return b""
+
+
+def _apart() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    with os.fdopen(os.dup(1), "wb") as out:
+        os.dup2(2, 1)  # what the work prints is no part of the answer
+        work, given = pickle.load(sys.stdin.buffer)  # noqa: S301  # from our own process
+        try:
+            answer = True, work(*given)
+        except Exception as error:
+            answer = False, error
+        pickle.dump(answer, out)
 
 
 class Cache:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import json
 import threading
 from dataclasses import replace
@@ -193,15 +194,16 @@ def test_the_annotator_of_the_command_line_sets_the_state(clips, tmp_path):
     assert set_state(page).json()["work"]["by"] == "Eve"
 
 
-def test_motion_that_is_explained_counts_no_more(page):
+def test_motion_by_itself_is_found_and_doubt_is_counted(page):
     groups = page.get("/api/clips/one/moving").json()["groups"]
     assert 15 < sum(group > 1 for group in groups) < 60
     assert page.get("/api/clips/two/moving").json()["groups"] is None
     doc = drawn(page)
-    empty = doc | {"objects": []}
-    for revision, (given, left) in enumerate([(empty, 1), (doc, 0)]):
+    tiny = copy.deepcopy(doc)
+    tiny["objects"][0]["key_frames"][0]["polygons"] = [[[200, 20], [206, 20], [206, 26], [200, 26]]]
+    for revision, (given, weak) in enumerate([(doc, 0), (tiny, 5)]):
         save(page, given, revision)
-        assert counted(page)[0]["unexplained"] == left
+        assert counted(page)[0]["weak"] == weak
 
 
 def test_clip(page):
@@ -409,6 +411,40 @@ def test_residual_proposals_accept_nothing_by_themselves(page, tmp_path):
     assert answer.status_code == 200
     assert all(item["id"] > 1 for item in answer.json()["objects"])
     assert not (tmp_path / "notes" / "one.json").exists()
+
+
+def test_a_proposer_is_stopped_when_nobody_waits_for_it(clips, tmp_path, monkeypatch):
+    begun, stopped = threading.Event(), threading.Event()
+
+    def endless(*_, stop):
+        begun.set()
+        if stop.wait(60):
+            stopped.set()
+        return []
+
+    monkeypatch.setattr("kt3dmoseg.annotate.server.routes.run_apart", endless)
+    page = client(routes(clips, tmp_path))
+    wait(page)
+    body = json.dumps(drawn(page)).encode()
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": "/api/clips/one/proposals/residual",
+        "query_string": b"",
+        "headers": [(b"host", HOST.encode())],
+    }
+    messages = iter([{"type": "http.request", "body": body}])
+
+    async def receive():
+        return (
+            next(messages, {"type": "http.disconnect"}) if not begun.is_set() else {"type": "http.disconnect"}
+        )
+
+    async def send(_):
+        pass
+
+    asyncio.run(page.app(scope, receive, send))
+    assert stopped.wait(60)
 
 
 @pytest.mark.parametrize(

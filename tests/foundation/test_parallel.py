@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
-from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
+from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_apart, run_tasks
 
 
 def lost(task, reason):
@@ -219,3 +220,41 @@ def test_the_version_of_an_algorithm_is_the_nearest(monkeypatch):
     monkeypatch.setattr(sys.modules[__name__], "ALGORITHM_VERSION", 5, raising=False)
     assert algorithm_version(Plain) == "5"
     assert algorithm_version(Own) == "3"
+
+
+def talk(value):
+    print("talk")
+    if not value:
+        raise InvalidValueError("value", expected="something", found="nothing")
+    return value, os.getpid()
+
+
+def wait_for_ever(path):
+    Path(path).write_text(str(os.getpid()))
+    while True:
+        time.sleep(1)
+
+
+def test_work_apart_returns_or_raises_in_the_caller():
+    value, pid = run_apart(talk, [3], stop=threading.Event())
+    assert value == [3]
+    assert pid != os.getpid()
+    with pytest.raises(InvalidValueError, match="something"):
+        run_apart(talk, [], stop=threading.Event())
+    with pytest.raises(KT3DMoSegError, match="died"):
+        run_apart(os._exit, 7, stop=threading.Event())
+
+
+def test_work_apart_ends_when_it_is_stopped(tmp_path):
+    stop, path = threading.Event(), tmp_path / "pid"
+
+    def stop_when_it_runs():
+        while not (path.exists() and path.read_text()):
+            time.sleep(0.01)
+        stop.set()
+
+    threading.Thread(target=stop_when_it_runs, daemon=True).start()
+    with pytest.raises(KT3DMoSegError, match="cancelled"):
+        run_apart(wait_for_ever, str(path), stop=stop)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(path.read_text()), 0)

@@ -12,13 +12,14 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
 from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation
-from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate_keys, weak_frames
+from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate, propagate_keys, weak_frames
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import hold_folder, listed, parse_json, read_bytes, write_text
@@ -34,7 +35,6 @@ _KEPT_LABELLINGS = 4
 _KEPT_OBJECTS = 256
 _MAX_STATES = 1 << 20
 _LONGEST_NAME = 100
-_MOSTLY = 0.5
 
 WORK_STATES = ("not started", "in work", "done", "reviewed")
 
@@ -122,7 +122,10 @@ class ClipSession:
     @cached_property
     def moving(self) -> IntArray | None:
         """Group (N,) of each trajectory: 1 moves as the scene, 2, 3, ... by themselves; None when unknown."""
-        return _moving(self.trajectories(wait=True))
+        try:
+            return moving_groups(self.trajectories(wait=True))
+        except InvalidValueError:
+            return None
 
     def work_state(self) -> dict[str, Any]:
         """Return the last state that an annotator set, as `set_work_state` wrote it.
@@ -170,7 +173,7 @@ class ClipSession:
 
         ``name``, ``n_frames``, ``work`` and ``counting``; for a counted clip ``revision``, ``annotator``,
         ``objects``, ``motions`` as far as there is an annotation, ``trajectories`` as far as there are any,
-        ``counts`` and ``unexplained`` where there is both; ``error`` when a file is damaged.
+        ``counts`` and ``weak`` (regions in doubt) where there is both; ``error`` when a file is damaged.
         """
         # Trajectories that no file holds are not computed for it.
         tracks, computed = self.source.tracks, isinstance(self._tracks, Trajectories)
@@ -203,11 +206,14 @@ class ClipSession:
         out |= {"objects": len(annotation.objects), "motions": len(annotation.motions)}
         if tracks is None:
             return out
-        # A clip that nobody opened is labelled without keeping anything of it.
-        labelled = self.labelled(annotation) if ready else label_tracks_detailed(tracks, annotation)
-        groups = self.moving if ready else _moving(tracks)
-        left = None if groups is None else _unexplained(groups, labelled)
-        return out | {"counts": labelled.counts(), "unexplained": left}
+        if ready:
+            labelled, weak = self.labelled(annotation), self.weak(annotation)
+        else:  # a clip that nobody opened: nothing of it is kept
+            motion = TrackMotion(tracks)
+            regions = propagate(annotation, motion)
+            labelled = label_tracks_detailed(tracks, annotation, regions=regions)
+            weak = {number: weak_frames(of_object, motion) for number, of_object in regions.items()}
+        return out | {"counts": labelled.counts(), "weak": sum(map(bool, chain(*weak.values())))}
 
     def _label(self, annotation: Annotation) -> LabelledTracks:
         tracks = self.trajectories(wait=True)
@@ -260,19 +266,6 @@ def sessions_of(clips: Mapping[str, ClipFiles], tracker: Tracker) -> dict[str, C
 
 def _warn(message: str) -> None:
     print(f"kt3dmoseg: warning: {message}", file=sys.stderr)
-
-
-def _unexplained(groups: IntArray, labelled: LabelledTracks) -> int:
-    """Count the groups that move by themselves but are mostly labelled as background."""
-    background = labelled.labels.label == 1
-    return sum(bool(background[groups == k].mean() > _MOSTLY) for k in range(2, groups.max(initial=1) + 1))
-
-
-def _moving(tracks: Trajectories) -> IntArray | None:
-    try:
-        return moving_groups(tracks)
-    except InvalidValueError:
-        return None
 
 
 def _file_state(path: Path) -> tuple[int, ...]:

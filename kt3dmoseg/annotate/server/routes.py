@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -31,6 +32,7 @@ from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, Not
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
+from kt3dmoseg.parallel import run_apart
 from kt3dmoseg.types import Trajectories
 
 Answer: TypeAlias = Response | dict[str, Any]
@@ -41,6 +43,7 @@ _SHOWN = {f".{kind}": f"image/{kind}" for kind in ("png", "jpeg", "webp", "bmp")
 _MAX_PICTURE = 1 << 28
 _MOST_DIFFERENCES = 2_000
 _WORKERS = 4
+_POLL = 0.25  # seconds between two looks whether somebody still waits for an answer
 _ETAG = re.compile(r'"(\d{1,16})"')
 
 
@@ -99,8 +102,14 @@ class Routes:
             session = self.sessions.get(request.path_params["clip"])
             if session is None:
                 raise HTTPException(404, "no such clip")
-            loop, body = asyncio.get_running_loop(), await request.body()
-            answer = await loop.run_in_executor(pool, work, request, session, body)
+            request.state.stop, body = threading.Event(), await request.body()
+            running = asyncio.get_running_loop().run_in_executor(pool, work, request, session, body)
+            while pool and not (await asyncio.wait({running}, timeout=_POLL))[0]:
+                if await request.is_disconnected():  # what waits for its turn is dropped, a proposer stopped
+                    request.state.stop.set()
+                    running.cancel()
+                    return Response()
+            answer = await running
             return answer if isinstance(answer, Response) else JSONResponse(answer)
 
         return Route("/api/clips/{clip}" + path, endpoint, methods=[method])
@@ -182,7 +191,8 @@ class Routes:
         given, tracks = _given(session, body), session.trajectories(wait=True)
         name, frames = session.source.name, session.source.frames
         asked = proposals.Request(name, given, tracks, frames, self.masks, self.kitti)
-        objects = proposals.propose(request.path_params["proposer"], asked)
+        proposer, stop = request.path_params["proposer"], request.state.stop
+        objects = run_apart(proposals.propose, proposer, asked, stop=stop)
         return {"objects": model.to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]}
 
     def _compare(self, _: Request, session: ClipSession, body: bytes) -> Answer:

@@ -4,11 +4,11 @@ import { ask, listClips } from "./api.js";
 import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { flush, saver, startFrom } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
-import { loadTracks, unexplained } from "./tracks.js";
+import { loadTracks } from "./tracks.js";
 import { fit, numbersOf, stop } from "./view.js";
 
 const POLL = 500;
-const HEADS = ["clip", "frames", "objects", "motions", "state", "", "left", "saved"];
+const HEADS = ["clip", "frames", "objects", "motions", "state", "", "in doubt", "saved"];
 
 /** Open a clip, or report why it cannot be opened. */
 export async function openClip(name, pushHistory = true) {
@@ -47,7 +47,12 @@ function stateOf({ work, revision }) {
 }
 
 const isDone = (name) => ["done", "reviewed"].includes(name);
-const left = (count) => (count ? `${count} motion${count > 1 ? "s" : ""} to check` : "no motion to check");
+
+/** What the labels leave in doubt: trajectories that got none, regions that were carried with doubt. */
+function doubtOf({ short, conflict }, weak) {
+  const parts = [[short + conflict, "open"], [weak, "weak"]].filter(([count]) => count);
+  return parts.map((part) => part.join(" ")).join(" · ") || "nothing in doubt";
+}
 
 async function setState(wanted) {
   await flush();
@@ -85,13 +90,13 @@ async function refresh() {
 }
 
 function drawProgress() {
-  const { clip, work } = state;
+  const { clip, work, labels } = state;
   const summaries = state.summaries ?? [];
-  const groups = unexplained();
-  byId("progress").textContent = groups ? left(groups.length) : "…";
+  const weak = Object.values(state.weak ?? {}).flat().filter(Boolean).length;
+  byId("progress").textContent = labels ? doubtOf(labels.counts, weak) : "…";
   const done = summaries.filter((summary) => isDone(stateOf(summary).now)).length;
-  byId("clips").title = `${done} of ${summaries.length} clips are done. To check: groups of trajectories that seem to `
-    + "move by themselves and lie in no outline (Shift+U). F2 lists the clips";
+  byId("clips").title = `${done} of ${summaries.length} clips are done. Open: trajectories too short or in conflict `
+    + "(G visits them). Weak: regions carried with doubt (Shift+W). F2 lists the clips";
   const { now, detail } = stateOf({ work, revision: saver.revision });
   fill(byId("state"), clip.states.map((name) => element("option", { selected: name === now }, name)));
   byId("state").title = detail || "Set how far this clip is";
@@ -127,12 +132,11 @@ function total(summaries) {
 }
 
 function cells(summary) {
-  const { name, n_frames, objects = "", motions = "", revision, counts, unexplained: groups, error } = summary;
+  const { name, n_frames, objects = "", motions = "", revision, counts, weak, error } = summary;
   const here = name === state.clip.name ? "on" : "";
   const go = button(name, () => (close(), openClip(name)), here, { "data-clip": name });
   const { now, detail } = stateOf(summary);
-  const open = counts && `${counts.conflict + counts.short} open`;
-  let hint = [Number.isInteger(groups) && left(groups), open].filter(Boolean).join(", ");
+  let hint = counts ? doubtOf(counts, weak) : "";
   if (error) hint = element("span", { className: "bad" }, error);
   if (summary.counting) hint = faint("counting…");
   return [go, n_frames, objects, motions, now, faint(detail), hint, objects === "" ? "" : `rev ${revision}`];
@@ -140,6 +144,6 @@ function cells(summary) {
 
 // The clip at hand comes first: the others are counted when its labels are there.
 on(["saving", "labels", "clip"], () => state.labels && state.saving.kind === "saved" && refresh());
-on(["labels", "summaries", "clip", "moving", "work", "saving"], () => state.clip && drawProgress());
+on(["labels", "weak", "summaries", "clip", "work", "saving"], () => state.clip && drawProgress());
 on(["summaries"], drawClips);
 byId("state").onchange = (event) => attempt(() => setState(event.target.value)).then(drawProgress);

@@ -78,7 +78,7 @@ export const KEYS = {
       () => view.cycle("colouring", ["label", "length", "none"], "Colour of trajectories: ")),
     key("u", "U", "only unlabelled and conflicts", () => view.cycle("problems", ON_OFF)),
     key("g", "G", "go to the next of them", nextProblem),
-    key("Shift+U", "Shift+U", "go to the next motion that no object explains", nextUnexplained),
+    key("Shift+U", "Shift+U", "go to what leaves the scene's motion, without an object", nextUnexplained),
     key("Shift+W", "Shift+W", "go to the next weak frame (hatched)", actions.nextWeak),
     key("h", "H", "hide the regions", () => view.cycle("hidden", ON_OFF)),
     key("Shift+H", "Shift+H", "hide the object", () => toggleObject("unseen")),

@@ -110,8 +110,8 @@ export function nextProblem() {
   });
 }
 
-/** Groups that move by themselves but are mostly labelled as background: their rows; null while not known. */
-export function unexplained() {
+/** Groups that seem to move by themselves but are mostly labelled as background: their rows; null while not known. */
+function unexplained() {
   const { moving, labels } = state;
   if (!moving || !labels) return null;
   const found = Map.groupBy(rows().filter((row) => moving[row] > 1), (row) => moving[row]);
@@ -121,10 +121,10 @@ export function unexplained() {
 
 export function nextUnexplained() {
   const found = unexplained();
-  const nothing = found ? "No motion is left to check" : "The scene's motion is not known";
+  const nothing = found ? "No trajectories seem to move by themselves" : "The scene's motion is not known";
   visitNext("motion", found ?? [], nothing, (group, which) => {
     showTrack(group[Math.floor(group.length / 2)]);
-    return `${group.length} trajectories seem to move by themselves here (${which})`;
+    return `${group.length} trajectories leave the motion of the scene (${which}): a mover, or an error of tracking`;
   });
 }
 
