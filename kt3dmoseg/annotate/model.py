@@ -40,6 +40,7 @@ from kt3dmoseg.registry import nearest, unknown_name
 T = TypeVar("T")
 
 FORMAT = "kt3dmoseg-annotation"
+PROPOSALS = "kt3dmoseg-proposals"  # the same content, which nobody has checked: no annotation
 VERSION = 1
 PROTOCOL = 1
 BACKGROUND = 0
@@ -248,13 +249,15 @@ class Annotation:
         return replace(self, objects=(), marks=())
 
 
-def load_annotation(path: str | os.PathLike[str]) -> Annotation:
+def load_annotation(path: str | os.PathLike[str], form: str = FORMAT) -> Annotation:
     """Read the annotation of a clip.
 
     Parameters
     ----------
     path : path
         A JSON file as written by `save_annotation`.
+    form : str
+        The format that the file must state: `PROPOSALS` for a file of proposals.
 
     Raises
     ------
@@ -265,7 +268,7 @@ def load_annotation(path: str | os.PathLike[str]) -> Annotation:
     """
     name = os.fspath(path)
     try:
-        return from_json(parse_document(read_bytes(path, _MAX_BYTES), name))
+        return from_json(parse_document(read_bytes(path, _MAX_BYTES), name), form)
     except InvalidValueError as error:
         raise _moved(error, f"{name}: {error.where}", FileFormatError) from error
 
@@ -284,9 +287,9 @@ def parse_document(content: bytes, where: str) -> Any:  # noqa: ANN401  # whatev
     return found
 
 
-def save_annotation(path: str | os.PathLike[str], annotation: Annotation) -> None:
+def save_annotation(path: str | os.PathLike[str], annotation: Annotation, form: str = FORMAT) -> None:
     """Write an annotation atomically; raises InputFileError when the file cannot be written."""
-    write_text(path, dumps(annotation))
+    write_text(path, dumps(annotation, form))
 
 
 class StaleRevisionError(KT3DMoSegError):
@@ -321,9 +324,9 @@ def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annot
     return saved
 
 
-def dumps(annotation: Annotation) -> str:
+def dumps(annotation: Annotation, form: str = FORMAT) -> str:
     """Return the JSON text of an annotation, one polygon a line."""
-    return _indented(to_json(annotation), "\n") + "\n"
+    return _indented(to_json(annotation) | {"format": form}, "\n") + "\n"
 
 
 def _indented(value: Any, line: str) -> str:  # noqa: ANN401  # whatever JSON holds
@@ -347,15 +350,17 @@ def to_json(annotation: Annotation) -> dict[str, Any]:
     return {"format": FORMAT, "version": VERSION} | {name: data[name] for name in _ORDER}
 
 
-def from_json(data: object) -> Annotation:
+def from_json(data: object, form: str = FORMAT) -> Annotation:
     """Build an annotation from parsed JSON; raises InvalidValueError, which names the field."""
     if not isinstance(data, Mapping):
         raise InvalidValueError("annotation", expected="a JSON object", found=repr(data)[:80])
     rest = dict(data)
     if missing := [name for name in _REQUIRED if name not in rest]:
         raise InvalidValueError(missing[0], expected="this field", found="nothing")
-    for name, expected in (("format", FORMAT), ("version", VERSION)):
+    for name, expected in (("format", form), ("version", VERSION)):
         found, fix = rest.pop(name), "" if name == "format" else "read it with a newer kt3dmoseg"
+        if found == PROPOSALS:
+            fix = "nobody has checked them: 'kt3dmoseg label' shows them, to be accepted one by one"
         if found != expected:
             raise InvalidValueError(name, expected=repr(expected), found=repr(found)[:80], fix=fix)
     with _errors_of_this_package():

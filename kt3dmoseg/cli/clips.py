@@ -64,6 +64,9 @@ def build(
     masks: Annotated[
         Folder | None, Parameter(help="Labels: FOLDER/CLIP/*.png, DAVIS indexed or KITTI MOTS.")
     ] = None,
+    propose: Annotated[
+        Flag, Parameter(help="Write proposals for unlabelled clips, which 'kt3dmoseg label' shows.")
+    ] = False,
     workers: Annotated[Whole | None, Parameter(help="Processes (default: one per core).")] = None,
     force: Annotated[Flag, Parameter(help="Build also what is up to date.")] = False,
     parameter: FlowParameters = (),
@@ -89,10 +92,13 @@ def build(
     one: dict[str, Any] = {"date": date, "drive": drive, "camera": camera, "frames": range_, "name": name}
     sources = kitti_sources(frames, **one) if any(one.values()) else find_sources(frames)
     names = {source.name.lower() for source in sources}  # one of another case is refused, not passed over
-    if annotations is None and any(path.stem.lower() in names for path in _ANNOTATIONS.glob("*.json")):
-        annotations = _ANNOTATIONS
+    folder = _ANNOTATIONS if annotations in (None, Path("none")) else annotations
+    if annotations is None or propose:  # proposals also go where there is no annotation yet
+        there = any(path.stem.lower() in names for path in folder.glob("*.json"))
+        annotations = folder if there and annotations != Path("none") else None
     annotations = None if annotations == Path("none") else annotations
     make = partial(build_dataset, sources, output, annotations=annotations, masks=masks, cache=cache)
+    make = partial(make, propose=folder if propose else None)
     make = partial(make, workers=workers, force=force, flow_parameters=parse_assignments(parameter))
     outcomes = _run(partial(make, **options), len(sources), output)
     empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]

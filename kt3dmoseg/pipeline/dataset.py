@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -17,6 +17,8 @@ import scipy
 
 import kt3dmoseg
 from kt3dmoseg import pipeline, tracking
+from kt3dmoseg.annotate import Annotation, proposals, save_annotation
+from kt3dmoseg.annotate.model import PROPOSALS
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, sha256_files
 from kt3dmoseg.flow import backend_identity, create
@@ -126,6 +128,7 @@ def build_dataset(
     workers: int | None = None,
     dask: str = "",
     force: bool = False,
+    propose: PathLike | None = None,
     flow_parameters: Mapping[str, Any] | None = None,
     cache: PathLike | None = None,
     progress: Callable[[str, int, int | None], None] | None = None,
@@ -153,6 +156,9 @@ def build_dataset(
         Address of a Dask scheduler, instead of processes; its workers must see the same folders.
     force : bool
         Build also what is up to date.
+    propose : path, optional
+        Folder in which ``<clip>.proposals.json`` is written for every clip that nothing labels: outlines for
+        `kt3dmoseg label`, of what the proposer "mseg" finds to move. They are never read as labels.
     flow_parameters, cache
         As in `build_clip`.
     progress : callable, optional
@@ -192,6 +198,9 @@ def build_dataset(
     outcomes = []
     with _sole_writer(Path(output)) as folder:
         work = partial(_build_file, settings, folder, force)
+        if propose is not None:
+            check_writable(Path(propose))
+            work = partial(_build_and_propose, settings, folder, force, Path(propose))
         for _, outcome in run_tasks(work, tasks, lost=lost, workers=count, dask=dask, progress=progress):
             outcomes.append(outcome)
             if report is not None:
@@ -264,6 +273,25 @@ def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, pro
     sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
     counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
     return Outcome(name, "built", reason, target, counts, labels)
+
+
+def _build_and_propose(
+    settings: _Settings, output: Path, force: bool, folder: Path, task: _Task, progress: Progress
+) -> Outcome:
+    """Build one clip; write proposals where nothing labels it and none of the same trajectories are there."""
+    outcome = _build_file(settings, output, force, task, progress)
+    name, file = outcome.name, folder / f"{outcome.name}{proposals.BUILT}"
+    kept = file.exists() and outcome.status == "up to date"
+    if outcome.status == "failed" or outcome.labels or kept or (folder / f"{name}.json").exists():
+        return outcome
+    try:
+        dense = hdf5.read(outcome.path).dense
+        empty = Annotation(name, dense.image_size or (0, 0), dense.n_frames, annotator="build --propose")
+        objects = proposals.propose("mseg", proposals.Request(name, empty, dense, ()))
+        save_annotation(file, replace(empty, objects=tuple(objects)), PROPOSALS)
+    except KT3DMoSegError as error:
+        return replace(outcome, reason=f"{outcome.reason}; nothing proposed: {error}".removeprefix("; "))
+    return replace(outcome, counts={**outcome.counts, "proposals": len(objects)})
 
 
 class _Job:

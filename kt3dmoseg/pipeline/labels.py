@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.annotate import label_tracks, load_annotation
+from kt3dmoseg.annotate.proposals import BUILT
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io.images import decode_indices, void_ids
@@ -49,6 +50,7 @@ def find_labels(
 
 def _unnamed(names: Sequence[str], annotations: Path) -> InputFileError:
     files = [path.name for path in listed(annotations) if path.suffix.lower() == ".json"]
+    files = [name for name in files if not name.endswith(BUILT)]
     expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
     fix = "rename it" if files else "give the folder that has some"
     fix += ", or give --annotations none (annotations=None) for no labels"

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import shutil
 import signal
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from annotation_scenes import drawn_by_hand
 from labeller_page import CORNERS, Page, Server
+
+from kt3dmoseg.annotate import load_annotation, save_annotation
+from kt3dmoseg.annotate.model import PROPOSALS
 
 pytestmark = pytest.mark.browser
 
@@ -103,6 +107,25 @@ def test_proposals_are_accepted_corrected_or_rejected_by_a_person(reviewer):
     assert corrected["key_frames"][0]["polygons"][0][lowest] == pytest.approx([x - 6, y + 6], abs=1)
     # Masks were named 000001.png on, as the frames: the first belongs to the first frame.
     assert [key["frame"] for key in accepted["key_frames"]] == [0, 1, 2, 3, 4, 5]
+
+
+def test_what_the_build_proposed_is_shown_until_somebody_has_drawn(context, equipped):
+    shutil.rmtree(equipped.notes, ignore_errors=True)
+    draw_by_hand(equipped.notes, "one", 6, SAME_PLACE)
+    proposed = load_annotation(equipped.notes / "one.json")
+    save_annotation(equipped.notes / "one.proposals.json", replace(proposed, revision=0), PROPOSALS)
+    (equipped.notes / "one.json").unlink()
+    page = Page(context, equipped.address)
+    page.until("labeller.state.review")
+    assert page.objects() == []
+    button(page, "Accept").click()
+    page.until("!labeller.state.review")
+    page.saved()
+    assert len(load_annotation(equipped.notes / "one.json").objects) == 1
+    again = Page(context, equipped.address)
+    again.until("labeller.state.moving !== undefined && labeller.state.tracks")
+    assert again.value("labeller.state.proposals") is None
+    assert page.errors == again.errors == []
 
 
 def test_escape_ends_the_review_and_keeps_nothing(reviewer):

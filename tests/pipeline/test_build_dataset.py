@@ -16,18 +16,27 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip, write_masks
+from build_scenes import FRAMES, HEIGHT, SIDE, WIDTH, on_patch, patch_corner, write_clip, write_masks
 
 import kt3dmoseg
 from kt3dmoseg import flow, pipeline, tracking
+from kt3dmoseg.annotate import Annotation, load_annotation, proposals, save_annotation
+from kt3dmoseg.annotate.model import PROPOSALS
 from kt3dmoseg.cli import main
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
+from kt3dmoseg.errors import (
+    FileFormatError,
+    InputFileError,
+    InvalidValueError,
+    KT3DMoSegError,
+    MissingDependencyError,
+)
 from kt3dmoseg.files import hold_folder
 from kt3dmoseg.frames import FrameFolder
 from kt3dmoseg.io import hdf5, load
 from kt3dmoseg.io.flow_files import write_flow
 from kt3dmoseg.pipeline import build_dataset
 from kt3dmoseg.tracking import RELIABLE
+from kt3dmoseg.types import Labels
 
 FLOW = ["--flow", "dis_medium"]
 
@@ -226,6 +235,34 @@ def test_masks_belong_to_a_clip_by_name(folder, words, frames, tmp_path, capsys)
 @dataclasses.dataclass(frozen=True)
 class Named(FrameFolder):
     name: str = "../elsewhere"
+
+
+def test_proposals_of_unlabelled_clips_are_written_but_no_labels(frames, tmp_path, monkeypatch, capsys):
+    def on_the_patch(request):
+        return Labels(1 + (on_patch(request.trajectories) == 1).astype(np.int64), background=1)
+
+    monkeypatch.setattr(proposals.PROPOSERS, "load", lambda name: on_the_patch)
+    notes, out = tmp_path / "notes", tmp_path / "out"
+    save_annotation(notes / "a.json", Annotation("a", (WIDTH, HEIGHT), FRAMES))
+    command = ["build", str(frames), "-o", str(out), "--annotations", str(notes), *FLOW]
+    command += ["--spacing", "4", "--workers", "1"]
+    assert main([*command, "--propose"]) == 0
+    written = [notes / f"{name}.proposals.json" for name in "bc"]
+    assert sorted(notes.glob("*.json")) == [notes / "a.json", *written]
+    assert load(out / "b.h5").n_motions == 0
+    (item,) = load_annotation(written[0], PROPOSALS).objects
+    corner = np.array(patch_corner(0))
+    assert np.abs(np.array(item.key_frames[0].polygons[0]) - corner - SIDE / 2).max() < SIDE
+    with pytest.raises(FileFormatError, match="nobody has checked"):
+        load_annotation(written[0])
+    written[0].rename(notes / "b.json")  # as somebody may who takes them for labels
+    capsys.readouterr()
+    assert main(command) == 2
+    assert "b failed" in (err := capsys.readouterr().err)
+    assert "nobody has checked" in err
+    written[1].write_bytes(b"kept")  # of an up to date clip
+    build(frames, out, annotations=notes, propose=notes, spacing=4)
+    assert written[1].read_bytes() == b"kept"
 
 
 def test_a_name_does_not_lead_out_of_the_folder(frames, tmp_path):

@@ -19,7 +19,15 @@ from kt3dmoseg.annotate.formats import load
 from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
 from kt3dmoseg.annotate.formats.masks import polygons_of
 from kt3dmoseg.annotate.geometry import arrays, size
-from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Polygon
+from kt3dmoseg.annotate.model import (
+    BACKGROUND,
+    PROPOSALS,
+    REJECT,
+    AnnotatedObject,
+    Annotation,
+    Polygon,
+    load_annotation,
+)
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import listed, read_bytes, zip_bytes
 from kt3dmoseg.registry import Registry
@@ -31,9 +39,12 @@ PROPOSERS = Registry(
         "residual": "kt3dmoseg.annotate.proposals.residual:propose",
         "tracklets": "kt3dmoseg.annotate.proposals.tracklets:propose",
         "masks": "kt3dmoseg.annotate.proposals:propose_masks",
+        "built": "kt3dmoseg.annotate.proposals:propose_built",
     },
     group="kt3dmoseg.proposers",
 )
+BUILT = ".proposals.json"
+"""What a file of proposals has after the clip's name, in the folder of annotations."""
 _MAX_FILE = 64 << 20
 # Seeds lie 8 pixels apart where there is texture; smooth parts of a car leave gaps of some 30 pixels.
 _REACH = 16
@@ -60,6 +71,8 @@ class Request:
         Folder with masks, one sub-folder or text file per clip.
     kitti : Path or None
         KITTI raw root.
+    built : Path or None
+        File of proposals that `kt3dmoseg build --propose` wrote.
     """
 
     clip: str
@@ -68,6 +81,7 @@ class Request:
     frames: tuple[Path, ...]
     masks: Path | None = None
     kitti: Path | None = None
+    built: Path | None = None
 
 
 def propose(name: str, request: Request) -> list[AnnotatedObject]:
@@ -102,6 +116,18 @@ def propose_masks(request: Request) -> list[AnnotatedObject]:
         with suppress(FileFormatError):
             return list(load("mots_png").parse(content, empty, names).objects)
         raise error
+
+
+def propose_built(request: Request) -> list[AnnotatedObject]:
+    """Read what `kt3dmoseg build --propose` wrote, which must be of the request's clip."""
+    if request.built is None or not request.built.exists():
+        fix = "run 'kt3dmoseg build --propose'"
+        raise InputFileError(f"{request.built}", expected="proposals", found="no such file", fix=fix)
+    found, like = load_annotation(request.built, PROPOSALS), request.annotation
+    for name in ("clip", "image_size", "n_frames"):
+        if (stated := getattr(found, name)) != (wanted := getattr(like, name)):
+            raise FileFormatError(f"{request.built}: {name}", expected=repr(wanted), found=repr(stated))
+    return list(found.objects)
 
 
 def objects_from_labels(

@@ -44,6 +44,7 @@ _MAX_PICTURE = 1 << 28
 _MOST_DIFFERENCES = 2_000
 _WORKERS = 4
 _POLL = 0.25  # seconds between two looks whether somebody still waits for an answer
+_NOT_BUILT = "run 'kt3dmoseg build --propose'"
 _ETAG = re.compile(r'"(\d{1,16})"')
 
 
@@ -129,7 +130,7 @@ class Routes:
             "states": WORK_STATES,
             "kinds": KINDS,
             "formats": self.suffixes,
-            "proposers": self.proposers,
+            "proposers": self.proposers | {"built": "" if _built(session).exists() else _NOT_BUILT},
             "compare": self.other is not None,
             "doubt": session.doubt,
         }
@@ -190,7 +191,7 @@ class Routes:
     def _propose(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given, tracks = _given(session, body), session.trajectories(wait=True)
         name, frames = session.source.name, session.source.frames
-        asked = proposals.Request(name, given, tracks, frames, self.masks, self.kitti)
+        asked = proposals.Request(name, given, tracks, frames, self.masks, self.kitti, _built(session))
         proposer, stop = request.path_params["proposer"], request.state.stop
         objects = run_apart(proposals.propose, proposer, asked, stop=stop)
         return {"objects": model.to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]}
@@ -218,6 +219,10 @@ class Routes:
         plan = formats.plan(name, body, session.annotation(), session.frame_names, choices)
         found = {"lines": plan.lines(), "skipped": plan.skipped, "doubts": plan.doubts}
         return model.to_json(plan.annotation) | {"plan": found}
+
+
+def _built(session: ClipSession) -> Path:
+    return session.source.annotation.with_suffix(proposals.BUILT)
 
 
 def _given(session: ClipSession, body: bytes) -> Annotation:

@@ -2,6 +2,7 @@
 
 import { ask, listClips } from "./api.js";
 import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
+import { proposeBuilt } from "./exchange.js";
 import { flush, saver, startFrom } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
 import { loadTracks } from "./tracks.js";
@@ -22,7 +23,7 @@ export async function openClip(name, pushHistory = true) {
     begin(clip, { work: clip.work, doc: clip.annotation, view: fit(clip.image_size) });
     byId("stage").focus({ preventScroll: true });
     await startFrom(name, clip.annotation);
-    attempt(() => loadTracks(clip));
+    attempt(() => loadTracks(clip).then(() => proposeBuilt(clip)));
   } catch (error) {
     const again = button("Try again", () => (close(), openClip(name, pushHistory)));
     open("The clip cannot be opened", paragraph(error.message), row(again, button("Close", close)));

@@ -16,6 +16,7 @@ const MEANING = {
   tracklets: "KITTI's 3D boxes, projected into the frames",
   masks: "masks from a folder",
   mseg: "the clusters of a motion segmentation; takes some 20 seconds",
+  built: "what kt3dmoseg build --propose found",
 };
 
 const inform = (title, text, ...more) => open(title, paragraph(text), ...more, row(button("Close", close)));
@@ -62,6 +63,12 @@ const start = (proposer) =>
     set({ proposals: objects, compared: null });
     return review(0);
   }, (message) => inform("No proposals", message));
+
+/** Show what was proposed while the clip was built, where nobody has drawn anything yet. */
+export function proposeBuilt(clip) {
+  const untouched = clip === state.clip && !state.doc.revision && !state.doc.objects.length && !byId("dialog").open;
+  if (untouched && clip.proposers.built === "") start("built");
+}
 
 function review(at) {
   close();
