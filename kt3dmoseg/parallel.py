@@ -11,6 +11,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import traceback
 import zipfile
@@ -230,14 +231,17 @@ def run_apart(work: Callable[..., ResultT], *given: object, stop: threading.Even
     Not one of multiprocessing, which would run the caller's script again. What goes there and back is
     pickled; an exception of `work` is raised here. Raises KT3DMoSegError when stopped, or when it dies.
     """
-    sent: bytes | None = pickle.dumps((work, given))
     command = [sys.executable, "-c", f"from {__name__} import _apart; _apart()"]
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=paths) as process:
-        try:
-            answer = _wait_for(process, sent, stop)
-        finally:
-            process.kill()
+    # A file and no pipe: after a timeout, communicate() does not write the rest of what it was given.
+    with tempfile.TemporaryFile() as sent:
+        pickle.dump((work, given), sent)
+        sent.seek(0)
+        with subprocess.Popen(command, stdin=sent, stdout=subprocess.PIPE, env=paths) as process:
+            try:
+                answer = _wait_for(process, stop)
+            finally:
+                process.kill()
     if not answer:
         raise KT3DMoSegError("cancelled" if stop.is_set() else f"its process died, code {process.returncode}")
     done, value = pickle.loads(answer)  # noqa: S301  # of our own process
@@ -246,12 +250,10 @@ def run_apart(work: Callable[..., ResultT], *given: object, stop: threading.Even
     return cast(ResultT, value)
 
 
-def _wait_for(process: subprocess.Popen[bytes], sent: bytes | None, stop: threading.Event) -> bytes:
+def _wait_for(process: subprocess.Popen[bytes], stop: threading.Event) -> bytes:
     while not stop.is_set():
-        try:
-            return process.communicate(sent, timeout=_POLL)[0]
-        except subprocess.TimeoutExpired:
-            sent = None
+        with suppress(subprocess.TimeoutExpired):
+            return process.communicate(timeout=_POLL)[0]
     return b""
 
 

@@ -23,12 +23,12 @@ _SHORTEST = 5
 
 
 def propose(request: Request) -> Labels:
-    """Find the motions of a sample of the trajectories; the largest is taken as background.
+    """Find the motions of a sample of the trajectories, which the others join; the largest is the background.
 
     Returns
     -------
     Labels
-        One per trajectory of the request; 0 = not in the sample.
+        One per trajectory of the request.
 
     Raises
     ------
@@ -44,8 +44,6 @@ def propose(request: Request) -> Labels:
     if len(rows) > _MOST:
         rows = np.sort(np.random.default_rng(0).choice(rows, _MOST, replace=False))
     clip = Clip(request.clip, tracks, rows, Labels(np.zeros(len(rows), dtype=np.int64)))
-    found = segment(clip, "multibody", seed=0).labels
-    largest = int(np.argmax(np.bincount(found, minlength=2)[1:])) + 1
-    label = np.zeros(len(tracks), dtype=np.int64)
-    label[rows] = np.where(found == largest, 1, np.where(found > 0, found + 1, 0))
-    return Labels(label, background=1)
+    found = segment(clip, "multibody", seed=0, rows="all").labels
+    largest = int(np.argmax(np.bincount(found[rows], minlength=2)[1:])) + 1
+    return Labels(np.where(found == largest, 1, np.where(found > 0, found + 1, 0)), background=1)

@@ -245,6 +245,11 @@ def test_work_apart_returns_or_raises_in_the_caller():
         run_apart(os._exit, 7, stop=threading.Event())
 
 
+def test_more_than_a_pipe_holds_arrives_although_the_other_process_starts_late(monkeypatch):
+    monkeypatch.setattr("kt3dmoseg.parallel._POLL", 0.001)
+    assert run_apart(len, bytes(1_000_000), stop=threading.Event()) == 1_000_000
+
+
 def test_work_apart_ends_when_it_is_stopped(tmp_path):
     stop, path = threading.Event(), tmp_path / "pid"
 
