@@ -67,6 +67,10 @@ def build(
     propose: Annotated[
         Flag, Parameter(help="Write proposals for unlabelled clips, which 'kt3dmoseg label' shows.")
     ] = False,
+    tracks: Annotated[
+        Either | None,
+        Parameter(help="Trajectories of another tracker, PATH/CLIP.npz and others, instead of tracking."),
+    ] = None,
     workers: Annotated[Whole | None, Parameter(help="Processes (default: one per core).")] = None,
     force: Annotated[Flag, Parameter(help="Build also what is up to date.")] = False,
     parameter: FlowParameters = (),
@@ -98,7 +102,7 @@ def build(
         annotations = folder if there and annotations != Path("none") else None
     annotations = None if annotations == Path("none") else annotations
     make = partial(build_dataset, sources, output, annotations=annotations, masks=masks, cache=cache)
-    make = partial(make, propose=folder if propose else None)
+    make = partial(make, propose=folder if propose else None, tracks=tracks)
     make = partial(make, workers=workers, force=force, flow_parameters=parse_assignments(parameter))
     outcomes = _run(partial(make, **options), len(sources), output)
     empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
@@ -225,6 +229,11 @@ def convert(
     source: Annotated[File, Parameter(help="File to read.")],
     target: Annotated[File, Parameter(help="File to write.")],
     /,
+    *,
+    layout: Annotated[
+        Name,
+        Parameter(help="Write a .npz as a tracker does: cotracker, tapir, tap-vid, kubric, pointodyssey."),
+    ] = "",
 ) -> None:
     """Convert a clip (.h5, .mat, .npz, .dat) or a flow field (.flo, .png, .npy, .npz).
 
@@ -233,6 +242,6 @@ def convert(
     """
     from kt3dmoseg.io.formats import convert
 
-    lost = convert(source, target)
+    lost = convert(source, target, layout=layout)
     kept = f"; this format does not keep: {', '.join(lost)}" if lost else ""
     print(f"{target}: written{kept}", file=sys.stderr)

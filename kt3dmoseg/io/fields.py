@@ -162,18 +162,23 @@ def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
     if visible.any() and (farthest := np.abs(xy[visible]).max()) <= _FRACTION:
         fix = "multiply fractions by width and height, and subtract 0.5"
         raise InvalidValueError(name, expected="pixels", found=f"at most {farthest:g}", fix=fix)
+    between, extent, step, way = spreads(xy, visible)
+    if min(visible.shape) > 2 and step > 2 * between and way > extent:
+        expected, fix = "points that move less than they are apart", "exchange the axes of tracks and frames"
+        found = f"steps of {step:.3g} px from frame to frame, of {between:.3g} px from track to track"
+        fix += "; if they are right, save the tracks in another order"
+        raise InvalidValueError(name, expected=expected, found=found, fix=fix)
+
+
+def spreads(xy: FloatArray, visible: BoolArray) -> list[float]:
+    """Median distances of positions (N, F, 2) along N, of neighbours and over half of it; then along F."""
     medians = []
     for axis in (0, 1):
         points, seen = xy.swapaxes(0, axis), visible.swapaxes(0, axis)
         for lag in (1, max(1, len(points) // 2)):
             moved = (points[lag:] - points[:-lag])[seen[lag:] & seen[:-lag]]
             medians.append(float(np.median(np.hypot(*moved.T))) if len(moved) else 0.0)
-    between, extent, step, way = medians
-    if min(visible.shape) > 2 and step > 2 * between and way > extent:
-        expected, fix = "points that move less than they are apart", "exchange the axes of tracks and frames"
-        found = f"steps of {step:.3g} px from frame to frame, of {between:.3g} px from track to track"
-        fix += "; if they are right, save the tracks in another order"
-        raise InvalidValueError(name, expected=expected, found=found, fix=fix)
+    return medians
 
 
 def foreign_clip(

@@ -40,7 +40,7 @@ class Format(NamedTuple):
 FORMATS = (
     Format("hdf5", ".h5", rb"\x89HDF\r\n\x1a\n", "kt3dmoseg.io.hdf5"),
     Format("mat", ".mat", rb"MATLAB", "kt3dmoseg.io.matlab"),
-    Format("npz", ".npz", rb"PK\x03\x04", "kt3dmoseg.io.npz"),
+    Format("npz", ".npz", rb"PK\x03\x04", "kt3dmoseg.io.point_tracks"),
     Format("dat", ".dat", rb"\s*[\d+.eE-][\d\s+.eE-]*\Z", "kt3dmoseg.io.brox"),
 )
 CLIP_SUFFIXES = tuple(f.suffix for f in FORMATS)
@@ -60,7 +60,7 @@ def load(path: str | os.PathLike[str]) -> Clip:
     """Load one clip from any format that is read.
 
     The content decides, not the suffix: the canonical HDF5, MAT-files of the 2018 release,
-    Hopkins155, Hopkins12 and MTPV62, `.npz` (also CoTracker's and TAP-Vid's), Brox/FBMS `.dat`.
+    Hopkins155, Hopkins12 and MTPV62, `.npz` (also of `kt3dmoseg.io.point_tracks`), Brox/FBMS `.dat`.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def load_dataset(folder: str | os.PathLike[str]) -> dict[str, Clip]:
     return {name: load(path) for name, path in dataset_paths(folder).items()}
 
 
-def convert(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> list[str]:
+def convert(source: str | os.PathLike[str], target: str | os.PathLike[str], *, layout: str = "") -> list[str]:
     """Convert a clip or a flow field; the suffix of `target` names the format.
 
     The file is read back and compared with what went in.
@@ -240,6 +240,8 @@ def convert(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> l
         A clip, or a flow field when `target` is ``.flo``, ``.png`` or ``.npy``.
     target : path
         The file to write.
+    layout : str, optional
+        Of a ``.npz``: as which tracker, one of `kt3dmoseg.io.point_tracks.WRITTEN`.
 
     Returns
     -------
@@ -251,15 +253,20 @@ def convert(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> l
     InputFileError, FileFormatError
         When the source cannot be read or the target cannot be written.
     InvalidValueError
-        When the target's suffix is of no format, or source and target are the same file.
+        When the target's suffix is of no format, or has no such layout, or source and target are the same.
     """
     if Path(target).exists() and Path(target).resolve() == Path(source).resolve():
         raise InvalidValueError(os.fspath(target), expected="another file than the source", found="the same")
     suffix = Path(target).suffix.lower()
-    if suffix in CLIP_SUFFIXES:
+    if suffix in CLIP_SUFFIXES or layout:
+        from kt3dmoseg.io.point_tracks import write_layout
+
         clip = load(source)
-        save(clip, target)
-        before, after = ({"xy": c.dense.xy} | clip_values(c) for c in (clip, load(target)))
+        write_layout(clip, target, layout) if layout else save(clip, target)
+        both = clip, load(target)
+        before, after = ({"xy": c.dense.xy} | clip_values(c) for c in both)
+        if layout:  # some count from the corner: the last bits are lost
+            before["xy"], after["xy"] = before["xy"].round(9), after["xy"].round(9)
         lost = {f.words for name, f in FIELDS.items() if not _same(before.get(name), after.get(name))}
         return sorted(lost)
     from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow, write_flow  # imports OpenCV

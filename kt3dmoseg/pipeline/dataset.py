@@ -30,11 +30,13 @@ from kt3dmoseg.parallel import Progress, run_tasks
 from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.pipeline.drives import SyntheticDrive
 from kt3dmoseg.pipeline.labels import find_labels, label_clip
+from kt3dmoseg.pipeline.own_tracks import find_tracks, read_tracks
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.tracking import TrackOptions, subsample_background, track
-from kt3dmoseg.types import Clip, IntArray, Labels
+from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
 
-_Task: TypeAlias = tuple[FrameSource, dict[str, list[Path]]]  # and what labels it
+_Task: TypeAlias = tuple[FrameSource, dict[str, list[Path]], Path | None]  # what labels it, its tracks
+_Report: TypeAlias = Callable[[int, int | None], None]
 _LIBRARIES = {"kt3dmoseg": kt3dmoseg, "numpy": np, "scipy": scipy, "opencv": cv2, "h5py": h5py}
 
 
@@ -71,6 +73,7 @@ def build_clip(
     *,
     annotation: PathLike | None = None,
     masks: PathLike | None = None,
+    tracks: PathLike | None = None,
     flow_parameters: Mapping[str, Any] | None = None,
     cache: PathLike | None = None,
     progress: Callable[[int, int | None], None] | None = None,
@@ -86,6 +89,8 @@ def build_clip(
         File that labels come from.
     masks : path, optional
         Folder of DAVIS or KITTI MOTS masks that labels come from.
+    tracks : path, optional
+        File with the trajectories of another tracker, instead of tracking.
     flow_parameters : mapping, optional
         Parameters of the flow backend.
     cache : path, optional
@@ -116,7 +121,8 @@ def build_clip(
             raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
         source = found[0]
     [files] = find_labels([source.name], annotation, masks)
-    return _Job(source, files, settings).build(progress)
+    [given] = find_tracks([source.name], tracks)
+    return _Job((source, files, given), settings).build(progress)
 
 
 def build_dataset(
@@ -125,6 +131,7 @@ def build_dataset(
     *,
     annotations: PathLike | None = None,
     masks: PathLike | None = None,
+    tracks: PathLike | None = None,
     workers: int | None = None,
     dask: str = "",
     force: bool = False,
@@ -150,6 +157,9 @@ def build_dataset(
     annotations, masks : path, optional
         Folders that labels come from, ``<clip>.json`` or ``<clip>/*.png``; a clip without stays
         unlabelled, but one clip at least must have some.
+    tracks : path, optional
+        Folder of trajectories, ``<clip>.npz`` or any other format that is read, instead of tracking; a clip
+        without fails.
     workers : int, optional
         Number of processes; by default one per core. Each computes with one thread.
     dask : str
@@ -185,7 +195,9 @@ def build_dataset(
     """
     settings = _Settings(options, flow_parameters, cache)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
-    tasks = list(zip(sources, find_labels(_names(sources), annotations, masks), strict=True))
+    names = _names(sources)
+    labels = find_labels(names, annotations, masks)
+    tasks = list(zip(sources, labels, find_tracks(names, tracks), strict=True))
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))
     count = workers or len(os.sched_getaffinity(0))
@@ -255,10 +267,10 @@ class _Settings:
 def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, progress: Progress) -> Outcome:
     """Build one clip unless its file is up to date; an error is a failed outcome."""
     cv2.setNumThreads(1)  # also with one worker, which is the calling process
-    (source, files), labels = task, "".join(task[1])
+    source, labels = task[0], "".join(task[1])
     name, target = source.name, output / f"{source.name}.h5"
     try:
-        job = _Job(source, files, settings)
+        job = _Job(task, settings)
         reason = _reason_to_build(target, job.inputs, force)
         if not reason:
             return Outcome(name, "up to date", "", target, {}, labels)
@@ -272,6 +284,7 @@ def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, pro
         return Outcome(name, "failed", str(error), target, {})
     sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
     counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
+    counts |= clip.provenance.get("dropped", {})
     return Outcome(name, "built", reason, target, counts, labels)
 
 
@@ -301,11 +314,12 @@ class _Job:
     backend that depends on more than its parameters.
     """
 
-    def __init__(self, source: FrameSource, files: Mapping[str, list[Path]], settings: _Settings) -> None:
-        self.source, self.files, self.settings, self.info = source, files, settings, source.inspect()
+    def __init__(self, task: _Task, settings: _Settings) -> None:
+        self.source, self.files, self.tracks = task
+        self.settings, self.info = settings, self.source.inspect()
         hashes = {"annotation": lambda paths: sha256_file(paths[0]), "masks": sha256_files}
         self.inputs = {
-            "name": source.name,
+            "name": self.source.name,
             "source": self.info.description,
             "labels": {kind: hashes[kind](paths) for kind, paths in self.files.items()},
             "options": asdict(settings.build) | asdict(settings.tracks),
@@ -313,18 +327,21 @@ class _Job:
             "versions": {name: library.__version__ for name, library in _LIBRARIES.items()},
             "algorithms": {"tracking": tracking.ALGORITHM_VERSION, "pipeline": pipeline.ALGORITHM_VERSION},
         }
+        if self.tracks is not None:
+            self.inputs["tracks"] = {"sha256": sha256_file(self.tracks)}
 
     def build(self, progress: Callable[[int, int | None], None] | None) -> Clip:
         """Track, label, subsample."""
         source, settings, numbers = self.source, self.settings, self.info.numbers
         total = None if numbers is None else len(numbers)
         report = None if progress is None else lambda done, _: progress(done, total)
-        frames, options = source.frames(settings.build.colour), asdict(settings.tracks)
-        try:
-            dense = track(frames, settings.flow, cache=settings.cache, progress=report, **options)
-        except InvalidValueError as error:  # of the frames' arrays: name their source
-            raise InvalidValueError(f"{source.where}: {error}") from None
+        frames = source.frames(settings.build.colour)
         provenance: dict[str, Any] = {"format": "kt3dmoseg-build", "inputs": self.inputs}
+        if self.tracks is not None:
+            dense, dropped = read_tracks(self.tracks, frames, numbers, settings.tracks.min_length)
+            provenance |= {"dropped": dropped} if dropped else {}
+        else:
+            dense = self._track(frames, report)
         numbers = range(dense.n_frames) if numbers is None else numbers
         if isinstance(source, SyntheticDrive):
             labels: Labels | None = source.label(dense)
@@ -335,6 +352,14 @@ class _Job:
         return Clip(
             source.name, dense, rows, chosen, np.array(numbers), info.timestamps, info.camera, provenance
         )
+
+    def _track(self, frames: Iterator[ByteArray], report: _Report | None) -> Trajectories:
+        settings = self.settings
+        options = asdict(settings.tracks)
+        try:
+            return track(frames, settings.flow, cache=settings.cache, progress=report, **options)
+        except InvalidValueError as error:  # of the frames' arrays: name their source
+            raise InvalidValueError(f"{self.source.where}: {error}") from None
 
     def _evaluated(self, labels: Labels | None, count: int) -> tuple[IntArray, Labels]:
         if labels is None:

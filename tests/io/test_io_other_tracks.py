@@ -84,7 +84,7 @@ def _tapvid(occluded, video):
             {"points": np.zeros((3, 4, 2)), "occluded": np.ones((3, 5)), "video": np.zeros((4, 2, 2, 3))},
             "occluded",
         ),
-        ({"a": np.zeros(3)}, "found a; the arrays of CoTracker"),
+        ({"a": np.zeros(3)}, "found a; the arrays of cotracker, tapir"),
         (
             {"pred_tracks": np.full((1, 4, 3, 2), "a"), "pred_visibility": np.ones((1, 4, 3))},
             "expected numbers",

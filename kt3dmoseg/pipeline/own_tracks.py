@@ -1,0 +1,87 @@
+"""Trajectories of another tracker as those of a clip: found, compared with the clip's frames, made fit.
+
+Whatever `kt3dmoseg.load` reads is taken; its labels are not. It must have as many frames as the clip and
+follow the pictures. Points outside of the image count as not visible; tracks that are then shorter than
+`min_length` are dropped, as those of our own tracker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.files import PathLike
+from kt3dmoseg.io import load
+from kt3dmoseg.io.fields import clip_name
+from kt3dmoseg.io.formats import clip_files
+from kt3dmoseg.io.point_tracks import check_on_pictures
+from kt3dmoseg.types import ByteArray, Trajectories
+
+_APART = 4  # frames between the two pictures that the tracks are compared with
+
+
+def find_tracks(names: Sequence[str], tracks: PathLike | None) -> list[Path | None]:
+    """Find the file of each clip's trajectories: ``TRACKS/<name>.npz``, or the only one in ``TRACKS/<name>``.
+
+    `tracks` may be the file of a single clip; None gives none. InputFileError is raised when it has nothing
+    of any clip; of a clip that has no file, the path is one where it would be.
+    """
+    if tracks is None:
+        return [None] * len(names)
+    root = Path(tracks)
+    if root.is_file() and len(names) == 1:
+        return [root]
+    if not root.is_dir():
+        raise InputFileError(f"{root}", expected="a folder of trajectories", found="none")
+    here = clip_files(root)
+    found: list[Path | None] = []
+    for name in names:
+        below = clip_files(root / name) if (root / name).is_dir() else []
+        files = [file for file in here if clip_name(file) == name] or below
+        if len(files) > 1:
+            listing = " and ".join(file.name for file in files[:2])
+            raise FileFormatError(f"{root}: tracks of {name}", expected="one file", found=listing)
+        found.append(files[0] if files else root / f"{name}.npz")
+    if not any(path and path.is_file() for path in found):
+        shown = ", ".join(path.name for path in here[:3]) or "no tracks"
+        raise InputFileError(f"{root}", expected=f"{names[0]}.npz or {names[0]}/FILE.npz", found=shown)
+    return found
+
+
+def read_tracks(
+    path: Path, frames: Iterator[ByteArray], numbers: Sequence[int] | None, min_length: int
+) -> tuple[Trajectories, dict[str, int]]:
+    """Read the trajectories of a clip with these frames, and count what is left out, in words.
+
+    FileFormatError when they are of another number of frames, or follow the frames only with x and y
+    exchanged, or scaled.
+    """
+    given = load(path).dense
+    pictures = np.stack(list(islice(frames, _APART + 1)))
+    count = len(numbers) if numbers is not None else len(pictures) + sum(1 for _ in frames)
+    height, width = pictures.shape[1:]
+    if given.n_frames != count:
+        fix = "give the tracks of all frames of the clip, and of no others"
+        raise FileFormatError(f"{path}", expected=f"{count} frames", found=f"{given.n_frames}", fix=fix)
+    if given.image_size not in (None, (width, height)):
+        expected = f"tracks in {width}x{height} px, as the frames"
+        raise FileFormatError(f"{path}", expected=expected, found=f"{given.image_size}")
+    try:
+        check_on_pictures("tracks", given, pictures[[0, -1]].astype(np.float64), len(pictures) - 1)
+    except InvalidValueError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+    with np.errstate(invalid="ignore"):
+        inside = ((given.xy >= -0.5) & (given.xy <= (width - 0.5, height - 0.5))).all(axis=2)
+    visible = given.visible & inside
+    kept = visible.sum(axis=1) >= min_length
+    xy = np.where(visible[..., None], given.xy, np.nan)[kept]
+    tracks = Trajectories(xy, visible[kept], given.track_id[kept], (width, height))
+    left_out = {
+        "points outside of the image": int((given.visible & ~inside).sum()),
+        "tracks too short": int((~kept).sum()),
+    }
+    return tracks, {what: n for what, n in left_out.items() if n}
