@@ -23,6 +23,8 @@ _FAILED = 2
 
 FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the optical flow; may be repeated.")]
 FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields here.")]
+Workers = Annotated[Whole | None, Parameter(help="Processes (default: one per core).")]
+Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
 Names = Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))]
 Range = Annotated[str, Parameter(name="--range", metavar="FIRST-LAST")]
 _one_clip = partial(Parameter, group=Group.create_ordered("One clip of a KITTI raw root"))
@@ -71,7 +73,8 @@ def build(
         Either | None,
         Parameter(help="Trajectories of another tracker, PATH/CLIP.npz and others, instead of tracking."),
     ] = None,
-    workers: Annotated[Whole | None, Parameter(help="Processes (default: one per core).")] = None,
+    workers: Workers = None,
+    dask: Dask = "",
     force: Annotated[Flag, Parameter(help="Build also what is up to date.")] = False,
     parameter: FlowParameters = (),
     cache: FlowCache = None,
@@ -103,7 +106,8 @@ def build(
     annotations = None if annotations == Path("none") else annotations
     make = partial(build_dataset, sources, output, annotations=annotations, masks=masks, cache=cache)
     make = partial(make, propose=folder if propose else None, tracks=tracks)
-    make = partial(make, workers=workers, force=force, flow_parameters=parse_assignments(parameter))
+    make = partial(make, workers=workers, dask=dask, force=force)
+    make = partial(make, flow_parameters=parse_assignments(parameter))
     outcomes = _run(partial(make, **options), len(sources), output)
     empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
     if empty:
@@ -160,8 +164,8 @@ def synth(
     part: Annotated[Literal["public", "test"] | None, Parameter(help="Only this half.")] = None,
     first: Annotated[Positive | None, Parameter(help="Only the first N drives of each half.")] = None,
     seed: Annotated[Whole, Parameter(help="0: the benchmark; other seeds: other drives.")] = 0,
-    workers: Annotated[Whole | None, Parameter(help="Processes (default: one per core).")] = None,
-    dask: Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = "",
+    workers: Workers = None,
+    dask: Dask = "",
     force: Annotated[Flag, Parameter(help="Make also what is up to date.")] = False,
 ) -> int:
     """Make the synthetic benchmark: 200 drives, rendered, tracked, labelled exactly; nothing is downloaded.
