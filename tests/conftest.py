@@ -48,6 +48,18 @@ def browser():
         yield playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
 
 
+@pytest.fixture(scope="session")
+def axe() -> str:
+    """The script of axe-core; its tests are skipped where npm cannot fetch it, but never in CI."""
+    from browser import axe
+
+    script = axe()
+    if not script:
+        missing = "axe-core is not here, and npm cannot fetch it"
+        pytest.fail(missing) if os.environ.get("CI") else pytest.skip(missing)
+    return script
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)

@@ -1,11 +1,15 @@
-"""Find a browser for the tests of the pages, or install one. Needs Python's own library only."""
+"""Find a browser for the tests of the pages, or install one; fetch axe-core. Needs Python's own library only."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import tarfile
+import tempfile
 from pathlib import Path
 
 VARIABLE = "KT3DMOSEG_BROWSER"
@@ -16,6 +20,8 @@ _APPLICATIONS = (
     "C:/Program Files/Google/Chrome/Application/chrome.exe",
 )
 _SECONDS = 600  # one installation
+_AXE = "axe-core@4.14.1"
+_AXE_SHA512 = "FHfa+lmNjQZfJz1q8wKqIDwC6DExcHt/pkjNQb09a3NPjCKg2rhu5qb2S4r76ASyFNNtuFooJpZe37OgudVGtQ=="
 
 
 def find() -> str:
@@ -39,6 +45,30 @@ def install(python: Path) -> str:
         if found := find():
             return found
     return ""
+
+
+def axe() -> str:
+    """Return the script of axe-core, which checks pages for accessibility; '' where npm cannot fetch it.
+
+    It comes from its npm package and is kept in the user's cache.
+    """
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "kt3dmoseg")
+    script = folder / f"{_AXE}.min.js"
+    if not script.is_file() and (npm := shutil.which("npm")):
+        with tempfile.TemporaryDirectory() as name:
+            command = [npm, "pack", _AXE, "--silent", "--pack-destination", name]
+            subprocess.run(command, timeout=_SECONDS, capture_output=True)
+            for package in Path(name).glob("*.tgz"):
+                found = base64.b64encode(hashlib.sha512(package.read_bytes()).digest()).decode()
+                if found != _AXE_SHA512:
+                    raise RuntimeError(f"{_AXE}: expected sha512 {_AXE_SHA512}, found {found}")
+                with tarfile.open(package) as archive:
+                    content = archive.extractfile("package/axe.min.js").read()
+                folder.mkdir(parents=True, exist_ok=True)
+                temporary = folder / f"{_AXE}.{os.getpid()}"
+                temporary.write_bytes(content)
+                temporary.replace(script)
+    return script.read_text(encoding="utf-8") if script.is_file() else ""
 
 
 def _of_playwright() -> list[str]:

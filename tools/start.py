@@ -49,6 +49,7 @@ def main(arguments: list[str]) -> int:
 def _test(python: Path, rest: list[str]) -> int:
     """Run the tests. Those of the pages need a browser; without one they are skipped, but never in CI."""
     found = browser.find() or browser.install(python)
+    browser.axe()
     environment = os.environ | ({browser.VARIABLE: found} if found else {})
     command = [str(python), "-m", "pytest", "-n", str(os.cpu_count() or 1), *rest]
     code = subprocess.call(command, cwd=ROOT, env=environment)

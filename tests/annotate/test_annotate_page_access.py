@@ -87,9 +87,11 @@ def test_tab_goes_through_the_page_from_left_to_right_and_down(page):
     page.until("document.querySelector('#inspector input').checkVisibility()")
     assert focused(page) == "stage"
     behind = []
-    for _ in range(21):
+    for _ in range(25):
         page.press("Tab")
         behind.append(focused(page))
+    assert behind[:4] == ["-", "scale", "+", "Shift+Z"]
+    behind = behind[4:]
     assert "object 1" in behind[0]
     assert behind[1:3] == ["name", "Kind"]
     assert behind[3:14] == [*"1234567890", "x"]
@@ -97,12 +99,12 @@ def test_tab_goes_through_the_page_from_left_to_right_and_down(page):
     assert behind[17:21] == ["note", "Backspace", "Delete", "Shift+Delete"]
     before = []
     page.tab.locator("#stage").focus()
-    for _ in range(14):
+    for _ in range(16):
         page.press("Shift+Tab")
         before.append(focused(page))
     tools = ["clips", "state", "select", "draw", "lasso", "undo"]
-    playback = ["ArrowLeft", "play", "ArrowRight", "flicker"]
-    assert before[::-1] == [*tools, *playback, "s", "Ctrl+e", "compare", "?"]
+    playback = ["ArrowLeft", "frame", "ArrowRight", "play", "flicker"]
+    assert before[::-1] == [*tools, *playback, "s", "Ctrl+e", "compare", "View ▾", "?"]
 
 
 def test_every_key_is_in_the_help(page):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from labeller_page import CORNERS
+from labeller_page import CORNERS, near
 
 pytestmark = pytest.mark.browser
 
@@ -173,7 +173,7 @@ def test_frames_have_the_numbers_of_their_files(page):
     assert [page.value(numbers.format(name)) for name in names] == [["10", "11"], ["0", "1"], ["0", "1"]]
 
 
-def test_undo_and_redo_have_buttons_and_the_zoom_is_shown(page):
+def test_undo_and_redo_have_buttons(page):
     undo, redo = page.tab.locator("#undo"), page.tab.locator("#redo")
     assert undo.is_disabled()
     page.draw()
@@ -182,7 +182,124 @@ def test_undo_and_redo_have_buttons_and_the_zoom_is_shown(page):
     redo.click()
     page.until("labeller.state.doc.objects.length === 1")
     page.until("document.getElementById('redo').disabled")
-    page.shows("#frame-badge", f"{round(100 * page.value('labeller.state.view.scale'))} %")
+
+
+def test_frame_and_zoom_are_typed(page):
+    frame, scale = page.tab.get_by_label("Frame", exact=True), page.tab.get_by_label("Zoom in percent")
+    page.press("Shift+F")
+    page.tab.keyboard.type("4")
+    page.press("Enter")
+    page.until("labeller.state.frame === 3")
+    frame.fill("99")
+    frame.press("Enter")
+    page.shows("#hint", "There is no frame 99: they are 1 to 6")
+    page.until("document.getElementById('frame').value === '4'")
+    scale.fill("250")
+    scale.press("Enter")
+    page.until(
+        "labeller.state.view.scale.toFixed(3) === '2.500' "
+        "&& document.getElementById('scale').value === '250 %'"
+    )
+    page.tab.get_by_role("button", name="Zoom out").click()
+    page.until("document.getElementById('scale').value === '179 %'")
+
+
+def test_how_things_are_shown_is_set_and_kept(page):
+    page.tab.get_by_role("button", name="View").click()
+    form = page.tab.get_by_role("form", name="View")
+    form.get_by_label("Brightness").fill("2")
+    form.get_by_label("Contrast").fill("1.5")
+    page.until("document.getElementById('picture').style.filter === 'brightness(2) contrast(1.5)'")
+    form.get_by_label("Fill of regions").fill("4")
+    form.get_by_label("Pixels").select_option("square")
+    form.get_by_label("Trails").uncheck()
+    ground = "getComputedStyle(document.body).backgroundColor"
+    assert page.value(ground) == "rgb(238, 240, 243)"
+    form.get_by_label("Theme").select_option("dark")
+    page.until(f"{ground} === 'rgb(22, 24, 28)'")
+    page.tab.reload()
+    page.ready()
+    assert page.value(ground) == "rgb(22, 24, 28)"
+    kept = "[state.brightness, state.contrast, state.opacity, state.pixels, state.trails, state.theme]"
+    assert page.value(kept.replace("state", "labeller.state")) == [2, 1.5, 4, "square", False, "dark"]
+    page.tab.get_by_role("button", name="View").click()
+    page.tab.get_by_role("button", name="As usual").click()
+    page.until(f"{ground} === 'rgb(238, 240, 243)' && labeller.state.pixels === 'smooth'")
+    page.tab.emulate_media(color_scheme="dark")
+    page.until(f"{ground} === 'rgb(22, 24, 28)'")
+
+
+def test_square_pixels_have_edges(page):
+    levels = (
+        "import('/static/view.js').then(({ zoomTo }) => { zoomTo(3000); })"
+        ".then(() => new Promise(requestAnimationFrame))"
+        ".then(() => document.getElementById('picture').getContext('2d').getImageData(400, 150, 300, 1).data)"
+        ".then((data) => new Set(data).size)"
+    )
+    smooth = page.value(levels)
+    page.press("Shift+S")
+    assert page.value(levels) < smooth / 2
+
+
+def test_the_menu_of_the_right_button_acts_on_what_is_under_it(page):
+    page.draw()
+    page.press("Escape", "Escape")
+    page.click((100, 100), button="right")
+    menu = page.tab.get_by_role("menu", name="object 1")
+    assert page.value("labeller.state.selected") == 1
+    menu.get_by_role("menuitem", name="occluded from here on").click()
+    page.until("labeller.state.doc.objects[0].key_frames[0].visibility === 'occluded'")
+    page.click((250, 30), button="right")
+    page.tab.get_by_role("menu", name="Clip").get_by_role("menuitem", name="outline a new object").click()
+    page.until("labeller.state.tool === 'draw'")
+    page.press("Escape")
+    page.tab.locator(".entry").click(button="right")
+    page.press("ArrowUp", "Enter")
+    page.until("labeller.state.doc.objects.length === 0 && document.activeElement.id === 'stage'")
+
+
+def at_frame(page, frame, top):
+    box = page.box("#timeline")
+    return box["x"] + (frame + 0.5) * box["width"] / 6, box["y"] + top
+
+
+def test_a_key_frame_is_dragged_along_the_timeline(page):
+    page.draw()
+    page.until("labeller.state.regions?.[1]")
+    page.press("End", "e", "Home")
+    for frame, to in ((5, 3), (0, 2)):
+        page.tab.mouse.move(*at_frame(page, frame, 39))
+        page.tab.mouse.down()
+        page.tab.mouse.move(*at_frame(page, to, 39), steps=4)
+        page.tab.mouse.up()
+        page.until(f"labeller.state.frame === {to} && labeller.state.regions")
+    first, last = page.objects()[0]["key_frames"]
+    assert (first["frame"], last["frame"], last["visibility"]) == (2, 3, "outside")
+    # The outline is the one that was shown there, where the object is.
+    assert near(first["polygons"][0], [(x + 8, y) for x, y in CORNERS], 1.5)
+    page.press("Control+.")
+    page.shows("#hint", "another key frame")
+    page.press("Control+,")
+    page.until("labeller.state.frame === 1 && labeller.state.doc.objects[0].key_frames[0].frame === 1")
+    page.press("Control+z", "Control+z", "Control+z")
+    assert [key["frame"] for key in page.objects()[0]["key_frames"]] == [0, 5]
+
+
+def test_the_timeline_shows_fewer_frames_and_a_map_of_all(page):
+    page.value(
+        "import('/static/state.js').then(({ set, state }) => set({ clip: { ...state.clip, n_frames: 60, "
+        "frame_names: Array.from({ length: 60 }, (_, k) => `${k + 1}.png`), "
+        "numbers: Array.from({ length: 60 }, (_, k) => String(k + 1)) } }))"
+    )
+    page.press(">", ">", ">")
+    page.until("labeller.state.span?.count < 20")
+    box = page.box("#timeline")
+    page.tab.mouse.click(box["x"] + box["width"] * 0.99, box["y"] + 3)
+    page.until("labeller.state.frame === 59 && labeller.state.span.from > 40")
+    page.tab.mouse.click(box["x"] + box["width"] / 2, box["y"] + 20)
+    page.until("(({ frame, span }) => frame === Math.floor(span.from + span.count / 2))(labeller.state)")
+    page.press("<", "<", "<", "<")
+    page.until("labeller.state.span === null")
 
 
 def test_regions_are_filled_strongly_or_not_at_all(page):

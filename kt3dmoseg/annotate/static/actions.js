@@ -178,6 +178,32 @@ export const forgetKey = withObject((item) => {
   else if (keyAt(item, state.frame)) update(item, { key_frames });
 });
 
+/** The document in which a key frame is in another frame, with the outline that is shown there: between its
+ *  neighbours, for it replaces none; null where that is the frame in which it is. */
+export function moveKey(doc, item, from, wanted) {
+  if (state.locked.has(item.id)) return notify(`${item.name} is locked: Shift+R unlocks it`);
+  const others = item.key_frames.filter((key) => key.frame !== from).map((key) => key.frame);
+  const least = Math.max(-1, ...others.filter((frame) => frame < from)) + 1;
+  const most = Math.min(state.clip.n_frames, ...others.filter((frame) => frame > from)) - 1;
+  const to = clamp(wanted, least, most);
+  if (to === from) return doc;
+  const { visibility, polygons } = keyAt(item, from);
+  const there = editableRegion(item, to).polygons;
+  const kept = visibility === "outside" ? [] : there.length ? there : polygons;
+  const without = { key_frames: item.key_frames.filter((key) => key.frame !== from) };
+  return setKey(changeObject(doc, item.id, without), item.id, to, kept, visibility);
+}
+
+/** Move the key frame here by one frame, and go there. */
+export const shiftKey = withObject((item, by) => {
+  const { frame, doc } = state;
+  if (!keyAt(item, frame)) return notify("No key frame here: , and . go to one");
+  const moved = moveKey(doc, item, frame, frame + by);
+  if (moved === doc) return notify("There is another key frame, or the end of the clip");
+  edit(moved);
+  return goTo(frame + by);
+});
+
 /** Frames that an object was carried to with doubt: [frame, why]. */
 export const weakFrames = (item) => [...(state.weak?.[item.id] ?? []).entries()].filter(([, why]) => why);
 

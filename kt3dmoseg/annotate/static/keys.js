@@ -2,10 +2,11 @@
 
 import * as actions from "./actions.js";
 import { clips, openNext } from "./clips.js";
-import { button, close, element, open, row } from "./dom.js";
+import { button, byId, close, element, open, row } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
 import { attempt, redo, state, toggleObject, undo } from "./state.js";
+import { zoomTimeline } from "./timeline.js";
 import { nextProblem, nextUnexplained } from "./tracks.js";
 import * as view from "./view.js";
 
@@ -30,9 +31,14 @@ export const KEYS = {
     key("Home", "Home", "first frame", () => view.goTo(0)),
     key("End", "End", "last frame", () => view.goTo(Infinity)),
     key("Space", "Space", "play, stop", view.play),
+    key("Shift+F", "Shift+F", "go to a frame by its number", () => byId("frame").select()),
     key("f", "F", "flicker this frame and the next", view.flicker),
     key(",", ",", "previous key frame of the object", () => view.toKeyFrame(-1)),
     key(".", ".", "next key frame", () => view.toKeyFrame(1)),
+    key("Ctrl+, Ctrl+.", "Ctrl+, .", "move the key frame to the frame before, after",
+      (name) => actions.shiftKey(name.endsWith(",") ? -1 : 1)),
+    key("< >", "< >", "timeline: more frames, fewer (Ctrl with wheel)",
+      (name) => zoomTimeline(name === "<" ? 1.5 : 1 / 1.5)),
   ],
   "Labels": [
     key("1 2 3 4 5 6 7 8 9", "1 – 9", "motion of the object or lasso; its label in files is one more",
@@ -83,9 +89,10 @@ export const KEYS = {
     key("h", "H", "hide the regions", () => view.cycle("hidden", ON_OFF)),
     key("Shift+H", "Shift+H", "hide the object", () => toggleObject("unseen")),
     key("Shift+R", "Shift+R", "lock the object", () => toggleObject("locked")),
-    key("b", "B", "brighter picture, more contrast", () => view.cycle("brightness", [0, 1, 2])),
+    key("b", "B", "brighter picture", () => view.cycle("brightness", [1, 1.7, 2.6], "Brightness: ")),
     key("Shift+B", "Shift+B", "fill regions strongly, not at all, as usual",
       () => view.cycle("opacity", [1, 3, 0])),
+    key("Shift+S", "Shift+S", "smooth or square pixels", () => view.cycle("pixels", ["smooth", "square"], "Pixels: ")),
   ],
   "Work": [
     key("Ctrl+z", "Ctrl+Z", "undo, without limit", undo),
@@ -102,10 +109,10 @@ export const KEYS = {
   ],
 };
 
-const TABLE = new Map(Object.values(KEYS).flat().flatMap((entry) => entry.names.map((name) => [name, entry])));
+export const TABLE = new Map(Object.values(KEYS).flat().flatMap((entry) => entry.names.map((name) => [name, entry])));
 
 /** A key as this computer's keyboard names it. */
-const here = (shown) => (/Mac|iP(hone|ad)/.test(navigator.platform) ? shown.replace("Ctrl+", "⌘") : shown);
+export const here = (shown) => (/Mac|iP(hone|ad)/.test(navigator.platform) ? shown.replace("Ctrl+", "⌘") : shown);
 
 function help() {
   const sections = Object.entries(KEYS).map(([title, lines]) => element("section", {}, element("h3", {}, title),
@@ -119,7 +126,7 @@ function help() {
 }
 
 /** Run the action of a key; true when it has one. */
-function press(name) {
+export function press(name) {
   const entry = TABLE.get(name);
   if (!entry || !state.doc) return false;
   attempt(() => entry.run(name));

@@ -5,11 +5,14 @@ import { clamp } from "./annotation.js";
 import { clips, openClip } from "./clips.js";
 import { byId } from "./dom.js";
 import "./keys.js";
+import "./look.js";
+import "./menu.js";
 import "./objects.js";
 import "./pointer.js";
 import { drawRegions } from "./regions.js";
 import { saver } from "./saving.js";
 import { attempt, on, set, state } from "./state.js";
+import "./timeline.js";
 import { drawTracks } from "./tracks.js";
 import { drawPicture, fitAll } from "./view.js";
 
@@ -22,24 +25,29 @@ function instruction({ pending, tool }) {
     + "Backspace takes one back, Esc cancels";
 }
 
-on(["clip", "frame", "flickered", "view"], () => {
-  const { clip, frame, flickered, view } = state;
+on(["clip", "frame", "flickered"], () => {
+  const { clip, frame, flickered } = state;
   const shown = flickered ?? frame;
-  byId("frame-badge").textContent = `${clip.frame_names[shown]} · ${shown + 1} of ${clip.n_frames}`
-    + (view ? ` · ${Math.round(100 * view.scale)} %` : "");
+  byId("frame-badge").textContent = `${clip.frame_names[shown]} · ${shown + 1} of ${clip.n_frames}`;
   byId("clip-name").textContent = clip.name;
   document.title = `${clip.name} · kt3dmoseg label`;
 });
 on(["hint", "pending", "tool"], () => (byId("hint").textContent = state.hint || instruction(state)));
 on(["computing"], () => (byId("loading").textContent = state.computing ?? ""));
 on(["tool", "playing", "flickered", "done", "undone", "clip"], () => {
-  for (const b of tools) b.classList.toggle("on", b.dataset.tool === state.tool);
+  for (const b of tools) press(b, b.dataset.tool === state.tool);
   byId("stage").className = state.tool;
-  byId("play").classList.toggle("on", state.playing);
-  byId("flicker").classList.toggle("on", state.flickered !== null);
+  press(byId("play"), state.playing);
+  press(byId("flicker"), state.flickered !== null);
   byId("undo").disabled = !state.done.length;
   byId("redo").disabled = !state.undone.length;
 });
+
+/** Show whether what a button switches is on. */
+function press(button, on) {
+  button.classList.toggle("on", on);
+  button.ariaPressed = on;
+}
 
 const tools = document.querySelectorAll("[data-tool]");
 for (const b of tools) b.onclick = () => state.doc && setTool(b.dataset.tool);

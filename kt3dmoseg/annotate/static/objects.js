@@ -1,15 +1,12 @@
-// The panel below the frame: the objects, their key frames over time, and the properties of the selected one.
+// The panel below the frame: the objects, and the properties of the selected one.
 
 import { setMotion, setVisibility, update, weakFrames } from "./actions.js";
 import {
-  BACKGROUND, PROBLEM, REJECTED, begin, button, byId, chip, colourOfMotion, element, faint, fill, meaningOf, signOf,
+  BACKGROUND, PROBLEM, REJECTED, button, byId, chip, colourOfMotion, element, faint, fill, meaningOf, signOf,
 } from "./dom.js";
 import { on, regionOf, select, selectedObject, set, state, toggleObject } from "./state.js";
-import { fitObject, goTo } from "./view.js";
+import { fitObject } from "./view.js";
 
-// Height of a row of the list and the timeline, and of the timeline's head.
-const ROW = 26;
-const DARK = "#1f2228";
 const FIRST_STEPS = [
   "N, then click around something that moves; Enter closes the outline. Or S for proposals.",
   "1 to 9 gives it its motion.",
@@ -19,15 +16,7 @@ const FIRST_STEPS = [
 const MOTIONS = [1, 2, 3, 4, 5, 6, 7, 8, 9, 0, "reject"];
 
 const list = byId("objects");
-const canvas = byId("timeline");
 const properties = byId("properties");
-const context = canvas.getContext("2d");
-
-// A square of 5 pixels of slanted lines, for weak frames.
-const tile = new OffscreenCanvas(5, 5).getContext("2d");
-Object.assign(tile, { strokeStyle: "#eceff4", lineWidth: 1.2 });
-tile.stroke(new Path2D("M-1 6L6 -1M-1 1L1 -1M4 6L6 4"));
-const HATCH = context.createPattern(tile.canvas, "repeat");
 
 function drawList() {
   if (!state.doc) return;
@@ -55,66 +44,6 @@ function entry(item) {
   });
   return element("div", { className: chosen ? "entry on" : "entry", "data-id": id }, object,
     toggle("unseen", "H", "Hide (Shift+H)"), toggle("locked", "L", "Lock (Shift+R)"));
-}
-
-function drawTimeline() {
-  if (!state.doc) return;
-  begin(canvas);
-  const { clientWidth: width, clientHeight: height } = canvas;
-  const column = width / state.clip.n_frames;
-  bar("#2f6f9660", state.frame * column, 0, Math.max(2, column), height);
-  state.doc.objects.forEach((item, k) => drawRow(item, ROW + k * ROW - state.scrolled, column, width));
-  drawHead(column, width);
-}
-
-function bar(colour, ...box) {
-  context.fillStyle = colour;
-  context.fillRect(...box);
-}
-
-function drawHead(column, width) {
-  const { n_frames, numbers } = state.clip;
-  bar(DARK, 0, 0, width, ROW);
-  bar("#2f6f96", state.frame * column, 0, Math.max(2, column), ROW);
-  context.font = "11px ui-monospace, monospace";
-  context.textAlign = "center";
-  const every = Math.max(1, Math.ceil((8 + 7 * numbers.at(-1).length) / column));
-  for (let frame = 0; frame < n_frames; frame++) {
-    if (frame % every && frame !== state.frame) continue;
-    context.fillStyle = frame === state.frame ? "#ffffff" : "#a9b1bf";
-    context.fillText(numbers[frame], (frame + 0.5) * column, 17);
-  }
-}
-
-function drawRow(item, top, column, width) {
-  if (top < 0 || top > canvas.clientHeight) return;
-  if (item.id === state.selected) bar("#56b4e926", 0, top, width, ROW);
-  const colour = colourOfMotion(item.motion);
-  for (let frame = 0; frame < state.clip.n_frames; frame++) {
-    const { visibility, key } = regionOf(item, frame);
-    const [left, middle] = [frame * column, top + ROW / 2];
-    context.globalAlpha = { visible: 0.6, occluded: 0.25, outside: 0 }[visibility];
-    bar(colour, left, middle - 3, column + 0.5, 6);
-    context.globalAlpha = 1;
-    if (state.weak?.[item.id]?.[frame]) bar(HATCH, left, top + 3, column, ROW - 6);
-    if (key) drawKey(left + column / 2, middle, visibility === "visible", colour);
-  }
-}
-
-function drawKey(x, y, seen, colour) {
-  const diamond = new Path2D(`M${x} ${y - 7}l7 7l-7 7l-7 -7z`);
-  context.fillStyle = seen ? colour : DARK;
-  context.fill(diamond);
-  context.strokeStyle = seen ? "#101216" : colour;
-  context.lineWidth = 1.5;
-  context.stroke(diamond);
-}
-
-function click({ type, offsetX, offsetY }) {
-  if (!state.doc) return;
-  goTo(Math.floor((offsetX / canvas.clientWidth) * state.clip.n_frames));
-  const item = state.doc.objects[Math.floor((offsetY - ROW + state.scrolled) / ROW)];
-  if (type === "pointerdown" && item && offsetY > ROW) select(item.id);
 }
 
 // The selected object's properties; without one, how the trajectories are labelled.
@@ -170,11 +99,7 @@ function counts() {
   return [head(`${labels.label.length} trajectories`), element("div", { className: "counts" }, cells)];
 }
 
-canvas.onpointerdown = click;
-canvas.onpointermove = (event) => event.buttons & 1 && click(event);
-canvas.addEventListener("wheel", (event) => (list.scrollTop += event.deltaY), { passive: true });
 list.onscroll = () => set({ scrolled: list.scrollTop });
 on(["doc", "selected", "clip", "unseen", "locked", "weak"], drawList);
-on(["doc", "frame", "selected", "clip", "regions", "weak", "scrolled", "resized"], drawTimeline);
 on(["clip"], () => fill(properties.elements.kind, state.clip.kinds.map((kind) => element("option", {}, kind))));
 on(["doc", "selected", "frame", "labels", "regions", "dragging", "clip"], drawProperties);

@@ -30,8 +30,8 @@ function down(event) {
   stage.setPointerCapture(event.pointerId);
   if (pinch(event)) return;
   const { screen, point } = at(event);
+  if (event.button === 2) return; // the menu, or removing a point
   if (event.button === 1) drag = panning(screen);
-  else if (event.button === 2) removeVertex(point);
   else drag = state.pending ? drawing(screen, point) : grab(point, screen);
 }
 
@@ -132,10 +132,15 @@ function doubleClick(event) {
   return edge && !onPoint && actions.draw(splice(polygons, edge, 0, edge.point));
 }
 
-function removeVertex(point) {
-  if (state.pending) return actions.takeBackPoint();
-  const found = selectedObject() && nearestVertex(point, actions.regionHere().polygons, REACH / state.view.scale);
-  return found && actions.deleteVertex(found);
+/** The right button takes back a point while drawing, deletes one under it, and else opens the menu. */
+function removeVertex(event) {
+  if (!state.view) return;
+  const found = selectedObject() && !state.pending && event.pointerType
+    && nearestVertex(at(event).point, actions.regionHere().polygons, REACH / state.view.scale);
+  if (found) actions.deleteVertex(found);
+  else if (state.pending) actions.takeBackPoint();
+  else return;
+  event.preventDefault();
 }
 
 function wheel(event) {
@@ -178,6 +183,6 @@ Object.assign(stage, {
   onpointerup: up,
   onpointercancel: (event) => (release(event), cancel()),
   ondblclick: doubleClick,
-  oncontextmenu: (event) => event.preventDefault(),
+  oncontextmenu: removeVertex,
 });
 stage.addEventListener("wheel", wheel, { passive: false });

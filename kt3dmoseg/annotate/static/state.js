@@ -7,12 +7,19 @@ const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
   pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null,
   computing: "loading", proposals: null, review: null, compared: null, dragging: null,
-  flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [], unseen: new Set(), locked: new Set(),
+  span: null, flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [],
+  unseen: new Set(), locked: new Set(),
+};
+
+// How things are shown, unless somebody wishes otherwise, which this browser keeps.
+export const USUAL = {
+  brightness: 1, contrast: 1, opacity: 1, pixels: "smooth", colouring: "label", trails: true, problems: false,
+  hidden: false, theme: "light dark",
 };
 
 export const state = {
-  ...FRESH, clip: null, saving: { kind: "saved", revision: 0 }, trails: true, hidden: false, problems: false,
-  colouring: "label", brightness: 0, opacity: 1, keyboard: false, resized: 0, summaries: null, trouble: "",
+  ...FRESH, ...USUAL, clip: null, saving: { kind: "saved", revision: 0 }, keyboard: false, resized: 0, summaries: null,
+  trouble: "",
 };
 
 const listeners = [];

@@ -23,6 +23,14 @@ export function goTo(frame) {
   set({ frame: clamp(frame, 0, state.clip.n_frames - 1), vertex: null, lassoed: null });
 }
 
+/** Go to the frame of a number, as the files have it. */
+export function goToNumber(wanted) {
+  const { numbers } = state.clip;
+  const frame = numbers.indexOf(String(Number(wanted)));
+  if (frame >= 0) goTo(frame);
+  else notify(`There is no frame ${wanted}: they are ${numbers[0]} to ${numbers.at(-1)}`);
+}
+
 /** The numbers of frames: those in the names of their files, where each has its own. */
 export function numbersOf(names) {
   const found = names.map((name) => /(\d+)\D*$/.exec(name.replace(/\.[^.]*$/, ""))?.[1]);
@@ -103,6 +111,11 @@ export function zoom(factor, at = null) {
   set({ view: viewOf(toImage(focus), scale, focus) });
 }
 
+/** Zoom about the middle, so that a pixel of the frame is as large as so many percent of one of the screen. */
+export function zoomTo(percent) {
+  if (percent > 0) zoom(percent / (100 * state.view.scale), middle());
+}
+
 /** Pan, but not until next to nothing of the frame is left in sight. */
 export function pan(dx, dy) {
   const { view: { x, y, scale }, clip: { image_size: [width, height] } } = state;
@@ -126,7 +139,7 @@ export function drawPicture() {
   const image = state.clip?.images?.[state.flickered ?? state.frame];
   if (!image?.complete || !image.naturalWidth || !state.view) return;
   const { scale } = state.view;
-  context.imageSmoothingEnabled = scale < 3;
+  context.imageSmoothingEnabled = state.pixels === "smooth";
   byId("first")?.remove();
   context.drawImage(image, ...toScreen([-0.5, -0.5]), image.naturalWidth * scale, image.naturalHeight * scale);
 }
@@ -149,5 +162,6 @@ function image(clip, frame) {
 }
 
 on(["frame", "clip"], load);
-on(["frame", "view", "loaded", "clip", "flickered"], drawPicture);
-on(["brightness"], () => (canvas.className = `bright${state.brightness}`));
+on(["frame", "view", "loaded", "clip", "flickered", "pixels", "resized"], drawPicture);
+on(["brightness", "contrast"],
+  () => (canvas.style.filter = `brightness(${state.brightness}) contrast(${state.contrast})`));
