@@ -1,4 +1,4 @@
-"""Find a browser for the tests of the pages, or install one; fetch axe-core. Needs Python's own library only."""
+"""Find a browser for the tests of the pages, or install one; fetch axe-core. Needs nothing but Python."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 
+import numpy as np
 import pytest
 from annotation_scenes import write_clip
 from labeller_page import LIMIT, Page, Server
@@ -13,9 +14,15 @@ from labeller_page import LIMIT, Page, Server
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
     folder = tmp_path_factory.mktemp("clips")
-    write_clip(folder, "one")
+    np.save(folder / "moving.npy", write_clip(folder, "one"))
     write_clip(folder, "two", frames=3, tracks=50)
     return folder
+
+
+@pytest.fixture
+def moving(clips):
+    """Which trajectories of the clip "one" are on the box that moves."""
+    return np.load(clips / "moving.npy").tolist()
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from labeller_page import Page
+from labeller_page import Page, stored
 
 pytestmark = pytest.mark.browser
 
@@ -35,10 +36,8 @@ CONTRAST = """() => {
   return poor;
 }"""
 
-NAMELESS = """() => [...document.querySelectorAll("button, input, select, textarea, a[href], [tabindex]")]
-  .filter((e) => e.checkVisibility())
-  .filter((e) => !(e.getAttribute("aria-label") || e.textContent.trim() || e.labels?.length))
-  .map((e) => e.outerHTML.slice(0, 80))"""
+VIOLATIONS = """() => axe.run().then(({ violations }) =>
+  violations.map(({ id, nodes }) => [id, nodes.map((node) => node.html.slice(0, 120))]))"""
 
 CUT_OFF = """() => [...document.querySelectorAll("#bar *, #panel :is(button, input, select), dialog button")]
   .filter((e) => e.checkVisibility() && !e.closest(".scroll"))
@@ -55,24 +54,87 @@ STATES = {
     "lasso": ["q"],
     "outline": ["n"],
     "nothing chosen": ["Escape", "Escape"],
+    "view": [],
 }
 
 
-def test_a_short_look_at_every_state(page):
-    """In each state of the page: contrast, names, nothing cut off at 1280x720."""
-    assert page.tab.evaluate(CONTRAST) == []
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_short_look_at_every_state(page, axe, theme):
+    """In each state of the page: what axe-core checks, contrast, nothing cut off at 1280x720."""
+    page.tab.emulate_media(color_scheme=theme)
+    page.tab.evaluate(axe)
     page.draw()
     page.until("labeller.state.labels")
     for name, keys in STATES.items():
         page.press(*keys)
         if name in ("keys", "clips", "proposals", "files"):
             page.tab.locator("dialog[open] button").first.wait_for()
+        if name == "view":
+            page.tab.get_by_role("button", name="View").click()
         page.value("new Promise(requestAnimationFrame)")
+        assert (name, page.tab.evaluate(VIOLATIONS)) == (name, [])
         assert (name, page.tab.evaluate(CONTRAST)) == (name, [])
-        assert (name, page.tab.evaluate(NAMELESS)) == (name, [])
         assert (name, page.tab.evaluate(CUT_OFF)) == (name, [])
         page.press("Escape")
     assert page.value("document.documentElement.scrollWidth") == 1280
+
+
+def test_buttons_that_switch_something_say_whether_it_is_on(page):
+    pressed = "[...document.querySelectorAll('#bar [aria-pressed=true]')].map((b) => b.dataset.tool ?? b.id)"
+    page.until(f"{pressed}.join() === 'select'")
+    page.press("q", "f")
+    page.until(f"{pressed}.join() === 'lasso,flicker'")
+    page.press("f", "Escape", "Space")
+    page.until(f"{pressed}.join() === 'select,play'")
+
+
+def test_the_timeline_is_there_as_text(page):
+    page.draw([(200, 20), (206, 20), (206, 26), (200, 26)])
+    page.press("ArrowRight", "ArrowRight", "o", "End", "e")
+    page.until("labeller.state.weak?.[1]?.[1]")
+    text = page.tab.get_by_role("list", name="Timeline").get_by_role("listitem")
+    page.until("document.getElementById('timeline-text').textContent.includes('in doubt')")
+    expected = "object 1: visible 1 to 2; occluded 3 to 5; outside 6; key frames 1, 3, 6; in doubt 2"
+    assert text.all_inner_texts() == [expected]
+
+
+def test_a_whole_clip_is_labelled_with_the_keyboard_alone(page, shared, moving):
+    """Outline, motion, name, kind, the end of the clip, saving, its state: no mouse."""
+    page.press("n", "i")
+    page.until("labeller.state.cross")
+    x, y = page.value("labeller.state.cross")
+    walk = {"Shift+J": (x - 60) // 10, "j": (x - 60) % 10, "Shift+I": (y - 70) // 10, "i": (y - 70) % 10}
+    page.press(*(key for key, count in walk.items() for _ in range(round(count))), "Enter")
+    page.press(*["Shift+L"] * 8, "Enter", *["Shift+K"] * 6, "Enter", *["Shift+J"] * 8, "Enter", "Enter")
+    page.until("labeller.state.doc.objects.length === 1")
+    page.press("1")
+    page.until("labeller.state.labels.counts.motions[2]")
+    for _ in range(40):
+        page.press("Tab")
+        if page.value("document.activeElement.name") == "name":
+            break
+    page.tab.keyboard.type("drifting box")
+    page.press("Tab")
+    page.tab.keyboard.type("other")
+    page.press("Escape", "End", "c", "Shift+W")
+    page.shows("#hint", "No frame is in doubt")
+    page.tab.locator("#stage").focus()
+    for _ in range(40):
+        page.press("Shift+Tab")
+        if page.value("document.activeElement.id") == "state":
+            break
+    page.press("d")
+    page.until("document.activeElement.ariaLabel === 'your name'")
+    page.tab.keyboard.type("Ada")
+    page.press("Enter")
+    page.until("labeller.state.work.state === 'done'")
+    page.saved()
+    (item,) = stored(shared).objects
+    assert (item.name, item.kind, item.motion) == ("drifting box", "other", 1)
+    label = np.array(page.value("labeller.state.labels.label"))
+    x, y = np.array(page.value("[...labeller.state.tracks.xy]")).reshape(len(label), -1, 2)[:, 0].T
+    hidden = (x > 136) & (x < 164) & (y > 66) & (y < 134)  # by the box, later on
+    assert (label == 1 + np.array(moving))[~hidden].mean() >= 0.98
 
 
 def focused(page):

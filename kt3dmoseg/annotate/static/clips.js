@@ -9,7 +9,7 @@ import { loadTracks } from "./tracks.js";
 import { fit, numbersOf, stop } from "./view.js";
 
 const POLL = 500;
-const HEADS = ["clip", "frames", "objects", "motions", "state", "", "in doubt", "saved"];
+const HEADS = ["clip", "frames", "objects", "motions", "state", "set by", "in doubt", "saved"];
 
 /** Open a clip, or report why it cannot be opened. */
 export async function openClip(name, pushHistory = true) {

@@ -26,9 +26,10 @@ const line = (cells, name = "td") => element("tr", {}, cells.map((cell) => eleme
 export const table = (rows, heads) =>
   element("table", {}, heads ? line(heads, "th") : [], rows.map((cells) => line(cells)));
 
-/** A square in a colour. */
-export const chip = (text, colour, title = "") =>
-  element("span", { className: "chip", style: `background: ${colour}`, title }, text);
+/** A square in a colour; `meaning` is how it is read aloud. */
+export const chip = (text, colour, title = "", meaning = "") =>
+  element("span", { className: "chip", style: `background: ${colour}`, title,
+    ...(meaning && { role: "img", ariaLabel: meaning }) }, text);
 
 // Colours of labels, from the one palette (kt3dmoseg/draw/palette.py).
 const palette = JSON.parse(document.documentElement.dataset.palette);

@@ -30,6 +30,7 @@ on(["clip", "frame", "flickered"], () => {
   const shown = flickered ?? frame;
   byId("frame-badge").textContent = `${clip.frame_names[shown]} · ${shown + 1} of ${clip.n_frames}`;
   byId("clip-name").textContent = clip.name;
+  document.querySelector("h1").textContent = `Labelling ${clip.name}`;
   document.title = `${clip.name} · kt3dmoseg label`;
 });
 on(["hint", "pending", "tool"], () => (byId("hint").textContent = state.hint || instruction(state)));

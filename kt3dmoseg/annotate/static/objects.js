@@ -35,8 +35,7 @@ function entry(item) {
   const doubt = weak ? element("span", { className: "weak" }, `${weak} weak`) : faint(kind);
   const object = element("button", {
     className: "object", title: note, "aria-pressed": String(chosen), onclick: () => select(id), ondblclick: fitObject,
-    "aria-label": `${name}, ${kind}, motion ${motion}${weak ? `, ${weak} weak frames` : ""}`,
-  }, chip(signOf(motion), colourOfMotion(motion), meaningOf(motion)),
+  }, chip(signOf(motion), colourOfMotion(motion), meaningOf(motion), `motion ${signOf(motion)}`),
   element("span", { className: "name" }, name), doubt);
   // Not on the way of Tab, which goes from object to object: both have keys.
   const toggle = (what, text, title) => button(text, () => toggleObject(what, id), "switch", {
@@ -49,6 +48,7 @@ function entry(item) {
 // The selected object's properties; without one, how the trajectories are labelled.
 
 let shown = null;
+let byPointer = false;
 
 function drawProperties() {
   if (!state.doc || state.dragging || properties.querySelector("input:focus")) return;
@@ -71,13 +71,16 @@ function change({ target }) {
   const { name } = target;
   const value = target.value.trim();
   if (value !== (shown[name] ?? "") && (value || name !== "name")) update(shown, { [name]: value });
-  if (target.matches("select")) target.blur();
+  if (target.matches("select") && byPointer) target.blur(); // typed letters go on choosing
 }
 
 byId("motions").append(...MOTIONS.map((motion) => button(signOf(motion), () => setMotion(motion), "",
   { title: meaningOf(motion), value: motion, style: `background: ${colourOfMotion(motion)}` })));
 properties.onclick = ({ target }) => target.name === "visibility" && setVisibility(target.value);
 properties.onchange = change;
+properties.onpointerdown = properties.onkeydown = ({ type }) => {
+  byPointer = type === "pointerdown";
+};
 properties.addEventListener("focusout", drawProperties);
 
 function counts() {
