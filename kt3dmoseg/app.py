@@ -10,6 +10,7 @@ import dataclasses
 import inspect
 import io
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -36,6 +37,7 @@ _USAGE = 2
 _RARE = " (rarely changed)"
 _LABELS = 26  # width of the column of names in help
 _FORMER = {"--set": "--parameter"}  # older names of flags, taken and not listed
+_RUNNING: list[cyclopts.App] = []  # the command that runs
 _EXTRAS = dict.fromkeys(("starlette", "uvicorn", "pycocotools"), "label")  # of modules that may be missing
 _EXTRAS["requests"] = "pull"
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
@@ -195,10 +197,36 @@ def _failure(program: str, error: Exception) -> str:
         return f"{program}: {package} is not installed; pip install 'kt3dmoseg[{_EXTRAS[package]}]'"
     if isinstance(error, OSError) and not isinstance(error, KT3DMoSegError):  # a full disk, no permission
         return f"{program}: {error.filename or 'system'}: {error.strerror or error}"
-    return f"{program}: {error}"
+    message, where = str(error), getattr(error, "where", "")
+    return f"{program}: {_flags_of_running().get(where, where)}{typed(message.removeprefix(where))}"
+
+
+def typed(text: str) -> str:
+    """Give text with ``n_motions=N`` as ``--n-motions N``, where that is an argument of the running command.
+
+    The functions speak of their arguments as in Python; where none of them runs as a command, text stays.
+    """
+    flags = _flags_of_running()
+
+    def argument(match: re.Match[str]) -> str:
+        flag, value = flags.get(match[1]), match[2].strip("'")
+        if flag is None:
+            return match[0]
+        return flag if value == "True" else f"{flag} {value.replace('None', 'none')}"
+
+    return re.sub(r"(?<![^\s(])([a-z]\w*)=('\w+'|\w+)(?![\w/.-])", argument, text)
+
+
+def _flags_of_running() -> dict[str, str]:
+    """Give the flags of the running command by the names that their arguments have in Python."""
+    if not _RUNNING or _RUNNING[0].default_command is None:
+        return {}
+    arguments = _RUNNING[0].assemble_argument_collection()
+    return {each.field_info.name: each.name for each in arguments if each.name.startswith("-")}
 
 
 def _run(app: cyclopts.App, words: list[str]) -> int:
+    _RUNNING.clear()
     words, file = _without_config(words)
     app.config = []
     if file:
@@ -211,6 +239,7 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
     words = ["--help" if word == "--help-all" else word for word in words]
     asks_help = not words or "--help" in words or "-h" in words
     chain, apps, rest = app.parse_commands(words)
+    _RUNNING[:] = apps[-1:]
     if apps[-1].default_command is None:
         commands = _commands(apps[-1])
         if rest:

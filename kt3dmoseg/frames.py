@@ -294,7 +294,7 @@ def kitti_sources(
         fix = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
         raise InputFileError(f"{root}", expected=expected, found="no such drive", fix=fix)
     if len(pairs) > 1 and (span or name):
-        found, fix = f"{len(pairs)}", "give --date and --drive"
+        found, fix = f"{len(pairs)}", "give date=DATE and drive=NUMBER"
         raise InvalidValueError("range and name", expected="one drive", found=found, fix=fix)
     first, last = span or (None, None)
     return [KittiClip(RawDrive(root, *pair, camera), first, last, name) for pair in pairs]
@@ -429,5 +429,5 @@ def _frames_of_file(name: str, file: Path, given: Path, frames: PathLike | None)
         return frame_paths(folder)
     if frames is not None and (drive := frame_folder(clip := load(file), frames)):
         return _paths_of(clip, drive)
-    expected, fix = f"a folder of pictures {' or '.join(map(str, below))}", "give their folder with --frames"
+    expected, fix = f"a folder of pictures {' or '.join(map(str, below))}", "give their folder, frames=FOLDER"
     raise InputFileError(f"frames of {name}", expected=expected, found="none", fix=fix)

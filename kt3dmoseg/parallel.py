@@ -206,7 +206,7 @@ def _on_cluster(
         client = distributed.Client(address, timeout=_CONNECT_SECONDS)
     except ImportError as error:
         fix = "pip install 'kt3dmoseg[dask]'"
-        raise MissingDependencyError("--dask needs distributed", fix=fix) from error
+        raise MissingDependencyError("a Dask cluster needs distributed", fix=fix) from error
     except (OSError, ValueError) as error:
         found = str(error) or "no answer"
         raise InputFileError(

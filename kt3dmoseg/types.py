@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import InvalidValueError, MissingDependencyError
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
     from matplotlib.axes import Axes
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
@@ -184,6 +185,21 @@ class Trajectories(_Value):
         row, frame = np.nonzero(self.visible)
         x, y = self.xy[row, frame].T
         return pd.DataFrame({"track": self.track_id[row], "frame": frame, "x": x, "y": y})
+
+    def to_xarray(self) -> xr.Dataset:
+        """Give `x` and `y` over `track` (its id) and `frame` (index), in pixels, NaN where invisible.
+
+        Raises `MissingDependencyError` without xarray, the extra ``xarray``.
+        """
+        try:
+            import xarray as xr
+        except ImportError:
+            fix = "pip install 'kt3dmoseg[xarray]'"
+            raise MissingDependencyError("to_xarray needs xarray", fix=fix) from None
+        axes, unit = ("track", "frame"), {"units": "pixels"}
+        values = {name: (axes, self.xy[..., k], unit) for k, name in enumerate("xy")}
+        size = {"image_size": self.image_size} if self.image_size else {}
+        return xr.Dataset(values, {"track": self.track_id, "frame": np.arange(self.n_frames)}, size)
 
 
 @dataclass(frozen=True, eq=False)

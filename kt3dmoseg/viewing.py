@@ -89,7 +89,7 @@ def show(
     chosen = from_mapping(DrawOptions, options)
     if not _SLOWEST <= rate <= _FASTEST:  # nor NaN
         expected = f"a number above 0, from {_SLOWEST:g} to {_FASTEST:g}"
-        raise InvalidValueError("--rate", expected=expected, found=f"{rate}")
+        raise InvalidValueError("rate", expected=expected, found=f"{rate}")
     loaded = load(clip)
     check_name(loaded.name, f"{clip}: name")
     target = Path(output or loaded.name)
@@ -98,7 +98,7 @@ def show(
         expected = f"a suffix of {', '.join(MOVING_SUFFIXES)}, .png, or none for a folder"
         raise InvalidValueError(f"{target}", expected=expected, found=repr(target.suffix))
     if at is not None and not 0 <= at < loaded.n_frames:
-        raise InvalidValueError("--at", expected=f"0..{loaded.n_frames - 1}", found=str(at))
+        raise InvalidValueError("at", expected=f"0..{loaded.n_frames - 1}", found=str(at))
     painting = painting_of(loaded, by, pred)
     pictures = [] if frames is None else frames_of(loaded, frames)
 

@@ -10,6 +10,7 @@ from kt3dmoseg.registry import lazy
 if TYPE_CHECKING:
     from mseg import benchmark as benchmark
     from mseg import methods as methods
+    from mseg.estimator import MotionSegmenter as MotionSegmenter
     from mseg.evaluation import score as score
     from mseg.methods import segment as segment
     from mseg.types import Hypotheses as Hypotheses
@@ -21,6 +22,7 @@ _PUBLIC = {
     "segment": "methods",
     "score": "evaluation",
     "video": "videos",
+    "MotionSegmenter": "estimator",
     "Segmentation": "types",
     "Hypotheses": "types",
 }

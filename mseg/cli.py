@@ -139,7 +139,7 @@ def run(
             code = 1
     folder = Path(output)
     failed = [path for path in prediction_files(folder) if path.suffix == FAILED]
-    lines = [f"failed: {path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
+    lines = [f"failed: {path.relative_to(folder)}: {app.typed(path.read_text().strip())}" for path in failed]
     meta, _ = parse_meta((folder / META).read_bytes())
     lines += [f"note: {clip}: {note}" for clip, note in meta.notes.items()]
     lines.append(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))

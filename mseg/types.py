@@ -181,6 +181,6 @@ def required_count(n_motions: int | None, method: object) -> int:
     """Return the number of motions, for a method that cannot find it; InvalidValueError when it is None."""
     if n_motions is None:
         expected = f"a number: {type(method).__name__} cannot find it"
-        fix = "give --n-motions N, or segment(..., n_motions=N)"
+        fix = "give n_motions=N"
         raise InvalidValueError("n_motions", expected=expected, found="none", fix=fix)
     return n_motions

@@ -86,7 +86,7 @@ def video(
         raise InputFileError(f"{folder}", expected="a new or empty folder", found="files", fix=fix)
     if not _SLOWEST <= rate <= _FASTEST:
         expected = f"a number from {_SLOWEST:g} to {_FASTEST:g}"
-        raise InvalidValueError("--rate", expected=expected, found=f"{rate}")
+        raise InvalidValueError("rate", expected=expected, found=f"{rate}")
     check_writable(folder)
     options: dict[str, Any] = {"method": method, "n_motions": n_motions, "seed": seed}
     shots = []

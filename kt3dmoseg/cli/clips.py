@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
+from kt3dmoseg import app
 from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Positive, Whole, flags, progress_bar
 from kt3dmoseg.demo import DemoOptions
 from kt3dmoseg.pipeline import BuildOptions
@@ -137,7 +138,7 @@ def _run(make: Callable[..., list[Outcome]], total: int, output: Path) -> list[O
     def report(outcome: Outcome) -> None:
         done.append(outcome)
         if outcome.status == "failed":
-            tqdm.write(f"kt3dmoseg: {outcome.name} failed: {outcome.reason}", file=sys.stderr)
+            tqdm.write(f"kt3dmoseg: {outcome.name} failed: {app.typed(outcome.reason)}", file=sys.stderr)
             return
         line = f"{outcome.name}: {outcome.status}" + (f" ({outcome.reason})" if outcome.reason else "")
         numbers = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())

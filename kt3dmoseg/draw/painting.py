@@ -99,7 +99,7 @@ def painting_of(clip: Clip, by: str | None, prediction: str | os.PathLike[str] |
     by = by or ("prediction" if prediction else "label" if clip.n_motions else "length")
     if by == "prediction":
         if prediction is None:
-            raise InvalidValueError("--by prediction", expected="--pred FILE", found="none")
+            raise InvalidValueError("by='prediction'", expected="pred=FILE", found="none")
         return by_prediction(clip, read_prediction(prediction, clip))
     return by_label(clip, clip.labels.label, clip.labels.names) if by == "label" else by_length(clip.dense)
 

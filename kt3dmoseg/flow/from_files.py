@@ -78,5 +78,5 @@ class FlowFiles:
     def _folder(self, which: str) -> Path:
         if value := getattr(self, which):
             return Path(value)
-        fix = f"give {which}=FOLDER, on the command line -p {which}=FOLDER"
+        fix = f"give {which}=FOLDER as a parameter"
         raise InvalidValueError(f"flow files: {which}", expected="a folder", found="none", fix=fix)

@@ -279,7 +279,7 @@ def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> By
     if (picture == picture[..., :1]).all():
         return np.ascontiguousarray(picture[..., 0])
     if colour == "refuse":
-        fix = "convert it to gray, or ask for its luma with --colour luma (colour='luma')"
+        fix = "convert it to gray, or ask for its luma, colour='luma'"
         raise FileFormatError(where, expected="a gray picture", found="colour", fix=fix)
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
 

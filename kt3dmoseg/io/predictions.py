@@ -354,8 +354,7 @@ def _header_problem(head: list[str], n_rows: int) -> tuple[str, str, str, str]:
         fix = "separate the values by commas"
         return "separator", "values separated by commas", f"{separator!r} between them", fix
     if len(head) == 1 and numbers:
-        command = "'mseg example-submission DATA --from FOLDER -o OUT'"
-        fix = f"{_FIX_HEADER}; or turn label files into a submission with {command}"
+        fix = f"{_FIX_HEADER}; or turn label files into a submission with 'mseg example-submission'"
         return "label-only", "two columns, track and label", f"{n_rows} lines of one value", fix
     if len(head) > 2 and (n_rows <= 2 or head[0] in _NAMES):
         found = f"{n_rows} lines of up to {len(head)} values"

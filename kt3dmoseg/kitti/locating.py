@@ -127,7 +127,7 @@ def locate_clip(clip: Entry, files: FileSet, again: bool, *, pixels: bool, own: 
         if verdict.numbers:
             return replace(clip, numbers=verdict.numbers, proof=proof, source=files.name)
         tried += ", pixels" + (" and correlation" if own else "")
-        fix = "kt3dmoseg locate --frames FOLDER correlates the clip's own frames"
+        fix = "'kt3dmoseg locate' correlates the clip's own frames, given their folder"
         fix = "is it another drive?" if own else fix
     what = "no match"
     if verdict.ambiguous:

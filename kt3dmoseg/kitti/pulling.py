@@ -272,7 +272,7 @@ def _show_licence(target: TargetFolder, options: PullOptions, report: Callable[[
         return
     report(LICENCE)
     if not (options.accept_license or options.dry_run):
-        raise InvalidValueError("licence", expected="your acknowledgement", fix="add --accept-license")
+        raise InvalidValueError("licence", expected="your acknowledgement", fix="give accept_license=True")
     if not options.dry_run:
         write_text(path, LICENCE)
 

@@ -203,7 +203,7 @@ def build_dataset(
     count = workers or len(os.sched_getaffinity(0))
 
     def lost(task: _Task, reason: str) -> Outcome:
-        advice = "perhaps memory ran out: run again with fewer --workers; finished clips are kept"
+        advice = "perhaps memory ran out: run again with fewer workers; finished clips are kept"
         name = task[0].name
         return Outcome(name, "failed", f"{reason}; {advice}", Path(output, f"{name}.h5"), {})
 
@@ -385,7 +385,7 @@ def _reason_to_build(target: Path, wanted: Mapping[str, Any], force: bool) -> st
     if not found and not force:
         expected, fix = (
             "no file, or a clip that was built from frames",
-            "give another output folder, or --force to write over it",
+            "give another output folder, or force=True to write over it",
         )
         raise InputFileError(f"{target}", expected=expected, found="another clip", fix=fix)
     if wanted["flow"] is None:

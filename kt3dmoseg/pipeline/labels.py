@@ -53,7 +53,7 @@ def _unnamed(names: Sequence[str], annotations: Path) -> InputFileError:
     files = [name for name in files if not name.endswith(BUILT)]
     expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
     fix = "rename it" if files else "give the folder that has some"
-    fix += ", or give --annotations none (annotations=None) for no labels"
+    fix += ", or give annotations=None for no labels"
     found = ", ".join(files[:3]) or "no annotation"
     return InputFileError(f"{annotations}", expected=expected, found=found, fix=fix)
 
@@ -97,7 +97,7 @@ def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[i
     match = match_frames(names, [f"{number}.png" for number in numbers])
     if doubt := match.doubt(len(numbers)):
         expected = f"numbers within {numbers[0]}..{numbers[-1]}"
-        fix = "number them as the frames, or shift them by kt3dmoseg annotations import --shift"
+        fix = "number them as the frames, or shift them by 'kt3dmoseg annotations import'"
         raise InputFileError(f"masks of {clip}", expected=expected, found=doubt, fix=fix)
     return {frame: names[name] for name, frame in match.frames.items()}
 

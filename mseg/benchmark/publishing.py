@@ -205,7 +205,7 @@ def _published(result: BenchmarkResult, m: int) -> PublishedResult:
 
 def read_result(path: str | os.PathLike[str]) -> PublishedResult:
     """Read one file; FileFormatError names the first field that is wrong."""
-    expected = "a result as 'mseg benchmark --publish' writes it"
+    expected = "a result that 'mseg benchmark' published"
     return read_model(PublishedResult, read_bytes(path, _LARGEST), os.fspath(path), expected)
 
 

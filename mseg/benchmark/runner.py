@@ -333,7 +333,7 @@ def _default_folders(protocol: Protocol) -> list[Path]:
     root = Path(os.environ.get(VARIABLE) or _SHARED)
     folder = _named(root, protocol.data)
     if not folder.is_dir():
-        fix = f"give --data DIR, or set {VARIABLE} to the folder that holds {protocol.data}/"
+        fix = f"give data=FOLDER, or set {VARIABLE} to the folder that holds {protocol.data}/"
         expected = f"the clips of {protocol.title}"
         raise InputFileError(str(folder), expected=expected, found="no such folder", fix=fix)
     borrowed = (_named(root, name) for name in _BORROWED.get(protocol.name, ()))

@@ -146,7 +146,7 @@ def _new_folder(output: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a folder to fill; of one that could not be filled, nothing stays."""
     folder = Path(output)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        expected, fix = "a new or empty folder", "choose another -o"
+        expected, fix = "a new or empty folder", "choose another output"
         raise InvalidValueError(f"{folder}", expected=expected, found="something there", fix=fix)
     try:
         yield folder
@@ -214,7 +214,7 @@ def labels_and_note(
     contiguous = all(is_zero_based(label) and label.max() < clips[n].n_motions for n, label in others.items())
     if zero != "first" and not contiguous:
         found = f"label 0 in {first_few(with_zero)} ({len(with_zero)} of {count(len(others), 'clip')})"
-        fix = "state what it is: --zero first (1 is added to all labels) or --zero outlier"
+        fix = "state what it is: zero='first' (1 is added to all labels) or zero='outlier'"
         raise InvalidValueError(f"{path}", expected="labels 1, 2, ...", found=found, fix=fix)
     note = f"labels count from 0: 1 was added to every label of {count(len(others), 'clip')}"
     return labels | {name: label + 1 for name, label in others.items()}, note

@@ -500,7 +500,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         complete: Any = None
         groups: Any = None
 
-    expected = "scores as 'mseg score --json' writes them"
+    expected = "scores that 'mseg score' wrote as JSON"
     read = read_model(Scores, content, where, expected)
     protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
     table = ScoreTable(tuple(read.clips), read.meta, protocol, read.provenance)

@@ -443,7 +443,7 @@ def _report_stray(name: str, out: Submission) -> None:
         fix = "name the folders seed-<number>, or move the files to the top"
         out.bad("unknown-folder", name, expected, f"the folder {folder}", fix)
     elif not _PASSED_OVER.fullmatch(file):
-        fix = "remove it, or convert label files: mseg example-submission DATA --from FILES -o OUT"
+        fix = "remove it, or convert label files with 'mseg example-submission'"
         found = PurePosixPath(file).suffix or "no ending"
         expected = f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}"
         out.bad("unknown-file", name, expected, found, fix)

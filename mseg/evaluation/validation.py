@@ -114,7 +114,7 @@ def validate_submission(
     out = Validation(read, protocol, clips, problems=list(read.problems))
     if not clips:
         expected, found = f"labelled clips of {protocol.title}", first_few(list(given)) or "none"
-        fix = "give the data that the submission is for, or another --benchmark"
+        fix = "give the data that the submission is for, or name another benchmark"
         out.problems.append(Problem("no-data", expected=expected, found=found, fix=fix))
     for name in read.clips:
         if name not in clips:

@@ -169,7 +169,7 @@ def test_tracklets_of_frames_that_were_copied_elsewhere(drive, tmp_path, monkeyp
     hollow = replace(tracklet_request(drive, frames), clip="other")
     with pytest.raises(InvalidValueError, match="catalog"):
         proposals.propose("tracklets", hollow)
-    with pytest.raises(InputFileError, match="--kitti"):
+    with pytest.raises(InputFileError, match="kitti=FOLDER"):
         proposals.propose("tracklets", replace(hollow, kitti=None))
 
 
@@ -178,7 +178,7 @@ def mask_request(folder):
 
 
 def test_masks_as_mots_text_or_the_reason_why_not(tmp_path):
-    with pytest.raises(InputFileError, match="--masks"):
+    with pytest.raises(InputFileError, match="masks=FOLDER"):
         proposals.propose("masks", mask_request(None))
     with pytest.raises(InputFileError, match="none"):
         proposals.propose("masks", mask_request(tmp_path))

@@ -98,7 +98,7 @@ def test_json_and_back(tmp_path):
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": "mseg-scores", "version": 1}', "[" * 5000])
 def test_other_json_is_refused(content):
-    with pytest.raises(FileFormatError, match="mseg score --json"):
+    with pytest.raises(FileFormatError, match="scores that 'mseg score' wrote"):
         from_json(content)
 
 

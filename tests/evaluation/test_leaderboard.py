@@ -362,7 +362,7 @@ def claims():
 def test_scores_that_cannot_be_true_are_refused_in_one_line(tmp_path, kind):
     scores = scored(tmp_path, "one", 2)
     assert claim(scores).error == scores.error
-    with pytest.raises(FileFormatError, match="mseg score --json") as caught:
+    with pytest.raises(FileFormatError, match="scores that 'mseg score' wrote") as caught:
         claim(scores, claims()[kind])
     assert "\n" not in str(caught.value)
 

@@ -149,6 +149,21 @@ def test_data_frames_hold_what_the_arrays_hold():
     assert COMPARISON.to_dataframe()["method"].tolist() == COMPARISON.names
 
 
+def test_trajectories_are_an_xarray_dataset_over_track_and_frame():
+    pytest.importorskip("xarray")
+    data = CLIP.dense.to_xarray()
+    assert data.sizes == {"track": 4, "frame": 3}
+    assert data.x.sel(track=13, frame=2) == 22
+    assert data.y.isnull().sum() == 1
+    assert (data.x.units, data.image_size) == ("pixels", (40, 30))
+
+
+def test_without_xarray_one_line_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(MissingDependencyError, match=r"needs xarray; pip install 'kt3dmoseg\[xarray\]'$"):
+        CLIP.dense.to_xarray()
+
+
 def test_a_data_frame_of_a_segmentation_is_scored_by_track():
     shuffled = FOUND.to_dataframe(CLIP).iloc[[2, 0, 1]]
     assert mseg.score(CLIP, shuffled).error == SCORES.error

@@ -90,7 +90,7 @@ def test_an_error_of_a_task_is_raised_here(workers):
 def test_dask_is_asked_for_by_name(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(
-        MissingDependencyError, match=r"--dask needs distributed; pip install 'kt3dmoseg\[dask\]'"
+        MissingDependencyError, match=r"a Dask cluster needs distributed; pip install 'kt3dmoseg\[dask\]'"
     ):
         run(square, [1], dask="tcp://127.0.0.1:1")
 

@@ -468,4 +468,4 @@ def test_a_clip_that_kills_its_workers_fails_alone(frames, tmp_path):
     sources = [FrameFolder(frames / "a"), Deadly(frames / "b"), FrameFolder(frames / "c")]
     outcomes = {outcome.name: outcome for outcome in build(sources, tmp_path / "out", workers=2)}
     assert statuses(outcomes.values()) == {"a": "built", "b": "failed", "c": "built"}
-    assert "died 3 times; perhaps memory ran out: run again with fewer --workers" in outcomes["b"].reason
+    assert "died 3 times; perhaps memory ran out: run again with fewer workers" in outcomes["b"].reason

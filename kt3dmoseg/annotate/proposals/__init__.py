@@ -101,7 +101,7 @@ def propose(name: str, request: Request) -> list[AnnotatedObject]:
 def propose_masks(request: Request) -> list[AnnotatedObject]:
     """Read ``<masks>/<clip>/*.png`` (DAVIS or MOTS) or ``<masks>/<clip>.txt`` (MOTS), as an import does."""
     if request.masks is None:
-        raise InputFileError("masks", found="no folder of masks", fix="start with --masks FOLDER")
+        raise InputFileError("masks", found="no folder of masks", fix="start with masks=FOLDER")
     text, folder = request.masks / f"{request.clip}.txt", request.masks / request.clip
     empty, names = request.annotation.emptied(), [frame.name for frame in request.frames]
     if text.is_file():

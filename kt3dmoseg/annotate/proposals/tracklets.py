@@ -30,7 +30,7 @@ _KIND_OF = {"person (sitting)": "pedestrian"}
 def propose(request: Request) -> list[AnnotatedObject]:
     """Propose the tracklets that move in the world; see `kt3dmoseg.annotate.proposals`."""
     if request.kitti is None:
-        raise InputFileError("tracklets", found="no KITTI folder", fix="start with --kitti FOLDER")
+        raise InputFileError("tracklets", found="no KITTI folder", fix="start with kitti=FOLDER")
     drive, numbers = _drive(request, request.kitti)
     tracklets = drive.tracklets()
     found: dict[int | str, ForeignObject] = {}

@@ -33,6 +33,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from kt3dmoseg.annotate.model import StaleRevisionError, to_json
 from kt3dmoseg.annotate.server.clip_session import NotTrackedError
 from kt3dmoseg.annotate.server.routes import Routes
+from kt3dmoseg.app import typed
 from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 
@@ -79,13 +80,13 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
 
 async def _failed(_: Request, error: Exception) -> Response:
     if isinstance(error, HTTPException):
-        return _refuse(error.status_code, error.detail)
+        return _refuse(error.status_code, typed(error.detail))
     if isinstance(error, NotTrackedError):
         progress = dict(zip(("done", "total", "error"), error.args, strict=True))
         return JSONResponse(progress, status_code=500 if progress["error"] else 202)
     if isinstance(error, StaleRevisionError):
         return JSONResponse({"error": str(error), "annotation": to_json(error.current)}, status_code=412)
-    return _refuse(500 if isinstance(error, InputFileError) else 400, str(error))
+    return _refuse(500 if isinstance(error, InputFileError) else 400, typed(str(error)))
 
 
 class Guard:
@@ -168,13 +169,13 @@ def serve(routes: Routes, *, host: str, port: int, ready: Callable[[str], object
     Port 0 is any free one. `ready` is called with the page's address once the server listens.
     """
     if not 0 <= port <= _LAST_PORT:
-        raise InvalidValueError("--port", expected=f"0 to {_LAST_PORT}", found=str(port))
+        raise InvalidValueError("port", expected=f"0 to {_LAST_PORT}", found=str(port))
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         listener = socket.create_server((host, port), family=family)
     except OSError as error:
         where, reason = f"{host}:{port}: cannot listen", error.strerror or str(error)
-        raise InputFileError(where, found=reason, fix="choose another --port") from error
+        raise InputFileError(where, found=reason, fix="choose another port") from error
     port, names, token = listener.getsockname()[1], {host, *_OWN_NAMES}, ""
     hosts = {f"{name}:{port}" for name in names} | (names if port == _HTTP else set())
     if not is_loopback(host):  # whatever it is called here, the token protects

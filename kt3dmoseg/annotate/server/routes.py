@@ -29,6 +29,7 @@ from kt3dmoseg.annotate.labelling import LabelledTracks
 from kt3dmoseg.annotate.model import KINDS, Annotation
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, NotTrackedError
+from kt3dmoseg.app import typed
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
@@ -70,8 +71,8 @@ class Routes:
         # Computed now, not while the first page waits for it.
         self.suffixes = {name: formats.load(name).suffix for name in formats.FORMATS.names()}
         lacking = {
-            "tracklets": "" if kitti else "start with --kitti FOLDER",
-            "masks": "" if masks else "start with --masks FOLDER",
+            "tracklets": "" if kitti else typed("start with kitti=FOLDER"),
+            "masks": "" if masks else typed("start with masks=FOLDER"),
         }
         self.proposers = {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
 
@@ -199,7 +200,7 @@ class Routes:
     def _compare(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         given = _given(session, body)
         if self.other is None:
-            raise HTTPException(404, "start with --compare FOLDER to compare two annotators")
+            raise HTTPException(404, "start with compare=FOLDER to compare two annotators")
         theirs = session.checked(model.load_annotation(self.other / f"{session.source.name}.json"))
         labelled = session.labelled(given), session.labelled(theirs)
         shown = {"theirs": model.to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}

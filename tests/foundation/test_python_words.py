@@ -1,0 +1,56 @@
+"""Functions speak of their arguments as in Python, commands as they are typed."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kt3dmoseg
+import mseg
+from kt3dmoseg.app import typed
+from kt3dmoseg.cli import main as kt3dmoseg_main
+from kt3dmoseg.errors import InvalidValueError
+from mseg.cli import main as mseg_main
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMANDS = ("cli.py", "cli", "app.py", "demo.py")  # what only command lines run
+FLAG = re.compile(r"(?<![\w-])--[a-z]")
+
+
+def texts(path: Path) -> list[tuple[str, int, str]]:
+    """The string literals of a module that are no docstrings."""
+    tree = ast.parse(path.read_text())
+    scopes = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    first = [node.body[0] for node in ast.walk(tree) if isinstance(node, scopes) and node.body]
+    docs = {id(each.value) for each in first if isinstance(each, ast.Expr)}
+    strings = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in docs)
+    return [(path.name, node.lineno, node.value) for node in strings if isinstance(node.value, str)]
+
+
+def test_no_message_of_a_function_names_a_flag():
+    files = [file for package in ("kt3dmoseg", "mseg") for file in sorted((ROOT / package).rglob("*.py"))]
+    files = [f for f in files if not set(COMMANDS) & set(f.relative_to(ROOT).parts[1:2])]
+    assert len(files) > 100
+    assert [found for file in files for found in texts(file) if FLAG.search(found[2])] == []
+
+
+def test_the_same_mistake_is_named_in_python_and_on_the_command_line(tmp_path, capsys):
+    xy = np.random.default_rng(0).uniform(0, 90, (9, 3, 2))
+    with pytest.raises(InvalidValueError, match=r"give n_motions=N$"):
+        mseg.segment(xy, "lsa")
+    with pytest.raises(InvalidValueError, match=r"^rate: expected"):
+        kt3dmoseg.show(tmp_path / "no.h5", rate=0)
+    assert kt3dmoseg_main(["show", str(tmp_path / "no.h5"), "--rate", "0"]) == 2
+    assert capsys.readouterr().err.startswith("kt3dmoseg: --rate: expected")
+
+
+def test_only_arguments_of_the_running_command_are_typed_as_flags(capsys):
+    assert mseg_main(["benchmark", "kt3dmoseg", "--methods", "nothing"]) == 2
+    text = "a/seeds=3.csv: seeds=N, colour='luma', p=2, (parameter=None)"
+    assert typed(text) == "a/seeds=3.csv: --seeds N, colour='luma', p=2, (--parameter none)"
+    assert mseg_main(["methods"]) == 0
+    assert typed(text) == text
