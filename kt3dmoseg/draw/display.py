@@ -105,7 +105,7 @@ def plot_painting(
     for text, colour in painting.legend:
         made.scatter([], [], color=css(colour), edgecolors=_EDGE, linewidths=0.5, label=text)
     if painting.legend:
-        made.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False)
+        made.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, fontsize="small", frameon=False)
     return made
 
 

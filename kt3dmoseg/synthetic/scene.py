@@ -25,7 +25,16 @@ from kt3dmoseg.synthetic.render import (
 )
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, Vehicle, traffic, vehicle_faces
-from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Labels, Trajectories
+from kt3dmoseg.types import (
+    BoolArray,
+    ByteArray,
+    Clip,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Labels,
+    Trajectories,
+)
 
 FRAMES_PER_SECOND = 10.0
 BACKGROUND = 1
@@ -229,6 +238,18 @@ class Scene:
         1 = background, the sky too; 2, 3, ... = ``vehicles[0]``, ``vehicles[1]``, ...
         """
         return Labels(self.surface_points(points)[1] + BACKGROUND, BACKGROUND, self.names)
+
+    def clip(self, spacing: float = 16.0, name: str = "synthetic") -> Clip:
+        """Make a clip of the exact trajectories and labels of a grid in the middle frame.
+
+        `spacing` is the distance of the points of the grid, in pixels; points of the sky are left out.
+        """
+        (width, height), middle = self.image_size, self.n_frames // 2
+        x, y = np.meshgrid(*(np.arange(spacing / 2, side, spacing) for side in (width, height)))
+        points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, middle)])
+        points = points[np.isfinite(self.depth(middle)[tuple(points[:, 1::-1].astype(int).T)])]
+        tracks = self.trajectories(points)
+        return Clip(name, tracks, np.arange(len(tracks)), self.labels(points))
 
     def _mesh_at(self, frame: int) -> Mesh:
         """All faces in camera coordinates."""

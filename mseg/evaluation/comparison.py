@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -70,8 +70,10 @@ class Comparison:
         )
 
 
-def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Comparison:
+def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: str = "error") -> Comparison:
     """Compare two or more submissions that were scored on the same data, by a metric.
+
+    A mapping names the methods; otherwise each table does.
 
     Raises
     ------
@@ -80,6 +82,8 @@ def compare(tables: Sequence[ScoreTable], *, metric: str = "error") -> Compariso
     UnknownNameError
         When there is no such metric.
     """
+    if isinstance(tables, Mapping):
+        tables = [replace(each, meta=replace(each.meta, method=name)) for name, each in tables.items()]
     if len(tables) < 2:
         raise InvalidValueError("compare", expected="two submissions or more", found=str(len(tables)))
     if metric not in all_metrics():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import kt3dmoseg
+import mseg
 import mseg.cli
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.types import Clip, Labels
@@ -53,6 +54,12 @@ def test_a_difference_inside_the_seed_noise(tmp_path):
     assert pair.seed_sd == pytest.approx(np.hypot(np.std([0, 0.25], ddof=1), np.std([0.1, 0.2], ddof=1)))
     assert "one is better than two" in pair.sentence
     assert "is not larger than the seed noise" in pair.sentence
+
+
+def test_a_mapping_names_what_is_compared():
+    clip = next(iter(CLIPS.values()))
+    table = mseg.score(clip, clip.labels)
+    assert compare({"mine": table, "yours": table}).to_dataframe()["method"].tolist() == ["mine", "yours"]
 
 
 def test_one_seed_is_not_enough(tmp_path):

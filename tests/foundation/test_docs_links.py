@@ -15,7 +15,7 @@ PAGES = [
     *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "annotations").glob("*.md")),
 ]
-PLACES = "kt3dmoseg|mseg|tools|docs|tests|benchmarks|examples|annotations|results"
+PLACES = "kt3dmoseg|mseg|tools|docs|tests|benchmarks|annotations|results"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
