@@ -214,7 +214,7 @@ def typed(text: str) -> str:
             return match[0]
         return flag if value == "True" else f"{flag} {value.replace('None', 'none')}"
 
-    return re.sub(r"(?<![^\s(])([a-z]\w*)=('\w+'|\w+)(?![\w/.-])", argument, text)
+    return re.sub(r"(?<![^\s(])([a-z]\w*)=('\w+'|[A-Z]\w*)(?![\w/.-])", argument, text)
 
 
 def _flags_of_running() -> dict[str, str]:

@@ -165,7 +165,7 @@ MISTAKES = [
         lambda f: text(f, "".join(f"{t},{v}\n" for t, v in zip(IDS, LABEL, strict=False))),
         "first line",
     ),
-    ("label-only", lambda f: text(f, "\n".join(map(str, LABEL))), "--from"),
+    ("label-only", lambda f: text(f, "\n".join(map(str, LABEL))), "mseg example-submission"),
     ("separator", lambda f: text(f, "track;label\n1;2\n"), "commas"),
     ("header", lambda f: text(f, "id,motion\n1,2\n"), "track,label"),
     ("ragged", lambda f: text(f, "track,label\n1,2,3\n"), "line 2"),

@@ -118,7 +118,7 @@ def test_parameters_are_given_alike_in_every_command(line, capsys):
     main = import_module(f"{program}.cli").main
     given = ["-p", "a=1", "--parameter", "b=2", "--set", "c=3"]
     assert main([*words[:4], *given, "-p", "zzz"]) == 2
-    assert capsys.readouterr().err == f"{program}: parameter: expected name=value, found 'zzz'\n"
+    assert capsys.readouterr().err == f"{program}: --parameter: expected name=value, found 'zzz'\n"
     assert main([words[0], "--help"]) == 0
     text = capsys.readouterr().out
     assert "-p, --parameter NAME=VALUE" in text

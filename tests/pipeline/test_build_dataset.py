@@ -178,7 +178,7 @@ def test_a_clip_that_no_build_made_stays(frames, tmp_path):
         "failed",
         "built",
     )
-    assert "--force" in outcomes["b"].reason
+    assert "force=True" in outcomes["b"].reason
     assert contents(out)["b.h5"] == before
     assert {o.status for o in build(frames, out, force=True)} == {"built"}
     assert contents(out)["b.h5"] != before

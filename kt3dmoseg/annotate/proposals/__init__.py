@@ -121,7 +121,7 @@ def propose_masks(request: Request) -> list[AnnotatedObject]:
 def propose_built(request: Request) -> list[AnnotatedObject]:
     """Read what `kt3dmoseg build --propose` wrote, which must be of the request's clip."""
     if request.built is None or not request.built.exists():
-        fix = "run 'kt3dmoseg build --propose'"
+        fix = "build the clip with propose=True"
         raise InputFileError(f"{request.built}", expected="proposals", found="no such file", fix=fix)
     found, like = load_annotation(request.built, PROPOSALS), request.annotation
     for name in ("clip", "image_size", "n_frames"):
