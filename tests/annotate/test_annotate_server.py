@@ -449,7 +449,7 @@ def test_a_proposer_is_stopped_when_nobody_waits_for_it(clips, tmp_path, monkeyp
 
 @pytest.mark.parametrize(
     ("name", "status", "word"),
-    [("tracklets", 500, "--kitti"), ("masks", 500, "--masks"), ("magic", 400, "proposer")],
+    [("tracklets", 500, "kitti=FOLDER"), ("masks", 500, "masks=FOLDER"), ("magic", 400, "proposer")],
 )
 def test_proposals_that_cannot_be_made_say_why(page, name, status, word):
     answer = page.post(f"/api/clips/one/proposals/{name}", json=drawn(page))
@@ -676,7 +676,7 @@ def test_find_clips(clips, tmp_path):
     assert names(one) == {"one": (6, one)}
     assert names(clips / "tracks", frames=clips / "frames") == {"one": (6, one), "two": (3, two)}
     assert names(one, frames=clips / "frames" / "one") == {"one": (6, one)}
-    with pytest.raises(InputFileError, match="--frames"):
+    with pytest.raises(InputFileError, match="frames=FOLDER"):
         names(one, frames=tmp_path)
     with pytest.raises(InputFileError, match="clip"):
         names(tmp_path)

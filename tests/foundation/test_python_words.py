@@ -17,7 +17,8 @@ from kt3dmoseg.errors import InvalidValueError
 from mseg.cli import main as mseg_main
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("cli.py", "cli", "app.py", "demo.py")  # what only command lines run
+COMMANDS = {"cli.py", "cli", "app.py", "demo.py", "server"}  # what only command lines and the page say
+NAMES = ("build --propose",)  # of who made an annotation
 FLAG = re.compile(r"(?<![\w-])--[a-z]")
 
 
@@ -33,9 +34,10 @@ def texts(path: Path) -> list[tuple[str, int, str]]:
 
 def test_no_message_of_a_function_names_a_flag():
     files = [file for package in ("kt3dmoseg", "mseg") for file in sorted((ROOT / package).rglob("*.py"))]
-    files = [f for f in files if not set(COMMANDS) & set(f.relative_to(ROOT).parts[1:2])]
+    files = [file for file in files if not COMMANDS & set(file.relative_to(ROOT).parts)]
     assert len(files) > 100
-    assert [found for file in files for found in texts(file) if FLAG.search(found[2])] == []
+    found = [text for file in files for text in texts(file) if FLAG.search(text[2])]
+    assert [text for text in found if text[2] not in NAMES] == []
 
 
 def test_the_same_mistake_is_named_in_python_and_on_the_command_line(tmp_path, capsys):

@@ -172,7 +172,7 @@ def test_lossy_copies_are_found_by_correlation(world: World, tmp_path: Path) -> 
         return cv2.imdecode(smooth, cv2.IMREAD_GRAYSCALE)
 
     _recode(world, worse)
-    with pytest.raises(NotLocatedError, match=r"--frames FOLDER"):
+    with pytest.raises(NotLocatedError, match=r"given their folder"):
         _locate(world)
     found = _locate(world, frames=str(_own(world, tmp_path / "own")))["Hidden"]
     assert (found.numbers, found.proof) == (HIDDEN, "correlation")

@@ -98,7 +98,7 @@ def test_dry_run_prints_the_plan_and_writes_nothing(world: World) -> None:
 
 
 def test_licence_is_asked_for_once(world: World) -> None:
-    with pytest.raises(InvalidValueError, match="--accept-license"):
+    with pytest.raises(InvalidValueError, match="accept_license=True"):
         world.pull(accept_license=False)
     assert world.server.requests == []
     assert not list(world.root.rglob("*.png"))
