@@ -95,7 +95,7 @@ def test_methods_are_words_or_have_commas(given, monkeypatch):
 
 def test_no_method_is_one_line(tmp_path, capsys):
     assert cli.main(["demo", "-o", str(tmp_path / "out"), "--methods", ","]) == 2
-    assert capsys.readouterr().err == "kt3dmoseg: methods: expected at least one name, found none\n"
+    assert capsys.readouterr().err == "kt3dmoseg: --methods: expected at least one name, found none\n"
     assert not (tmp_path / "out").exists()
 
 
