@@ -128,6 +128,7 @@ def label(
     tracks: _Either | None = None,
     annotations: _Folder = "annotations",
     annotator: Name = "",
+    team: _File | None = None,
     compare: _Folder | None = None,
     masks: _Folder | None = None,
     kitti: _Folder | None = None,
@@ -153,6 +154,8 @@ def label(
         Where <clip>.json are.
     annotator : str
         Name written into what is saved.
+    team : path, optional
+        File with a name per line: each gets an address with a token of their own, kept in the file.
     compare : path, optional
         Folder of another annotator's annotations.
     masks : path, optional
@@ -178,7 +181,7 @@ def label(
     """
     import webbrowser
 
-    from kt3dmoseg.annotate.server.app import serve
+    from kt3dmoseg.annotate.server.app import read_team, serve
     from kt3dmoseg.annotate.server.clip_session import sessions_of
     from kt3dmoseg.annotate.server.routes import Routes
     from kt3dmoseg.errors import InputFileError
@@ -186,7 +189,14 @@ def label(
     from kt3dmoseg.frames import find_clips
 
     create(flow)
-    given = {"frames": frames, "tracks": tracks, "compare": compare, "masks": masks, "kitti": kitti}
+    given = {
+        "team": team,
+        "frames": frames,
+        "tracks": tracks,
+        "compare": compare,
+        "masks": masks,
+        "kitti": kitti,
+    }
     for name, path in given.items():
         if path is not None and not Path(path).exists():
             raise InputFileError(f"--{name} {path}", found="no such file or folder")
@@ -198,12 +208,16 @@ def label(
 
     sessions = sessions_of(find_clips(clip, annotations=annotations, frames=frames, tracks=tracks), tracker)
     other, mask_folder, raw = (None if path is None else Path(path) for path in (compare, masks, kitti))
-    routes = Routes(sessions, annotator=annotator, other=other, masks=mask_folder, kitti=raw)
+    tokens = {} if team is None else read_team(Path(team))
+    folders: dict[str, Any] = {"other": other, "masks": mask_folder, "kitti": raw}
+    routes = Routes(sessions, annotator=annotator, team=tokens.values(), **folders)
     found = f"{len(sessions)} clip{'s' * (len(sessions) > 1)}; annotations in {Path(annotations).resolve()}"
 
-    def ready(address: str) -> None:
-        print(f"{found}\nlabel at {address}  (Ctrl-C stops)", flush=True)
-        if not no_browser:
-            webbrowser.open(address)
+    def ready(addresses: dict[str, str]) -> None:
+        lines = [f"{name} labels at {address}" for name, address in addresses.items() if name]
+        lines = lines or [f"label at {addresses['']}"]
+        print(found, *lines, "(Ctrl-C stops)", sep="\n", flush=True)
+        if not (no_browser or team):
+            webbrowser.open(addresses[""])
 
-    serve(routes, host=host, port=port, ready=ready)
+    serve(routes, host=host, port=port, ready=ready, tokens=tokens)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 from dataclasses import replace
@@ -170,7 +171,32 @@ def test_the_state_of_a_clip_is_what_its_annotator_sets(context, equipped):
     page.press("PageDown")
     page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
     assert state.input_value() == "in work"
+    page.press("F2")
+    page.tab.get_by_label("two is assigned to").fill("Cy")
+    page.press("Tab")
+    page.until("labeller.state.work.assigned === 'Cy'")
+    page.shows("dialog p", "Bo: 1 done, 0.0 minutes each")
+    page.tab.get_by_label("Show clips with").fill("cy")
+    page.until("document.querySelectorAll('dialog tr button').length === 1")
     assert page.errors == []
+
+
+def test_each_of_a_team_opens_the_page_as_themselves(browser, clips, tmp_path):
+    (tmp_path / "team").write_text("Ada\nBo\n")
+    server = Server(clips, tmp_path / "notes", 0, "--team", str(tmp_path / "team"))
+    try:
+        names = dict(line.split("\t") for line in (tmp_path / "team").read_text().splitlines())
+        for name, token in names.items():
+            context = browser.new_context()
+            page = Page(context, server.address.split("?")[0] + f"?token={token}")
+            assert page.value("labeller.state.clip.annotator") == name
+            page.draw()
+            page.saved()
+            context.close()
+        log = (tmp_path / "notes" / "one.log.jsonl").read_text().splitlines()
+        assert [json.loads(line)["by"] for line in log] == ["Ada", "Bo"]
+    finally:
+        server.stop(signal.SIGKILL)
 
 
 def test_motion_that_no_outline_explains_is_found(page):

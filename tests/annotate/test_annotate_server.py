@@ -21,7 +21,7 @@ from kt3dmoseg.annotate.server import app
 from kt3dmoseg.annotate.server.app import create_app, is_loopback
 from kt3dmoseg.annotate.server.clip_session import ClipSession, sessions_of
 from kt3dmoseg.annotate.server.routes import _WORKERS, Routes
-from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.frames import find_clips
 from kt3dmoseg.io import load
 from kt3dmoseg.io import save as save_clip
@@ -149,9 +149,9 @@ def set_state(page, state="done", by="Ada"):
 def test_the_state_of_a_clip_is_kept_next_to_its_annotation_with_name_time_and_revision(
     page, clips, tmp_path
 ):
-    assert page.get("/api/clips/one").json()["work"] == {"state": "not started"}
+    assert page.get("/api/clips/one").json()["work"] == {"state": "not started", "assigned": ""}
     save(page, drawn(page), 0)
-    assert page.get("/api/clips/one").json()["work"] == {"state": "in work"}
+    assert page.get("/api/clips/one").json()["work"] == {"state": "in work", "assigned": ""}
     work = set_state(page).json()["work"]
     assert (work["state"], work["by"], work["revision"]) == ("done", "Ada", 1)
     assert datetime.fromisoformat(work["time"]).tzinfo is not None
@@ -160,8 +160,8 @@ def test_the_state_of_a_clip_is_kept_next_to_its_annotation_with_name_time_and_r
     assert [
         clip["work"]["by"] for clip in fresh.get("/api/clips").json()["clips"] if "by" in clip["work"]
     ] == ["Bob"]
-    states = (tmp_path / "notes" / "one.states.jsonl").read_text().splitlines()
-    assert [json.loads(line)["state"] for line in states] == ["done", "reviewed"]
+    log = [json.loads(line) for line in (tmp_path / "notes" / "one.log.jsonl").read_text().splitlines()]
+    assert [entry["state"] for entry in log if "state" in entry] == ["done", "reviewed"]
     assert load_annotation(tmp_path / "notes" / "one.json").revision == 1
 
 
@@ -179,19 +179,76 @@ def test_a_state_of_no_name_or_by_nobody_is_refused(page, tmp_path, state, by, f
     answer = set_state(page, state, by)
     assert answer.status_code == 400
     assert answer.json()["error"].startswith(field)
-    assert not (tmp_path / "notes" / "one.states.jsonl").exists()
+    assert not (tmp_path / "notes" / "one.log.jsonl").exists()
 
 
-def test_a_damaged_file_of_states_is_reported_with_its_name(page, tmp_path):
+def test_a_damaged_log_is_reported_with_its_name(page, tmp_path):
     set_state(page)
-    (tmp_path / "notes" / "one.states.jsonl").write_text('{"state": "fine"}\n')
-    assert "one.states.jsonl: expected a state" in page.get("/api/clips").json()["clips"][0]["error"]
-    assert "one.states.jsonl" in page.get("/api/clips/one").json()["error"]
+    (tmp_path / "notes" / "one.log.jsonl").write_text('{"state": "fine"}\n')
+    assert "one.log.jsonl: line 1: expected time" in page.get("/api/clips").json()["clips"][0]["error"]
+    assert "one.log.jsonl" in page.get("/api/clips/one").json()["error"]
 
 
 def test_the_annotator_of_the_command_line_sets_the_state(clips, tmp_path):
     page = client(routes(clips, tmp_path, annotator="Eve"))
     assert set_state(page).json()["work"]["by"] == "Eve"
+
+
+def test_the_log_says_who_changed_what_and_for_whom_a_clip_is(page, tmp_path, monkeypatch):
+    times = iter(range(0, 10_000, 120))
+
+    class Clock(datetime):
+        @classmethod
+        def now(cls, zone=None):
+            return datetime.fromtimestamp(next(times), zone)
+
+    monkeypatch.setattr("kt3dmoseg.annotate.server.clip_log.datetime", Clock)
+    doc = drawn(page) | {"annotator": "Ada"}
+    save(page, doc, 0)
+    doc["objects"][0]["motion"] = 4
+    doc["objects"].append(doc["objects"][0] | {"id": 2, "name": "bus"})
+    save(page, doc, 1)
+    save(page, doc | {"objects": doc["objects"][:1], "annotator": "Bo"}, 2)
+    for _ in range(3):
+        next(times)
+    assert page.put("/api/clips/one/state", json={"assigned": "Bo", "by": "Ada"}).json()["work"] == {
+        "state": "in work",
+        "assigned": "Bo",
+    }
+    log = [json.loads(line) for line in (tmp_path / "notes" / "one.log.jsonl").read_text().splitlines()]
+    assert [{k: v for k, v in entry.items() if k != "time"} for entry in log] == [
+        {"by": "Ada", "revision": 1, "added": ["box"]},
+        {"by": "Ada", "revision": 2, "added": ["bus"], "changed": ["box"]},
+        {"by": "Bo", "revision": 3, "removed": ["bus"]},
+        {"by": "Ada", "assigned": "Bo"},
+    ]
+    summary = page.get("/api/clips").json()["clips"][0]
+    # Saves two minutes apart count, those after a pause of ten do not.
+    assert summary["minutes"] == {"Ada": 2.0, "Bo": 0.0}
+    assert summary["work"]["assigned"] == "Bo"
+
+
+def test_each_of_a_team_has_a_token(clips, tmp_path):
+    file = tmp_path / "team"
+    file.write_text("Ada Lovelace\nBo\tsecret\n")
+    team = app.read_team(file)
+    assert app.read_team(file) == team
+    assert (len(team), team["secret"]) == (2, "Bo")
+    assert file.stat().st_mode & 0o077 == 0
+    page = client(routes(clips, tmp_path, team=team.values()), tokens=team)
+    assert page.get("/api/clips/one").status_code == 401
+    for token, name in team.items():
+        answer = page.get("/api/clips/one", headers={"authorization": f"Bearer {token}"}).json()
+        assert (answer["annotator"], answer["team"]) == (name, ["Ada Lovelace", "Bo"])
+    assert page.get("/?token=secret").status_code == 303
+    assert set_state(page, by="Eve").json()["work"]["by"] == "Bo"
+
+
+@pytest.mark.parametrize("text", ["", "Ada\nAda\n", "x" * 101])
+def test_a_file_that_names_no_team_is_refused(tmp_path, text):
+    (tmp_path / "team").write_text(text)
+    with pytest.raises(FileFormatError, match="team: expected"):
+        app.read_team(tmp_path / "team")
 
 
 def test_motion_by_itself_is_found_and_doubt_is_counted(page):
@@ -633,7 +690,7 @@ def test_bodies_are_bounded(page, monkeypatch):
 
 
 def test_token(clips, tmp_path):
-    page = client(routes(clips, tmp_path), token="secret")
+    page = client(routes(clips, tmp_path), tokens={"secret": ""})
     assert page.get("/").status_code == 401
     assert page.get("/?token=wrong").status_code == 401
     assert page.get("/api/clips?token=secret").status_code == 401
@@ -651,7 +708,7 @@ def test_two_servers_on_one_machine_keep_their_own_tokens(clips, tmp_path):
     pages = {}
     for token, host in hosts.items():
         pages[token] = Client(
-            create_app(routes(clips, tmp_path), hosts=[host], token=token), f"http://{host}"
+            create_app(routes(clips, tmp_path), hosts=[host], tokens={token: ""}), f"http://{host}"
         )
         pages[token].cookies = pages["one"].cookies  # as in a browser, for which they are one site
     for token, page in pages.items():

@@ -13,9 +13,10 @@ import mimetypes
 import re
 import secrets
 import socket
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from ipaddress import ip_address
 from pathlib import Path
+from types import MappingProxyType
 from urllib.parse import quote
 
 import uvicorn
@@ -35,8 +36,13 @@ from kt3dmoseg.annotate.server.clip_session import NotTrackedError
 from kt3dmoseg.annotate.server.routes import Routes
 from kt3dmoseg.app import typed
 from kt3dmoseg.draw.palette import css_palette
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import read_bytes, write_text
 
+_NONE: Mapping[str, str] = MappingProxyType({})
+_TOKEN = 24  # random bytes
+_MAX_TEAM = 1 << 16
+_LONGEST_NAME = 100
 MAX_BODY = 32 << 20
 MAX_HELD = 256 << 20  # of all bodies that are being received or worked on
 _SMALL = 4 << 20
@@ -58,8 +64,8 @@ _HEADERS = {
 mimetypes.add_type("text/javascript", ".js")
 
 
-def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guard:
-    """Make the guarded ASGI application; see `Guard` for hosts and token."""
+def create_app(routes: Routes, *, hosts: Iterable[str], tokens: Mapping[str, str] = _NONE) -> Guard:
+    """Make the guarded ASGI application; see `Guard` for hosts and tokens."""
     template = Template((_STATIC / "index.html").read_text(encoding="utf-8"), autoescape=True)
     # The browser fetches all modules at once instead of following imports step by step.
     modules = [f'<link rel="modulepreload" href="/static/{file.name}">' for file in _STATIC.glob("*.js")]
@@ -75,7 +81,7 @@ def create_app(routes: Routes, *, hosts: Iterable[str], token: str = "") -> Guar
     table = [Route("/", page), Mount("/static", StaticFiles(directory=_STATIC)), *routes.table()]
     expected = (KT3DMoSegError, HTTPException, ClientDisconnect, NotTrackedError)
     app = Starlette(routes=table, exception_handlers=dict.fromkeys(expected, _failed))
-    return Guard(app, hosts, token)
+    return Guard(app, hosts, tokens)
 
 
 async def _failed(_: Request, error: Exception) -> Response:
@@ -92,13 +98,13 @@ async def _failed(_: Request, error: Exception) -> Response:
 class Guard:
     """ASGI middleware that refuses foreign hosts, foreign origins, missing tokens and large bodies.
 
-    `hosts` are accepted values of the Host header, with port; any, when there are none. When `token` is not
-    empty, every request must carry it: ``Authorization: Bearer TOKEN``, the cookie that opening
-    ``/?token=TOKEN`` sets, or be for it.
+    `hosts` are accepted values of the Host header, with port; any, when there are none. `tokens` give the
+    name of who has each, "" for nobody in particular. When there are any, every request must carry one:
+    ``Authorization: Bearer TOKEN``, the cookie that opening ``/?token=TOKEN`` sets, or be for it.
     """
 
-    def __init__(self, app: ASGIApp, hosts: Iterable[str], token: str = "") -> None:
-        self.app, self.hosts, self.token = app, {host.lower() for host in hosts}, token
+    def __init__(self, app: ASGIApp, hosts: Iterable[str], tokens: Mapping[str, str] = _NONE) -> None:
+        self.app, self.hosts, self.tokens = app, {host.lower() for host in hosts}, tokens
         self.held = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -140,33 +146,48 @@ class Guard:
         origin = request.headers.get("origin")
         if origin is not None and origin.lower() not in {f"http://{host}", f"https://{host}"}:
             return _refuse(403, f"Origin {origin[:80]!r} may not use this server")
-        return self._check_token(request, host) if self.token else None
+        return self._check_token(request, host) if self.tokens else None
 
     def _check_token(self, request: Request, host: str) -> Response | None:
         # Browsers keep cookies by host, not by port, and two servers may share one.
         cookie = "kt3dmoseg_token_" + (re.findall(r":(\d+)$", host) or [f"{_HTTP}"])[0]
-        if request.url.path == "/" and self._matches(request.query_params.get("token", "")):
+        given = request.query_params.get("token", "")
+        if request.url.path == "/" and self._holder(given) is not None:
             # The token leaves the address bar, and with it the browser's history.
             welcome = RedirectResponse("/", status_code=303)
-            welcome.set_cookie(cookie, self.token, httponly=True, samesite="strict")
+            welcome.set_cookie(cookie, given, httponly=True, samesite="strict")
             return welcome
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
-        if self._matches(bearer) or self._matches(request.cookies.get(cookie, "")):
-            return None
+        for token in (bearer, request.cookies.get(cookie, "")):
+            if (name := self._holder(token)) is not None:
+                request.scope["annotator"] = name
+                return None
         return _refuse(401, "expected the token that the server printed when it started")
 
-    def _matches(self, given: str) -> bool:
-        return bool(given) and hmac.compare_digest(given.encode(), self.token.encode())
+    def _holder(self, given: str) -> str | None:
+        """Return whose token this is; None when it is none. Every token is compared, in constant time."""
+        same = [
+            name for token, name in self.tokens.items() if hmac.compare_digest(given.encode(), token.encode())
+        ]
+        return same[0] if same else None
 
 
 def _refuse(status: int, message: str) -> JSONResponse:
     return JSONResponse({"error": message}, status_code=status)
 
 
-def serve(routes: Routes, *, host: str, port: int, ready: Callable[[str], object]) -> None:
+def serve(
+    routes: Routes,
+    *,
+    host: str,
+    port: int,
+    ready: Callable[[dict[str, str]], object],
+    tokens: Mapping[str, str] = _NONE,
+) -> None:
     """Serve the labelling page until interrupted; any host but loopback makes the server want a token.
 
-    Port 0 is any free one. `ready` is called with the page's address once the server listens.
+    Port 0 is any free one. `tokens` are those of a team, with their names (`read_team`). `ready` is called
+    once the server listens, with the page's address for each name, "" without a team.
     """
     if not 0 <= port <= _LAST_PORT:
         raise InvalidValueError("port", expected=f"0 to {_LAST_PORT}", found=str(port))
@@ -176,18 +197,40 @@ def serve(routes: Routes, *, host: str, port: int, ready: Callable[[str], object
     except OSError as error:
         where, reason = f"{host}:{port}: cannot listen", error.strerror or str(error)
         raise InputFileError(where, found=reason, fix="choose another port") from error
-    port, names, token = listener.getsockname()[1], {host, *_OWN_NAMES}, ""
+    port, names = listener.getsockname()[1], {host, *_OWN_NAMES}
     hosts = {f"{name}:{port}" for name in names} | (names if port == _HTTP else set())
     if not is_loopback(host):  # whatever it is called here, the token protects
-        hosts, token = set(), secrets.token_urlsafe(24)
-    app = create_app(routes, hosts=hosts, token=token)
+        hosts, tokens = set(), tokens or {secrets.token_urlsafe(_TOKEN): ""}
+    app = create_app(routes, hosts=hosts, tokens=tokens)
     config = uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
     shown = f"[{host}]" if ":" in host else host
-    ready(f"http://{shown}:{port}/" + (f"?token={token}" if token else ""))
+    page = f"http://{shown}:{port}/"
+    ready({name: f"{page}?token={token}" for token, name in tokens.items()} or {"": page})
     try:
         uvicorn.Server(config).run(sockets=[listener])
     finally:
         routes.counting.shutdown(wait=False, cancel_futures=True)
+
+
+def read_team(path: Path) -> dict[str, str]:
+    """Return the names in a file, one a line, by their tokens.
+
+    A name without a token behind a tab gets one, which is written into the file: addresses stay valid.
+    Raises InputFileError, or FileFormatError for names that are missing, too long or there twice.
+    """
+    text = read_bytes(path, _MAX_TEAM).decode("utf-8", "replace")
+    team: dict[str, str] = {}
+    for line in filter(str.strip, text.splitlines()):
+        name, _, token = (part.strip() for part in line.partition("\t"))
+        if not name or len(name) > _LONGEST_NAME or name in team.values():
+            expected = f"each name once, of at most {_LONGEST_NAME} characters"
+            raise FileFormatError(f"{path}", expected=expected, found=repr(line)[:120])
+        team[token or secrets.token_urlsafe(_TOKEN)] = name
+    if not team:
+        raise FileFormatError(f"{path}", expected="the name of an annotator on each line", found="none")
+    write_text(path, "".join(f"{name}\t{token}\n" for token, name in team.items()))
+    path.chmod(0o600)
+    return team
 
 
 def is_loopback(host: str) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import threading
@@ -10,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
@@ -18,11 +16,12 @@ from typing import Any, TypeAlias
 
 from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
-from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation
+from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation, save_revision
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate, propagate_keys, weak_frames
 from kt3dmoseg.annotate.proposals.residual import moving_groups
-from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import hold_folder, listed, parse_json, read_bytes, write_text
+from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+from kt3dmoseg.files import listed
 from kt3dmoseg.frames import ClipFiles, check_frames
 from kt3dmoseg.io.formats import recognise
 from kt3dmoseg.io.images import picture_size, read_frame, read_frames
@@ -33,10 +32,6 @@ Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], 
 
 _KEPT_LABELLINGS = 4
 _KEPT_OBJECTS = 256
-_MAX_STATES = 1 << 20
-_LONGEST_NAME = 100
-
-WORK_STATES = ("not started", "in work", "done", "reviewed")
 
 
 class NotTrackedError(Exception):
@@ -47,7 +42,7 @@ class ClipSession:
     """One clip that is being labelled; safe to use from several threads."""
 
     def __init__(self, source: ClipFiles, tracker: Tracker) -> None:
-        self.source, self.tracker = source, tracker
+        self.source, self.tracker, self.log = source, tracker, ClipLog(source.annotation)
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
         self._tracks: Trajectories | tuple[int, int, str] = (0, len(source.frames), "")
@@ -127,39 +122,31 @@ class ClipSession:
         except InvalidValueError:
             return None
 
-    def work_state(self) -> dict[str, Any]:
-        """Return the last state that an annotator set, as `set_work_state` wrote it.
+    def work(self) -> dict[str, Any]:
+        """Return the last ``state`` set, with its ``by``, ``time`` and ``revision``, and ``assigned``.
 
         Without one a clip is "in work" when it has an annotation, else "not started".
         """
-        path = self._states_file
-        if not path.exists():
-            return {"state": WORK_STATES[self.source.annotation.exists()]}
-        *_, last = read_bytes(path, _MAX_STATES).splitlines() or [b""]
-        found = parse_json(last, os.fspath(path))
-        if not isinstance(found, dict) or found.get("state") not in WORK_STATES:
-            raise FileFormatError(os.fspath(path), expected="a state of the clip", found=repr(found)[:80])
-        return found
+        state = self.log.last("state") or {"state": WORK_STATES[self.source.annotation.exists()]}
+        return state | {"assigned": (self.log.last("assigned") or {"assigned": ""})["assigned"]}
 
-    def set_work_state(self, state: object, by: object) -> dict[str, Any]:
-        """Add state, name, time and revision to ``<clip>.states.jsonl`` in the annotation's folder."""
-        if state not in WORK_STATES:
-            expected = f"one of {', '.join(WORK_STATES)}"
-            raise InvalidValueError("state", expected=expected, found=repr(state)[:80])
-        if not isinstance(by, str) or not by.strip() or len(by) > _LONGEST_NAME:
-            expected = f"the annotator's name, of at most {_LONGEST_NAME} characters"
-            raise InvalidValueError("by", expected=expected, found=repr(by)[:80])
-        path = self._states_file
-        with hold_folder(path.parent):
-            before = read_bytes(path, _MAX_STATES).decode() if path.exists() else ""
-            time = datetime.now(UTC).isoformat(timespec="seconds")
-            entry = {"state": state, "by": by.strip(), "time": time, "revision": self.annotation().revision}
-            write_text(path, f"{before}{json.dumps(entry, ensure_ascii=False)}\n")
-        return entry
+    def set_work(self, by: object, given: dict[str, Any]) -> dict[str, Any]:
+        """Set the ``state``, or to whom the clip is ``assigned``; both are kept in the log, with the name."""
+        what: dict[str, Any] = {name: given[name] for name in ("state", "assigned") if name in given}
+        if "state" in what:
+            what["revision"] = self.annotation().revision
+        self.log.add(by, **what)
+        return self.work()
 
-    @property
-    def _states_file(self) -> Path:
-        return self.source.annotation.with_suffix(".states.jsonl")
+    def save(self, annotation: Annotation, by: str) -> Annotation:
+        """Save a revision of the annotation, and log what changed; see `save_revision`."""
+        before = self.annotation()
+        saved = save_revision(self.source.annotation, annotation)
+        try:
+            self.log.add_save(by, before, saved)
+        except KT3DMoSegError as error:  # the annotation itself is saved
+            _warn(f"{self.source.name}: not logged: {error}")
+        return saved
 
     def trouble(self) -> str:
         """Return why the annotation cannot be saved as things are; "" when it can."""
@@ -171,9 +158,10 @@ class ClipSession:
     def summary(self, pool: Executor) -> dict[str, Any]:
         """Return how far the clip is, JSON-able, as counted last; the pool counts where a file has changed.
 
-        ``name``, ``n_frames``, ``work`` and ``counting``; for a counted clip ``revision``, ``annotator``,
-        ``objects``, ``motions`` as far as there is an annotation, ``trajectories`` as far as there are any,
-        ``counts`` and ``weak`` (regions in doubt) where there is both; ``error`` when a file is damaged.
+        ``name``, ``n_frames``, ``work``, ``minutes`` (by name) and ``counting``; for a counted clip
+        ``revision``, ``annotator``, ``objects``, ``motions`` as far as there is an annotation,
+        ``trajectories`` as far as there are any, ``counts`` and ``weak`` (regions in doubt) where there is
+        both; ``error`` when a file is damaged.
         """
         # Trajectories that no file holds are not computed for it.
         tracks, computed = self.source.tracks, isinstance(self._tracks, Trajectories)
@@ -183,7 +171,7 @@ class ClipSession:
             pool.submit(self._count, state)
         counted_for, counted = self._counted
         try:
-            work: dict[str, Any] = {"work": self.work_state()}
+            work: dict[str, Any] = {"work": self.work(), "minutes": self.log.minutes()}
         except KT3DMoSegError as error:
             work = {"error": str(error)}
         general = {"name": self.source.name, "n_frames": len(self.source.frames)}

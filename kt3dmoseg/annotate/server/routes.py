@@ -9,7 +9,7 @@ import asyncio
 import re
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +28,8 @@ from kt3dmoseg.annotate.formats.foreign import Choices
 from kt3dmoseg.annotate.labelling import LabelledTracks
 from kt3dmoseg.annotate.model import KINDS, Annotation
 from kt3dmoseg.annotate.propagation import Region
-from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, NotTrackedError
+from kt3dmoseg.annotate.server.clip_log import WORK_STATES
+from kt3dmoseg.annotate.server.clip_session import ClipSession, NotTrackedError
 from kt3dmoseg.app import typed
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
@@ -53,7 +54,8 @@ class Routes:
     """The clips being labelled, by name, and the requests about them.
 
     `annotator` is written into what is saved, when not empty; `other` is the folder of the other annotator's
-    annotations; proposals may find masks in `masks` and KITTI raw drives in `kitti`.
+    annotations; clips are assigned to those of the `team`; proposals may find masks in `masks` and KITTI raw
+    drives in `kitti`.
     """
 
     def __init__(
@@ -64,8 +66,9 @@ class Routes:
         other: Path | None = None,
         masks: Path | None = None,
         kitti: Path | None = None,
+        team: Iterable[str] = (),
     ) -> None:
-        self.sessions, self.annotator = sessions, annotator
+        self.sessions, self.annotator, self.team = sessions, annotator, sorted(team)
         self.other, self.masks, self.kitti = other, masks, kitti
         self.quick, self.slow, self.counting = map(ThreadPoolExecutor, (_WORKERS, 1, 1))
         # Computed now, not while the first page waits for it.
@@ -86,7 +89,7 @@ class Routes:
             self._route("GET", "/tracks", self._tracks),  # float32 (N, F, 2); 202 while they are computed
             self._route("GET", "/moving", self._moving, quick),  # groups that move by themselves, else 1
             self._route("GET", "/trouble", self._trouble),  # why saving would fail, or ""
-            self._route("PUT", "/state", self._set_state),  # how far its annotator is: {"state", "by"}
+            self._route("PUT", "/state", self._set_state),  # {"state"} or {"assigned"}, and {"by"}
             self._route("GET", "/annotation", self._annotation),  # as saved, its revision as ETag
             self._route("PUT", "/annotation", self._save),  # If-Match: the revision that was edited
             self._route("POST", "/regions", self._regions, quick),  # in each frame, and why in doubt
@@ -119,15 +122,16 @@ class Routes:
     def _clips(self, _: Request) -> Response:
         return JSONResponse({"clips": [session.summary(self.counting) for session in self.sessions.values()]})
 
-    def _clip(self, _: Request, session: ClipSession, __: bytes) -> Answer:
+    def _clip(self, request: Request, session: ClipSession, __: bytes) -> Answer:
         return {
             "name": session.source.name,
             "image_size": session.image_size,
             "n_frames": len(session.source.frames),
             "frame_names": session.frame_names,
             "annotation": model.to_json(session.annotation()),
-            "annotator": self.annotator,
-            "work": session.work_state(),
+            "annotator": self._annotator(request),
+            "team": self.team,
+            "work": session.work(),
             "states": WORK_STATES,
             "kinds": KINDS,
             "formats": self.suffixes,
@@ -159,11 +163,15 @@ class Routes:
     def _trouble(self, _: Request, session: ClipSession, __: bytes) -> Answer:
         return {"trouble": session.trouble()}
 
-    def _set_state(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+    def _annotator(self, request: Request) -> str:
+        """Who asks: of a team, who has the token; else whom the command line named."""
+        return request.scope.get("annotator") or self.annotator
+
+    def _set_state(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given = model.parse_document(body, "body")
         if not isinstance(given, dict):
-            raise InvalidValueError("body", expected="state and by", found=repr(given)[:80])
-        return {"work": session.set_work_state(given.get("state"), self.annotator or given.get("by"))}
+            raise InvalidValueError("body", expected="state or assigned, and by", found=repr(given)[:80])
+        return {"work": session.set_work(self._annotator(request) or given.get("by"), given)}
 
     def _annotation(self, _: Request, session: ClipSession, __: bytes) -> Answer:
         found = session.annotation()
@@ -171,8 +179,8 @@ class Routes:
 
     def _save(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given = _given(session, body)
-        mine = replace(given, revision=_if_match(request), annotator=self.annotator or given.annotator)
-        saved = model.save_revision(session.source.annotation, mine)
+        by = self._annotator(request) or given.annotator
+        saved = session.save(replace(given, revision=_if_match(request), annotator=by), by)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
     def _regions(self, _: Request, session: ClipSession, body: bytes) -> Answer:

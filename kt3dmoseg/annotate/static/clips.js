@@ -3,13 +3,13 @@
 import { ask, listClips } from "./api.js";
 import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { proposeBuilt } from "./exchange.js";
-import { flush, saver, startFrom } from "./saving.js";
+import { flush, saver, startFrom, yourName } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
 import { loadTracks } from "./tracks.js";
 import { fit, numbersOf, stop } from "./view.js";
 
 const POLL = 500;
-const HEADS = ["clip", "frames", "objects", "motions", "state", "set by", "in doubt", "saved"];
+const HEADS = ["clip", "frames", "objects", "assigned to", "state", "set by", "in doubt", "minutes", "saved"];
 
 /** Open a clip, or report why it cannot be opened. */
 export async function openClip(name, pushHistory = true) {
@@ -55,22 +55,19 @@ function doubtOf({ short, conflict }, weak) {
   return parts.map((part) => part.join(" ")).join(" · ") || "nothing in doubt";
 }
 
-async function setState(wanted) {
+/** Set the state of a clip, or to whom it is assigned: { state } or { assigned }. */
+async function setWork(name, wanted) {
   await flush();
-  const { clip } = state;
   const by = yourName() || await askName();
   if (!by) return;
-  const { work } = await ask(clip.name, "state", { state: wanted, by }, { method: "PUT" });
-  if (clip === state.clip) set({ work });
+  const { work } = await ask(name, "state", { ...wanted, by }, { method: "PUT" });
+  if (name === state.clip.name) set({ work });
   await refresh();
 }
 
-/** Who sets the state: not who drew last, for a reviewer is somebody else. This browser keeps the answer. */
-const yourName = () => state.clip.annotator || localStorage.getItem("annotator");
-
 function askName() {
   return new Promise((done) => {
-    const name = element("input", { "aria-label": "your name", maxLength: 100, value: yourName() ?? "" });
+    const name = element("input", { "aria-label": "your name", maxLength: 100, value: yourName() });
     const keep = () => name.value.trim() && localStorage.setItem("annotator", name.value.trim());
     open("Who are you?", element("form", { method: "dialog", onsubmit: keep },
       paragraph("The state is kept with your name and the time."), name,
@@ -106,12 +103,15 @@ function drawProgress() {
 // The list
 
 const body = element("div", { className: "scroll" });
+const filter = element("input", {
+  "aria-label": "Show clips with", placeholder: "part of a clip's name, a name or a state", oninput: drawClips,
+});
 
 export function clips() {
-  const rename = button(`You: ${yourName() ?? "?"}`, askName, "", {
+  const rename = button(`You: ${yourName() || "?"}`, askName, "", {
     title: "Whose name is kept with the states that you set", disabled: Boolean(state.clip.annotator),
   });
-  open("Clips", body, row(button("Close", close), rename));
+  open("Clips", filter, body, row(button("Close", close), rename));
   drawClips();
   body.querySelector("button.on")?.focus();
 }
@@ -120,7 +120,11 @@ function drawClips() {
   const { summaries } = state;
   if (!body.isConnected) return;
   const focused = document.activeElement?.dataset.clip;
-  fill(body, summaries ? [total(summaries), table(summaries.map(cells), HEADS)] : paragraph("Counting…"));
+  if (body.contains(document.activeElement) && document.activeElement.matches("input")) return;
+  const matches = (summary) => [summary.name, summary.work?.assigned, stateOf(summary).now]
+    .some((text) => text?.toLowerCase().includes(filter.value.trim().toLowerCase()));
+  fill(body, summaries ? [total(summaries), throughput(summaries), table(summaries.filter(matches).map(cells), HEADS)]
+    : paragraph("Counting…"));
   if (focused) body.querySelector(`[data-clip="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
 }
 
@@ -132,19 +136,48 @@ function total(summaries) {
     + (counting ? ` Counting ${counting} more…` : ""));
 }
 
+const minutesOf = ({ minutes = {} }) => Object.values(minutes).reduce((sum, time) => sum + time, 0);
+
+/** How long each person worked on the clips that are done, and on how many. */
+function throughput(summaries) {
+  const done = summaries.filter((summary) => isDone(stateOf(summary).now));
+  const names = [...new Set(done.flatMap(({ minutes = {} }) => Object.keys(minutes)))].filter(Boolean);
+  const of = (name) => done.map(({ minutes = {} }) => minutes[name]).filter((time) => time !== undefined);
+  const mean = (times) => (times.reduce((sum, time) => sum + time, 0) / times.length).toFixed(1);
+  const lines = names.map((name) => `${name}: ${of(name).length} done, ${mean(of(name))} minutes each`);
+  return paragraph(faint(lines.join("; ")));
+}
+
+/** Who a clip is for, to be typed or chosen. */
+function assignment({ name, work }) {
+  const options = state.clip.team.map((value) => element("option", { value }));
+  const names = element("datalist", { id: `team-${name}` }, options);
+  const field = element("input", {
+    value: work?.assigned ?? "", maxLength: 100, size: 8, "aria-label": `${name} is assigned to`,
+    onchange: () => attempt(() => setWork(name, { assigned: field.value.trim() })),
+  });
+  field.setAttribute("list", names.id);
+  return element("span", {}, field, names);
+}
+
 function cells(summary) {
-  const { name, n_frames, objects = "", motions = "", revision, counts, weak, error } = summary;
+  const { name, n_frames, objects = "", revision, counts, weak, error } = summary;
   const here = name === state.clip.name ? "on" : "";
   const go = button(name, () => (close(), openClip(name)), here, { "data-clip": name });
   const { now, detail } = stateOf(summary);
   let hint = counts ? doubtOf(counts, weak) : "";
   if (error) hint = element("span", { className: "bad" }, error);
   if (summary.counting) hint = faint("counting…");
-  return [go, n_frames, objects, motions, now, faint(detail), hint, objects === "" ? "" : `rev ${revision}`];
+  const time = minutesOf(summary);
+  return [go, n_frames, objects, assignment(summary), now, faint(detail), hint, time ? time.toFixed(1) : "",
+    objects === "" ? "" : `rev ${revision}`];
 }
 
 // The clip at hand comes first: the others are counted when its labels are there.
 on(["saving", "labels", "clip"], () => state.labels && state.saving.kind === "saved" && refresh());
 on(["labels", "weak", "summaries", "clip", "work", "saving"], () => state.clip && drawProgress());
 on(["summaries"], drawClips);
-byId("state").onchange = (event) => attempt(() => setState(event.target.value)).then(drawProgress);
+byId("state").onchange = (event) => {
+  const { value } = event.target;
+  attempt(() => setWork(state.clip.name, { state: value })).then(drawProgress);
+};

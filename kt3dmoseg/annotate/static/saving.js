@@ -43,6 +43,9 @@ export async function startFrom(clip, doc) {
   }
 }
 
+/** Whose work this is: who has the token or was named on the command line, else whom this browser keeps. */
+export const yourName = () => state.clip.annotator || localStorage.getItem("annotator") || "";
+
 export async function flush() {
   clearTimeout(timer);
   if (!saver.pending || state.saving.kind === "conflict") return sending;
@@ -73,7 +76,8 @@ async function send() {
   const { doc } = state;
   if (state.saving.kind !== "offline") show("busy");
   try {
-    const answer = await ask(clip, "annotation", doc, { method: "PUT", headers: { "if-match": `"${revision}"` } });
+    const mine = { ...doc, annotator: yourName() || doc.annotator };
+    const answer = await ask(clip, "annotation", mine, { method: "PUT", headers: { "if-match": `"${revision}"` } });
     if (clip !== saver.clip) return;
     Object.assign(saver, { base: doc, revision: answer.revision });
     if (saver.pending) schedule(SOON);
