@@ -172,6 +172,7 @@ def test_the_state_of_a_clip_is_what_its_annotator_sets(context, equipped):
     page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
     assert state.input_value() == "in work"
     page.press("F2")
+    page.shows("dialog p", "0 not started, 1 in work, 0 done, 1 reviewed.")
     page.tab.get_by_label("two is assigned to").fill("Cy")
     page.press("Tab")
     page.until("labeller.state.work.assigned === 'Cy'")

@@ -41,7 +41,7 @@ export async function openNext(by) {
 
 /** The state of a clip as it counts now: what was changed after it was done is in work again. */
 function stateOf({ work, revision }) {
-  if (!work?.by) return { now: revision ? "in work" : "not started", detail: "" };
+  if (!work?.by) return { now: revision ? "in work" : work?.state ?? "", detail: "" };
   const by = `by ${work.by}, ${new Date(work.time).toLocaleString()}`;
   const changed = isDone(work.state) && revision !== undefined && revision !== work.revision;
   return changed ? { now: "in work", detail: `changed since ${work.state} ${by}` } : { now: work.state, detail: by };
