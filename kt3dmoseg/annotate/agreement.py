@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.annotate.formats.masks import mask_of
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Motion
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.matching import match_labels
@@ -113,16 +115,109 @@ def overlaps(
     return np.asarray(shared / np.maximum(union, 1), dtype=np.float64)
 
 
-def match_regions(
-    a: Mapping[int, list[Region]], b: Mapping[int, list[Region]], image_size: tuple[int, int]
-) -> list[tuple[int, int, float]]:
-    """Pair the objects of two annotators so that they overlap most (Kuhn 1955).
+@dataclass(frozen=True)
+class ObjectPair:
+    """What two annotators drew in one place; None on the side of who drew nothing there.
 
-    Returns ids and overlap; an object without a counterpart comes with id 0 and overlap 0.
+    `iou` is the intersection over union of the visible pixels of all frames; `frame` the one in which the
+    outlines differ most; `different` counts the trajectories of either whose labels differ, if there are any;
+    `motion` is that of the second's object as the first numbers it, None for one that the first has not.
     """
-    overlap, ids_a, ids_b = overlaps(a, b, image_size), list(a), list(b)
+
+    first: AnnotatedObject | None
+    second: AnnotatedObject | None
+    iou: float = 0.0
+    frame: int = 0
+    different: int | None = None
+    motion: Motion | None = None
+
+    @property
+    def rank(self) -> int:
+        """0: one drew nothing there, 1: another motion, 2: labels differ, 3: they do not."""
+        if self.first is None or self.second is None:
+            return 0
+        return 1 if self.motion != self.first.motion else 2 if self.different else 3
+
+    def verdict(self, first: str, second: str) -> str:
+        """Return in words how they differ; the annotators are called so.
+
+        >>> from kt3dmoseg.annotate import KeyFrame
+        >>> bus = AnnotatedObject(1, "bus", "car", 1, (KeyFrame(0, "outside"),))
+        >>> ObjectPair(None, bus).verdict("A", "B")
+        'missed by A: bus'
+        """
+        names = " / ".join(dict.fromkeys(item.name for item in (self.first, self.second) if item))
+        missed = f"missed by {second if self.first else first}"
+        same = "same motion" if self.different is None else "same labels"
+        return f"{(missed, 'another motion', 'labels differ', same)[self.rank]}: {names}"
+
+    def to_json(self, first: str, second: str) -> dict[str, object]:
+        """Return names, ids and all of the above; None where one drew nothing."""
+        sides = {"first": self.first, "second": self.second}
+        names = {side: item.name if item else None for side, item in sides.items()}
+        ids = {f"{side}_id": item.id if item else None for side, item in sides.items()}
+        measures = {name: getattr(self, name) for name in ("iou", "frame", "different", "motion")}
+        return names | ids | measures | {"verdict": self.verdict(first, second)}
+
+
+def compare_objects(
+    annotations: tuple[Annotation, Annotation],
+    regions: tuple[Mapping[int, list[Region]], Mapping[int, list[Region]]],
+    labels: tuple[IntArray, IntArray] | None = None,
+) -> list[ObjectPair]:
+    """Pair the objects of two annotators so that they overlap most (Kuhn 1955), those that differ most first.
+
+    `labels` (n,) of the same trajectories join the motions; without any those of paired objects correspond.
+    """
+    one, two = ({item.id: item for item in side.objects} for side in annotations)
+    (ids, others), size = map(list, regions), annotations[0].image_size
+    overlap = overlaps(*regions, size)
     chosen = zip(*linear_sum_assignment(overlap, maximize=True), strict=True)
-    pairs = [(ids_a[i], ids_b[j], float(overlap[i, j])) for i, j in chosen if overlap[i, j] > 0]
-    alone_a = set(ids_a) - {i for i, _, _ in pairs}
-    alone_b = set(ids_b) - {j for _, j, _ in pairs}
-    return pairs + [(i, 0, 0.0) for i in sorted(alone_a)] + [(0, j, 0.0) for j in sorted(alone_b)]
+    found = [(ids[i], others[j], float(overlap[i, j])) for i, j in chosen if overlap[i, j] > 0]
+    found += [(i, 0, 0.0) for i in sorted(set(ids) - {i for i, _, _ in found})]
+    found += [(0, j, 0.0) for j in sorted(set(others) - {j for _, j, _ in found})]
+    compared = agree(*labels) if labels else None
+    out = []
+    for i, j, iou in found:
+        a, b = one.get(i), two.get(j)
+        frame = _most_apart(regions[0].get(i, ()), regions[1].get(j, ()), size)
+        different = _differing(a, b, labels, compared) if labels and compared else None
+        out.append(ObjectPair(a, b, iou, frame, different, _renumbered(a, b, compared)))
+    return sorted(out, key=lambda pair: (pair.rank, -(pair.different or 0), pair.iou))
+
+
+def _renumbered(
+    a: AnnotatedObject | None, b: AnnotatedObject | None, compared: Agreement | None
+) -> Motion | None:
+    """Return the motion of the second's object as the first numbers it; None where the first has it not."""
+    if b is None or b.motion in (BACKGROUND, REJECT):
+        return b.motion if b else None
+    if compared is None:
+        known = a.motion if a and a.motion != REJECT else BACKGROUND
+    else:
+        known = {other: label for label, other in compared.matching.items()}.get(int(b.motion) + 1, 1) - 1
+    return known or None
+
+
+def _most_apart(a: Sequence[Region], b: Sequence[Region], size: tuple[int, int]) -> int:
+    """Return the frame in which the visible pixels of two objects differ most."""
+    empty = Region("outside")
+    masks = [
+        [mask_of(r.polygons if r.visibility == "visible" else (), size) for r in pair]
+        for pair in zip_longest(a, b, fillvalue=empty)
+    ]
+    return int(np.argmax([np.count_nonzero(one != two) for one, two in masks])) if masks else 0
+
+
+def _differing(
+    a: AnnotatedObject | None,
+    b: AnnotatedObject | None,
+    labels: tuple[IntArray, IntArray],
+    compared: Agreement,
+) -> int:
+    """Count the trajectories with the motion of either whose labels differ."""
+    moves = [
+        item.motion + 1 if item and isinstance(item.motion, int) and item.motion else -1 for item in (a, b)
+    ]
+    of_either = (labels[0] == moves[0]) | (labels[1] == moves[1])
+    return int((of_either & (compared.a != compared.b)).sum())

@@ -19,7 +19,7 @@ from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate import Annotation, LabelledTracks, Region
-    from kt3dmoseg.annotate.agreement import Agreement
+    from kt3dmoseg.annotate.agreement import Agreement, ObjectPair
     from kt3dmoseg.types import Trajectories
 
 notes = group("annotations", "Import, export, check and compare the annotations of clips.")
@@ -72,14 +72,13 @@ class Comparison:
         Its name.
     agreement : Agreement or None
         Of the labels that both give its trajectories; None without trajectories.
-    objects : list of (str, str, float)
-        Objects of the first and the second that overlap most, and their intersection over union in all
-        frames; an empty name and 0 where one has no counterpart.
+    objects : list of ObjectPair
+        What each drew in one place, and how that differs.
     """
 
     clip: str
     agreement: Agreement | None
-    objects: list[tuple[str, str, float]]
+    objects: list[ObjectPair]
 
 
 @dataclass(frozen=True)
@@ -319,14 +318,10 @@ def compare_annotations(
         if one is None or two is None:
             continue
         a, b = (annotate.formats.regions(annotation, clip.trajectories) for annotation in (one, two))
-        labelled = (clip.labelled(one, a), clip.labelled(two, b))
-        labels = [side.labels.label for side in labelled if side is not None]
+        of_one, of_two = clip.labelled(one, a), clip.labelled(two, b)
+        labels = (of_one.labels.label, of_two.labels.label) if of_one and of_two else None
         agreement = annotate.agreement.agree(*labels) if labels else None
-        names, others = ({item.id: item.name for item in annotation.objects} for annotation in (one, two))
-        objects = [
-            (names.get(i, ""), others.get(j, ""), overlap)
-            for i, j, overlap in annotate.agreement.match_regions(a, b, one.image_size)
-        ]
+        objects = annotate.agreement.compare_objects((one, two), (a, b), labels)
         found.append(Comparison(clip.name, agreement, objects))
     if not found:
         expected = "<clip>.json in both, named as a clip"
@@ -352,16 +347,20 @@ def compare(
     shown, rows = [], []
     for c in compare_annotations(first, second, clips, tracks=tracks):
         labels = {} if c.agreement is None else {name: getattr(c.agreement, name) for name in _MEASURES}
-        objects = [dict(zip(("first", "second", "iou"), values, strict=True)) for values in c.objects]
+        objects = [pair.to_json("the first", "the second") for pair in c.objects]
         shown.append({"clip": c.clip, **labels, "objects": objects})
         cells = [f"{labels[name]:{form}}" if labels else "" for name, form in _MEASURES.items()]
-        mean = sum(iou for *_, iou in c.objects) / max(1, len(c.objects))
+        mean = sum(pair.iou for pair in c.objects) / max(1, len(c.objects))
         rows.append([c.clip, *cells, f"{mean:.3f}", ""])
-        rows += [["", "", "", "", f"{iou:.3f}", f"{a or '-'} / {b or '-'}"] for a, b, iou in c.objects]
+        rows += [[f"  {o['verdict']}", *[""] * 3, f"{o['iou']:.3f}", _count(o["different"])] for o in objects]
     if json:
         print(dumps(shown, indent=1, ensure_ascii=False))
     else:
-        print(text_table(rows, ["clip", "agreement", "both labelled", "kappa", "IoU", "first / second"]))
+        print(text_table(rows, ["clip, objects", "agreement", "both labelled", "kappa", "IoU", "differ"]))
+
+
+def _count(number: object) -> str:
+    return "" if number is None else f"{number}"
 
 
 def _for_each(

@@ -127,7 +127,7 @@ def test_export_and_import_again(data, format):
     assert run(data, "export", data / "frames", *words) == 0
     assert load(data, "--replace", source="out", format=format) == 0
     for found in compare_annotations(data / "notes", data / "notes", data / "frames"):
-        assert [overlap for _, _, overlap in found.objects] == [1.0]
+        assert [(pair.iou, pair.rank) for pair in found.objects] == [(1.0, 3)]
 
 
 def test_check_finds_what_is_probably_a_mistake(data, capsys):
@@ -169,9 +169,11 @@ def test_compare_by_labels_and_object_by_object(data, capsys):
     (found,) = json.loads(capsys.readouterr().out)
     assert found["clip"] == "one"
     assert 0.4 < found["objects"][0]["iou"] < 0.6
+    assert found["objects"][0]["verdict"] == "labels differ: motion 1 / half"
+    assert 5 < found["objects"][0]["different"] < 60
     assert 0.5 < found["kappa"] < 1
     assert main(["annotations", "compare", *map(str, words)]) == 0
-    assert "motion 1 / half" in capsys.readouterr().out
+    assert "labels differ: motion 1 / half" in capsys.readouterr().out
     assert main(["annotations", "compare", *map(str, words[:3])]) == 0
 
 

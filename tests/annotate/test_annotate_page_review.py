@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 from annotation_scenes import drawn_by_hand
-from labeller_page import CORNERS, Page, Server
+from labeller_page import CORNERS, Page, Server, near
 
-from kt3dmoseg.annotate import load_annotation, save_annotation
-from kt3dmoseg.annotate.model import PROPOSALS
+from kt3dmoseg.annotate import AnnotatedObject, KeyFrame, load_annotation, save_annotation
+from kt3dmoseg.annotate.model import PROPOSALS, to_json
 
 pytestmark = pytest.mark.browser
 
@@ -271,32 +271,47 @@ def test_an_import_that_was_left_does_not_come_back_over_what_is_drawn_meanwhile
     assert len(page.objects()) == 1
 
 
-def test_differences_of_two_annotators_are_visited_one_by_one(reviewer, equipped):
+def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, equipped):
+    walker = [[200, 20], [230, 20], [230, 60], [200, 60]]
+    theirs = load_annotation(equipped.notes.parent / "other" / "one.json")
+    key = KeyFrame(2, polygons=(tuple(map(tuple, walker)),))
+    both = (*theirs.objects, AnnotatedObject(2, "woman with a walker", "pedestrian", 7, (key,)))
+    path = equipped.notes.parent / "other" / "one.json"
+    path.write_text(json.dumps(to_json(replace(theirs, objects=both))))
     reviewer.draw()
+    reviewer.draw([(20, 150), (50, 150), (50, 180), (20, 180)])
     reviewer.saved()
     reviewer.press("m")
     reviewer.until("labeller.state.compared")
     found = reviewer.value("labeller.state.compared")
-    reviewer.shows("dialog[open]", f"kappa {found['kappa']:.3f}")
-    reviewer.shows("dialog[open]", f"{found['different']} differ")
-    assert 5 < found["different"] < 60
-    reviewer.press("Enter")  # the first of the list
-    reviewer.until("labeller.state.compared.at === 0")
-    first = found["differences"][0]
-    assert (first["mine"], first["theirs"]) == ("object 1", "background")
-    assert reviewer.value("labeller.state.frame") == first["frame"]
-    assert reviewer.value("labeller.state.cross") == pytest.approx(first["xy"], abs=0.1)
-    reviewer.shows("#differences", "here object 1, other background")
-    polygon = reviewer.value(f"labeller.state.compared.regions[1][{first['frame']}].polygons[0]")
-    reviewer.press("Shift+Z")
+    reviewer.shows("dialog[open]", f"kappa {found['kappa']:.3f}, mean IoU")
+    listed = reviewer.tab.locator("dialog tr button").all_inner_texts()
+    assert listed[-1] == "labels differ: object 1 / box"
+    assert sorted(listed[:2]) == ["missed by the other: object 2", "missed by you: woman with a walker"]
+    button(reviewer, "missed by you: woman with a walker").click()
+    reviewer.shows("#differences", "missed by you: woman with a walker")
+    button(reviewer, "Take theirs").click()
+    reviewer.until("labeller.state.doc.objects.length === 3")
+    assert reviewer.objects()[2]["key_frames"][0]["polygons"] == [walker]
+    assert (reviewer.objects()[2]["name"], reviewer.objects()[2]["motion"]) == ("woman with a walker", 3)
+    button(reviewer, "List").click()
+    button(reviewer, "missed by the other: object 2").click()
+    button(reviewer, "Delete, as theirs").click()
+    reviewer.until("labeller.state.doc.objects.length === 2")
+    reviewer.shows("#differences", "labels differ: object 1 / box, IoU 0.4")
+    polygon = reviewer.value("labeller.state.compared.regions[1][labeller.state.frame].polygons[0]")
     (right, top), (_, bottom) = polygon[1:3]
     edge = [colour(reviewer, "regions", (right, y)) for y in np.linspace(top + 5, bottom - 5, 40)]
     assert max(min(pixel[:3]) for pixel in edge) > 120  # their outline, dashed white
     next_to_it = [colour(reviewer, "regions", (right - 8, y)) for y in np.linspace(top + 5, bottom - 5, 40)]
     assert max(min(pixel[:3]) for pixel in next_to_it) < 60
-    reviewer.press("Shift+G")
-    reviewer.until("labeller.state.compared.at === 1")
-    button(reviewer, "Done").click()
+    button(reviewer, "Redraw").click()
+    reviewer.until("labeller.state.tool === 'draw' && labeller.state.pending.mode === 'region'")
+    reviewer.press("Escape")
+    button(reviewer, "Take theirs").click()
+    reviewer.shows("dialog[open] td", "theirs")
+    assert near(reviewer.objects()[0]["key_frames"][0]["polygons"][0], HALF)
+    button(reviewer, "Close").click()
     reviewer.until("labeller.state.compared === null")
     reviewer.tab.locator("#differences").wait_for(state="hidden")  # drawn a moment after the state
 

@@ -538,8 +538,10 @@ def test_compare(clips, tmp_path):
     assert 0 < reply["different"] < 100
     assert 0.5 < reply["kappa"] < 1
     assert reply["agreement"] == pytest.approx(1 - reply["different"] / 400)
-    assert {d["mine"] for d in reply["differences"]} >= {"box"}
-    assert reply["differences"][0].keys() == {"row", "frame", "xy", "mine", "theirs"}
+    (pair,) = reply["objects"]
+    assert (pair["first"], pair["second"], pair["verdict"]) == ("box", "half", "labels differ: box / half")
+    assert 0.4 < pair["iou"] < 0.6
+    assert pair["motion"] == 1  # theirs is called 4
 
 
 def test_compare_needs_another_annotator(page):

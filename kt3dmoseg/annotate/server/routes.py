@@ -23,9 +23,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from kt3dmoseg.annotate import formats, model, proposals
-from kt3dmoseg.annotate.agreement import agree
+from kt3dmoseg.annotate.agreement import agree, compare_objects
 from kt3dmoseg.annotate.formats.foreign import Choices
-from kt3dmoseg.annotate.labelling import LabelledTracks
 from kt3dmoseg.annotate.model import KINDS, Annotation
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES
@@ -35,7 +34,6 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.parallel import run_apart
-from kt3dmoseg.types import Trajectories
 
 Answer: TypeAlias = Response | dict[str, Any]
 Work: TypeAlias = Callable[[Request, ClipSession, bytes], Answer]
@@ -43,7 +41,6 @@ Work: TypeAlias = Callable[[Request, ClipSession, bytes], Answer]
 # What every browser shows as it is; other pictures are sent as PNG.
 _SHOWN = {f".{kind}": f"image/{kind}" for kind in ("png", "jpeg", "webp", "bmp")} | {".jpg": "image/jpeg"}
 _MAX_PICTURE = 1 << 28
-_MOST_DIFFERENCES = 2_000
 _WORKERS = 4
 _POLL = 0.25  # seconds between two looks whether somebody still waits for an answer
 _NOT_BUILT = "run 'kt3dmoseg build --propose'"
@@ -210,9 +207,15 @@ class Routes:
         if self.other is None:
             raise HTTPException(404, "start with compare=FOLDER to compare two annotators")
         theirs = session.checked(model.load_annotation(self.other / f"{session.source.name}.json"))
-        labelled = session.labelled(given), session.labelled(theirs)
-        shown = {"theirs": model.to_json(theirs)["objects"], "regions": _shown(session.regions(theirs))}
-        return _comparison(session.trajectories(), *labelled) | shown
+        regions = session.regions(given), session.regions(theirs)
+        labels = session.labelled(given).labels.label, session.labelled(theirs).labels.label
+        agreement = agree(*labels)
+        pairs = compare_objects((given, theirs), regions, labels)
+        objects = [pair.to_json("you", "the other") for pair in pairs]
+        measures = {name: getattr(agreement, name) for name in ("agreement", "both", "kappa")}
+        counts = {"trajectories": len(labels[0]), "different": len(agreement.differences)}
+        shown = {"theirs": model.to_json(theirs)["objects"], "regions": _shown(regions[1])}
+        return measures | counts | shown | {"objects": objects}
 
     def _export(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given, chosen = _given(session, body), formats.load(request.path_params["format"])
@@ -269,24 +272,3 @@ def _shown(regions: Mapping[int, list[Region]]) -> dict[str, Any]:
         return {"visibility": region.visibility, "key": region.key, "polygons": polygons}
 
     return {str(number): list(map(drawn, of_object)) for number, of_object in regions.items()}
-
-
-def _comparison(trajectories: Trajectories, mine: LabelledTracks, theirs: LabelledTracks) -> dict[str, Any]:
-    """Agreement, kappa and the differing trajectories, alike ones together, with where to look."""
-    result, differences = agree(mine.labels.label, theirs.labels.label), []
-    rows = [int(row) for _, _, group in result.groups() for row in group]
-    for row in rows[:_MOST_DIFFERENCES]:
-        seen = np.flatnonzero(trajectories.visible[row])
-        if len(seen):
-            frame = int(seen[len(seen) // 2])
-            xy = np.round(trajectories.xy[row, frame], 1).tolist()
-            names = {"mine": _label_name(mine, row), "theirs": _label_name(theirs, row)}
-            differences.append({"row": row, "frame": frame, "xy": xy, **names})
-    measures = {"agreement": result.agreement, "both": result.both, "kappa": result.kappa}
-    counts = {"trajectories": len(trajectories), "different": len(rows)}
-    return counts | measures | {"differences": differences}
-
-
-def _label_name(labelled: LabelledTracks, row: int) -> str:
-    label = int(labelled.labels.label[row])
-    return labelled.labels.names.get(label, f"motion {label - 1}") if label else "unlabelled"

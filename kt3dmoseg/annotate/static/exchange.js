@@ -1,10 +1,10 @@
 // What comes from elsewhere: proposed regions, files of other tools, the other annotator's annotation.
 
-import { addObject, boundsOf, nextMotion } from "./annotation.js";
+import { redraw, setTool } from "./actions.js";
+import { addObject, boundsOf, changeObject, nextMotion, objectOf } from "./annotation.js";
 import { ask, request } from "./api.js";
 import { button, byId, close, download, element, faint, fill, open, paragraph, row, table } from "./dom.js";
-import { editLast, on, set, state } from "./state.js";
-import { showTrack } from "./tracks.js";
+import { edit, editLast, on, regionOf, set, state } from "./state.js";
 import { goTo, showBox } from "./view.js";
 
 const NAMES = {
@@ -171,55 +171,91 @@ function decide({ objects, plan }, again) {
 
 // Two annotators
 
-const DIFFERENCE = ["trajectory", "frame", "at", "here", "other"];
+const HEADS = ["object", "IoU", "trajectories", ""];
 const percent = (share) => `${(100 * share).toFixed(2)} %`;
 
-/** How far both annotators agree, and each difference in its place. */
+/** How far both annotators agree, and each object on which they do not, in its place. */
 export function compare() {
   if (!state.clip.compare) {
     return inform("Compare", "Start kt3dmoseg label with --compare FOLDER, the folder of the other annotator's files.");
   }
   return work("Two annotators", "Comparing…", "compare", state.doc, (found) => {
-    set({ compared: { ...found, at: null }, proposals: null, review: null });
+    set({ compared: { ...found, at: null, settled: [] }, proposals: null, review: null });
     list();
   });
 }
 
 function list() {
-  const { agreement, trajectories, both, kappa, different, differences } = state.compared;
+  const { agreement, trajectories, both, kappa, different, objects, settled } = state.compared;
+  const mean = objects.reduce((sum, { iou }) => sum + iou, 0) / (objects.length || 1);
   const summary = `Same label for ${percent(agreement)} of ${trajectories} trajectories, `
-    + `${percent(both)} of those that both labelled. Cohen's kappa ${kappa.toFixed(3)}. `
-    + (different ? `${different} differ:` : "None differs.");
-  const rows = differences.map(({ row: track, frame, xy, mine, theirs }, k) =>
-    [button(`${track}`, () => visit(k)), frame, xy.map((v) => v.toFixed(0)).join(", "), mine, theirs]);
-  const help = "Choose one to see it with the other annotator's outlines; ↑ ↓ walk the list, "
-    + "Shift+G goes on from one to the next.";
+    + `${percent(both)} of those that both labelled; ${different} differ. Cohen's kappa ${kappa.toFixed(3)}, `
+    + `mean IoU of the objects ${mean.toFixed(3)}.`;
+  const rows = objects.map(({ verdict, iou, different: count }, k) =>
+    [button(verdict, () => visit(k)), iou.toFixed(2), count, settled[k] ?? ""]);
   open("Two annotators", paragraph(summary),
-    element("div", { className: "scroll" }, rows.length ? table(rows, DIFFERENCE) : []),
-    row(button("Close", leave), faint(rows.length ? help : "")));
+    element("div", { className: "scroll" }, rows.length ? table(rows, HEADS) : []), row(button("Close", leave),
+      faint("Choose an object to see both outlines and decide; ↑ ↓ walk the list, Shift+G goes to the next.")));
 }
 
-/** Show one difference in its place, and the other annotator's regions around it. */
+/** Show an object in the frame in which both differ most, with the other annotator's outline. */
 function visit(index) {
   close();
-  const { compared } = state;
-  const at = (index + compared.differences.length) % compared.differences.length;
-  set({ compared: { ...compared, at } });
-  showTrack(compared.differences[at].row, compared.differences[at].frame);
+  const { compared, doc } = state;
+  const at = (index + compared.objects.length) % compared.objects.length;
+  const { first_id: mine, second_id: theirs, frame } = compared.objects[at];
+  set({ compared: { ...compared, at }, selected: objectOf(doc, mine) ? mine : null });
+  goTo(frame);
+  const own = objectOf(doc, mine);
+  const both = [own && regionOf(own, frame), compared.regions[theirs]?.[frame]].filter(Boolean);
+  const box = boundsOf(both.flatMap((region) => region.polygons));
+  if (box) showBox(box);
 }
 
 export const nextDifference = () =>
-  (state.compared?.differences.length ? visit((state.compared.at ?? -1) + 1) : compare());
+  (state.compared?.objects.length ? visit((state.compared.at ?? -1) + 1) : compare());
+
+/** The document with their object in the place of mine, under my motions; without mine where they have none. */
+function withTheirs({ first_id: mine, second_id: theirs, motion }) {
+  const { doc, compared } = state;
+  const own = objectOf(doc, mine);
+  if (theirs === null) return { ...doc, objects: doc.objects.filter((item) => item !== own) };
+  const { kind, key_frames, ...other } = compared.theirs.find((item) => item.id === theirs);
+  const taken = { kind, key_frames, motion: motion ?? nextMotion(doc) };
+  return own ? changeObject(doc, mine, taken) : addObject(doc, { ...other, ...taken });
+}
+
+/** Keep what was decided about the object in view, and go on to the next that is open. */
+function conclude(how, change) {
+  const { compared } = state;
+  const settled = Object.assign([...compared.settled], { [compared.at]: how });
+  if (change) edit(change());
+  const open = compared.objects.findIndex((_, k) => k > compared.at && !settled[k]);
+  set({ compared: { ...compared, settled } });
+  if (how === "redraw") byId("stage").focus();
+  else if (open < 0) list();
+  else visit(open);
+}
+
+function redrawThis({ first_id: mine }) {
+  conclude("redraw");
+  if (objectOf(state.doc, mine)) redraw("region");
+  else setTool("draw");
+}
 
 function drawDifference() {
-  const { at, differences } = state.compared ?? {};
-  const here = differences?.[at];
+  const { at, objects, settled } = state.compared ?? {};
+  const here = objects?.[at];
   if (!here) return strip("differences", "");
-  const next = button("Next", () => visit(at + 1), "primary");
-  strip("differences", `${at + 1} of ${differences.length}: here ${here.mine}, other ${here.theirs}`, next,
-    button("Previous", () => visit(at - 1)), button("List", list), button("Compare again", compare),
-    button("Done", leave));
-  return next.focus();
+  const next = button("Next", () => visit(at + 1));
+  const theirs = here.second_id === null ? "Delete, as theirs" : "Take theirs";
+  strip("differences", `${at + 1} of ${objects.length}: ${here.verdict}, IoU ${here.iou.toFixed(2)}`
+    + `${settled[at] ? ` (${settled[at]})` : ""}`,
+  button(theirs, () => conclude("theirs", () => withTheirs(here))),
+  button(here.first_id === null ? "Leave out" : "Keep mine", () => conclude("mine")),
+  button("Redraw", () => redrawThis(here)), next, button("List", list), button("Compare again", compare),
+  button("Done", leave));
+  return settled[at] === "redraw" || next.focus();
 }
 
 on(["review", "proposals"], drawReview);

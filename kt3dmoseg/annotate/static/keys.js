@@ -100,7 +100,7 @@ export const KEYS = {
     key("Ctrl+s", "Ctrl+S", "save now (saving is automatic)", flush),
     key("s", "S", "propose regions", propose),
     key("m", "M", "compare with the other annotator", compare),
-    key("Shift+G", "Shift+G", "next difference from the other", nextDifference),
+    key("Shift+G", "Shift+G", "next object that the other drew otherwise", nextDifference),
     key("Ctrl+e", "Ctrl+E", "import and export", exchange),
     key("PageDown", "PageDown", "next clip", () => openNext(1)),
     key("PageUp", "PageUp", "previous clip", () => openNext(-1)),
