@@ -1,4 +1,6 @@
-"""Take the pictures of the labelling page and of a report for the README; everything in them is synthetic.
+"""Take the pictures of the labelling page and of a report, and write the page's keys into the docs.
+
+Everything in the pictures is synthetic.
 
 kt3dmoseg demo -o demo-out
 python tools/make_screenshots.py demo-out -o docs/figures
@@ -20,6 +22,9 @@ from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 CLIP = "2011_09_26_drive_0002"
+DOCS = Path(__file__).resolve().parents[1] / "docs" / "labelling.md"
+KEYS = """() => import("/static/keys.js").then(({ KEYS }) => Object.entries(KEYS)
+  .flatMap(([group, keys]) => keys.map(({ shown, text }) => [group, shown, text])))"""
 
 
 def main() -> None:
@@ -31,13 +36,22 @@ def main() -> None:
     given = parser.parse_args()
     with labelling(given.demo) as address, sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser.find(), args=["--no-sandbox"])
-        page = chromium.new_page(viewport={"width": 1300, "height": 700})
+        page = chromium.new_page(viewport={"width": 1300, "height": 700}, color_scheme="dark")
         page.goto(address)
         page.get_by_text("leaving car").first.wait_for()
+        before, rest = DOCS.read_text(encoding="utf-8").split("<!-- table: keys -->")
+        DOCS.write_text(f"{before}{keys_table(page)}{rest[rest.index('<!-- end') :]}", encoding="utf-8")
+        page.keyboard.press("]")
         save(page, given.output / "labelling.webp")
         page = chromium.new_page(viewport={"width": 1100, "height": 1400})
         page.goto((given.demo / "report-subset.html").resolve().as_uri())
         save(page, given.output / "report.webp")
+
+
+def keys_table(page: Page) -> str:
+    """Return the keys of the labelling page as a table in Markdown, from the page's own table of them."""
+    rows = [f"| {group} | `{shown}` | {text} |" for group, shown, text in page.evaluate(KEYS)]
+    return "\n".join(["<!-- table: keys -->", "| for | key | what it does |", "|---|---|---|", *rows, ""])
 
 
 @contextmanager

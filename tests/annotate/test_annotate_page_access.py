@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from labeller_page import Page, stored
+from make_screenshots import DOCS, keys_table
 
 pytestmark = pytest.mark.browser
 
@@ -177,6 +178,8 @@ def test_every_key_is_in_the_help(page):
     )
     assert listed == shown
     assert len(listed) > 40
+    # In the docs, too: python tools/make_screenshots.py DEMO writes them.
+    assert keys_table(page.tab) in DOCS.read_text(encoding="utf-8")
 
 
 def test_a_large_screen_and_a_small_one(context, shared):
