@@ -289,11 +289,13 @@ def _is_scores(path: Path) -> bool:
 
 
 def report(
-    submission: Submission,
-    data: Data,
+    first: Annotated[Either, Parameter(help="Submission: folder or zip.")],
     /,
+    *others: Annotated[Either, Parameter(help="More of them, then the data, then pictures if at hand.")],
+    data: Annotated[
+        Folder | None, Parameter(metavar="DATA", help="By default after the submissions.")
+    ] = None,
     frames: Annotated[Folder | None, Parameter(help="Pictures, one sub-folder per clip.")] = None,
-    *,
     benchmark: Benchmark = "",
     output: Annotated[File, Parameter(alias="-o", help="The page.")] = Path("report.html"),
     force: Force = False,
@@ -304,17 +306,30 @@ def report(
     ] = False,
     json: Annotated[Flag, Parameter(help="Also write all scores as .json.")] = False,
 ) -> None:
-    """Write one self-contained HTML page about a submission, which opens offline.
+    """Write one self-contained HTML page about a submission, or several side by side, which opens offline.
 
-    With --frames the trajectories are drawn on the pictures (FRAMES/<clip>/000001.png, ...). The table
-    is also written next to the page on request.
+    mseg report A DATA, or mseg report A B C DATA. With --frames the trajectories are drawn on the pictures
+    (FRAMES/<clip>/000001.png, ...). The table is also written next to the page on request.
     """
+    from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.report import write_report
+    from mseg.evaluation.submission import looks_like_submission
 
     wanted = {"latex": latex, "markdown": markdown, "csv": csv, "json": json}
     extras = [name for name, asked in wanted.items() if asked]
+    paths = [first, *others]
+    n = next((i for i, path in enumerate(paths) if i and not looks_like_submission(path)), len(paths))
+    submissions, rest = paths[:n], paths[n:]
+    if data is None and rest:
+        data = rest.pop(0)
+    if frames is None and rest:
+        frames = rest.pop(0)
+    if data is None or rest:
+        expected, found = "submissions, then the folder of clips", " ".join(map(str, paths))
+        fix = "a submission is a zip or has a meta.toml"
+        raise InvalidValueError("report", expected=expected, found=found, fix=fix)
     for path in write_report(
-        submission, data, output, frames=frames, benchmark=benchmark, force=force, extras=extras
+        submissions, data, output, frames=frames, benchmark=benchmark, force=force, extras=extras
     ):
         size = path.stat().st_size / 1000
         shown = f"{size:.1f} kB" if size < 1000 else f"{size / 1000:.1f} MB"

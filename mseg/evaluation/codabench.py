@@ -33,7 +33,7 @@ def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
             return 1
         scores = score_validated(checked)
         write_text(target / "scores.json", json.dumps(leaderboard_values(scores)) + "\n")
-        write_text(target / "detailed_results.html", report_html(checked, scores, overlays=False))
+        write_text(target / "detailed_results.html", report_html([checked], [scores], overlays=False))
     except KT3DMoSegError as error:
         print(error, file=sys.stderr)
         return error.exit_code

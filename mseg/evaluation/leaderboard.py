@@ -16,8 +16,8 @@ from typing import Any
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import check_target, write_text
+from mseg.evaluation.pages import render
 from mseg.evaluation.protocol import list_protocols, load_protocol, share
-from mseg.evaluation.report import render
 from mseg.evaluation.results import ResultsTable
 from mseg.evaluation.scoring import ScoreTable, from_json, to_json
 

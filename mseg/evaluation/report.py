@@ -1,4 +1,4 @@
-"""One self-contained page about a submission: tables, bars, confusions, overlays.
+"""One self-contained page about one submission or several: tables, bars, confusions, overlays.
 
 The page is ``static/report.html``, a jinja2 template with automatic escaping; here is what it computes with.
 """
@@ -8,31 +8,33 @@ from __future__ import annotations
 import base64
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.draw.palette import css_palette
-from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import check_target, write_text
-from kt3dmoseg.types import ByteArray, Clip
+from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation import results
+from mseg.evaluation.axes import AXES
+from mseg.evaluation.comparison import Comparison, compare, comparison_table
 from mseg.evaluation.contingency import Contingency
+from mseg.evaluation.metrics import all_metrics
+from mseg.evaluation.pages import jpegs, render
 from mseg.evaluation.scoring import ScoreTable, clip_json, score_validated, to_json
-from mseg.evaluation.validation import Validation, validate_submission
+from mseg.evaluation.validation import Validation, load_clips, validate_submission
 
-_STEPS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20, 0.25)
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # of the methods
 _MISSING = -32768
-_MAX_WIDTH = 960
-_QUALITY = 72
+_CLIP_CHARACTERS = 2_900_000  # of the pictures and positions of one clip
 
 
 def write_report(
-    submission: str | os.PathLike[str],
+    submission: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],
     path: str | os.PathLike[str],
     *,
@@ -41,12 +43,12 @@ def write_report(
     force: bool = False,
     extras: Sequence[str] = (),
 ) -> list[Path]:
-    """Validate and score a submission and write the page about it.
+    """Validate and score one submission or several, and write the page about them.
 
     Parameters
     ----------
-    submission : path
-        Folder or zip.
+    submission : path or sequence of paths
+        Folders or zips; several are shown side by side.
     data : path, mapping or iterable of Clip
         The clips with their labels.
     path : path
@@ -59,7 +61,7 @@ def write_report(
     force : bool
         Report an invalid submission, its faulty clips counted as fully wrong.
     extras : sequence of {"latex", "markdown", "csv", "json"}
-        Tables to write next to the page; "csv" includes the two DAVIS-style files.
+        Tables to write next to the page, per submission; "csv" includes the two DAVIS-style files.
 
     Returns
     -------
@@ -69,84 +71,142 @@ def write_report(
     Raises
     ------
     RejectedSubmissionError
-        When the submission is invalid and not `force`.
+        When a submission is invalid and not `force`.
     InputFileError
         When the frames of a clip are incomplete, or there are none of any clip.
+    InvalidValueError
+        When several are not of the same clips.
     """
-    page = Path(path)
+    page, given = Path(path), [submission] if isinstance(submission, (str, os.PathLike)) else [*submission]
+    if len(given) > len(LETTERS):
+        raise InvalidValueError(
+            "report", expected=f"at most {len(LETTERS)} submissions", found=str(len(given))
+        )
     check_target(page)
-    checked = validate_submission(submission, data, benchmark=benchmark)
-    scores = score_validated(checked, force=force)
+    clips = data if len(given) == 1 else load_clips(data)
+    checked = [validate_submission(each, clips, benchmark=benchmark) for each in given]
+    scores = [score_validated(each, force=force) for each in checked]
     contents = {page.name: report_html(checked, scores, frames=frames)}
-    if "latex" in extras:
-        contents[f"{page.stem}.tex"] = results.headline(scores).latex() + "\n"
-    if "markdown" in extras:
-        contents[f"{page.stem}.md"] = results.headline(scores).markdown() + "\n"
-    if "csv" in extras:
-        contents[f"{page.stem}.csv"] = results.per_clip(scores, scores.metrics).csv()
-        contents |= results.davis_files(scores, "" if page.stem == "report" else f"-{page.stem}")
-    if "json" in extras:
-        contents[f"{page.stem}.json"] = json.dumps(to_json(scores), indent=1) + "\n"
+    for name, table in zip(_names(scores), scores, strict=True):
+        stem = page.stem if len(given) == 1 else re.sub(r"[^\w.=-]+", "-", f"{page.stem}-{name}")
+        contents |= _tables_beside(table, stem, extras)
     for name, content in contents.items():
         write_text(page.with_name(name), content)
     return [page.with_name(name) for name in contents]
 
 
+def _tables_beside(scores: ScoreTable, stem: str, extras: Sequence[str]) -> dict[str, str]:
+    """Names and contents of the tables asked for."""
+    contents = {}
+    if "latex" in extras:
+        contents[f"{stem}.tex"] = results.headline(scores).latex() + "\n"
+    if "markdown" in extras:
+        contents[f"{stem}.md"] = results.headline(scores).markdown() + "\n"
+    if "csv" in extras:
+        contents[f"{stem}.csv"] = results.per_clip(scores, scores.metrics).csv()
+        contents |= results.davis_files(scores, "" if stem == "report" else f"-{stem}")
+    if "json" in extras:
+        contents[f"{stem}.json"] = json.dumps(to_json(scores), indent=1) + "\n"
+    return contents
+
+
+def _names(scores: Sequence[ScoreTable]) -> list[str]:
+    return [scores[0].meta.method] if len(scores) == 1 else compare(scores).names
+
+
 def report_html(
-    checked: Validation,
-    scores: ScoreTable,
+    checked: Sequence[Validation],
+    scores: Sequence[ScoreTable],
     *,
     frames: str | os.PathLike[str] | None = None,
     overlays: bool = True,
 ) -> str:
-    """Make the page from a validated and scored submission.
+    """Make the page from validated and scored submissions.
 
     Without `overlays` it holds scores only: nothing from which true labels could be read.
     """
-    errors = dict(zip(scores.names, scores.matrix(), strict=True))
-    order = sorted(errors, key=lambda name: -errors[name].mean())
-    pictures = _pictures([checked.clips[name] for name in order], Path(frames)) if frames is not None else {}
-    prevalence = {name: scores.of(name).prevalence for name in order}
+    first, comparison = scores[0], compare(scores) if len(scores) > 1 else None
+    errors = dict(zip(first.names, zip(*(table.matrix() for table in scores), strict=True), strict=True))
+    order = sorted(errors, key=lambda name: -np.mean([run.mean() for run in errors[name]]))
+    clips = [checked[0].clips[name] for name in order]
+    pictures = _pictures(clips, Path(frames)) if frames is not None else {}
+    sections = [_section(checked, scores, n, pictures.get(n, [])) for n in order] if overlays else []
     published = []  # per group of the benchmark, the mean error among the published means, best first
-    for group, names in scores.groups():
-        parts = {method: parts.get(group.name) for method, parts in scores.benchmark.published.items()}
+    for group, names in first.groups():
+        parts = {method: parts.get(group.name) for method, parts in first.benchmark.published.items()}
         rows = [(known["mean"] / 100, method, "") for method, known in parts.items() if known]
         if names and rows:
-            own = (scores.summary("error", names).mean, f"{scores.meta.method} (this submission)", "own")
-            published.append((group.title, sorted([own, *rows])))
+            own = [
+                (each.summary("error", names).mean, f"{name} (this submission)", "own")
+                for name, each in zip(_names(scores), scores, strict=True)
+            ]
+            published.append((group.title, sorted([*own, *rows])))
     return render(
         "report.html",
-        scores=scores,
-        palette=css_palette(),
+        all_scores=scores,
+        methods=list(zip(LETTERS, _names(scores), scores, strict=False)),
+        method_names=[f"{a} {b}" if comparison else b for a, b in zip(LETTERS, _names(scores), strict=False)],
+        highest=max(table.summary().interval.high for table in scores),
+        top=max(float(table.matrix().max()) for table in scores),
+        comparison=comparison,
         errors={name: errors[name] for name in order},
-        prevalence=prevalence,
+        prevalence={name: first.of(name).prevalence for name in order},
         published=published,
-        sections=[_section(checked, scores, n, pictures.get(n, [])) for n in order if overlays],
-        headline=results.headline(scores),
-        by_axis=results.by_axis(scores),
-        all_means=results.all_means(scores),
-        per_clip=results.per_clip(scores),
+        sections=sections,
+        axes=_by_track_axis(sections),
+        axis_titles={axis.name: [axis.title, *axis.titles, "not known"] for axis in AXES},
+        tables=_tables(first) if comparison is None else _comparing_tables(comparison),
     )
 
 
-def render(template: str, **values: object) -> str:
-    """Fill in a template of ``static/``."""
-    return str(_environment().get_template(template).render(**values))
+def _tables(scores: ScoreTable) -> list[results.ResultsTable | None]:
+    """Benchmark table, by axes of the benchmark, all metrics, per clip."""
+    return [
+        results.headline(scores),
+        results.by_axis(scores),
+        results.all_means(scores),
+        results.per_clip(scores),
+    ]
 
 
-@cache
-def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
-    from jinja2 import Environment, FileSystemLoader
+def _comparing_tables(comparison: Comparison) -> list[results.ResultsTable | None]:
+    """Lay out the same tables of several submissions."""
+    first = comparison.tables[0]
+    protocol, unit = first.benchmark, "classification error in %, lower is better"
+    matrices = {n: t.matrix() for n, t in zip(comparison.names, comparison.tables, strict=True)}
+    part = protocol.coverage(first.names)
+    title = f"{protocol.title}, {part}: {unit}"
+    means = [
+        [metric.title, metric.better, *(metric.show(table[name]) for table in comparison.tables)]
+        for name, metric in all_metrics().items()
+    ]
+    columns = ["metric", "better", *comparison.names]
+    return [
+        results.error_table(title, protocol, first.motions, matrices, protocol.published),
+        results.axis_table(f"By what makes clips hard: {unit}", protocol, first.motions, matrices),
+        results.ResultsTable(f"Means over {part}, fractions in %, counts as counts", columns, means),
+        comparison_table(comparison),
+    ]
 
-    loader = FileSystemLoader(Path(__file__).with_name("static"))
-    made = Environment(loader=loader, autoescape=True, trim_blocks=True)
-    made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-    made.filters["mean"] = np.mean
-    made.filters["percent"] = lambda value, digits=2: f"{100 * value:.{digits}f}"
-    # The round distance of the lines of a bar's axis, four of which hold all values, and where a value lies.
-    made.filters["step"] = lambda top: next((step for step in _STEPS if 4 * step >= top), _STEPS[-1])
-    made.filters["along"] = lambda value, step: f"{25 * min(4.0, value / step):.2f}%"
-    return made
+
+def _by_track_axis(sections: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Give of every bin of each property: the number of trajectories, errors of the methods, worst clips."""
+    found = []
+    for axis in AXES if sections else ():
+        rows = []
+        for k, title in enumerate((*axis.titles, "not known")):
+            parts = {s["name"]: s["wrong"][:, s["scored"] & (s["bins"][axis.name] == k)] for s in sections}
+            wrong = np.concatenate(list(parts.values()), axis=1)
+            if not wrong.shape[1]:
+                continue
+            most = {
+                name: round(float(part.sum(axis=1).max()), 1) for name, part in parts.items() if part.any()
+            }
+            worst = sorted(most.items(), key=lambda each: -each[1])[:8]
+            row = {"title": title, "bin": k, "n": wrong.shape[1], "worst": worst}
+            rows.append(row | {"errors": wrong.mean(axis=1).tolist()})
+        found.append({"axis": axis, "rows": rows})
+    return found
 
 
 def _pictures(clips: Sequence[Clip], folder: Path) -> dict[str, list[ByteArray]]:
@@ -162,43 +222,57 @@ def _pictures(clips: Sequence[Clip], folder: Path) -> dict[str, list[ByteArray]]
 
 
 def _section(
-    checked: Validation, scores: ScoreTable, name: str, pictures: Sequence[ByteArray]
+    checked: Sequence[Validation], scores: Sequence[ScoreTable], name: str, pictures: Sequence[ByteArray]
 ) -> dict[str, Any]:
     """Collect what is shown of a clip; tables are of the first seed, the overlay offers all."""
-    clip = checked.clips[name]
-    runs = [scores.of(name, seed) for seed in scores.seeds]
-    tables = {run.seed: run.table for run in runs if run.table is not None}
-    width, height = _size(clip, pictures)
-    scale = min(10.0, 32000 / max(width, height))
-    section: dict[str, Any] = {
-        "name": name,
+    clip = checked[0].clips[name]
+    truth, size = clip.labels.label, _size(clip, pictures)
+    scale = min(10.0, 32000 / max(size))
+    bins = {axis.name: axis.bins(clip, size) for axis in AXES}
+    runs, wrong = [], []
+    for k, (check, table) in enumerate(zip(checked, scores, strict=True)):
+        shown = {seed: _shown(check, table, clip, seed) for seed in table.seeds}
+        off = {seed: (truth > 0) & (labels != truth) for seed, labels in shown.items()}
+        wrong.append(np.mean(list(off.values()), axis=0))
+        for seed in (s for s in table.seeds if not table.of(name, s).reason):
+            packed = {"shown": _packed(shown[seed]), "wrong": _packed(off[seed])}
+            runs.append({"method": k, "seed": seed, **packed})
+    payload = {
+        "width": size[0],
+        "height": size[1],
+        "n_frames": clip.n_frames,
+        "background": clip.labels.background or 0,
+        "scale": scale,
+        "numbers": clip.frame_numbers.tolist(),
+        "ids": clip.evaluated_trajectories.track_id.tolist(),
+        "xy": _packed_positions(clip, scale),
+        "truth": _packed(truth),
+        "bins": {name: _packed(values) for name, values in bins.items()},
         "runs": runs,
-        "drawn": list(tables),
-        "payload": {
-            "width": width,
-            "height": height,
-            "n_frames": clip.n_frames,
-            "background": clip.labels.background or 0,
-            "scale": scale,
-            "numbers": clip.frame_numbers.tolist(),
-            "xy": _packed_positions(clip, scale),
-            "truth": _packed(clip.labels.label),
-            "runs": [_drawn(checked, clip, seed, table) for seed, table in tables.items()],
-            "frames": [_jpeg(picture) for picture in pictures],
-        },
     }
-    if not tables:
-        return section
-    seed, names = next(iter(tables)), dict(clip.labels.names)
-    motions = clip_json(scores.of(name, seed))["motions"]
+    room = _CLIP_CHARACTERS - len(json.dumps(payload))
+    return {
+        "name": name,
+        "payload": payload | {"frames": jpegs(pictures, room)},
+        "seeds": sorted({run["seed"] for run in runs}),
+        "wrong": np.array(wrong),  # (methods, n), mean over seeds
+        "scored": truth > 0,
+        "bins": bins,
+        "methods": [_method_tables(table, clip) for table in scores],
+    }
+
+
+def _method_tables(scores: ScoreTable, clip: Clip) -> dict[str, Any]:
+    """Collect the runs of a method on a clip, and the tables of the first with labels."""
+    runs = [scores.of(clip.name, seed) for seed in scores.seeds]
+    run = next((each for each in runs if each.table is not None), None)
+    if run is None or run.table is None:
+        return {"runs": runs}
+    motions, names = clip_json(run)["motions"], dict(clip.labels.names)
     for each in motions:
         names.setdefault(each["motion"], "background" if each["background"] else "")
-    return section | {
-        "seed": seed,
-        "names": names,
-        "motions": motions,
-        "colours": _group_colours(tables[seed]),
-    }
+    colours = _group_colours(run.table)
+    return {"runs": runs, "seed": run.seed, "names": names, "motions": motions, "colours": colours}
 
 
 def _group_colours(table: Contingency) -> dict[int, int]:
@@ -213,14 +287,16 @@ def _group_colours(table: Contingency) -> dict[int, int]:
 # --- the overlay: positions, labels and frames packed for the page's script -------------------------
 
 
-def _drawn(checked: Validation, clip: Clip, seed: int, table: Contingency) -> dict[str, str]:
-    """Colours and errors of a run's trajectories."""
-    labels, truth = checked.labels[seed, clip.name], clip.labels.label
+def _shown(checked: Validation, scores: ScoreTable, clip: Clip, seed: int) -> IntArray:
+    """Give the colour numbers of a run, (n,): right where they equal the truth; -1 without labels."""
+    table = scores.of(clip.name, seed).table
+    if table is None:
+        return np.full(len(clip.labels), -1)
+    labels = checked.labels[seed, clip.name]
     colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
     for group, number in _group_colours(table).items():
         colour[group] = number
-    shown = colour[labels]
-    return {"shown": _packed(shown), "wrong": _packed((truth > 0) & (shown != truth))}
+    return colour[labels]
 
 
 def _packed(values: npt.NDArray[Any]) -> str:
@@ -245,13 +321,3 @@ def _size(clip: Clip, pictures: Sequence[ByteArray]) -> tuple[int, int]:
     xy = clip.dense.xy[clip.dense.visible]
     width, height = np.maximum(1, np.ceil(xy.max(axis=0, initial=0)) + 1).astype(int).tolist()
     return width, height
-
-
-def _jpeg(picture: ByteArray) -> str:
-    import cv2
-
-    height, width = picture.shape
-    size = (_MAX_WIDTH, round(height * _MAX_WIDTH / width))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if width > _MAX_WIDTH else picture
-    _, content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode()

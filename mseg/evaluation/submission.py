@@ -128,6 +128,11 @@ def clip_checksum(clip: Clip) -> str:
 fingerprint = clip_checksum  # its public name up to version 0.1
 
 
+def looks_like_submission(path: Path) -> bool:
+    """Whether a path is a zip or a folder with ``meta.toml``, as opposed to a folder of clips."""
+    return path.suffix.lower() == ".zip" or (path / META).is_file()
+
+
 def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
     """Write ``meta.toml``; returns its path."""
     path = Path(folder) / META

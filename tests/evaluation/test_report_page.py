@@ -73,7 +73,7 @@ def test_page_is_complete_and_needs_nothing_else(submission, tmp_path):
     assert page.open == []
     anchors = {v["id"] for _, v in page.tags if "id" in v}
     for link in page.links:
-        assert link.startswith("data:") or link[1:] in anchors, link
+        assert link.startswith("data:") or link[1:].split("&")[0] in anchors, link
     assert "default-src 'none'" in content
     assert "<b>mine" not in content
     assert "&lt;b&gt;mine" in content
@@ -220,6 +220,63 @@ def test_command(submission, tmp_path, capsys):
     assert mseg.cli.main(["report", str(tmp_path / "none"), str(tmp_path / "data"), "-o", str(out)]) == 2
 
 
+@pytest.fixture
+def three(tmp_path):
+    """Three submissions: right, ten errors in one clip, and failed in the other."""
+    right, worse = perfect(tmp_path / "right"), truth()
+    worse["example_two"][:10] = 9
+    second = write_submission(tmp_path / "worse", CLIPS.values(), worse, SubmissionMeta("worse"))
+    failed = perfect(tmp_path / "failed", meta=SubmissionMeta("failed"))
+    (failed / "example_three.csv").unlink()
+    write_failure(failed, CLIPS["example_three"], "no luck")
+    return [right, second, failed]
+
+
+def test_several_side_by_side(three, tmp_path):
+    paths = write_report(three, CLIPS, tmp_path / "r.html", extras=["csv", "json"])
+    assert len({path.name for path in paths}) == len(paths) == 1 + 3 * 4
+    page = Page(paths[0].read_text())
+    assert page.open == []
+    for text in ("Counted as fully wrong", "no luck", "lower is better", "by 12.50 points"):
+        assert text in page.text
+    by_clip = dict(zip(*sections(paths[0]), strict=True))
+    assert [run["method"] for run in by_clip["example_two"]["runs"]] == [0, 1, 2]
+    assert [run["method"] for run in by_clip["example_three"]["runs"]] == [0, 1]  # no labels of the last
+    wrong = [sum(base64.b64decode(run["wrong"])) for run in by_clip["example_two"]["runs"]]
+    assert wrong == [0, 10, 0]
+
+
+def sections(path):
+    content = path.read_text()
+    return re.findall(r"<section class='clip' id='clip-(\w+)'", content), payloads(content)
+
+
+def test_equal_methods_are_not_said_to_differ(tmp_path):
+    same = [perfect(tmp_path / name, meta=SubmissionMeta(name)) for name in ("one", "other")]
+    (path,) = write_report(same, CLIPS, tmp_path / "r.html")
+    content = path.read_text()
+    assert "one and other have the same mean." in content
+    assert "is better than" not in content
+    assert content.count("data-differ='no'") == len(CLIPS)
+
+
+def test_a_failed_clip_counts_in_every_bin_of_the_properties_of_its_trajectories(three, tmp_path):
+    (path,) = write_report(three, CLIPS, tmp_path / "r.html")
+    rows = re.findall(r"<tr data-bin='position\.\d' .*?</tr>", path.read_text(), re.DOTALL)
+    cells = np.array([re.findall(r"<td>([\d.]+)</td>", row) for row in rows], dtype=float)
+    wrong = np.rint(cells[:, 1:] / 100 * cells[:, :1]).sum(axis=0)
+    assert cells[:, 0].sum() == sum(len(clip.labels) for clip in CLIPS.values())
+    assert wrong.tolist() == [0, 10, len(CLIPS["example_three"].labels)]
+
+
+def test_pictures_of_a_clip_fit_into_its_share():
+    from mseg.evaluation.pages import jpegs
+
+    noise = [np.random.default_rng(i).integers(0, 255, (400, 1200), dtype=np.uint8) for i in range(3)]
+    assert sum(map(len, jpegs(noise, 1 << 30))) > 500_000
+    assert sum(map(len, jpegs(noise, 200_000))) <= 200_000
+
+
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [1440, 390])
 def test_in_chromium(submission, tmp_path, browser, width):
@@ -262,3 +319,38 @@ def test_the_tables_of_two_methods_lie_in_one_folder(tmp_path):
         p for s, n in pages for p in write_report(s, CLIPS, tmp_path / "out" / n, extras=["csv", "json"])
     ]
     assert len(set(wrote)) == len(wrote) == 15
+
+
+@pytest.mark.browser
+def test_from_a_bar_to_a_clip_a_frame_a_trajectory_and_its_neighbours(three, tmp_path, browser):
+    (path,) = write_report(three, CLIPS, tmp_path / "r.html")
+    page = browser.new_context(viewport={"width": 1000, "height": 800}, offline=True).new_page()
+    messages = []
+    page.on("pageerror", lambda error: messages.append(str(error)))
+    page.goto(path.as_uri())
+    page.locator("input[name=differ]").check()  # both: one clip is wrong, in the other a method failed
+    assert page.locator("#per-clip tbody tr:visible").count() == 2
+    page.locator("input[name=clip]").fill("two")
+    assert page.locator("section.clip:visible").count() == 1
+    page.locator("#by-length tbody a").first.click()
+    page.locator(".only a", has_text="example_two").click()
+    assert page.evaluate("only.axis") == "length"
+    page.locator(".only button").click()
+    section = page.locator("#clip-example_two")
+    box = section.locator("canvas").nth(2).bounding_box()
+    x, y = (CLIPS["example_two"].evaluated_trajectories.xy[3, 5] + 0.5) * box["width"] / 320
+    section.locator("canvas").nth(2).click(position={"x": float(x), "y": float(y)})
+    picked = section.locator(".picked")
+    assert re.match(r"Trajectory \d+ true motion 1; A ✓ B ✗ C ✓", picked.inner_text())
+    assert picked.locator("button").count() == 8
+    picked.locator("button").first.click()
+    address = page.url
+    assert re.search(r"#clip-example_two&.*frame=5&track=\d+", address)
+    shown = picked.inner_text()
+    page.goto("about:blank")
+    page.goto(address)
+    assert page.locator("#clip-example_two .picked").inner_text() == shown  # a link leads to the same place
+    page.locator("#clip-example_two [data-zoom='1.5']").click()
+    assert "part=1.50" in page.url
+    assert messages == []
+    page.context.close()

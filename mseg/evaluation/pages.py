@@ -1,0 +1,58 @@
+"""The one builder of pages: jinja2 templates of ``static/`` with automatic escaping, and pictures inside."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kt3dmoseg.draw.palette import css_palette
+from kt3dmoseg.types import ByteArray
+
+_STEPS = (0.01, 0.02, 0.05, 0.10, 0.15, 0.20, 0.25)
+# Width and JPEG quality of pictures: the first with which all of a clip fit.
+_SIZES = ((960, 72), (800, 65), (640, 60), (480, 55), (320, 50))
+
+
+def render(template: str, **values: object) -> str:
+    """Fill in a template of ``static/``."""
+    return str(_environment().get_template(template).render(palette=css_palette(), **values))
+
+
+@cache
+def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
+    from jinja2 import Environment, FileSystemLoader
+
+    loader = FileSystemLoader(Path(__file__).with_name("static"))
+    made = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
+    made.filters["mean"] = np.mean
+    made.filters["percent"] = lambda value, digits=2: f"{100 * value:.{digits}f}"
+    # The round distance of the lines of a bar's axis, four of which hold all values, and where a value lies.
+    made.filters["step"] = lambda top: next((step for step in _STEPS if 4 * step >= top), _STEPS[-1])
+    made.filters["along"] = lambda value, step: f"{25 * min(4.0, value / step):.2f}%"
+    return made
+
+
+def jpegs(pictures: Sequence[ByteArray], most: int) -> list[str]:
+    """Write pictures (H, W) or (H, W, 3) as addresses of data, together at most so many characters."""
+    made: list[str] = []
+    for width, quality in _SIZES:
+        made = [_jpeg(picture, width, quality) for picture in pictures]
+        if sum(map(len, made)) <= most:
+            break
+    return made
+
+
+def _jpeg(picture: ByteArray, width: int, quality: int) -> str:
+    import cv2
+
+    height, across = picture.shape[:2]
+    size = (width, round(height * width / across))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if across > width else picture
+    _, content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode()
