@@ -34,7 +34,7 @@ def video(
     """Find the motions in a video: trajectories, labels, masks and an overlay, each shot by itself.
 
     INPUT is a video, a folder of frames, or a clip file. Per shot are written NAME.h5 (all trajectories, with
-    the motions found), masks/NAME/*.png (DAVIS; 0 is the largest motion, the background) and NAME.mp4.
+    the motions found), PNG files in masks/NAME (DAVIS; 0 is the largest motion, the background) and NAME.mp4.
 
     Parameters
     ----------

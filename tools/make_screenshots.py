@@ -1,4 +1,4 @@
-"""Take the pictures of the labelling page and of a report, and write the page's keys into the docs.
+"""Make the pictures of the docs: the page, a report, ten seconds of a clip; write the page's keys into the docs.
 
 Everything in the pictures is synthetic.
 
@@ -13,18 +13,24 @@ import io
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import browser
+import numpy as np
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
+
+import kt3dmoseg
+from kt3dmoseg.synthetic import SceneOptions, make_scene
 
 CLIP = "2011_09_26_drive_0002"
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "labelling.md"
 KEYS = """() => import("/static/keys.js").then(({ KEYS }) => Object.entries(KEYS)
   .flatMap(([group, keys]) => keys.map(({ shown, text }) => [group, shown, text])))"""
+FRAMES, RATE = 50, 5  # of the animation: ten seconds
 
 
 def main() -> None:
@@ -34,6 +40,7 @@ def main() -> None:
     parser.add_argument("demo", type=Path, help="folder that `kt3dmoseg demo` filled")
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     given = parser.parse_args()
+    animate(given.output / "clip.webp")
     with labelling(given.demo) as address, sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser.find(), args=["--no-sandbox"])
         page = chromium.new_page(viewport={"width": 1300, "height": 700}, color_scheme="dark")
@@ -52,6 +59,25 @@ def keys_table(page: Page) -> str:
     """Return the keys of the labelling page as a table in Markdown, from the page's own table of them."""
     rows = [f"| {group} | `{shown}` | {text} |" for group, shown, text in page.evaluate(KEYS)]
     return "\n".join(["<!-- table: keys -->", "| for | key | what it does |", "|---|---|---|", *rows, ""])
+
+
+def animate(path: Path) -> None:
+    """Show the tracks of a drive, coloured by the exact motion of the point where each starts."""
+    scene = make_scene(SceneOptions(width=621, height=188, frames=FRAMES, objects=3))
+    frames = scene.frames()
+    tracks = kt3dmoseg.track(frames)
+    start = tracks.visible.argmax(axis=1)
+    points = np.column_stack([tracks.xy[np.arange(len(tracks)), start], start])
+    clip = kt3dmoseg.Clip("clip", tracks, np.arange(len(tracks)), scene.labels(points))
+    with tempfile.TemporaryDirectory() as folder:
+        kt3dmoseg.save(clip, f"{folder}/clip.h5")
+        for number, frame in enumerate(frames):
+            Image.fromarray(frame).save(f"{folder}/{number:03d}.png")
+        shown = kt3dmoseg.show(f"{folder}/clip.h5", folder, output=f"{folder}/shown", scale=2, trail=6)
+        first, *others = (Image.open(picture).convert("RGB").resize((828, 250)) for picture in sorted(shown))
+    options = {"duration": 1000 // RATE, "loop": 0, "quality": 40, "method": 6}
+    first.save(path, save_all=True, append_images=others, **options)
+    print(path, path.stat().st_size >> 10, "kB")
 
 
 @contextmanager

@@ -121,7 +121,7 @@ def per_motion(table: Contingency) -> dict[str, FloatArray]:
     """Scores of each motion against its assigned group, (M,) each; 0 without a group.
 
     Precision is the share of the group that belongs to the motion, recall the share of the motion
-    that is in the group, F their harmonic mean 2 |m & g| / (|m| + |g|), IoU |m & g| / |m or g|.
+    that is in the group, F their harmonic mean ``2 |m & g| / (|m| + |g|)``, IoU ``|m & g| / |m or g|``.
 
     Examples
     --------
