@@ -1,4 +1,4 @@
-"""Make the pictures of the docs: the page, a report, ten seconds of a clip; write the page's keys into the docs.
+"""Make the pictures of the docs (the page, a report, ten seconds of a clip), and the page's keys in the docs.
 
 Everything in the pictures is synthetic.
 
