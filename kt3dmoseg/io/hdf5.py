@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from uuid import uuid4
 
 import h5py
 import numpy as np
@@ -44,7 +45,8 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
         for name, field in ((name, FIELDS[name]) for name in FIELDS if name in values):
             if field.about:
                 array = values[name]
-                _create(file, field.place, array.shape, array.dtype)[...] = _one_nan(array)
+                with _created(file, field.place, array.shape, array.dtype) as dataset:
+                    dataset[...] = _one_nan(array)
             else:
                 attributes[field.place] = values[name]
         for place, value in attributes.items():
@@ -83,24 +85,26 @@ def _new_file() -> h5py.File:
     access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
     access.set_libver_bounds(h5py.h5f.LIBVER_V110, h5py.h5f.LIBVER_V110)
     access.set_fapl_core(_CHUNK_BYTES, False)
-    return h5py.File(h5py.h5f.create(b"clip", h5py.h5f.ACC_TRUNC, creation, access))
+    name = uuid4().hex.encode()  # two threads cannot open files of one name, not even in memory
+    return h5py.File(h5py.h5f.create(name, h5py.h5f.ACC_TRUNC, creation, access))
 
 
 def _write_trajectories(file: h5py.File, dense: Trajectories) -> None:
-    """Write chunk by chunk: of a long clip, the whole would be mostly NaN.
-
-    The file's bytes depend on when HDF5 closes a dataset: here, when the next one takes its variable.
-    """
+    """Write chunk by chunk: of a long clip, the whole would be mostly NaN."""
     shape, n = (len(dense), dense.n_frames), len(dense)
     for part, (name, of, dtype) in enumerate((("dense/xy", (2,), "f8"), ("dense/visible", (), "u1"))):
-        dataset = _create(file, name, (*shape, *of), np.dtype(dtype))
-        step = dataset.chunks[0] if dataset.chunks else 1
-        for first in range(0, n if dataset.size else 0, step):
-            last = min(first + step, n)
-            dataset[first:last] = _one_nan(dense.block(first, last)[part])
+        with _created(file, name, (*shape, *of), np.dtype(dtype)) as dataset:
+            step = dataset.chunks[0] if dataset.chunks else 1
+            for first in range(0, n if dataset.size else 0, step):
+                last = min(first + step, n)
+                dataset[first:last] = _one_nan(dense.block(first, last)[part])
 
 
-def _create(file: h5py.File, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> h5py.Dataset:
+@contextmanager
+def _created(
+    file: h5py.File, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> Iterator[h5py.Dataset]:
+    """Give a new dataset and close it: the file's bytes depend on when, and a profiler may hold variables."""
     group = _untimed_group(file, name.rpartition("/")[0])
     row = max(1, math.prod(shape[1:]) * dtype.itemsize)
     rows = max(1, min(shape[0], _CHUNK_BYTES // row))
@@ -108,7 +112,8 @@ def _create(file: h5py.File, name: str, shape: tuple[int, ...], dtype: np.dtype[
     options = {**packed, "shuffle": True, "fletcher32": True} if math.prod(shape) else {}
     dataset = group.create_dataset(name.rpartition("/")[2], shape, dtype, track_times=False, **options)
     dataset.attrs.create("description", _fixed(DESCRIPTIONS[name]))
-    return dataset
+    yield dataset
+    dataset.id.close()
 
 
 def _one_nan(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import h5py
 import numpy as np
 import pytest
@@ -201,6 +204,25 @@ def test_bombs_and_strange_filters_are_refused(options, file):
         stream.create_dataset("dense/xy", dtype="f8", **options)
     with pytest.raises(FileFormatError, match=r"expected (at most|chunks|gzip)"):
         hdf5.read(file)
+
+
+def test_the_bytes_do_not_depend_on_when_python_frees_what_it_wrote(file, tmp_path):
+    held = []
+    before = sys.getprofile()
+    sys.setprofile(lambda frame, *_: held.append(frame))  # as the profiler of Dask holds variables
+    try:
+        hdf5.write(small_clip(), tmp_path / "profiled.h5")
+    finally:
+        sys.setprofile(before)
+    assert (tmp_path / "profiled.h5").read_bytes() == file.read_bytes()
+    assert held
+
+
+def test_two_threads_write_at_once(file, tmp_path):
+    paths = [tmp_path / f"{k}.h5" for k in range(40)]
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda path: hdf5.write(small_clip(), path), paths))
+    assert {path.read_bytes() for path in paths} == {file.read_bytes()}
 
 
 def test_flipped_data_is_noticed_by_its_checksum(file):
