@@ -432,7 +432,7 @@ def benchmark(
     workers: Workers = 1,
     dask: Dask = "",
     quiet: Quiet = False,
-) -> int:
+) -> None:
     """Run methods on every clip of a benchmark that is found, over several seeds, and print the tables.
 
     Outcomes are kept in a folder (--cache), so that a re-run, or one with more methods or seeds, runs
@@ -469,7 +469,6 @@ def benchmark(
 
         for path in write(result, publish):
             print(f"wrote {path}", file=sys.stderr)
-    return int(result.errors.size == len(result.failures))
 
 
 if __name__ == "__main__":

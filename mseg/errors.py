@@ -6,7 +6,9 @@ from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 
 
 class SegmentationError(KT3DMoSegError):
-    """A method cannot segment a clip; the message is the reason that reports show."""
+    """A method cannot segment a clip, or in a run none; the message is the reason that reports show."""
+
+    exit_code = 1
 
 
 class TooFewPointsError(SegmentationError, InvalidValueError):

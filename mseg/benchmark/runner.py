@@ -135,6 +135,8 @@ def run(
         For a benchmark, method or parameter that does not exist.
     InputFileError
         When there are no clips.
+    SegmentationError
+        When every run failed; with a `cache`, the reasons are kept there.
     """
     protocol, wanted = load_protocol(benchmark), _seeds(seeds)
     configurations = _configure([methods] if isinstance(methods, str) else methods, parameters or {})
@@ -165,6 +167,8 @@ def run(
             found[index] = Labels(labels[truth > 0]).n_motions
         if note:
             notes.append((configurations[m], name, seed, note))
+    reasons = [f"{made.title} on {name}: {reason}" for made, name, _, reason in failures]
+    _check_success(protocol.name, reasons, len(runs.keys))
     checksums = {name: clip_checksum(clip) for name, clip in clips.items()}
     return BenchmarkResult(
         protocol,
@@ -287,9 +291,13 @@ def predict(
     write_meta(folder, meta)
     failed = [path for path in prediction_files(folder) if path.suffix == FAILED]
     reasons = [f"{path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
-    if len(failed) == len(runs.keys):
-        raise SegmentationError(f"{folder}", expected="a run that succeeds", found=first_few(reasons, 3))
+    _check_success(f"{folder}", reasons, len(runs.keys))
     return folder
+
+
+def _check_success(where: str, reasons: Sequence[str], n_runs: int) -> None:
+    if len(reasons) == n_runs:
+        raise SegmentationError(where, expected="a run that succeeds", found=first_few(reasons, 3))
 
 
 def find_clips(
