@@ -53,7 +53,7 @@ def several(items: Iterable[object]) -> str:
 
 @dataclass(frozen=True)
 class FrameMatch:
-    """Which frame each file is of, by its index in the clip.
+    """Which frame each file is of, by its index in the clip, whose frames are named `names`.
 
     The `unmatched` files are of no frame, and the `others` of other clips, in folders of their own. The
     `note` says what was concluded from the numbers; it is empty when the names say it all.
@@ -63,12 +63,28 @@ class FrameMatch:
     unmatched: list[str]
     others: list[str]
     note: str
+    names: Sequence[str]
 
-    def doubt(self, n_frames: int) -> str:
-        """Say what makes the match doubtful: files of no frame, unless every frame has one."""
-        if not self.unmatched or len(set(self.frames.values())) == n_frames:
+    @property
+    def doubt(self) -> str:
+        """What makes the match doubtful: files of no frame, unless every frame has one."""
+        if not self.unmatched or len(set(self.frames.values())) == len(self.names):
             return ""
         return f"{several(self.unmatched)} belong to no frame of the clip"
+
+    @property
+    def expected(self) -> str:
+        """What files of the clip's frames are called."""
+        return f"names or numbers of the frames, {self.names[0]} to {self.names[-1]}"
+
+    @property
+    def fix(self) -> str:
+        """What to do about files of no frame."""
+        first, files = number_in(self.names[0]), (*self.frames, *self.unmatched)
+        numbers = [number for file in files if (number := number_in(file)) is not None]
+        if not numbers or first in (None, min(numbers)):
+            return "shift the numbers"
+        return f"shift the numbers; a shift of {first - min(numbers)} begins with the first frame"
 
 
 def match_frames(
@@ -106,7 +122,7 @@ def match_frames(
         if owners.setdefault(frame, file) != file:
             where, both = f"frame {frame}", f"{owners[frame]} and {file}"
             raise FileFormatError(where, expected="one file", found=both, fix="keep one of them")
-    return FrameMatch(found, unmatched, [file for file in shown if file not in numbers], note)
+    return FrameMatch(found, unmatched, [file for file in shown if file not in numbers], note, frames)
 
 
 def _of_clip(files: list[str], clip: str) -> list[str]:

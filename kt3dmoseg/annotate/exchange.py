@@ -5,9 +5,10 @@ The functions are the commands `kt3dmoseg annotations`; what they need is import
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -194,24 +195,14 @@ def import_annotations(
         if drawn and not (merge or replace):
             found, fix = f"{drawn} objects and lassos", "merge with them, or replace them"
             raise InvalidValueError(f"{clip.annotation}", expected="no annotation", found=found, fix=fix)
-        new = merged(current if merge else current.emptied(), plan.annotation)
+        base = current if merge else current.emptied()
+        objects = (*base.objects, *base.with_free_numbers(plan.annotation.objects))
+        new = dataclasses.replace(base, objects=objects)
         saved = annotate.save_revision(clip.annotation, new)  # refused when somebody else saved meanwhile
         done = f"wrote {clip.annotation}, revision {saved.revision}"
         return ClipReport(clip.name, ok=True, lines=(*plan.lines(), done))
 
     return _for_each(_clips(clips, annotations), work, report, root, "a file or folder")
-
-
-def merged(current: Annotation, added: Annotation) -> Annotation:
-    """Return an annotation with the objects of another one, under free ids and motions."""
-    last, used = max((item.id for item in current.objects), default=0), max(current.motions, default=0)
-    objects = list(current.objects)
-    for item in added.objects:
-        motion = item.motion
-        if isinstance(motion, int) and motion != annotate.model.BACKGROUND:
-            motion += used
-        objects.append(replace(item, id=last + item.id, motion=motion))
-    return replace(current, objects=tuple(objects))
 
 
 @notes.command(name="export")
@@ -402,7 +393,11 @@ def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) 
         yield _Clip(name, names, clip.dense.image_size, Path(annotations, f"{name}.json"), clip.dense)
     for source in find_clips(root, annotations=annotations, tracks=tracks).values() if not files else ():
         size = picture_size(source.frames[0])
-        dense = None if source.tracks is None else replace(io.load(source.tracks).dense, image_size=size)
+        dense = (
+            None
+            if source.tracks is None
+            else dataclasses.replace(io.load(source.tracks).dense, image_size=size)
+        )
         yield _Clip(source.name, [frame.name for frame in source.frames], size, source.annotation, dense)
 
 

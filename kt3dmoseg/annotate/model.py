@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import wraps
@@ -243,6 +243,16 @@ class Annotation:
         """The motion numbers (>= 1) in use, ascending."""
         used = {item.motion for item in self.objects} | {mark.motion for mark in self.marks}
         return sorted(m for m in used if m != REJECT and m >= 1)
+
+    def with_free_numbers(self, objects: Iterable[AnnotatedObject]) -> list[AnnotatedObject]:
+        """Return objects from elsewhere under ids and motions that this annotation does not use yet."""
+        first, used = max((item.id for item in self.objects), default=0) + 1, max(self.motions, default=0)
+        return [
+            replace(
+                o, id=number, motion=o.motion if o.motion in (BACKGROUND, REJECT) else int(o.motion) + used
+            )
+            for number, o in enumerate(objects, first)
+        ]
 
     def emptied(self) -> Annotation:
         """Return the annotation of the same clip without objects and marks."""

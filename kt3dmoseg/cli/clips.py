@@ -67,6 +67,7 @@ def build(
     masks: Annotated[
         Folder | None, Parameter(help="Labels: FOLDER/CLIP/*.png, DAVIS indexed or KITTI MOTS.")
     ] = None,
+    shift: Annotated[Whole | None, Parameter(help="Add this to the frame numbers of masks.")] = None,
     propose: Annotated[
         Flag, Parameter(help="Write proposals for unlabelled clips, which 'kt3dmoseg label' shows.")
     ] = False,
@@ -107,7 +108,7 @@ def build(
     annotations = None if annotations == Path("none") else annotations
     make = partial(build_dataset, sources, output, annotations=annotations, masks=masks, cache=cache)
     make = partial(make, propose=folder if propose else None, tracks=tracks)
-    make = partial(make, workers=workers, dask=dask, force=force)
+    make = partial(make, shift=shift, workers=workers, dask=dask, force=force)
     make = partial(make, flow_parameters=parse_assignments(parameter))
     outcomes = _run(partial(make, **options), len(sources), output)
     empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]

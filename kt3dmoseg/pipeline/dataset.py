@@ -26,7 +26,7 @@ from kt3dmoseg.frames import FrameSource, find_sources, recorded_inputs
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.options import from_mapping, option_names
-from kt3dmoseg.parallel import Progress, run_tasks
+from kt3dmoseg.parallel import Progress, cache_key, run_tasks, usable_cores
 from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.pipeline.drives import SyntheticDrive
 from kt3dmoseg.pipeline.labels import find_labels, label_clip
@@ -73,6 +73,7 @@ def build_clip(
     *,
     annotation: PathLike | None = None,
     masks: PathLike | None = None,
+    shift: int | None = None,
     tracks: PathLike | None = None,
     flow_parameters: Mapping[str, Any] | None = None,
     cache: PathLike | None = None,
@@ -89,6 +90,8 @@ def build_clip(
         File that labels come from.
     masks : path, optional
         Folder of DAVIS or KITTI MOTS masks that labels come from.
+    shift : int, optional
+        Add this to the frame numbers in the masks' names.
     tracks : path, optional
         File with the trajectories of another tracker, instead of tracking.
     flow_parameters : mapping, optional
@@ -113,7 +116,7 @@ def build_clip(
     InvalidValueError, UnknownNameError
         For a bad option.
     """
-    settings = _Settings(options, flow_parameters, cache)
+    settings = _Settings(options, flow_parameters, cache, shift)
     if isinstance(source, (str, os.PathLike)):
         found = find_sources(source)
         if len(found) != 1:
@@ -131,6 +134,7 @@ def build_dataset(
     *,
     annotations: PathLike | None = None,
     masks: PathLike | None = None,
+    shift: int | None = None,
     tracks: PathLike | None = None,
     workers: int | None = None,
     dask: str = "",
@@ -157,6 +161,8 @@ def build_dataset(
     annotations, masks : path, optional
         Folders that labels come from, ``<clip>.json`` or ``<clip>/*.png``; a clip without stays
         unlabelled, but one clip at least must have some.
+    shift : int, optional
+        Add this to the frame numbers in the masks' names.
     tracks : path, optional
         Folder of trajectories, ``<clip>.npz`` or any other format that is read, instead of tracking; a clip
         without fails.
@@ -193,14 +199,14 @@ def build_dataset(
     MissingDependencyError
         When the flow backend needs a package that is not installed.
     """
-    settings = _Settings(options, flow_parameters, cache)
+    settings = _Settings(options, flow_parameters, cache, shift)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     names = _names(sources)
     labels = find_labels(names, annotations, masks)
     tasks = list(zip(sources, labels, find_tracks(names, tracks), strict=True))
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))
-    count = workers or len(os.sched_getaffinity(0))
+    count = workers or usable_cores()
 
     def lost(task: _Task, reason: str) -> Outcome:
         advice = "perhaps memory ran out: run again with fewer workers; finished clips are kept"
@@ -253,7 +259,11 @@ class _Settings:
     """What clips depend on apart from frames and labels, and the cache; worker processes get it, too."""
 
     def __init__(
-        self, options: Mapping[str, Any], flow: Mapping[str, Any] | None, cache: PathLike | None
+        self,
+        options: Mapping[str, Any],
+        flow: Mapping[str, Any] | None,
+        cache: PathLike | None,
+        shift: int | None,
     ) -> None:
         own, tracker = option_names(BuildOptions), option_names(TrackOptions)
         for name in options:
@@ -261,7 +271,7 @@ class _Settings:
                 raise unknown_name("option", name, [*own, *tracker])
         self.build = from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own})
         self.tracks = from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker})
-        self.flow, self.cache = create(self.build.flow, **(flow or {})), cache
+        self.flow, self.cache, self.shift = create(self.build.flow, **(flow or {})), cache, shift
 
 
 def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, progress: Progress) -> Outcome:
@@ -317,11 +327,14 @@ class _Job:
     def __init__(self, task: _Task, settings: _Settings) -> None:
         self.source, self.files, self.tracks = task
         self.settings, self.info = settings, self.source.inspect()
-        hashes = {"annotation": lambda paths: sha256_file(paths[0]), "masks": sha256_files}
+        labels = {kind: sha256_file(paths[0]) for kind, paths in self.files.items()}
+        if masks := self.files.get("masks"):
+            content = {"files": sha256_files(masks), "names": [path.name for path in masks]}
+            labels["masks"] = cache_key(content | {"shift": settings.shift})
         self.inputs = {
             "name": self.source.name,
             "source": self.info.description,
-            "labels": {kind: hashes[kind](paths) for kind, paths in self.files.items()},
+            "labels": labels,
             "options": asdict(settings.build) | asdict(settings.tracks),
             "flow": backend_identity(settings.flow),
             "versions": {name: library.__version__ for name, library in _LIBRARIES.items()},
@@ -347,7 +360,7 @@ class _Job:
             labels: Labels | None = source.label(dense)
             provenance["attributes"] = dict(source.measure())
         else:
-            labels = label_clip(source.name, self.files, dense, numbers)
+            labels = label_clip(source.name, self.files, dense, numbers, settings.shift)
         info, (rows, chosen) = self.info, self._evaluated(labels, len(dense))
         return Clip(
             source.name, dense, rows, chosen, np.array(numbers), info.timestamps, info.camera, provenance

@@ -17,7 +17,7 @@ from kt3dmoseg.annotate.proposals import BUILT
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io.images import decode_indices, void_ids
-from kt3dmoseg.matching import is_hidden, match_frames
+from kt3dmoseg.matching import is_hidden, match_frames, several
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
 BACKGROUND = 1
@@ -78,7 +78,11 @@ def _masks_in(folder: Path) -> list[Path]:
 
 
 def label_clip(
-    name: str, files: Mapping[str, Sequence[Path]], dense: Trajectories, numbers: Sequence[int]
+    name: str,
+    files: Mapping[str, Sequence[Path]],
+    dense: Trajectories,
+    numbers: Sequence[int],
+    shift: int | None = None,
 ) -> Labels | None:
     """Label a clip's trajectories by what `find_labels` found; `numbers` are those of its frames."""
     if annotation := files.get("annotation"):
@@ -88,17 +92,18 @@ def label_clip(
             raise InputFileError(where, expected=repr(name), found=repr(found.clip), fix=fix)
         return label_tracks(dense, found)
     masks = files.get("masks")
-    return label_by_masks(dense, by_frame(masks, numbers, name)) if masks else None
+    return label_by_masks(dense, by_frame(masks, numbers, name, shift)) if masks else None
 
 
-def by_frame(paths: Sequence[Path], numbers: Sequence[int], clip: str) -> dict[int, Path]:
+def by_frame(
+    paths: Sequence[Path], numbers: Sequence[int], clip: str, shift: int | None = None
+) -> dict[int, Path]:
     """Match masks to frames by number; refuse those that belong to no frame unless every frame has one."""
     names = {path.name: path for path in paths}
-    match = match_frames(names, [f"{number}.png" for number in numbers])
-    if doubt := match.doubt(len(numbers)):
-        expected = f"numbers within {numbers[0]}..{numbers[-1]}"
-        fix = "number them as the frames, or shift them by 'kt3dmoseg annotations import'"
-        raise InputFileError(f"masks of {clip}", expected=expected, found=doubt, fix=fix)
+    match = match_frames(names, [f"{number}.png" for number in numbers], shift=shift)
+    if match.doubt or not match.frames:
+        found = match.doubt or several(names)
+        raise InputFileError(f"masks of {clip}", expected=match.expected, found=found, fix=match.fix)
     return {frame: names[name] for name, frame in match.frames.items()}
 
 

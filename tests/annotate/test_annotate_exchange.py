@@ -11,7 +11,7 @@ import pytest
 from annotation_scenes import drawn_by_hand, write_clip, zipped
 
 from kt3dmoseg.annotate import Mark, formats, load_annotation, save_revision
-from kt3dmoseg.annotate.exchange import compare_annotations, import_annotations, merged
+from kt3dmoseg.annotate.exchange import compare_annotations, import_annotations
 from kt3dmoseg.cli import main
 
 CORNERS = [(60, 70), (140, 70), (140, 130), (60, 130)]
@@ -205,6 +205,7 @@ def test_merging_keeps_lassos_and_rejected_objects(data):
     second = replace(
         first, objects=(item, replace(item, id=2, motion="reject"), replace(item, id=3, motion=0))
     )
-    both = merged(first, second)
-    assert both.marks == first.marks
-    assert [(o.id, o.motion) for o in both.objects] == [(1, 3), (2, 8), (3, "reject"), (4, 0)]
+    added = first.with_free_numbers(second.objects)
+    assert [(o.id, o.motion) for o in added] == [(2, 8), (3, "reject"), (4, 0)]
+    added = replace(first, objects=()).with_free_numbers(second.objects)  # only the lasso has a motion
+    assert [(o.id, o.motion) for o in added] == [(1, 8), (2, "reject"), (3, 0)]

@@ -556,6 +556,21 @@ def test_one_bad_shape_is_skipped_and_reported(tracks):
     assert any("skipped: " in line for line in plan.lines())
 
 
+EMPTY = {
+    "cvat": b"<annotations><version>1.1</version></annotations>",
+    "coco": b'{"images": [{"id": 1, "file_name": "000000.png"}], "categories": [], "annotations": []}',
+    "davis": zipped(**{f"{k:06d}.png": mask(k, 0) for k in range(F)}),
+    "labelme": zipped(**{"000000.json": b'{"shapes": []}'}),
+    "mots_txt": b"",
+}
+
+
+@pytest.mark.parametrize("name", EMPTY)
+def test_a_file_without_objects_is_doubtful(name):
+    plan = formats.plan(name, EMPTY[name], LIKE, NAMES)
+    assert plan.doubts == ["the file shows no object"]
+
+
 def test_a_plan_says_what_an_import_does():
     content = cvat(track(0, *LONG), meta=task(more=RANGE, pictures=(640, 480)))
     text = "\n".join(formats.plan("cvat", content, LIKE, NAMES).lines())

@@ -42,13 +42,13 @@ def test_a_stray_file_moves_no_other():
     files = [f"{k:06d}.png" for k in range(7)]
     match = match_frames(files, FROM_ONE)
     assert match.frames == {f"{k:06d}.png": k - 1 for k in range(1, 7)}
-    assert match.doubt(8) == "000000.png belong to no frame of the clip"
+    assert match.doubt == "000000.png belong to no frame of the clip"
 
 
 def test_files_of_every_frame_and_more_leave_no_doubt():
     match = match_frames([f"{k:06d}.png" for k in range(20)], FROM_ONE)
     assert len(match.frames) == 8
-    assert match.doubt(8) == ""
+    assert match.doubt == ""
 
 
 def test_a_complete_count_from_zero_where_no_number_fits():

@@ -265,7 +265,7 @@ def test_masks_are_matched_by_number_else_from_zero(tmp_path):
     assert by_frame(paths, list(range(FRAMES)), "c")[2] == paths[2]
     assert by_frame(paths[2:4], list(range(FRAMES)), "c") == {2: paths[2], 3: paths[3]}
     assert by_frame(paths, list(range(100, 100 + FRAMES)), "c")[2] == paths[2]
-    with pytest.raises(InputFileError, match=r"masks of c: expected numbers within 100\.\.109"):
+    with pytest.raises(InputFileError, match=r"masks of c: .*100\.png to 109\.png.*a shift of 100 begins"):
         by_frame(paths, list(range(100, 110)), "c")
 
 
@@ -276,8 +276,24 @@ def test_masks_that_may_be_of_other_frames_are_refused(tmp_path):
         (paths, range(1, 1 + FRAMES)),  # from 0 on, or of the frame before?
         (paths[:-1], range(1, 1 + FRAMES)),
     ]:
-        with pytest.raises(InputFileError, match=r"masks of c: expected numbers within.*0+\.png"):
+        with pytest.raises(InputFileError, match=r"masks of c: .*found 0+\.png"):
             by_frame(given, list(numbers), "c")
+
+
+def test_masks_are_shifted_on_request_and_their_names_count(folder, tmp_path):
+    masks, same = tmp_path / "m" / "clip", tmp_path / "same" / "clip"
+    write_masks(masks, first=100)
+    write_masks(same)
+    with pytest.raises(InputFileError, match=r"a shift of -99 begins with the first frame"):
+        build_clip(folder, masks=masks)
+    wanted, found = build_clip(folder, masks=same), build_clip(folder, masks=masks, shift=-99)
+    assert np.array_equal(found.labels.label, wanted.labels.label)
+    for path in sorted(same.iterdir()):
+        path.rename(path.with_name(f"{int(path.stem) - 1:06d}.png"))
+    moved = build_clip(folder, masks=same, shift=1)
+    assert np.array_equal(moved.labels.label, wanted.labels.label)
+    labels = [clip.provenance["inputs"]["labels"]["masks"] for clip in (wanted, found, moved)]
+    assert len(set(labels)) == 3  # equal pictures of other frames are no clip that is up to date
 
 
 def test_masks_of_more_frames_than_the_clip_has(tmp_path):

@@ -34,7 +34,7 @@ from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import SafeZip, ZipLimits
-from kt3dmoseg.matching import is_hidden, match_frames, number_in, several
+from kt3dmoseg.matching import is_hidden, match_frames, several
 from kt3dmoseg.types import FloatArray
 
 Key: TypeAlias = int | str
@@ -212,17 +212,10 @@ class Import:
         given = list(files)
         self.count("files", len(given))
         match = match_frames(given, self.names, clip=self.like.clip, shift=self.choices.shift)
-        first = number_in(self.names[0])
-        numbers = [n for file in (*match.frames, *match.unmatched) if (n := number_in(file)) is not None]
-        proposed = ""
-        if numbers and first not in (None, min(numbers)):
-            proposed = f"; a shift of {first - min(numbers)} would begin with the first frame"
         if given and not match.frames:
-            expected = f"names or numbers of the frames, {self.names[0]} to {self.names[-1]}"
-            fix = f"shift the numbers{proposed}"
-            raise FileFormatError(what, expected=expected, found=several(given), fix=fix)
-        if doubt := match.doubt(self.like.n_frames):
-            self.doubts.append(f"{doubt}{proposed}")
+            raise FileFormatError(what, expected=match.expected, found=several(given), fix=match.fix)
+        if match.doubt:
+            self.doubts.append(f"{match.doubt}; {match.fix}")
         elif match.unmatched:
             self.note(f"{len(match.unmatched)} files of frames that are not in the clip are left out")
         if match.others:
@@ -341,6 +334,8 @@ class Import:
         corners = np.concatenate([np.array(polygon) for polygon in outlines] or [np.zeros((1, 2))])
         (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
         width, height = self.like.image_size
+        if not items:
+            self.doubts.append("the file shows no object")
         over = max(-left, -top, right - width, bottom - height)
         if outlines and min(left, top) >= -0.5 and max(right, bottom) <= 0.5:  # the first pixel
             self.doubts.append("all coordinates are 0 to 1; they are taken as pixels, not as shares")

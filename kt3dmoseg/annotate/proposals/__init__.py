@@ -9,7 +9,7 @@ trajectories of each label). Third parties register theirs in the entry point gr
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -20,9 +20,7 @@ from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
 from kt3dmoseg.annotate.formats.masks import polygons_of
 from kt3dmoseg.annotate.geometry import arrays, size
 from kt3dmoseg.annotate.model import (
-    BACKGROUND,
     PROPOSALS,
-    REJECT,
     AnnotatedObject,
     Annotation,
     Polygon,
@@ -92,10 +90,7 @@ def propose(name: str, request: Request) -> list[AnnotatedObject]:
     found = PROPOSERS.load(name)(request)
     if isinstance(found, Labels):
         found = objects_from_labels(request.trajectories, found, request.annotation)
-    first = max((item.id for item in request.annotation.objects), default=0) + 1
-    used = max(request.annotation.motions, default=0)
-    motions = [o.motion if o.motion in (BACKGROUND, REJECT) else o.motion + used for o in found]
-    return [replace(item, id=first + k, motion=motions[k]) for k, item in enumerate(found)]
+    return request.annotation.with_free_numbers(found)
 
 
 def propose_masks(request: Request) -> list[AnnotatedObject]:

@@ -3,7 +3,8 @@
 
 export const objectOf = (doc, id) => doc.objects.find((item) => item.id === id) ?? null;
 export const keyAt = (item, frame) => item.key_frames.find((key) => key.frame === frame) ?? null;
-export const nextMotion = (doc) => Math.max(0, ...doc.objects.map((item) => item.motion).filter(Number.isInteger)) + 1;
+export const nextMotion = ({ objects, marks }) =>
+  Math.max(0, ...[...objects, ...(marks ?? [])].map((item) => item.motion).filter(Number.isInteger)) + 1;
 
 /** Add an object under the next free id; what is not given is a car with the next free motion. */
 export function addObject(doc, values) {
