@@ -126,7 +126,7 @@ class Fields(dict[str, Any]):
             found = found or f"only {', '.join(sorted(self))}"
         elif isinstance(value, np.ndarray | np.generic):
             found = found or f"{value.dtype} of shape {value.shape}"
-        kinds: dict[type, str] = {str: "a text", dict: "a struct"}
+        kinds: dict[type, str] = {str: "a text", dict: "a struct", list: "cells"}
         found = found or kinds.get(type(value), str(value))
         return FileFormatError(f"{self.prefix}{name}", expected=expected, found=found, fix=fix)
 

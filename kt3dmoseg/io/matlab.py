@@ -12,9 +12,9 @@ without it the trajectories are complete.
 
 These conventions end here: inside, coordinates are (N, F, 2) with NaN where invisible and rows count from 0.
 
-Of the container ("MAT-File Format", MathWorks), version 5 is read: arrays, texts and structs, no size being
-trusted. scipy's reader is not used: damaged files crash it. Cells, sparse arrays, objects and function
-handles are named but not decoded.
+Of the container ("MAT-File Format", MathWorks), version 5 is read: arrays, texts, structs and cells, no size
+being trusted. scipy's reader is not used: damaged files crash it. Sparse arrays, objects and function handles
+are named but not decoded.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ _HEADER = 128
 _MATRIX, _COMPRESSED, _INT32, _UINT32, _INT8, _TEXT = (14,), 15, (5,), (6,), (1,), (1, 2, 4, 16, 17, 18)
 _STORAGE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NUMERIC = dict(enumerate(("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"), start=6))
-_STRUCT, _CHAR = 2, 4
-_OTHER = {1: "cell", 2: "struct array", 3: "object", 4: "text array", 5: "sparse", 16: "function handle"}
+_CELL, _STRUCT, _CHAR = 1, 2, 4
+_OTHER = {2: "struct array", 3: "object", 4: "text array", 5: "sparse", 16: "function handle"}
 _IS_COMPLEX, _IS_LOGICAL = 0x0800, 0x0200
 
 # The last is a variable that is not decoded: what it is, and its dimensions.
-Value: TypeAlias = "npt.NDArray[Any] | str | dict[str, Value] | tuple[str, tuple[int, ...]]"
+Value: TypeAlias = "npt.NDArray[Any] | str | dict[str, Value] | list[Value] | tuple[str, tuple[int, ...]]"
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
@@ -181,7 +181,8 @@ def read_mat(path: str | os.PathLike[str]) -> dict[str, Value]:
     """Read every variable of a version 5 MAT-file of at most `MAX_BYTES`.
 
     Arrays have the class that MATLAB shows (double, logical, ...), whatever integer type the file stores
-    them in. A 1x1 struct is a dict, a row of characters a str; of other classes there is the kind and shape.
+    them in. A 1x1 struct is a dict, cells are a list, column by column, a row of characters is a str; of
+    other classes there is the kind and shape.
     """
     where = os.fspath(path)
     content = read_bytes(path, MAX_BYTES)
@@ -251,6 +252,8 @@ class _Matrix:
         name, klass = bytes(self._next(_INT8)[1]).decode("latin-1"), flags & 0xFF
         if klass == _STRUCT and shape == (1, 1):
             return name, self._struct()
+        if klass == _CELL and math.prod(shape) <= _MAX_FIELDS:
+            return name, [self._inner() for _ in range(math.prod(shape))]
         if klass == _CHAR and shape[0] <= 1 and len(shape) == 2:
             return name, self._text(math.prod(shape))
         if klass in _NUMERIC and not flags & _IS_COMPLEX:
@@ -272,8 +275,11 @@ class _Matrix:
         out: dict[str, Value] = {}
         for start in range(0, len(names), width):
             name = names[start : start + width].split(b"\0")[0].decode("latin-1")
-            out[name] = _Matrix(self._next(_MATRIX)[1], self.order, self.depth + 1).read()[1]
+            out[name] = self._inner()
         return out
+
+    def _inner(self) -> Value:
+        return _Matrix(self._next(_MATRIX)[1], self.order, self.depth + 1).read()[1]
 
     def _integers(self, kinds: tuple[int, ...], most: int) -> tuple[int, ...]:
         payload = self._next(kinds)[1]

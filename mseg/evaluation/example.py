@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -19,6 +20,9 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import listed, read_bytes
 from kt3dmoseg.io import save
+from kt3dmoseg.io.formats import first_bytes, recognise
+from kt3dmoseg.io.hdf5 import check_storage, open_hdf5
+from kt3dmoseg.io.matlab import Value, read_mat
 from kt3dmoseg.io.predictions import MAX_FILE_BYTES, first_few, is_zero_based, label_vector
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.protocol import choose_protocol, count
@@ -276,20 +280,24 @@ def _cells_by_name(
     content = _matlab(path)
     if CELLS not in content:
         raise FileFormatError(f"{path}", expected=f"the variable {CELLS}", found=first_few(list(content)))
-    cells = list(content[CELLS].ravel()) if content[CELLS].dtype == object else [content[CELLS]]
+    cells = content[CELLS] if isinstance(content[CELLS], list) else [content[CELLS]]
     order = list(names) if len(names) == len(cells) else sorted(clips)
     if len(order) != len(cells):
         expected, fix = f"{len(order)} cells, one per clip", "save one file per clip in a folder instead"
         raise FileFormatError(f"{path}: {CELLS}", expected=expected, found=f"{len(cells)} cells", fix=fix)
-    vectors = {name: np.ravel(cell) for name, cell in zip(order, cells, strict=True) if name in clips}
-    return {name: vector for name, vector in vectors.items() if vector.size}
+    vectors = {name: cell for name, cell in zip(order, cells, strict=True) if name in clips}
+    if odd := [name for name, cell in vectors.items() if not isinstance(cell, np.ndarray)]:
+        where, expected = f"{path}: {CELLS} of {odd[0]}", "a vector of labels"
+        raise FileFormatError(where, expected=expected, found=type(vectors[odd[0]]).__name__)
+    return {name: np.ravel(cell) for name, cell in vectors.items() if np.size(cell)}
 
 
 def _single_vector(path: Path) -> npt.NDArray[Any]:
+    arrays = {name: value for name, value in _matlab(path).items() if isinstance(value, np.ndarray)}
     vectors = {
         name: value.ravel()
-        for name, value in _matlab(path).items()
-        if value.dtype.kind in "iuf" and value.size == max(value.shape, default=0) and value.size > 1
+        for name, value in arrays.items()
+        if value.dtype.kind in "iuf" and 1 < value.size == max(value.shape)
     }
     if len(vectors) != 1:
         found = f"the vectors {first_few(list(vectors)) or 'none'}"
@@ -297,33 +305,31 @@ def _single_vector(path: Path) -> npt.NDArray[Any]:
     return next(iter(vectors.values()))
 
 
-def _matlab(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Read the variables of a MAT-file of any version, cells included."""
-    from scipy.io import loadmat
-
-    try:
-        if h5py.is_hdf5(path):
-            with h5py.File(path, "r") as file:
-                return _matlab73(file)
-        return {k: np.asarray(v) for k, v in loadmat(f"{path}").items() if not k.startswith("__")}
-    except Exception as error:  # scipy and h5py raise anything on damaged files
-        found = f"what cannot be read as one ({type(error).__name__})"
-        raise FileFormatError(f"{path}", expected="a MAT-file", found=found) from None
+def _matlab(path: Path) -> Mapping[str, Value]:
+    """Read the variables of a MAT-file of version 5 to 7.3, cells as lists."""
+    if recognise(path).name != "hdf5" and not first_bytes(path).startswith(b"MATLAB 7.3"):
+        return read_mat(path)
+    with open_hdf5(f"{path}") as file:
+        return dict(_matlab73(file))
 
 
-def _matlab73(file: h5py.File) -> dict[str, npt.NDArray[Any]]:
-    out: dict[str, npt.NDArray[Any]] = {}
-    for name, item in file.items():
-        if isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype and item.size <= _MAX_LABELS:
-            # MATLAB stores arrays transposed, cells as references into the same file.
-            cells = [file[ref] for ref in np.asarray(item).T.ravel()]
+def _matlab73(file: h5py.File) -> Iterator[tuple[str, Value]]:
+    """Give what may be labels: MATLAB stores arrays transposed, cells as references into the same file."""
+    for name in file:
+        item = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+        if not isinstance(item, h5py.Dataset) or item.size > _MAX_LABELS:
+            continue
+        if item.dtype != h5py.ref_dtype:
+            if item.dtype.kind in "iuf":
+                check_storage(item, name)
+                yield name, item[()]
+        elif not (item.external or item.is_virtual or math.prod(item.chunks or ()) > _MAX_LABELS):
+            cells = [file[reference] for reference in item[()].T.ravel()]
+            for cell in cells:
+                check_storage(cell, name)
             if sum(cell.size for cell in cells) > _MAX_LABELS:
-                raise ValueError("too many labels")
-            out[name] = np.empty(len(cells), dtype=object)
-            out[name][:] = [np.asarray(cell).ravel() for cell in cells]
-        elif isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.size <= _MAX_LABELS:
-            out[name] = np.asarray(item)
-    return out
+                raise FileFormatError(name, expected=f"at most {_MAX_LABELS} labels", found="more")
+            yield name, [cell[()].ravel() for cell in cells]
 
 
 _READERS: dict[str, Callable[[Path], npt.NDArray[Any]]] = {

@@ -1,5 +1,6 @@
 """Label vectors as people have them become valid submissions."""
 
+import contextlib
 import os
 
 import h5py
@@ -10,7 +11,7 @@ from scipy.io import savemat
 
 import kt3dmoseg
 import mseg.cli
-from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
 from mseg.evaluation import score_submission, validate_submission
 from mseg.evaluation.example import (
     read_brox_labels,
@@ -59,7 +60,31 @@ def test_cells_in_version_73(tmp_path):
         for i, name in enumerate(NAMES):
             references[i, 0] = file.create_dataset(f"#refs#/{i}", data=truth()[name][None].astype(float)).ref
         file.create_dataset("ClusterIdx", data=references)
+    with (tmp_path / "r.mat").open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(128))
     same(read_label_files(tmp_path / "r.mat", CLIPS))
+
+
+def test_damaged_and_old_mat_files_are_named(tmp_path):
+    path = tmp_path / "r.mat"
+    savemat(path, {"ClusterIdx": cells(*truth().values())})
+    content = path.read_bytes()
+    for at in range(128, len(content), 17):
+        path.write_bytes(content[:at] + bytes([content[at] ^ 0x41]) + content[at + 1 :])
+        with contextlib.suppress(KT3DMoSegError):
+            read_label_files(path, CLIPS)
+    savemat(path, {"labels": np.ones(9)}, format="4")
+    with pytest.raises(FileFormatError, match="version 4 MAT-file; save it in MATLAB with the option '-v7'"):
+        read_label_files(path, CLIPS)
+
+
+def test_a_mat_file_reads_no_other_file(tmp_path):
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["ClusterIdx"] = truth()[NAMES[0]]
+    with h5py.File(tmp_path / "r.mat", "w") as file:
+        file["ClusterIdx"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "/ClusterIdx")
+    with pytest.raises(FileFormatError, match="expected the variable ClusterIdx"):
+        read_label_files(tmp_path / "r.mat", CLIPS)
 
 
 def test_empty_cell_is_a_clip_without_labels(tmp_path):
@@ -168,5 +193,5 @@ def test_no_more_labels_than_clips_can_have_are_read_from_matlab(tmp_path):
         file["a"] = np.ones(10_000)
         references = np.full((1, 10_000), file["a"].ref, dtype=h5py.ref_dtype)
         file.create_dataset("ClusterIdx", data=references)
-    with pytest.raises(FileFormatError, match="cannot be read as one"):
+    with pytest.raises(FileFormatError, match="ClusterIdx: expected at most 1000000 labels"):
         read_label_files(path, CLIPS)
