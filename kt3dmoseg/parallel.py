@@ -51,11 +51,6 @@ _ENVIRONMENT = {  # read once: by a library when it is loaded, by glibc when the
 }
 
 
-def usable_cores() -> int:
-    """Return how many processors this process may use; of a system that does not say, how many it has."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def run_tasks(
     work: Callable[[TaskT, Progress], ResultT],
     tasks: Sequence[TaskT],

@@ -26,7 +26,7 @@ from kt3dmoseg.frames import FrameSource, find_sources, recorded_inputs
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.options import from_mapping, option_names
-from kt3dmoseg.parallel import Progress, cache_key, run_tasks, usable_cores
+from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.pipeline.drives import SyntheticDrive
 from kt3dmoseg.pipeline.labels import find_labels, label_clip
@@ -206,7 +206,8 @@ def build_dataset(
     tasks = list(zip(sources, labels, find_tracks(names, tracks), strict=True))
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))
-    count = workers or usable_cores()
+    # Of a system that does not say how many cores this process may use, all.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
     def lost(task: _Task, reason: str) -> Outcome:
         advice = "perhaps memory ran out: run again with fewer workers; finished clips are kept"
@@ -219,7 +220,9 @@ def build_dataset(
         if propose is not None:
             check_writable(Path(propose))
             work = partial(_build_and_propose, settings, folder, force, Path(propose))
-        for _, outcome in run_tasks(work, tasks, lost=lost, workers=count, dask=dask, progress=progress):
+        for _, outcome in run_tasks(
+            work, tasks, lost=lost, workers=workers or cores, dask=dask, progress=progress
+        ):
             outcomes.append(outcome)
             if report is not None:
                 report(outcome)
