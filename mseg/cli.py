@@ -33,6 +33,7 @@ main = partial(app.main, program)  # (argv=None) -> exit code
 
 _N_MOTIONS = "Number of motions of every clip (default: that of its labels)."
 _DATA = "Folders of clips (default: the protocol's folder in $KT3DMOSEG_DATA or ../shared/data)."
+_PICTURED = "Folders of clips that are shown with their true motions, where --frames has their pictures."
 _JSON = "Everything as JSON: written to FILE in addition to the tables, or printed in their place."
 _PUBLISH = "Write the scores there, one file per method and dataset version: BENCHMARK/VERSION/METHOD.json."
 _NUMBER = "Give the methods the number of motions of each clip, or let them find it."
@@ -412,6 +413,61 @@ def export(*, output: Page, benchmark: Only = "", db: Board = _BOARD) -> None:
 
     export(_open(db), output, benchmark=benchmark)
     print(f"wrote {output}", file=sys.stderr)
+
+
+Results = Annotated[Folder, Parameter(help="Published results, such as results/ of the repository.")]
+
+
+@leaderboard.command
+def site(
+    results: Results,
+    /,
+    *,
+    output: Annotated[Folder, Parameter(alias="-o", help="Folder to write.")] = Path("site"),
+    data: Annotated[tuple[Folder, ...], Parameter(consume_multiple=(1, None), help=_PICTURED)] = (),
+    frames: Annotated[Folder | None, Parameter(help="Pictures, one sub-folder per clip.")] = None,
+) -> None:
+    """Write a page of published results: filters, ranks with intervals, every clip, earlier versions.
+
+    Earlier versions of a row are those that git has of its file.
+    """
+    from mseg.benchmark.site import write_site
+
+    print(f"wrote {write_site(results, output, data=data, frames=frames)}", file=sys.stderr)
+
+
+@leaderboard.command
+def submit(
+    submission: Submission,
+    data: Data,
+    /,
+    *,
+    output: Annotated[Folder, Parameter(alias="-o", help="Folder of published results.")] = Path("results"),
+    benchmark: Benchmark = "",
+) -> None:
+    """Score a submission and put its scores and predictions with published results, for a pull request."""
+    from mseg.benchmark.site import submit
+
+    for path in submit(submission, data, output, benchmark=benchmark):
+        print(f"wrote {path}", file=sys.stderr)
+
+
+@leaderboard.command
+def check(
+    results: Results,
+    /,
+    *,
+    data: Annotated[tuple[Folder, ...], Parameter(consume_multiple=(1, None), help=_DATA)] = (),
+) -> int:
+    """Score the predictions among published results again and compare; exit code 1 where a figure differs."""
+    from mseg.benchmark.site import check_submissions
+    from mseg.evaluation.protocol import count
+
+    n, wrong = check_submissions(results, data)
+    for difference in wrong:
+        print(difference)
+    print(f"{count(n, 'submission')} scored again, {count(len(wrong), 'difference')}", file=sys.stderr)
+    return int(bool(wrong))
 
 
 def benchmark(

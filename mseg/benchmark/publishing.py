@@ -62,6 +62,10 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
     n_motions: Literal["given", "found"] = Field(description="whether the method was given their number")
     versions: dict[str, str] = Field(description="of the package, the method's algorithm, numpy and scipy")
     hardware: str
+    authors: list[str] = Field(default=[], description="of a submission; of our own the source is documented")
+    link: str = Field(default="", description="paper or code")
+    supervised: bool = Field(default=False, description="whether trained with labels, of other clips")
+    unit: Literal["trajectories"] = Field(default="trajectories", description="what is counted")
     seeds: list[_Count] = Field(min_length=1)
     clips: dict[str, ClipResult] = Field(min_length=1)
 
@@ -122,7 +126,8 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
 
     def text(self) -> str:
         """Write as JSON, one line per field and per clip."""
-        values = self.model_dump(exclude={"clips"})
+        optional = {n for n in ("authors", "link", "supervised", "unit") if n not in self.model_fields_set}
+        values = self.model_dump(exclude={"clips", *optional})
         lines = [f" {json.dumps(name)}: {json.dumps(value)}," for name, value in values.items()]
         clips = {name: clip.model_dump(exclude_defaults=True) for name, clip in self.clips.items()}
         rows = [f"  {json.dumps(name)}: {json.dumps(clip)}" for name, clip in clips.items()]

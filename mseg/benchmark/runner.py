@@ -45,7 +45,7 @@ VARIABLE = "KT3DMOSEG_DATA"
 _SHARED = Path("..") / "shared" / "data"
 # MTPV62 takes 50 of its 62 clips from Hopkins155.
 _BORROWED = {"mtpv62": ("hopkins155",)}
-_BASELINES = ("one_motion", "prevalence")  # one label for a whole clip is meant
+BASELINES = ("one_motion", "prevalence")  # one label for a whole clip is meant
 _THIS_PROCESS = uuid4().hex
 # Which configuration made the predictions of a folder; hidden, so no part of the submission.
 _RECORD = ".mseg-run.json"
@@ -282,7 +282,7 @@ def predict(
         n_motions_given=all(given.values()),
         hardware=f"{platform.machine()}, one core per clip",
         seconds=round(seconds, 3),
-        baseline=method in _BASELINES,
+        baseline=method in BASELINES,
         outliers=True,
         fingerprints={name: clip_checksum(clip) for name, clip in clips.items()},
         parameters={name: str(value) for name, value in values.items()},
@@ -446,7 +446,7 @@ def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[st
                 # The caller that shows it names the clip.
                 reason = re.sub(rf"^{re.escape(task.clip.name)}[:,] ", "", reason)
             seconds = time.process_time() - start + cache.saved_seconds - saved
-            noted = "" if made.method in _BASELINES else "; ".join(notes)
+            noted = "" if made.method in BASELINES else "; ".join(notes)
             outcomes[key] = Outcome(labels, seconds, reason, noted)
     return outcomes
 

@@ -14,12 +14,14 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import check_target, write_text
-from mseg.evaluation.pages import render
 from mseg.evaluation.protocol import list_protocols, load_protocol, share
 from mseg.evaluation.results import ResultsTable
 from mseg.evaluation.scoring import ScoreTable, from_json, to_json
+from mseg.evaluation.site import DataRows, Row, site_html
 
 _WAIT_SECONDS = 60.0
 # The first also when a column is missing, or holds a text that is not UTF-8.
@@ -90,10 +92,6 @@ class Board:
             rows.append([str(rank or "-"), e.method, *errors, *facts])
         columns = ["rank", "method", "mean", "median", "seeds", "failed", "scored", "added", "submission"]
         return ResultsTable(f"{self.title}: {self.about}", columns, rows)
-
-    def marks(self) -> dict[int, str]:
-        """Class of the rows that have no rank, for the page."""
-        return {i: "unranked" for i, (rank, _) in enumerate(self.ranked) if rank is None}
 
 
 class Leaderboard:
@@ -294,12 +292,37 @@ def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str =
     boards = board.boards(benchmark)
     suffix = Path(path).suffix.lower()
     if suffix in (".html", ".htm"):
-        write_text(path, render("leaderboard.html", boards=boards, note=_NOTE))
+        write_text(path, site_html([_rows(board, each) for each in boards], notes=[_NOTE]))
     elif suffix == ".md":
         tables = [board.table().markdown() for board in boards]
         write_text(path, "\n\n".join(["# Leaderboard", *tables, _NOTE]) + "\n")
     else:
         raise InvalidValueError(os.fspath(path), expected="a file ending in .html or .md", found=repr(suffix))
+
+
+def _rows(board: Leaderboard, ranked: Board) -> DataRows:
+    """Rows of the page; those of fewer clips than the others are marked."""
+    scores = [(entry, board.scores(entry.id)) for _, entry in ranked.ranked]
+    fullest = max((table for _, table in scores), key=lambda table: len(table.names))
+    rows = [
+        Row(
+            entry.method,
+            table.matrix(),
+            number="given" if table.meta.n_motions_given else "found",
+            kind="claimed" if entry.claimed else "baseline" if table.meta.baseline else "measured",
+            supervised=table.meta.supervised,
+            authors=", ".join(table.meta.authors),
+            link=table.meta.link,
+            failed=entry.failed,
+            complete=len(table.names) == len(fullest.names),
+            right=float(np.mean([clip.n_found == clip.n_motions for clip in table.clips])),
+            seconds=table.meta.seconds,
+            facts={"added": entry.added[:10], "submission": entry.submission_sha256[:8]}
+            | dict(table.meta.parameters),
+        )
+        for entry, table in scores
+    ]
+    return DataRows(ranked.title, ranked.about, fullest.benchmark, fullest.motions, rows)
 
 
 def _board(entries: list[Entry]) -> Board:

@@ -32,6 +32,9 @@ def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
     made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     made.filters["mean"] = np.mean
     made.filters["percent"] = lambda value, digits=2: f"{100 * value:.{digits}f}"
+    made.filters["median"] = np.median
+    made.filters["min_one"] = lambda value: min(1.0, value)
+    made.filters["points"] = lambda value: f"{value:+.2f}" if round(value, 2) else "0.00"
     # The round distance of the lines of a bar's axis, four of which hold all values, and where a value lies.
     made.filters["step"] = lambda top: next((step for step in _STEPS if 4 * step >= top), _STEPS[-1])
     made.filters["along"] = lambda value, step: f"{25 * min(4.0, value / step):.2f}%"
@@ -42,13 +45,14 @@ def jpegs(pictures: Sequence[ByteArray], most: int) -> list[str]:
     """Write pictures (H, W) or (H, W, 3) as addresses of data, together at most so many characters."""
     made: list[str] = []
     for width, quality in _SIZES:
-        made = [_jpeg(picture, width, quality) for picture in pictures]
+        made = [jpeg(picture, width, quality) for picture in pictures]
         if sum(map(len, made)) <= most:
             break
     return made
 
 
-def _jpeg(picture: ByteArray, width: int, quality: int) -> str:
+def jpeg(picture: ByteArray, width: int, quality: int) -> str:
+    """Write a picture (H, W) or (H, W, 3) BGR, at most so wide, as an address of data."""
     import cv2
 
     height, across = picture.shape[:2]

@@ -93,6 +93,7 @@ class SubmissionMeta:
     baseline: bool = False  # one label for a whole clip is meant; otherwise refused as a mistake
     fingerprints: Mapping[str, str] = field(default_factory=dict)  # clip -> clip_checksum
     parameters: Mapping[str, str] = field(default_factory=dict)  # options of the method, free
+    supervised: bool = False  # trained with labels, of other clips
     # Clip -> what one must know to trust its labels, such as a method that did not converge.
     notes: Mapping[str, str] = field(default_factory=dict)
 

@@ -19,11 +19,12 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import Preset, from_mapping, option
 from mseg.cli import COMMANDS as MSEG_COMMANDS
 
+_BOARD = ("add", "remove", "list", "rank", "export", "site", "submit", "check")
 EVERY_COMMAND = [
     *(("kt3dmoseg", command) for command in DATASET_COMMANDS),
     *(("kt3dmoseg", f"catalog {command}") for command in ("list", "check", "add")),
     *(("mseg", command) for command in MSEG_COMMANDS),
-    *(("mseg", f"leaderboard {command}") for command in ("add", "remove", "list", "rank", "export")),
+    *(("mseg", f"leaderboard {command}") for command in _BOARD),
 ]
 
 

@@ -57,7 +57,9 @@ function filter(form) {
   const ranked = rows.filter((row) => row.dataset.group && !row.hidden);
   ranked.forEach((row) => {
     const better = (other) => other.dataset.group === row.dataset.group && +other.dataset.shown < +row.dataset.shown;
-    row.cells[0].textContent = 1 + ranked.filter(better).length;
+    const rank = 1 + ranked.filter(better).length;
+    row.cells[0].textContent = rank;
+    row.classList.toggle("own", rank === 1);
   });
   all("output.count", form).forEach((each) => { each.textContent = `${rows.length - hidden.size} of ${rows.length} rows`; });
 }

@@ -1,0 +1,287 @@
+"""Published results as a site, and submissions among them: written for a pull request, scored again in CI.
+
+::
+
+    results/kt3dmoseg/2018/mine.json      scores, as those of `mseg benchmark --publish`
+    results/kt3dmoseg/2018/mine.zip       the predictions, as `submit` packs them
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kt3dmoseg.draw.painting import by_label, draw_frame
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import read_bytes, write_bytes, write_text, zip_bytes
+from kt3dmoseg.frames import frame_folder, frames_of
+from kt3dmoseg.io import dataset_paths, load
+from kt3dmoseg.types import Clip
+from mseg.benchmark.publishing import ClipResult, PublishedResult, read_result, read_results
+from mseg.benchmark.runner import BASELINES, find_clips
+from mseg.evaluation.pages import jpeg
+from mseg.evaluation.protocol import load_protocol
+from mseg.evaluation.scoring import ScoreTable, score_submission
+from mseg.evaluation.site import DataRows, Row, Version, site_html
+from mseg.evaluation.submission import LIMITS, META, prediction_files
+from mseg.methods import METHODS
+
+_WIDTH, _QUALITY = 480, 55
+_SECONDS = 60  # for git
+_NAMES = re.compile(r"^(?:(?:, | and )?[A-Z][\w-]*[a-z]\b)+")  # the authors before a title or venue
+
+
+def write_site(
+    results: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    data: Sequence[str | os.PathLike[str]] = (),
+    frames: str | os.PathLike[str] | None = None,
+) -> Path:
+    """Write ``index.html``, which needs nothing else, of a folder of published results.
+
+    Parameters
+    ----------
+    results : path
+        As `mseg.benchmark.publishing.read_results` takes it.
+    output : path
+        Folder to write.
+    data, frames : paths, optional
+        Folders of clips and of their pictures: clips that have both are shown with their true motions.
+
+    Returns
+    -------
+    path
+        The page.
+
+    Raises
+    ------
+    InputFileError, FileFormatError
+        When there are no results, or a file is wrong.
+    """
+    history, pictures = _history(Path(results)), _pictures(data, frames)
+    boards = []
+    for (benchmark, version), group in read_results(results).items():
+        first = group[0]
+        about = f"{first.protocol.coverage(first.clips)}, data version {version}"
+        rows = [_row(each, history.get(each.path.as_posix(), [])) for each in group]
+        shown = {name: picture for name, picture in pictures.items() if name in first.clips}
+        key = f"{benchmark}/{version}"
+        boards.append(DataRows(key, about, load_protocol(benchmark), first.motions, rows, shown))
+    boards.sort(key=lambda board: board.protocol.name != "kt3dmoseg")
+    notes = [] if history else ["No history: git does not know these results."]
+    page = Path(output) / "index.html"
+    page.parent.mkdir(parents=True, exist_ok=True)
+    write_text(page, site_html(boards, title="Motion segmentation leaderboard", notes=notes))
+    return page
+
+
+def _row(result: PublishedResult, history: Sequence[Version]) -> Row:
+    clips, source = result.clips.values(), _source(result.method)
+    names = result.authors or ["this toolkit"] * source.startswith("ours") or _NAMES.findall(source)
+    right = [found == clip.motions for clip in clips for found in clip.found]
+    return Row(
+        result.title,
+        result.errors,
+        number=result.n_motions,
+        kind="baseline" if result.method in BASELINES else "measured",
+        supervised=result.supervised,
+        unit=result.unit,
+        authors=", ".join(names),
+        link=result.link,
+        failed=sum(len(clip.failures) for clip in clips),
+        right=float(np.mean(right)),
+        seconds=result.seconds,
+        facts={"source": source, "hardware": result.hardware, **result.versions, **result.parameters},
+        history=history,
+    )
+
+
+def _source(method: str) -> str:
+    """Where a method of ours comes from, as its documentation says; empty for others."""
+    if method not in METHODS.names():
+        return ""
+    found = re.search(r"Source: (.*?)\.? Input:", " ".join((METHODS.load(method).__doc__ or "").split()))
+    return found[1] if found else ""
+
+
+def _pictures(
+    data: Sequence[str | os.PathLike[str]], frames: str | os.PathLike[str] | None
+) -> dict[str, str]:
+    """Draw the true motions on the middle frame of every clip whose frames are there."""
+    made = {}
+    for folder in data if frames is not None else ():
+        for name, path in dataset_paths(folder).items():
+            clip = load(path)
+            if frame_folder(clip, Path(frames or "")) and clip.n_motions:
+                middle = clip.n_frames // 2
+                picture = frames_of(clip, Path(frames or ""))[middle]
+                drawn = draw_frame(by_label(clip, clip.labels.label, clip.labels.names), middle, picture)
+                made[name] = jpeg(drawn[..., ::-1], _WIDTH, _QUALITY)
+    return made
+
+
+def _history(folder: Path) -> dict[str, list[Version]]:
+    """Read the earlier versions that git has of files of results, the latest first; empty without git."""
+    log = _git(folder, "log", "--format=%x00%h %cs", "--name-only", "--relative", "--", "*.json")
+    found: dict[str, list[Version]] = {}
+    former: dict[str, bytes] = {}
+    for commit in (log or b"").decode().split("\0")[1:]:
+        (number, date), *names = (line.split(" ", 1) for line in commit.splitlines() if line)
+        for name in (each[0] for each in names if (folder / each[0]).is_file()):
+            content = _git(folder, "show", f"{number}:./{name}") or b""
+            before = former.setdefault(name, (folder / name).read_bytes())
+            if content not in (b"", before):
+                found.setdefault(name, []).append(_version(date, content))
+            former[name] = content or before
+            found.setdefault(name, [])
+    return found
+
+
+def _version(date: str, content: bytes) -> Version:
+    try:
+        old = PublishedResult.model_validate_json(content, strict=True)
+    except ValueError:
+        return Version(date, None, "in a former format")
+    names = ", ".join(f"{name} {version}" for name, version in old.versions.items())
+    return Version(date, float(old.errors.mean()), names)
+
+
+def _git(folder: Path, *arguments: str) -> bytes | None:
+    """Return what git prints about a folder; None when it has none, or it is not in a checkout."""
+    program = shutil.which("git")
+    if program is None:
+        return None
+    done = subprocess.run([program, "-C", folder, *arguments], capture_output=True, timeout=_SECONDS)
+    return done.stdout if done.returncode == 0 else None
+
+
+# --- submissions --------------------------------------------------------------------------------------------
+
+
+def submit(
+    submission: str | os.PathLike[str],
+    data: str | os.PathLike[str] | Mapping[str, Clip],
+    results: str | os.PathLike[str],
+    *,
+    benchmark: str = "",
+) -> list[Path]:
+    """Score a submission and write its scores and predictions into a folder of results.
+
+    Returns
+    -------
+    list of Path
+        ``BENCHMARK/VERSION/METHOD.json`` and ``METHOD.zip``.
+
+    Raises
+    ------
+    RejectedSubmissionError
+        When it is invalid.
+    InvalidValueError
+        When its clips are of no benchmark, or a row of that name has no predictions and so is another's.
+    """
+    source = Path(submission)
+    result = _scored(score_submission(source, data, benchmark=benchmark))
+    path = Path(results) / result.path
+    if path.is_file() and not path.with_suffix(".zip").is_file():
+        found, fix = "that of a method of the toolkit", "choose another name in meta.toml"
+        raise InvalidValueError("method", expected="a name of its own", found=found, fix=fix)
+    if source.is_dir():
+        files = sorted([source / META, *prediction_files(source)])
+        packed = zip_bytes({file.relative_to(source).as_posix(): file.read_bytes() for file in files})
+    else:
+        packed = read_bytes(source, LIMITS.total_bytes)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path.with_suffix(".zip"), packed)
+    write_text(path, result.text())
+    return [path, path.with_suffix(".zip")]
+
+
+def _scored(scores: ScoreTable) -> PublishedResult:
+    """Put the scores of a submission into the form of published results."""
+    meta, source, first = scores.meta, scores.provenance, scores.seeds[0]
+    if scores.protocol is None or scores.benchmark.name == "custom":
+        raise InvalidValueError("submission", expected="clips of a benchmark", found="clips of none")
+    clips = {}
+    for name in scores.names:
+        runs = [scores.of(name, seed) for seed in scores.seeds]
+        clips[name] = ClipResult(
+            motions=scores.of(name, first).n_motions,
+            scored=scores.of(name, first).n,
+            wrong=[round(run.values["error"] * run.n) for run in runs],
+            found=[run.n_found for run in runs],
+            seconds=round(meta.seconds / len(scores.names), 2),
+            failures={str(run.seed): run.reason for run in runs if run.reason},
+        )
+    return PublishedResult(
+        title=meta.method,
+        method=meta.method,
+        parameters=dict(meta.parameters),
+        benchmark=scores.benchmark.name,
+        dataset_version=source.dataset_version or f"data-{source.dataset_sha256[:8]}",
+        dataset_sha256=source.dataset_sha256,
+        n_motions="given" if meta.n_motions_given else "found",
+        versions={"kt3dmoseg": source.toolkit_version},
+        hardware=meta.hardware,
+        authors=list(meta.authors),
+        link=meta.link,
+        supervised=meta.supervised,
+        seeds=list(scores.seeds),
+        clips=clips,
+    )
+
+
+def check_submissions(
+    results: str | os.PathLike[str], data: Sequence[str | os.PathLike[str]] = ()
+) -> tuple[int, list[str]]:
+    """Score every submission in a folder of results again.
+
+    Parameters
+    ----------
+    results : path
+        Folder of published results; submissions are those with a zip of predictions.
+    data : sequence of paths
+        Folders of clips, by default those of the benchmarks, see `mseg.benchmark.find_clips`.
+
+    Returns
+    -------
+    n : int
+        Number of submissions.
+    differences : list of str
+        File and field of every figure that is not what the predictions give.
+    """
+    found = sorted(Path(results).glob("*/*/*.zip"))
+    wrong = [text for path in found for text in _differences(path, data)]
+    for path in sorted(Path(results).glob("*/*/*.json")):
+        if not path.with_suffix(".zip").is_file() and read_result(path).method not in METHODS.names():
+            wrong.append(
+                f"{path}: expected its predictions beside it, found none; run mseg leaderboard submit"
+            )
+    return len(found), wrong
+
+
+def _differences(path: Path, data: Sequence[str | os.PathLike[str]]) -> Iterator[str]:
+    stated = path.with_suffix(".json")
+    if not stated.is_file():
+        yield f"{stated}: expected the scores of {path.name}, found none; run mseg leaderboard submit"
+        return
+    old = read_result(stated)
+    paths, _ = find_clips(load_protocol(old.benchmark), [Path(folder) for folder in data])
+    new = _scored(score_submission(path, [load(file) for file in paths.values()], benchmark=old.benchmark))
+    for name in sorted(PublishedResult.model_fields.keys() - {"clips", "versions", "dataset_version"}):
+        yield from _compared(f"{stated}: {name}", getattr(old, name), getattr(new, name))
+    for clip in sorted(old.clips.keys() | new.clips.keys()):
+        for name in ClipResult.model_fields:
+            was, now = (getattr(each.clips.get(clip), name, None) for each in (old, new))
+            yield from _compared(f"{stated}: clips.{clip}.{name}", was, now)
+
+
+def _compared(where: str, stated: object, again: object) -> Iterator[str]:
+    if stated != again:
+        yield f"{where}: stated {stated!r:.80}, scored again {again!r:.80}"
