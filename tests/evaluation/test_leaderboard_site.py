@@ -205,6 +205,8 @@ def test_commands(data, tmp_path, capsys):
 
 @pytest.mark.browser
 def test_filters_ranks_and_links_in_chromium(results, tmp_path, browser):
+    from playwright.sync_api import expect
+
     path = write_site(results, tmp_path / "site")
     page = browser.new_context(viewport={"width": 390, "height": 800}, offline=True).new_page()
     messages = []
@@ -227,7 +229,7 @@ def test_filters_ranks_and_links_in_chromium(results, tmp_path, browser):
     shown.locator("a").first.click()
     assert page.locator("details.row[open]").inner_text().startswith("subset, number found: 5.00 %")
     page.locator("button[type=reset]").click()
-    page.wait_for_function("document.querySelectorAll('table.board tbody tr:not([hidden])').length > 8")
+    expect(shown).to_have_count(8 + len(load_protocol("kt3dmoseg").published))
     page.locator("table.board th button", has_text="mean").click()
     assert listed()[0][1] == "keradd"
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
