@@ -77,6 +77,9 @@ def test_a_short_look_at_every_state(page, axe, theme):
         assert (name, page.tab.evaluate(CONTRAST)) == (name, [])
         assert (name, page.tab.evaluate(CUT_OFF)) == (name, [])
         page.press("Escape")
+    page.value("import('/static/state.js').then(({ set }) => set({ trouble: 'away' }))")
+    page.shows("#banner", "away")
+    assert page.tab.evaluate(CONTRAST) == []
     assert page.value("document.documentElement.scrollWidth") == 1280
 
 

@@ -222,14 +222,14 @@ def test_weak_frames_are_hatched_counted_and_visited(page):
     assert page.value("labeller.state.weak[2].map(Boolean)") == [False, *[True] * 5]
     page.shows(".entry .weak", "5 weak")
     page.shows("#progress", "5 weak")
-    bright = (
+    hatched = (
         "(() => { const canvas = document.getElementById('timeline'); const box = [FRAME + 0.1, FRAME + 0.4]"
         ".map((at) => Math.round(at * canvas.width / 6)); const top = 26 + 26 * ROW + 3; "
         "return Math.max(...canvas.getContext('2d').getImageData(box[0], top, box[1] - box[0], 4).data"
-        ".filter((_, k) => k % 4 !== 3)) > 150; })()"
+        ".filter((_, k) => k % 4 === 3)) > 120; })()"
     )
-    page.until(bright.replace("FRAME", "3").replace("ROW", "1"))
-    assert not page.value(bright.replace("FRAME", "3").replace("ROW", "0"))
+    page.until(hatched.replace("FRAME", "3").replace("ROW", "1"))
+    assert not page.value(hatched.replace("FRAME", "3").replace("ROW", "0"))
     page.press("Home", "Escape", "Escape", "Shift+W")
     page.until("labeller.state.selected === 2 && labeller.state.frame === 1")
     page.shows("#hint", "object 2: follows")

@@ -15,35 +15,21 @@ from kt3dmoseg.annotate import load_annotation
 pytestmark = pytest.mark.browser
 
 
-def test_second_tab_conflict_keeps_both(context, shared):
+def test_what_two_tabs_draw_is_merged(context, shared):
     first, second = Page(context, shared.address), Page(context, shared.address)
     first.draw()
+    first.press("4")
     first.saved()
     second.draw([(200, 20), (260, 20), (260, 50)])
-    second.until("labeller.state.saving.kind === 'conflict'")
-    second.shows("dialog[open]")
-    second.press("Escape")
-    second.shows("dialog[open]")
-    assert len(stored(shared).objects) == 1
-    second.tab.get_by_role("button", name="Merge both").click()
-    assert second.saved() == 2
-    assert sorted(len(o.key_frames[0].polygons[0]) for o in stored(shared).objects) == [3, 4]
-    assert first.errors + second.errors == []
-
-
-@pytest.mark.parametrize(("choice", "corners"), [("Keep mine", 3), ("Take theirs", 4)])
-def test_conflict_choices_are_edits_that_can_be_undone(context, shared, choice, corners):
-    first, second = Page(context, shared.address), Page(context, shared.address)
-    first.draw()
-    first.saved()
-    second.draw([(200, 20), (260, 20), (260, 50)])
-    second.tab.get_by_role("button", name=choice).click()
-    second.until("labeller.state.saving.kind === 'saved' && !labeller.saver.pending")
-    assert [len(o.key_frames[0].polygons[0]) for o in stored(shared).objects] == [corners]
-    if choice == "Take theirs":
-        second.press("Control+z")
-        second.until("labeller.saver.revision === 2")
-        assert [len(o.key_frames[0].polygons[0]) for o in stored(shared).objects] == [3]
+    second.shows(
+        "#hint", "Somebody else saved meanwhile: both are merged; changed by both and kept twice: object 1"
+    )
+    second.saved()
+    assert {len(o.key_frames[0].polygons[0]) for o in stored(shared).objects} == {3, 4}
+    second.press("Control+z")
+    second.saved()
+    assert [len(o.key_frames[0].polygons[0]) for o in stored(shared).objects] == [3]
+    assert first.errors == second.errors == []
 
 
 def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_path):

@@ -2,7 +2,7 @@
 
 import { merge } from "./annotation.js";
 import { ask } from "./api.js";
-import { button, byId, close, download, element, faint, fill, open, paragraph, row, table } from "./dom.js";
+import { button, byId, download, element, fill } from "./dom.js";
 import { edit, now, on, notify, set, state } from "./state.js";
 
 const SOON = 350;
@@ -14,7 +14,6 @@ const TEXT = {
   unsaved: () => "• edited",
   busy: () => "saving…",
   offline: ({ message }) => `⚠ ${message || "server away"}: edits kept in this browser`,
-  conflict: () => "⚠ saved elsewhere: choose",
   failed: ({ message }) => `⚠ not saved: ${message}`,
 };
 
@@ -48,7 +47,7 @@ export const yourName = () => state.clip.annotator || localStorage.getItem("anno
 
 export async function flush() {
   clearTimeout(timer);
-  if (!saver.pending || state.saving.kind === "conflict") return sending;
+  if (!saver.pending) return sending;
   sending ??= send().finally(() => (sending = null));
   return sending;
 }
@@ -58,15 +57,13 @@ function schedule(delay) {
   timer = setTimeout(flush, delay);
 }
 
-const show = (kind, message = "", theirs = null) =>
-  set({ saving: { kind, revision: saver.revision, message, theirs } });
+const show = (kind, message = "") => set({ saving: { kind, revision: saver.revision, message } });
 
 function documentChanged() {
   if (saver.base === undefined || state.dragging) return;
   const { kind } = state.saving;
   if (saver.pending) keepDraft();
   else dropDraft();
-  if (kind === "conflict") return;
   if (saver.pending) schedule(SOON);
   if (kind !== "offline" || !saver.pending) show(saver.pending ? "unsaved" : "saved");
 }
@@ -85,33 +82,22 @@ async function send() {
     show(saver.pending ? "unsaved" : "saved");
   } catch ({ status, body, offline, message }) {
     if (clip !== saver.clip) return;
-    if (status === 412) show("conflict", "", body.annotation);
-    else show(offline || status >= 500 ? "offline" : "failed", offline ? "" : message);
+    if (status !== 412) show(offline || status >= 500 ? "offline" : "failed", offline ? "" : message);
+    else if (state.dragging) schedule(SOON);
+    else join(body.annotation);
   }
 }
 
-/** Somebody else saved in between: nothing is overwritten before a person chose. */
-function settleConflict() {
-  const { saving: { theirs }, doc: mine } = state;
-  const choice = (text, doc, className) => button(text, () => {
-    close();
-    const chosen = doc();
-    Object.assign(saver, { base: theirs, revision: theirs.revision });
-    show("unsaved");
-    edit(chosen);
-    flush();
-  }, className);
-  const first = choice("Merge both", () => merge(saver.base, mine, theirs), "primary");
-  open("Saved elsewhere in the meantime",
-    paragraph(`Another tab or person saved revision ${theirs.revision} of ${theirs.clip} after this page read `
-      + `revision ${saver.revision}. Your edits are still here. Choose what revision ${theirs.revision + 1} holds.`),
-    table([
-      [first, "objects changed on one side come from there; changed on both, you get both"],
-      [choice("Keep mine", () => ({ ...mine })), "what you see now replaces the other revision"],
-      [choice("Take theirs", () => theirs), "the other revision; Ctrl+Z restores yours"],
-    ]), row(faint("Each is one edit: Ctrl+Z undoes it.")));
-  byId("dialog").oncancel = (event) => event.preventDefault(); // must be answered: Escape does not close it
-  first.focus();
+/** Somebody else saved in between: what both drew is kept, as one edit that can be undone. */
+function join(theirs) {
+  const mine = state.doc;
+  const merged = merge(saver.base, mine, theirs);
+  const ids = new Set([...mine.objects, ...theirs.objects].map((item) => item.id));
+  const twice = merged.objects.filter((item) => !ids.has(item.id)).map((item) => item.name);
+  Object.assign(saver, { base: theirs, revision: theirs.revision });
+  edit(merged);
+  notify(`${theirs.annotator || "Somebody else"} saved meanwhile: both are merged`
+    + (twice.length ? `; changed by both and kept twice: ${twice.join(", ")}` : ""));
 }
 
 // The banner: what is wrong with the server or its folder, noticed also while nothing is edited
@@ -183,7 +169,6 @@ now(["doc", "dragging"], documentChanged);
 on(["clip", "saving", "trouble", "doc"], drawBanner);
 on(["saving"], () => {
   const { kind, message } = state.saving;
-  if (kind === "conflict") settleConflict();
   Object.assign(byId("saved"), { textContent: TEXT[kind](state.saving), className: kind, title: message ?? "" });
 });
 watch();

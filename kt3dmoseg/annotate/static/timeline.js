@@ -86,7 +86,7 @@ function drawMap() {
   const pixels = canvas.clientWidth / n_frames;
   bar(colours.accent, 0.3, from * pixels, 0, count * pixels, MAP);
   for (const item of state.doc.objects) {
-    for (const [frame] of weakFrames(item)) bar(hatch(), 1, frame * pixels, 0, Math.max(2, pixels), MAP);
+    for (const [frame] of weakFrames(item)) bar(hatch(), 0.7, frame * pixels, 0, Math.max(2, pixels), MAP);
     const colour = colourOfMotion(item.motion);
     for (const { frame } of item.key_frames) bar(colour, 1, (frame + 0.5) * pixels - 1, 1, 2, MAP - 2);
   }
@@ -115,7 +115,7 @@ function drawRow(item, top) {
     const alpha = { visible: 0.7, occluded: 0.3, outside: 0 }[visibility];
     bar(colours.faint, alpha, left, middle - 4, column + 0.5, 8);
     bar(colour, alpha, left, middle - 3, column + 0.5, 6);
-    if (state.weak?.[item.id]?.[frame]) bar(hatch(), 1, left, top + 3, column, ROW - 6);
+    if (state.weak?.[item.id]?.[frame]) bar(hatch(), 0.7, left, top + 3, column, ROW - 6);
     if (key) drawKey(left + column / 2, middle, visibility === "visible", colour);
   }
 }
