@@ -69,9 +69,11 @@ def test_a_dead_server_is_noticed_without_an_edit_and_the_banner_shows_what_is_k
     page.draw()
     page.saved()
     assert not page.tab.locator("#banner").is_visible()
+    stage = page.box("#stage")
     server.process.send_signal(signal.SIGSTOP)
     page.shows("#banner", "The server does not answer. Everything before is saved")
     assert page.box("#banner")["width"] == 1280
+    assert page.box("#stage") == stage  # nothing moves under the pointer
     page.draw([(200, 20), (260, 20), (260, 50)])
     page.shows("#banner", "Not saved, kept in this browser: object 2.")
     with page.tab.expect_download() as download:
