@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -45,15 +45,56 @@ class FrameInfo:
 
 
 @dataclass(frozen=True)
+class Cut:
+    """Which frames of a source are taken, by number, both ends included, and at which size they are read."""
+
+    first: int | None = None
+    last: int | None = None
+    step: int = 1
+    size: tuple[int, int] | None = None  # width, height
+    name: str = ""
+
+    def title(self, name: str) -> str:
+        """Name the clip: as given, else by its source and the range."""
+        whole = self.first is None and self.last is None
+        ends = (f"{end:06d}" if end is not None else "" for end in (self.first, self.last))
+        return self.name or (name if whole else f"{name}_{'-'.join(ends)}")
+
+    def of(self, numbers: Sequence[int], where: str) -> Sequence[int]:
+        """Return the numbers that are taken; InvalidValueError when they are fewer than two or not there."""
+        first = numbers[0] if self.first is None else self.first
+        last = numbers[-1] if self.last is None else self.last
+        if not numbers[0] <= first < last <= numbers[-1] or last - first < self.step:
+            expected, found = f"at least two frames of {numbers[0]}-{numbers[-1]}", f"{first}-{last}"
+            found += f" in steps of {self.step}" * (self.step > 1)
+            raise InvalidValueError(f"{where}: range", expected=expected, found=found)
+        return range(first, last + 1, self.step)
+
+    def resized(self, frames: Iterator[ByteArray]) -> Iterator[ByteArray]:
+        """Give the frames at the wanted size; pixels are averaged where it is smaller."""
+        return frames if self.size is None else (images.resized(frame, self.size) for frame in frames)
+
+    def describe(self) -> dict[str, Any]:
+        """State what differs from taking all, as JSON values."""
+        size = None if self.size is None else list(self.size)
+        given = {"first": self.first, "last": self.last, "step": self.step, "size": size}
+        return {key: value for key, value in given.items() if value not in (None, 1)}
+
+
+_ALL = Cut()
+
+
+@dataclass(frozen=True)
 class FrameFolder:
     """A folder of numbered pictures; the clip has the folder's name."""
 
     folder: Path
+    cut: Cut = _ALL
 
     @property
     def name(self) -> str:
-        """Name of the folder."""
-        return self.folder.resolve().name
+        """Name of the folder, and the range."""
+        return self.cut.title(self.folder.resolve().name)
 
     @property
     def where(self) -> str:
@@ -62,26 +103,37 @@ class FrameFolder:
 
     def inspect(self) -> FrameInfo:
         """Check names and numbers and hash the files."""
-        paths = frame_paths(self.folder)
+        paths = self.paths()
         ends = {"first": paths[0].name, "last": paths[-1].name, "count": len(paths)}
-        numbers = [frame_number(path) for path in paths]
-        return FrameInfo(numbers, {"kind": "frames", **ends, "sha256": sha256_files(paths)})
+        numbers = self.numbers()
+        cut = {"cut": self.cut.describe()} if self.cut.describe() else {}
+        return FrameInfo(numbers, {"kind": "frames", **ends, "sha256": sha256_files(paths)} | cut)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames, all of one size."""
-        return read_frames(frame_paths(self.folder), colour)
+        return self.cut.resized(read_frames(self.paths(), colour))
+
+    def numbers(self) -> Sequence[int]:
+        """Numbers of the frames."""
+        return [frame_number(path) for path in self.paths()]
+
+    def paths(self) -> list[Path]:
+        """List the files of the frames."""
+        paths = {frame_number(path): path for path in frame_paths(self.folder)}
+        return [paths[number] for number in self.cut.of(list(paths), self.where)]
 
 
 @dataclass(frozen=True)
 class VideoFile:
-    """A video, decoded frame by frame; always taken as luma."""
+    """A video, decoded frame by frame, its frames numbered from 0; always taken as luma."""
 
     file: Path
+    cut: Cut = _ALL
 
     @property
     def name(self) -> str:
-        """Name of the file without its suffix."""
-        return self.file.stem
+        """Name of the file without its suffix, and the range."""
+        return self.cut.title(self.file.stem)
 
     @property
     def where(self) -> str:
@@ -90,13 +142,20 @@ class VideoFile:
 
     def inspect(self) -> FrameInfo:
         """Hash the file."""
-        return FrameInfo(None, {"kind": "video", "file": self.file.name, "sha256": sha256_file(self.file)})
+        description = {"kind": "video", "file": self.file.name, "sha256": sha256_file(self.file)}
+        cut = self.cut.describe()
+        return FrameInfo(self.numbers() if cut else None, description | ({"cut": cut} if cut else {}))
+
+    def numbers(self) -> Sequence[int]:
+        """Numbers of the frames; the video is decoded to count them."""
+        return self.cut.of(range(images.count_frames(self.file)), self.where)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
-        """Yield the luma of every frame."""
+        """Yield the luma of every frame that is taken."""
         del colour  # a video is in colour by nature
-        for picture in images.read_video(self.file):
-            yield images.gray(picture, f"{self.file}", "luma")
+        first, last = self.cut.first or 0, self.cut.last
+        pictures = images.read_video(self.file, first, self.cut.step, None if last is None else last + 1)
+        return self.cut.resized(images.gray(picture, f"{self.file}", "luma") for picture in pictures)
 
 
 @dataclass(frozen=True)
@@ -104,15 +163,12 @@ class KittiClip:
     """Frames of a KITTI raw drive, by number; all that are on disk unless a range is given."""
 
     drive: RawDrive
-    first: int | None = None
-    last: int | None = None
-    title: str = ""
+    cut: Cut = _ALL
 
     @property
     def name(self) -> str:
-        """The given title, or the drive's name and the range."""
-        span = "" if self.first is None else f"_{self.first:06d}-{self.last:06d}"
-        return self.title or f"{self.drive.drive.name}{span}"
+        """The given name, or the drive's and the range."""
+        return self.cut.title(self.drive.drive.name)
 
     @property
     def where(self) -> str:
@@ -121,36 +177,47 @@ class KittiClip:
 
     def inspect(self) -> FrameInfo:
         """Check that the frames are there, hash them, and read their times and the calibration."""
-        drive, numbers = self.drive, self._numbers()
-        paths = [drive.frame_path(number) for number in numbers]
+        drive, numbers = self.drive, self.numbers()
+        paths = self.paths()
         description = {"kind": "kitti", "drive": drive.drive.name, "camera": drive.camera}
         description |= {"first": numbers[0], "last": numbers[-1], "sha256": sha256_files(paths)}
-        times, camera = drive.timestamps(numbers), Camera(f"image_{drive.camera:02d}", drive.K)
+        cut = {key: value for key, value in self.cut.describe().items() if key in ("step", "size")}
+        description |= {"cut": cut} if cut else {}
+        times = drive.timestamps(numbers)
         (width, height), calibrated = images.picture_size(paths[0]), drive.image_size
         if calibrated != (width, height):
             where = f"{drive.folder}: calibration of camera {drive.camera}"
             expected, found = f"{width}x{height} px, as the frames", "{}x{}".format(*calibrated)
             fix = "it is of another day, or the frames were resized or cropped"
             raise FileFormatError(where, expected=expected, found=found, fix=fix)
-        return FrameInfo(numbers, description, times, camera)
+        scale = np.diag((*(np.array(self.cut.size or calibrated) / calibrated), 1.0))
+        half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # pixels count from the centre of the first
+        K = drive.K if self.cut.size is None else np.linalg.inv(half) @ scale @ half @ drive.K
+        return FrameInfo(numbers, description, times, Camera(f"image_{drive.camera:02d}", K))
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames; of the colour cameras 2 and 3 their luma."""
         wanted: Colour = "luma" if self.drive.camera > 1 else colour
-        return read_frames([self.drive.frame_path(n) for n in self._numbers()], wanted)
+        return self.cut.resized(read_frames(self.paths(), wanted))
 
-    def _numbers(self) -> Sequence[int]:
+    def paths(self) -> list[Path]:
+        """List the files of the frames."""
+        return [self.drive.frame_path(number) for number in self.numbers()]
+
+    def numbers(self) -> Sequence[int]:
+        """Numbers of the frames, of a range also those that are not on disk."""
         present = self.drive.numbers.tolist() or [0]
-        first = present[0] if self.first is None else self.first
-        last = present[-1] if self.last is None else self.last
-        if last <= first:
-            expected, found = "at least two frames, FIRST-LAST", f"{first}-{last}"
-            raise InvalidValueError(f"{self.where}: range", expected=expected, found=found)
-        return range(first, last + 1)
+        ends = [present[0] if self.cut.first is None else self.cut.first]
+        ends.append(present[-1] if self.cut.last is None else self.cut.last)
+        # What of the range is not on disk is named by the drive.
+        return self.cut.of(range(min(ends[0], present[0]), max(ends[1], present[-1]) + 1), self.where)
 
 
 class FrameSource(Protocol):
-    """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built."""
+    """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built.
+
+    Those that `take` can take a part of are dataclasses with a field `cut`.
+    """
 
     @property
     def name(self) -> str:
@@ -162,6 +229,9 @@ class FrameSource(Protocol):
 
     def inspect(self) -> FrameInfo:
         """Check and describe the source without decoding frames."""
+
+    def numbers(self) -> Sequence[int]:
+        """Numbers of the frames."""
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames, all of one size."""
@@ -208,6 +278,31 @@ def find_sources(path: PathLike) -> list[FrameSource]:
     return sorted(found, key=lambda source: source.name)
 
 
+def choose_sources(
+    path: PathLike,
+    *,
+    catalogs: Sequence[PathLike] = (),
+    date: str | None = None,
+    drive: str | int | None = None,
+    camera: int = 0,
+    drives: bool = False,
+    **part: Any,  # noqa: ANN401
+) -> list[FrameSource]:
+    """List the clips that a command is to work on.
+
+    Those of `catalogs` in a KITTI raw root, its drives when one or all are asked for, else those that
+    `find_sources` finds; `part` are keywords of `take`. Errors are those of the functions named.
+    """
+    whole = drives or part.get("frames") or part.get("name")
+    if catalogs:
+        found = located_sources(path, catalogs)
+    elif date or drive or camera or (whole and any(Path(path).glob(_DRIVE_FOLDERS))):
+        found = kitti_sources(path, date=date, drive=drive, camera=camera)
+    else:
+        found = find_sources(path)
+    return take(found, **part)
+
+
 def _check_level(folder: Path) -> None:
     """Refuse a folder that is next to a KITTI raw root: its day or drive, or the folder that it lies in."""
     inner = _DAY_OR_DRIVE.fullmatch(folder.resolve().name) is not None
@@ -218,29 +313,33 @@ def _check_level(folder: Path) -> None:
         raise InputFileError(f"{folder}", expected="a KITTI raw root", found=found, fix=f"give {root}")
 
 
-def located_sources(root: PathLike) -> list[FrameSource]:
+def located_sources(root: PathLike, catalogs: Sequence[PathLike] = ()) -> list[FrameSource]:
     """List the clips of ``ROOT/located.toml``, as `pull` and `locate` write it, that are on disk.
 
-    A `FileFormatError` is raised when the file is no catalog, or a clip in it skips frames.
+    With `catalogs` those of these files, which must all be on disk, else InputFileError is raised. A
+    FileFormatError is raised when a file is no catalog, or a clip in it skips frames.
     """
     from kt3dmoseg import catalog
     from kt3dmoseg.kitti import RawDrive
     from kt3dmoseg.kitti.raw import LOCATED
 
     path = Path(root) / LOCATED
+    files = [Path(file) for file in catalogs] or [path] * path.is_file()
     found: list[FrameSource] = []
-    for clip in (catalog.load(path, built_in=False) if path.is_file() else {}).values():
+    for clip in catalog.load(*files, built_in=False).values():
         numbers = clip.numbers or ()
         try:
             drive = RawDrive(root, clip.drive.date, clip.drive.number, clip.camera)
-            if not np.isin(numbers, drive.numbers).any():
+            if not catalogs and not np.isin(numbers, drive.numbers).any():
                 continue
         except InputFileError:  # nothing of that drive or camera
+            if catalogs:
+                raise
             continue
         if numbers[-1] - numbers[0] + 1 != len(numbers):
-            where, listing = f"{path}: {clip.name}", catalog.format_numbers(numbers)
+            where, listing = f"{files[0]}: {clip.name}", catalog.format_numbers(numbers)
             raise FileFormatError(where, expected="consecutive frames", found=listing)
-        found.append(KittiClip(drive, numbers[0], numbers[-1], clip.name))
+        found.append(KittiClip(drive, Cut(numbers[0], numbers[-1], name=clip.name)))
     return found
 
 
@@ -277,12 +376,6 @@ def kitti_sources(
     """
     from kt3dmoseg.kitti import Drive, RawDrive
 
-    span = None if isinstance(frames, str) else frames
-    if isinstance(frames, str):
-        match = re.fullmatch(r"(\d{1,9})-(\d{1,9})", frames)
-        if not match:
-            raise InvalidValueError("range", expected="FIRST-LAST, as 45-64", found=repr(frames))
-        span = int(match[1]), int(match[2])
     wanted = None if drive is None else Drive(date or "2011_09_26", drive).number  # type: ignore[arg-type]  # it converts
     names = (folder.name.removesuffix("_sync") for folder in sorted(Path(root).glob(_DRIVE_FOLDERS)))
     matches = map(_DRIVE.fullmatch, names)
@@ -293,11 +386,60 @@ def kitti_sources(
         expected = f"a KITTI raw root with drive {asked}".rstrip()
         fix = "fetch it with kt3dmoseg pull, or give the folder that holds the day's folder"
         raise InputFileError(f"{root}", expected=expected, found="no such drive", fix=fix)
-    if len(pairs) > 1 and (span or name):
-        found, fix = f"{len(pairs)}", "give date=DATE and drive=NUMBER"
-        raise InvalidValueError("range and name", expected="one drive", found=found, fix=fix)
-    first, last = span or (None, None)
-    return [KittiClip(RawDrive(root, *pair, camera), first, last, name) for pair in pairs]
+    return take([KittiClip(RawDrive(root, *pair, camera)) for pair in pairs], frames=frames, name=name)
+
+
+def take(
+    sources: Sequence[FrameSource],
+    *,
+    frames: str | tuple[int, int] | None = None,
+    step: int = 1,
+    size: str | tuple[int, int] | None = None,
+    name: str = "",
+) -> list[FrameSource]:
+    """Take a part of each source: a range, every `step`-th frame, at another size.
+
+    Parameters
+    ----------
+    sources : sequence of FrameSource
+        What `find_sources` or `kitti_sources` lists.
+    frames : (first, last) or "first-last", optional
+        Frame numbers, both included; a video's count from 0. Only for a single source.
+    step : int
+        1 takes every frame.
+    size : (width, height) or "WIDTHxHEIGHT", optional
+        The frames are resized to it.
+    name : str
+        Name of the clip, only for a single source; by default the source's and the range.
+
+    Raises
+    ------
+    InvalidValueError
+        When a range or size is malformed, or a range or name is given for several sources.
+    """
+    first, last = _pair(frames, "range", "-", "FIRST-LAST, as 45-64") or (None, None)
+    wanted = _pair(size, "size", "x", "WIDTHxHEIGHT, as 640x192")
+    if step < 1 or (wanted and min(wanted) < 1):
+        raise InvalidValueError("step and size", expected="at least 1", found=f"{step}, {wanted}")
+    if len(sources) > 1 and (frames or name):
+        found, fix = f"{len(sources)}", "give the frames of one, or date=DATE and drive=NUMBER"
+        raise InvalidValueError("range and name", expected="one source", found=found, fix=fix)
+    if first is None and step == 1 and wanted is None and not name:
+        return list(sources)
+    given: dict[str, Any] = {"step": step, "size": wanted}
+    given |= {"first": first, "last": last} if first is not None else {}
+    given |= {"name": name} if name else {}
+    parts: Any = sources  # of dataclasses with a cut
+    return [replace(source, cut=replace(source.cut, **given)) for source in parts]
+
+
+def _pair(text: str | tuple[int, int] | None, what: str, between: str, form: str) -> tuple[int, int] | None:
+    if not isinstance(text, str):
+        return text
+    match = re.fullmatch(rf"(\d{{1,9}}){between}(\d{{1,9}})", text)
+    if not match and text:
+        raise InvalidValueError(what, expected=form, found=repr(text))
+    return (int(match[1]), int(match[2])) if match else None
 
 
 def frame_folder(clip: Clip, root: PathLike) -> Path | None:
@@ -387,13 +529,17 @@ def find_clips(
     annotations: PathLike,
     frames: PathLike | None = None,
     tracks: PathLike | None = None,
+    catalogs: Sequence[PathLike] = (),
 ) -> dict[str, ClipFiles]:
     """Find the clips to label, sorted by name: a folder of frames, a clip file, or a folder of these.
 
-    The `frames` of clip files are in a folder with one per clip, the folder itself, or the KITTI raw root of
-    the build; by default next to the files, or in ``frames`` next to their folder. `tracks` adds more.
+    Of a KITTI raw root they are the clips of `catalogs`, or of its ``located.toml``. The `frames` of clip files
+    are in a folder with one per clip, the folder itself, or the KITTI raw root of the build; by default next to
+    the files, or in ``frames`` next to their folder. `tracks` adds more.
     """
     given = Path(path)
+    if catalogs or any(given.glob(_DRIVE_FOLDERS)):
+        return _clips_of_root(given, annotations, tracks, catalogs)
     folders, files = {given.resolve().name: given}, _clip_files(given)
     if not is_clip(given):
         inside = listed(given) if given.is_dir() else []
@@ -412,6 +558,15 @@ def find_clips(
         paths = frame_paths(known) if known else _frames_of_file(name, files[name], given, frames)
         out[name] = ClipFiles(name, tuple(paths), files.get(name), Path(annotations, f"{name}.json"))
     return out
+
+
+def _clips_of_root(
+    root: Path, annotations: PathLike, tracks: PathLike | None, catalogs: Sequence[PathLike]
+) -> dict[str, ClipFiles]:
+    found: Any = choose_sources(root, catalogs=catalogs)  # each with paths
+    files = {} if tracks is None else _clip_files(Path(tracks))
+    names = {source.name: tuple(source.paths()) for source in sorted(found, key=lambda source: source.name)}
+    return {n: ClipFiles(n, p, files.get(n), Path(annotations, f"{n}.json")) for n, p in names.items()}
 
 
 def _clip_files(path: Path) -> dict[str, Path]:

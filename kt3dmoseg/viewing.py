@@ -132,6 +132,7 @@ def label(
     compare: _Folder | None = None,
     masks: _Folder | None = None,
     kitti: _Folder | None = None,
+    catalogs: Annotated[tuple[_File, ...], Parameter(name="--catalog")] = (),
     flow: Name = "dis",
     host: str = "127.0.0.1",
     port: Annotated[Whole, Parameter(show_default=False)] = 0,
@@ -162,6 +163,8 @@ def label(
         Folder of masks to propose regions from.
     kitti : path, optional
         KITTI raw root to propose regions from tracklets.
+    catalogs : paths, optional
+        Label the clips of these catalogs; CLIP is a KITTI raw root.
     flow : str
         Flow that computes missing trajectories.
     host : str
@@ -206,7 +209,9 @@ def label(
 
         return track(pictures, flow=flow, progress=progress)
 
-    sessions = sessions_of(find_clips(clip, annotations=annotations, frames=frames, tracks=tracks), tracker)
+    sessions = sessions_of(
+        find_clips(clip, annotations=annotations, frames=frames, tracks=tracks, catalogs=catalogs), tracker
+    )
     other, mask_folder, raw = (None if path is None else Path(path) for path in (compare, masks, kitti))
     tokens = {} if team is None else read_team(Path(team))
     folders: dict[str, Any] = {"other": other, "masks": mask_folder, "kitti": raw}

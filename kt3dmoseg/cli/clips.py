@@ -12,8 +12,10 @@ from cyclopts import Group, Parameter
 
 from kt3dmoseg import app
 from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Positive, Whole, flags, progress_bar
+from kt3dmoseg.choosing import ChooseOptions
 from kt3dmoseg.demo import DemoOptions
 from kt3dmoseg.pipeline import BuildOptions
+from kt3dmoseg.publishing import PublishOptions
 from kt3dmoseg.tracking.options import TrackOptions
 
 if TYPE_CHECKING:
@@ -28,7 +30,9 @@ Workers = Annotated[Whole | None, Parameter(help="Processes (default: one per co
 Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
 Names = Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))]
 Range = Annotated[str, Parameter(name="--range", metavar="FIRST-LAST")]
-_one_clip = partial(Parameter, group=Group.create_ordered("One clip of a KITTI raw root"))
+Size = Annotated[str, Parameter(metavar="WIDTHxHEIGHT")]
+_one_clip = partial(Parameter, group=Group.create_ordered("One drive of a KITTI raw root"))
+_part = partial(Parameter, group=Group.create_ordered("A part of the frames"))
 
 
 @flags(DemoOptions)
@@ -80,11 +84,16 @@ def build(
     force: Annotated[Flag, Parameter(help="Build also what is up to date.")] = False,
     parameter: FlowParameters = (),
     cache: FlowCache = None,
+    catalogs: Annotated[
+        tuple[File, ...], _one_clip(name="--catalog", help="Build the clips of a catalog; may be repeated.")
+    ] = (),
     date: Annotated[str | None, _one_clip(help="Day of the drive, 2011_09_26.")] = None,
     drive: Annotated[str | None, _one_clip(help="Number of the drive, 5 or 0005.")] = None,
     camera: Annotated[Whole, _one_clip(help="0, 1 gray; 2, 3 colour.")] = 0,
-    range_: Annotated[Range | None, _one_clip(help="Frame numbers, both included.")] = None,
-    name: Annotated[Name, _one_clip(help="Name of the clip (default: drive and range).")] = "",
+    range_: Annotated[Range | None, _part(help="Frame numbers, both included; a video's from 0.")] = None,
+    step: Annotated[Positive, _part(help="Take every N-th frame.")] = 1,
+    size: Annotated[Size, _part(help="Resize the frames.")] = "",
+    name: Annotated[Name, _part(help="Name of the clip (default: its source and the range).")] = "",
     **options: Any,  # noqa: ANN401
 ) -> int:
     """Frames to dataset files: track, label, subsample; one HDF5 file per clip.
@@ -95,11 +104,12 @@ def build(
     interrupted build is finished by the same command. Exit code 2 when a clip failed, after the others are
     built.
     """
+    from kt3dmoseg.frames import choose_sources
     from kt3dmoseg.options import parse_assignments
-    from kt3dmoseg.pipeline import build_dataset, find_sources, kitti_sources
+    from kt3dmoseg.pipeline import build_dataset
 
-    one: dict[str, Any] = {"date": date, "drive": drive, "camera": camera, "frames": range_, "name": name}
-    sources = kitti_sources(frames, **one) if any(one.values()) else find_sources(frames)
+    where: dict[str, Any] = {"date": date, "drive": drive, "camera": camera, "catalogs": catalogs}
+    sources = choose_sources(frames, **where, frames=range_, step=step, size=size, name=name)
     names = {source.name.lower() for source in sources}  # one of another case is refused, not passed over
     folder = _ANNOTATIONS if annotations in (None, Path("none")) else annotations
     if annotations is None or propose:  # proposals also go where there is no annotation yet
@@ -160,6 +170,29 @@ def _code(outcomes: list[Outcome]) -> int:
     return _FAILED if any(outcome.status == "failed" for outcome in outcomes) else 0
 
 
+@flags(ChooseOptions)
+def choose(
+    *recordings: Annotated[Path, Parameter(help="KITTI raw roots, folders of frames, videos.")],
+    output: Annotated[Folder, Parameter(alias="-o", help="Folder for page, table, catalog and measures.")],
+    workers: Annotated[Positive, Parameter(help="Processes.")] = 1,
+    dask: Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = "",
+    **options: Any,  # noqa: ANN401
+) -> None:
+    """Find clips in recordings: windows with a camera that moves far, a deep and cluttered scene, and movers.
+
+    Prints the chosen windows, the best first. FOLDER/index.html shows them with pictures, candidates.csv has
+    every window, candidates.toml is a catalog for 'kt3dmoseg pull', 'build' and 'label' (--catalog). What is
+    measured is kept there: an interrupted run is finished by the same command.
+    """
+    from kt3dmoseg.choosing import choose
+    from kt3dmoseg.choosing.ranking import COLUMNS, row
+    from kt3dmoseg.tables import text_table
+
+    with progress_bar("part") as show:
+        chosen = choose(recordings, output, workers=workers, dask=dask, progress=show, **options)
+    print(text_table(list(map(row, chosen)), list(COLUMNS)))
+
+
 def synth(
     *,
     output: Annotated[Folder, Parameter(alias="-o", help="Folder of the files CLIP.h5.")],
@@ -215,6 +248,48 @@ def track(
         clip = track_clip(frames, backend, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)
     print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
+
+
+@flags(PublishOptions)
+def publish(
+    dataset: Annotated[Folder, Parameter(help="Folder of clips, as build writes it.")],
+    *,
+    output: Annotated[Folder, Parameter(alias="-o", help="New folder.")],
+    split: Annotated[
+        tuple[str, ...],
+        Parameter(metavar="NAME=PATTERN", help="Clips of a split (others: train); may be repeated."),
+    ] = (),
+    **options: Any,  # noqa: ANN401
+) -> None:
+    """Publish clips as a version of a dataset: files, parquet tables, Croissant metadata and a card.
+
+    'datasets.load_dataset(FOLDER)' and 'pandas.read_parquet' load it offline. A published version never
+    changes: another one needs another version and folder.
+    """
+    from kt3dmoseg.publishing import publish
+
+    facts = publish(dataset, output, splits=split, **options)
+    splits = ", ".join(f"{len(names)} {name}" for name, names in facts["splits"].items())
+    print(f"{output}: {facts['name']} {facts['version']}, {splits}, {facts['license']}", file=sys.stderr)
+
+
+def diff(
+    old: Annotated[Folder, Parameter(help="Clips, or a published version.")],
+    new: Annotated[Folder, Parameter(help="Clips, or a published version.")],
+    /,
+    *,
+    json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
+) -> None:
+    """Compare two versions of a dataset: clips, trajectories, labels and how they were built."""
+    from kt3dmoseg.publishing import diff
+    from kt3dmoseg.tables import text_table
+
+    found = diff(old, new)
+    if json:
+        print(found.to_json(orient="records"))
+    else:
+        rows = [list(map(str, row)) for row in found.itertuples(index=False)]
+        print(text_table(rows, list(found.columns)) if rows else "no clip differs")
 
 
 def info(

@@ -295,15 +295,40 @@ def _opened_video(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
         video.release()
 
 
-def read_video(path: str | os.PathLike[str]) -> Iterator[ByteArray]:
-    """Yield the pictures of a video, (H, W, 3) RGB; FileFormatError when OpenCV decodes none."""
+def read_video(
+    path: str | os.PathLike[str], first: int = 0, step: int = 1, stop: int | None = None
+) -> Iterator[ByteArray]:
+    """Yield every `step`-th picture of a video from `first` to before `stop`, (H, W, 3) RGB.
+
+    FileFormatError when OpenCV decodes none.
+    """
     with _opened_video(path) as video:
-        read = video.read()
-        if not read[0]:
-            raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
-        while read[0]:
-            yield np.asarray(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB), np.uint8)
-            read = video.read()
+        number = 0
+        while (stop is None or number < stop) and video.grab():
+            if number >= first and (number - first) % step == 0:
+                intact, picture = video.retrieve()
+                if not intact:
+                    break
+                yield np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+            number += 1
+    if not number:
+        raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
+
+
+def count_frames(path: str | os.PathLike[str]) -> int:
+    """Count the pictures of a video by decoding it: what its header states is often wrong."""
+    with _opened_video(path) as video:
+        count = sum(1 for _ in iter(video.grab, False))
+    if not count:
+        raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
+    return count
+
+
+def resized(frame: ByteArray, size: tuple[int, int]) -> ByteArray:
+    """Return a frame at another size (width, height)."""
+    smaller = size[0] <= frame.shape[1] and size[1] <= frame.shape[0]
+    way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(frame, size, interpolation=way), dtype=np.uint8)
 
 
 def write_png(path: str | os.PathLike[str], picture: ByteArray) -> None:

@@ -37,8 +37,8 @@ write = npz.write
 _CHANNELS = {1, 3, 4}
 _OUTSIDE = 0.05  # a tracker may follow a point a little over the border
 # Points are compared with pictures where so many move so far, in so many bytes of the first pictures.
-_PICTURES, _ENOUGH, _MOVED, _SAME = 1 << 25, 20, 2.0, 0.25
-_CLEAR = 1.5  # a point that stays this much closer to itself than to the others shows which axis is time
+_PICTURES, _ENOUGH, _MOVED, _SAME = 1 << 25, 20, 2.0, 0.1
+_CLEAR = 1.5  # a reading is surely wrong, when another one is so many times better
 _NEAREST = 1e-3  # metres before the camera; what is nearer is not projected
 
 
@@ -237,7 +237,7 @@ def check_on_pictures(where: str, tracks: Trajectories, pictures: npt.NDArray[An
         return
     given = _change(places, pictures)
     for words, other in _readings(places, size):
-        if given > 2 * max(_change(other, pictures), _SAME):
+        if given > _CLEAR * max(_change(other, pictures), _SAME):
             only = "as (y, x)" if "::" in words else f"when scaled by {words}"
             fix = "give points[..., ::-1]" if "::" in words else f"multiply them by {words}"
             expected, found = (

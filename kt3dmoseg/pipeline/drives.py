@@ -51,6 +51,10 @@ class SyntheticDrive:
         versions = {"samples": SAMPLES, "version": synthetic.ALGORITHM_VERSION}
         return FrameInfo(None, {"kind": "synthetic"} | asdict(self.plan) | versions)
 
+    def numbers(self) -> range:
+        """Numbers of the frames."""
+        return range(self.scene.n_frames)
+
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Render the frames."""
         del colour

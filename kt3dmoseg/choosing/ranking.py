@@ -1,0 +1,293 @@
+"""From recordings to a ranked choice of windows: measured part by part, kept, compared, shown."""
+
+from __future__ import annotations
+
+import base64
+import os
+import shlex
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import cv2
+import numpy as np
+
+from kt3dmoseg import __version__, catalog, choosing, tracking
+from kt3dmoseg.choosing import ChooseOptions
+from kt3dmoseg.choosing.windows import Window, measure_windows
+from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.files import PathLike, check_writable, hold_folder, write_text
+from kt3dmoseg.flow import backend_identity, create
+from kt3dmoseg.frames import Cut, FrameSource, KittiClip, choose_sources
+from kt3dmoseg.options import from_mapping
+from kt3dmoseg.parallel import Cache, Progress, cache_key, run_tasks
+
+_PARTS = "measured"  # folder of what is kept of every part, in the folder of results
+_SAME_RECORDING = 0.85  # what another window of a recording that has one already is worth
+_STRIP, _THUMBNAIL, _QUALITY = 5, 260, 70  # pictures, their width, their quality
+
+_Part: TypeAlias = tuple[FrameSource, str]  # and its key
+_Recordings: TypeAlias = dict[str, FrameSource]
+COLUMNS = ("clip", "score", "translation", "depth", "clutter", "motions", "trajectories", "movers")
+
+
+def choose(
+    recordings: PathLike | Sequence[PathLike | FrameSource],
+    output: PathLike | None = None,
+    *,
+    workers: int = 1,
+    dask: str = "",
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,  # noqa: ANN401
+) -> list[Window]:
+    """Choose clips from recordings; see `kt3dmoseg.choosing.windows` for what is measured.
+
+    Parts of the longest window's length, each of which begins in the middle of the one before, are measured
+    one by one, in memory that does not depend on the length of the recording. What is measured is kept in
+    `output`, so that an interrupted run goes on, and another `count` or `apart` costs nothing.
+
+    Parameters
+    ----------
+    recordings : path or sequence of paths or FrameSource
+        KITTI raw roots (all their drives), folders of numbered frames or of such folders, videos.
+    output : path, optional
+        Folder for ``index.html`` (the ranked table with pictures), ``candidates.csv`` (every window) and
+        ``candidates.toml`` (a catalog of the chosen ones that are of KITTI drives).
+    workers : int
+        Number of processes.
+    dask : str
+        Address of a Dask scheduler, instead of processes; its workers must see the same folders.
+    progress : callable, optional
+        Called with (parts done, parts in all).
+    **options
+        Fields of `ChooseOptions`.
+
+    Returns
+    -------
+    list of Window
+        The chosen ones, the best first.
+
+    Raises
+    ------
+    InputFileError, FileFormatError
+        For frames that are missing or cannot be read, and an output that cannot be written.
+    InvalidValueError, UnknownNameError
+        For a bad option, recordings that are all shorter than a window, or two of one name.
+    """
+    settings = from_mapping(ChooseOptions, options, where="choose")
+    if settings.shortest > settings.longest:
+        expected, found = f"at most longest, {settings.longest}", f"{settings.shortest}"
+        raise InvalidValueError("shortest", expected=expected, found=found)
+    sources = _sources(recordings)
+    parts = [part for source in sources.values() for part in _parts(source, settings)]
+    if not parts:
+        expected = f"a recording of {settings.shortest} frames without a gap"
+        raise InvalidValueError("recordings", expected=expected, found="none")
+    if output is None:
+        return select(_measured(parts, settings, None, workers, dask, progress), settings)
+    check_writable(Path(output))
+    with hold_folder(output, busy=partial(_busy, output)) as folder:
+        windows = _measured(parts, settings, folder / _PARTS, workers, dask, progress)
+        chosen = select(windows, settings)
+        _write(folder, windows, chosen, sources, settings)
+    return chosen
+
+
+def _busy(output: PathLike) -> None:
+    raise InputFileError(
+        f"{output}", expected="no other choice running there", found="one", fix="wait for it"
+    )
+
+
+def _sources(given: PathLike | Sequence[PathLike | FrameSource]) -> _Recordings:
+    found: _Recordings = {}
+    for item in [given] if isinstance(given, (str, os.PathLike)) else given:
+        path = isinstance(item, (str, os.PathLike))
+        for source in cast("list[FrameSource]", choose_sources(item, drives=True) if path else [item]):  # type: ignore[arg-type]  # a path
+            if source.name in found:
+                where, both = f"recording {source.name}", f"{found[source.name].where} and {source.where}"
+                raise InvalidValueError(where, expected="one", found=both, fix="rename one")
+            found[source.name] = source
+    return found
+
+
+def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
+    """Give the parts of a recording, and the key under which the measures of each are kept."""
+    info = source.inspect()
+    numbers = source.numbers()
+    measured = {**asdict(settings), "count": 0, "apart": 0}
+    versions = [__version__, choosing.ALGORITHM_VERSION, tracking.ALGORITHM_VERSION, cv2.__version__]
+    flow = backend_identity(create(settings.flow))
+    about = {"recording": info.description, "options": measured, "versions": versions, "flow": flow}
+    for run in _runs(numbers):
+        last = max(0, len(run) - settings.longest)
+        starts = [*range(0, last, max(1, settings.longest // 2)), last]
+        for start in starts if len(run) >= settings.shortest else []:
+            ends = run[start], run[min(start + settings.longest, len(run)) - 1]
+            part: Any = source  # a dataclass with a cut
+            cut = replace(part.cut, first=ends[0], last=ends[1], name=source.name)
+            yield replace(part, cut=cut), cache_key({**about, "part": ends})
+
+
+def _runs(numbers: Sequence[int]) -> list[Sequence[int]]:
+    """Split frame numbers where some are missing on disk."""
+    groups = groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])
+    return [[number for _, number in group] for _, group in groups]
+
+
+def _measured(
+    parts: Sequence[_Part],
+    settings: ChooseOptions,
+    folder: Path | None,
+    workers: int,
+    dask: str,
+    progress: Callable[[int, int], None] | None,
+) -> list[Window]:
+    """Measure every part that is not measured yet; a window that two parts hold is taken from the first."""
+    found: dict[tuple[str, int, int], Window] = {}
+    work = partial(_measure_part, settings, Cache(folder))
+
+    def lost(part: _Part, reason: str) -> list[Window]:
+        raise InputFileError(part[0].where, found=reason, fix="run again with fewer --workers")
+
+    done = run_tasks(work, parts, lost=lost, workers=workers, dask=dask)
+    for count, (_, windows) in enumerate(done, start=1):
+        for window in windows:
+            found.setdefault((window.recording, window.first, window.last), window)
+        if progress is not None:
+            progress(count, len(parts))
+    return [found[key] for key in sorted(found)]
+
+
+def _measure_part(settings: ChooseOptions, cache: Cache, part: _Part, progress: Progress) -> list[Window]:
+    del progress
+    source, key = part
+    kept = cache.get(key)
+    if kept is None:
+        cv2.setNumThreads(1)  # also with one worker, which is the calling process
+        windows = measure_windows(source, settings)
+        cache.put(key, {name: [str(getattr(w, name)) for w in windows] for name in _TEXTS} | _arrays(windows))
+        return windows
+    columns = [kept[name].tolist() for name in ("numbers", "measures", "sizes", *_TEXTS)]
+    return [
+        Window(name, first, last, far, unit, depth, clutter, tuple(filter(None, sizes)), movers, bool(cut))
+        for (first, last, cut), (far, depth, clutter), sizes, name, unit, movers in zip(*columns, strict=True)
+    ]
+
+
+_TEXTS = ("recording", "unit", "movers")
+
+
+def _arrays(windows: Sequence[Window]) -> dict[str, Any]:
+    most = max((w.motions for w in windows), default=0)
+    sizes = [w.sizes + (0,) * (most - w.motions) for w in windows]
+    return {
+        "numbers": np.array([(w.first, w.last, w.cut) for w in windows], dtype=np.int64).reshape(-1, 3),
+        "measures": np.array([(w.translation, w.depth, w.clutter) for w in windows]).reshape(-1, 3),
+        "sizes": np.array(sizes, dtype=np.int64).reshape(len(windows), most),
+    }
+
+
+def select(windows: Sequence[Window], options: ChooseOptions | None = None) -> list[Window]:
+    """Choose diverse windows: the best first, then always the best that is apart from those of its recording.
+
+    A window counts 0.85 times its score for every one that is chosen of its recording already. Windows with a
+    cut are never chosen.
+    """
+    settings = options or ChooseOptions()
+    left = [window for window in windows if not window.cut]
+    chosen: list[Window] = []
+    taken: Counter[str] = Counter()
+    while left and len(chosen) < settings.count:
+        best = max(left, key=lambda w: (w.score * _SAME_RECORDING ** taken[w.recording], -w.first, w.last))
+        chosen.append(best)
+        taken[best.recording] += 1
+        left = [window for window in left if _apart(window, best, settings.apart)]
+    return chosen
+
+
+def _apart(one: Window, other: Window, frames: int) -> bool:
+    gap = max(one.first - other.last, other.first - one.last)
+    return one.recording != other.recording or gap > max(frames, 0)
+
+
+def row(window: Window) -> list[str]:
+    """Return what the table shows of a window; see `COLUMNS`."""
+    sizes = " ".join(map(str, window.sizes)) or "-"
+    return [
+        window.name,
+        "cut" if window.cut else f"{window.score:.3f}",
+        f"{window.translation:.1f} {window.unit}",
+        f"{window.depth:.1f}",
+        f"{window.clutter:.2f}",
+        f"{window.motions}",
+        sizes,
+        window.movers,
+    ]
+
+
+def _write(
+    folder: Path,
+    found: Sequence[Window],
+    chosen: Sequence[Window],
+    sources: _Recordings,
+    settings: ChooseOptions,
+) -> None:
+    import pandas as pd
+
+    ranked = sorted(found, key=lambda window: -window.score)
+    table = pd.DataFrame(map(row, ranked), columns=list(COLUMNS))
+    write_text(folder / "candidates.csv", table.to_csv(index=False))
+    entries = [entry for window in chosen if (entry := _entry(window, sources[window.recording]))]
+    comment = f"Chosen by kt3dmoseg choose {__version__}, the best first; index.html shows them."
+    catalog.save(folder / "candidates.toml", entries, comment=comment)
+    write_text(folder / "index.html", _page(chosen, len(found), sources, settings))
+
+
+def _entry(window: Window, source: FrameSource) -> catalog.Entry | None:
+    """Return the catalog's entry of a window; None when it is not of a KITTI drive."""
+    if not isinstance(source, KittiClip):
+        return None
+    numbers = tuple(range(window.first, window.last + 1))
+    drive = source.drive
+    about = f"kt3dmoseg choose: score {window.score:.3f}, {window.motions} motions by {window.movers}"
+    size = drive.image_size
+    return catalog.Entry(window.name, drive.drive, drive.camera, len(numbers), size, numbers, source=about)
+
+
+def _page(chosen: Sequence[Window], count: int, sources: _Recordings, settings: ChooseOptions) -> str:
+    from jinja2 import Environment, FileSystemLoader
+
+    loader = FileSystemLoader(Path(__file__).with_name("static"))
+    template = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    items = []
+    for window in chosen:
+        source = sources[window.recording]
+        items.append(
+            (row(window), window.principles, _command(window, source), _strip(window, source, settings))
+        )
+    page = template.get_template("candidates.html")
+    return page.render(items=items, columns=COLUMNS, count=count, recordings=sorted(sources))
+
+
+def _command(window: Window, source: FrameSource) -> str:
+    if isinstance(source, KittiClip):
+        return ""
+    part = f"--range {window.first}-{window.last} --name {window.name}"
+    return f"kt3dmoseg build {shlex.quote(source.where)} {part} -o FOLDER"
+
+
+def _strip(window: Window, source: Any, settings: ChooseOptions) -> list[str]:  # noqa: ANN401  # with a cut
+    """Return pictures of a window as data for a page."""
+    cut = Cut(window.first, window.last, max(1, (window.last - window.first) // (_STRIP - 1)))
+    out = []
+    for frame in replace(source, cut=cut).frames(settings.colour):
+        size = _THUMBNAIL, max(1, round(_THUMBNAIL * frame.shape[0] / frame.shape[1]))
+        small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
+        encoded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+        out.append(base64.b64encode(encoded.tobytes()).decode())
+    return out[:_STRIP]

@@ -1,0 +1,244 @@
+"""Windows of a recording, and what of a good clip each of them has.
+
+Xu, Cheong and Li (CVPR 2018) chose clips with a camera that translates far, a static scene of deep and
+cluttered structure, and several motions with enough points for hypotheses. A part of a recording is tracked
+once; of every window in it are measured
+
+* **translation**: metres between the first and last camera (GPS/IMU); without these, pixels of image motion
+  that no rotation of the camera explains, of the nearest quarter of the scene, over the window;
+* **depth**: how many times the inverse depth of the static scene doubles between its 5 % and 95 % quantiles.
+  Up to scale it is the image motion without rotation, over the distance to where that is 0 (the epipole);
+* **clutter**: share of the static scene that the best homography does not explain, which is 0 for a plane;
+* **motions**: moving objects with `FEWEST` trajectories that live for `LIVES` frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from kt3dmoseg.annotate import Annotation, label_tracks
+from kt3dmoseg.annotate.proposals import PROPOSERS, Request
+from kt3dmoseg.choosing import ChooseOptions
+from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.frames import FrameSource, KittiClip
+from kt3dmoseg.tracking import find_cuts, track
+from kt3dmoseg.types import ByteArray, FloatArray, IntArray, Labels, Trajectories
+
+FEWEST, LIVES = 8, 5  # trajectories of a motion: as many as a fundamental matrix needs; frames of each
+_GAP = 4  # frames over which image motion is measured
+_FOCAL = 0.58  # of the width, KITTI's; rotations are removed with it where the camera is not known
+_STILL = 0.25  # pixels a frame; less image motion has no depth
+_OFF = 1.5  # pixels that a point is off the homography
+_POINTS = 24  # static points that a measure needs
+_ROUNDS = 10
+# Where each measure is worth half: metres or pixels, doublings of depth, share, motions.
+_HALF = {"m": 8.0, "px": 60.0, "depth": 3.0, "clutter": 0.4, "motions": 1.0}
+_NONE = 0.25  # what no motion counts as, so that such windows keep an order
+
+
+@dataclass(frozen=True)
+class Window:
+    """A window of a recording: frame numbers, both included, its measures and `score`, 0 to 1.
+
+    `unit` is that of the translation, m or px; `sizes` are the trajectories of what `movers` found to move.
+    """
+
+    recording: str
+    first: int
+    last: int
+    translation: float
+    unit: str
+    depth: float
+    clutter: float
+    sizes: tuple[int, ...]
+    movers: str
+    cut: bool = False  # the picture changes to another one within it: it is no clip
+
+    @property
+    def name(self) -> str:
+        """The clip's name."""
+        return f"{self.recording}_{self.first:06d}-{self.last:06d}"
+
+    @property
+    def motions(self) -> int:
+        """Number of moving objects."""
+        return len(self.sizes)
+
+    @property
+    def principles(self) -> tuple[float, float, float]:
+        """What the three principles are worth, 0 to 1: translation, structure of the scene, motions."""
+        structure = (_worth(self.depth, "depth") + _worth(self.clutter, "clutter")) / 2
+        return _worth(self.translation, self.unit), structure, _worth(max(self.motions, _NONE), "motions")
+
+    @property
+    def score(self) -> float:
+        """Geometric mean of the principles; 0 where there is a cut."""
+        return 0.0 if self.cut else float(np.prod(self.principles) ** (1 / 3))
+
+
+def _worth(value: float, what: str) -> float:
+    return value / (value + _HALF[what])
+
+
+def measure_windows(source: FrameSource, options: ChooseOptions | None = None) -> list[Window]:
+    """Measure every window of a part of a recording, which is held in memory.
+
+    Parameters
+    ----------
+    source : FrameSource
+        The part; as long as the longest window, or longer.
+    options : ChooseOptions, optional
+        Which windows, and how they are tracked.
+
+    Returns
+    -------
+    list of Window
+        By their first frame, then their length; their recording is the source's name.
+
+    Raises
+    ------
+    KT3DMoSegError
+        When the frames cannot be read or tracked.
+    """
+    settings = options or ChooseOptions()
+    frames = list(source.frames(settings.colour))
+    starts = find_cuts(frames)[0]
+    found = []
+    for start, stop in pairwise([*starts, len(frames)]):
+        shot = range(start, stop)
+        ends = [(a, b) for a, b in windows_of(len(frames), settings) if a in shot and b in shot]
+        found += _measure_shot(source, frames[start:stop], start, ends, settings) if ends else []
+    numbers = source.numbers()
+    whole = {(window.first, window.last) for window in found}
+    for a, b in windows_of(len(frames), settings):
+        if (numbers[a], numbers[b]) not in whole:
+            found.append(Window(source.name, numbers[a], numbers[b], 0, "px", 0, 0, (), "", cut=True))
+    return sorted(found, key=lambda window: (window.first, window.last))
+
+
+def _measure_shot(
+    source: FrameSource,
+    frames: Sequence[ByteArray],
+    start: int,
+    windows: Sequence[tuple[int, int]],
+    settings: ChooseOptions,
+) -> list[Window]:
+    """Measure windows of a shot, whose frames begin at index `start` of the source."""
+    tracks, numbers = track(frames, flow=settings.flow), source.numbers()
+    paths = source.paths()[start : start + len(frames)] if isinstance(source, KittiClip) else []
+    labels, movers = _moving(source, tracks, paths, settings.movers)
+    focal = float(source.drive.K[0, 0]) if isinstance(source, KittiClip) else _FOCAL * frames[0].shape[1]
+    pairs = [_pair(tracks, labels, frame, focal) for frame in range(max(1, len(frames) - _GAP))]
+    found = []
+    for a, b in windows:
+        first, last = a - start, b - start
+        inside = [pair for pair in pairs[first : max(first + 1, last + 1 - _GAP)] if pair is not None]
+        motion, depth, clutter = np.median(inside, axis=0).tolist() if inside else (0.0, 0.0, 0.0)
+        metres = _metres(source, numbers[a], numbers[b])
+        lives = tracks.visible[:, first : last + 1].sum(axis=1) >= LIVES
+        counts = np.bincount(labels[lives & (labels > 1)], minlength=2)
+        sizes = tuple(sorted((int(n) for n in counts if n >= FEWEST), reverse=True))
+        far, unit = (motion * (last - first), "px") if metres is None else (metres, "m")
+        found.append(Window(source.name, numbers[a], numbers[b], far, unit, depth, clutter, sizes, movers))
+    return found
+
+
+def windows_of(count: int, options: ChooseOptions) -> list[tuple[int, int]]:
+    """Give the windows of so many frames, as indices of first and last: three lengths from every start."""
+    middle = (options.shortest + options.longest) // 2
+    lengths = sorted({options.shortest, middle, options.longest})
+    starts = range(0, count, options.stride)
+    return [(start, start + n - 1) for start in starts for n in lengths if start + n <= count]
+
+
+def _metres(source: FrameSource, first: int, last: int) -> float | None:
+    """Metres between the cameras of two frames; None where that is not known."""
+    if not isinstance(source, KittiClip):
+        return None
+    try:
+        drive = source.drive
+        cameras = drive.poses([first, last]) @ np.linalg.inv(drive.T_cam_imu)
+    except KT3DMoSegError:
+        return None
+    return float(np.linalg.norm(cameras[1, :3, 3] - cameras[0, :3, 3]))
+
+
+def _moving(
+    source: FrameSource, tracks: Trajectories, paths: Sequence[Path], movers: str
+) -> tuple[IntArray, str]:
+    """Labels (N,) of the trajectories, 1 = static scene, and the name of what found the motions.
+
+    Where it can find none, everything is static, and the name comes with the reason.
+    """
+    kitti = source.drive if isinstance(source, KittiClip) else None
+    if movers == "auto":
+        known = "mseg" if "mseg" in PROPOSERS.names() else "residual"
+        movers = "tracklets" if kitti is not None and kitti.has_tracklets else known
+    empty = Annotation(source.name, tracks.image_size or (0, 0), tracks.n_frames)
+    root = None if kitti is None else kitti.root
+    try:
+        found = PROPOSERS.load(movers)(Request(source.name, empty, tracks, tuple(paths), kitti=root))
+    except KT3DMoSegError as error:
+        if movers == "tracklets":
+            raise
+        return np.ones(len(tracks), dtype=np.int64), f"{movers}: {error}"
+    if not isinstance(found, Labels):
+        found = label_tracks(tracks, replace(empty, objects=tuple(found)))
+    return found.label, movers
+
+
+def _pair(
+    tracks: Trajectories, labels: IntArray, frame: int, focal: float
+) -> tuple[float, float, float] | None:
+    """Image motion in pixels a frame, depth and clutter from a frame to `_GAP` later; None of few points."""
+    rows, x1, x2 = tracks.pair(frame, min(frame + _GAP, tracks.n_frames - 1))
+    static = labels[rows] == 1
+    if np.count_nonzero(static) < _POINTS or tracks.image_size is None:
+        return None
+    x1, x2 = x1[static], x2[static]
+    centre = (np.array(tracks.image_size) - 1) / 2
+    motion = without_rotation((x1 - centre) / focal, (x2 - x1) / focal) * focal
+    length = np.hypot(*motion.T)
+    return float(np.quantile(length, 0.75)) / _GAP, _depth(x1, motion, length), _clutter(x1, x2)
+
+
+def without_rotation(x: FloatArray, motion: FloatArray) -> FloatArray:
+    """Take the image motion of a small rotation, (P, 2), out of a motion, both in units of the focal length.
+
+    The rotation is the one that leaves least, in the sum of lengths, by reweighted least squares; its motion
+    is that of Longuet-Higgins and Prazdny (Proc. R. Soc. B 208, 1980).
+    """
+    u, v = x.T
+    one = np.ones(len(x))
+    rows = np.stack([np.stack([u * v, -(one + u * u), v], 1), np.stack([one + v * v, -u * v, -u], 1)], 1)
+    weights = one
+    for _ in range(_ROUNDS):
+        scaled = (rows * weights[:, None, None]).reshape(-1, 3)
+        turn = np.linalg.lstsq(scaled, (motion * weights[:, None]).ravel(), rcond=None)[0]
+        left = motion - rows @ turn
+        weights = 1 / np.sqrt(np.maximum(np.hypot(*left.T), 1e-4))
+    return np.asarray(left)
+
+
+def _depth(x: FloatArray, motion: FloatArray, length: FloatArray) -> float:
+    """How many times inverse depth doubles from its 5 % to its 95 % quantile."""
+    moves = length > _STILL * _GAP
+    if np.count_nonzero(moves) < _POINTS:
+        return 0.0
+    x, motion, length = x[moves], motion[moves], length[moves]
+    normal = motion[:, ::-1] * (1, -1) / length[:, None]  # every line of motion goes through the epipole
+    epipole = np.linalg.lstsq(normal, (normal * x).sum(axis=1), rcond=None)[0]
+    inverse = length / np.maximum(np.hypot(*(x - epipole).T), 1.0)
+    low, high = np.quantile(inverse, (0.05, 0.95))
+    return float(np.log2(high / low))
+
+
+def _clutter(x1: FloatArray, x2: FloatArray) -> float:
+    found, inliers = cv2.findHomography(x1, x2, cv2.USAC_MAGSAC, _OFF, maxIters=500, confidence=0.99)
+    return 0.0 if found is None else float(1 - np.mean(inliers))

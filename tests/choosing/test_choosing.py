@@ -1,0 +1,146 @@
+"""Clips chosen from recordings: what is measured, what is ranked first, what is kept and written."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from kt3dmoseg import catalog
+from kt3dmoseg.choosing import ChooseOptions, Window, choose, measure_windows, ranking, select
+from kt3dmoseg.choosing.windows import windows_of, without_rotation
+from kt3dmoseg.cli import main
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.frames import Cut, FrameFolder, choose_sources, find_clips
+from kt3dmoseg.synthetic import SceneOptions, make_scene
+from kt3dmoseg.synthetic.kitti_export import write_drive
+
+FRAMES, SPEED = 26, 8.0
+OPTIONS = {"shortest": 10, "longest": 12, "stride": 6, "apart": 0, "movers": "tracklets"}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """A KITTI raw root: a drive with movers all along it, and one without."""
+    folder = tmp_path_factory.mktemp("kitti")
+    for drive, objects in ((1, 3), (2, 0)):
+        options = {"width": 310, "height": 94, "frames": FRAMES, "speed": SPEED, "samples": 1, "seed": 3}
+        write_drive(make_scene(SceneOptions(objects=objects, **options)), folder, drive=drive)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chosen(root, tmp_path_factory):
+    output = tmp_path_factory.mktemp("chosen")
+    return choose(root, output, count=4, **OPTIONS), output
+
+
+def test_movers_rank_first_and_metres_are_those_of_the_drive(chosen):
+    windows, _ = chosen
+    assert [window.recording[-4:] for window in windows[:2]] == ["0001", "0001"]
+    assert windows[0].motions >= 1
+    assert min(w.score for w in windows if w.motions) > max(w.score for w in windows if not w.motions)
+    for window in windows:
+        assert window.unit == "m"
+        assert window.translation == pytest.approx(SPEED * (window.last - window.first) / 10, rel=0.02)
+        assert 0 < window.clutter < 1
+        assert window.depth > 0.5
+
+
+def test_the_page_shows_every_chosen_window_and_loads_nothing(chosen):
+    windows, output = chosen
+    page = (output / "index.html").read_text()
+    assert all(window.name in page for window in windows)
+    assert page.count("data:image/jpeg;base64,") == 5 * len(windows)
+    assert not re.search(r"(src|href)=.?https?:", page)
+    listed = (output / "candidates.csv").read_text().splitlines()
+    assert len(listed) == 1 + 2 * len(windows_of(FRAMES, ChooseOptions(**OPTIONS)))
+
+
+def test_the_catalog_is_taken_by_build_and_label(root, chosen, tmp_path, capsys):
+    windows, output = chosen
+    file = output / "candidates.toml"
+    entries = catalog.load(file, built_in=False)
+    assert {(e.name, e.numbers[0], e.numbers[-1]) for e in entries.values()} == {
+        (w.name, w.first, w.last) for w in windows
+    }
+    assert [source.name for source in choose_sources(root, catalogs=[file])] == list(entries)
+    found = find_clips(root, annotations=tmp_path, catalogs=[file])
+    assert [len(clip.frames) for clip in found.values()] == [e.length for _, e in sorted(entries.items())]
+    command = ["build", str(root), "--catalog", str(file), "-o", str(tmp_path), "--flow", "dis_medium"]
+    assert main([*command, "--workers", "1"]) == 0
+    assert f"{len(windows)} built" in capsys.readouterr().out
+
+
+def test_what_is_measured_is_kept_and_other_numbers_of_choices_cost_nothing(root, chosen, monkeypatch):
+    windows, output = chosen
+
+    def fail(*_: object) -> None:
+        raise AssertionError("measured again")
+
+    monkeypatch.setattr(ranking, "measure_windows", fail)
+    assert choose(root, output, count=2, **OPTIONS) == windows[:2]
+    with pytest.raises(AssertionError, match="measured again"):
+        choose(root, output, **OPTIONS | {"stride": 4})
+
+
+def test_parts_are_no_longer_than_the_longest_window(root):
+    settings = ChooseOptions(**OPTIONS)
+    [source, _] = ranking._sources(root).values()
+    parts = [part.numbers() for part, _ in ranking._parts(source, settings)]
+    assert max(map(len, parts)) == settings.longest
+    covered = {(numbers[a], numbers[b]) for numbers in parts for a, b in windows_of(len(numbers), settings)}
+    assert len(covered) > FRAMES // settings.stride
+
+
+def test_missing_frames_and_cuts_are_in_no_clip(rng, tmp_path):
+    assert ranking._runs([3, 4, 5, 9, 10]) == [[3, 4, 5], [9, 10]]
+    scenes = [cv2.GaussianBlur(rng.integers(0, 255, (96, 160)).astype(np.uint8), (0, 0), 2) for _ in range(2)]
+    for frame in range(20):
+        picture = cv2.equalizeHist(np.roll(scenes[frame // 10], frame, axis=1))
+        cv2.imwrite(str(tmp_path / f"{frame:06d}.png"), picture)
+    options = ChooseOptions(shortest=6, longest=8, stride=2, movers="residual")
+    windows = measure_windows(FrameFolder(tmp_path, Cut(0, 19)), options)
+    assert {w.cut for w in windows if w.first < 10 <= w.last} == {True}
+    assert {w.cut for w in windows if not w.first < 10 <= w.last} == {False}
+    assert not any(window.cut for window in select(windows, options))
+
+
+def test_rotation_of_the_camera_is_no_translation(rng):
+    x = rng.uniform(-0.6, 0.6, (400, 2))
+    u, v = x.T
+    turn = np.stack(
+        [u * v * 0.01 - (1 + u * u) * 0.03 + v * 0.02, (1 + v * v) * 0.01 - u * v * 0.03 - u * 0.02], 1
+    )
+    assert np.abs(without_rotation(x, turn)).max() < 1e-6
+    forward = x / rng.uniform(5, 40, (400, 1))
+    left = without_rotation(x, turn + forward)
+    assert np.median(np.hypot(*(left - forward).T)) < 0.25 * np.median(
+        np.hypot(*forward.T)
+    )  # of a turn 1.5 times as large
+
+
+def test_choices_are_apart_and_of_more_than_one_recording():
+    def window(recording, first, motions):
+        return Window(recording, first, first + 9, 10.0, "m", 3.0, 0.5, (20,) * motions, "mseg")
+
+    many = [window("a", first, 2) for first in range(0, 100, 5)] + [window("b", 0, 1)]
+    found = select(many, ChooseOptions(count=4, apart=10))
+    spans = sorted((w.first, w.last) for w in found if w.recording == "a")
+    assert all(later[0] - earlier[1] > 10 for earlier, later in pairwise(spans))
+    assert "b" in {w.recording for w in found}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"shortest": 15}, "shortest: expected at most longest, 12, found 15"),
+        ({"shortest": 50, "longest": 60}, "recordings: expected a recording of 50 frames"),
+    ],
+)
+def test_bad_options_are_named(root, options, message):
+    with pytest.raises(InvalidValueError, match=message):
+        choose(root, **OPTIONS | options)
