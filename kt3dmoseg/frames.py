@@ -533,9 +533,9 @@ def find_clips(
 ) -> dict[str, ClipFiles]:
     """Find the clips to label, sorted by name: a folder of frames, a clip file, or a folder of these.
 
-    Of a KITTI raw root they are the clips of `catalogs`, or of its ``located.toml``. The `frames` of clip files
-    are in a folder with one per clip, the folder itself, or the KITTI raw root of the build; by default next to
-    the files, or in ``frames`` next to their folder. `tracks` adds more.
+    Of a KITTI raw root they are the clips of `catalogs`, or of its ``located.toml``. The `frames` of clip
+    files are in a folder with one per clip, the folder itself, or the KITTI raw root of the build; by default
+    next to the files, or in ``frames`` next to their folder. `tracks` adds more.
     """
     given = Path(path)
     if catalogs or any(given.glob(_DRIVE_FOLDERS)):

@@ -152,7 +152,7 @@ def _measured(
     work = partial(_measure_part, settings, Cache(folder))
 
     def lost(part: _Part, reason: str) -> list[Window]:
-        raise InputFileError(part[0].where, found=reason, fix="run again with fewer --workers")
+        raise InputFileError(part[0].where, found=reason, fix="run again with fewer workers")
 
     done = run_tasks(work, parts, lost=lost, workers=workers, dask=dask)
     for count, (_, windows) in enumerate(done, start=1):

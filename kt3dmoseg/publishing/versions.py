@@ -150,7 +150,7 @@ def _manifest(
     licence = settings.license.lower() or (_KITTI if kitti else _OWN if synthetic else "")
     if not licence or (kitti and licence != _KITTI):
         expected = _KITTI if kitti else "an SPDX identifier, as cc-by-4.0"
-        fix = "what is derived from KITTI carries KITTI's licence" if kitti else "give --license"
+        fix = "what is derived from KITTI carries KITTI's licence" if kitti else "give license=ID"
         raise InvalidValueError("license", expected=expected, found=repr(settings.license), fix=fix)
     version = {"name": settings.name, "version": settings.version, "license": licence}
     made = {"toolkit": f"kt3dmoseg {__version__}", "built": next(iter(built.values()))}

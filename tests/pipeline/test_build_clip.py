@@ -225,7 +225,9 @@ def test_a_kitti_root_is_found_by_itself(tmp_path):
 def test_a_range_belongs_to_one_drive(tmp_path):
     root = _drive(tmp_path, range(40, 46))
     (root / "2011_09_26/2011_09_26_drive_0006_sync").mkdir()
-    with pytest.raises(InvalidValueError, match=r"range and name: expected one source, found 2; .* date=DATE"):
+    with pytest.raises(
+        InvalidValueError, match=r"range and name: expected one source, found 2; .* date=DATE"
+    ):
         kitti_sources(root, frames="40-45")
 
 

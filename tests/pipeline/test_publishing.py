@@ -116,7 +116,7 @@ def test_a_version_never_changes(built, published, tmp_path):
     [
         ({"name": ""}, "name: expected a name"),
         ({"version": "two"}, "version: expected a version, as 1.0.0, found 'two'"),
-        ({"license": ""}, "license: expected an SPDX identifier.*--license"),
+        ({"license": ""}, "license: expected an SPDX identifier.*license=ID"),
         (
             {"splits": ["test=z*"]},
             "split: expected NAME=PATTERN of clips, found 'test=z\\*', which fits none",
