@@ -273,7 +273,7 @@ def test_a_name_does_not_lead_out_of_the_folder(frames, tmp_path):
 
 def test_two_clips_of_one_name_are_both_named(frames, tmp_path):
     with pytest.raises(InvalidValueError, match=r"clip x: expected one source, found .*a and .*b; rename"):
-        build([Named(frames / "a", title="x"), Named(frames / "b", title="x")], tmp_path / "out")
+        build([Named(frames / "a", name="x"), Named(frames / "b", name="x")], tmp_path / "out")
 
 
 @pytest.mark.parametrize("workers", [1, 2])
