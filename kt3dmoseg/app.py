@@ -58,6 +58,9 @@ Name = Annotated[str, Parameter(metavar="NAME")]
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
 File = Annotated[Path, Parameter(metavar="FILE")]
 Url = Annotated[str, Parameter(metavar="URL")]
+Catalogs = Annotated[
+    tuple[File, ...], Parameter(name="--catalog", help="A catalog of your own; may be repeated.")
+]
 Either = Annotated[Path, Parameter(metavar="PATH")]
 Parameters = Annotated[
     tuple[str, ...], Parameter(alias=("-p", "--set"), metavar="NAME=VALUE", show_default=False)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from kt3dmoseg.app import Flag, Name, Whole, flags
+from kt3dmoseg.app import Catalogs, Flag, Name, Whole, flags
 from kt3dmoseg.draw import DrawOptions
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def label(
     compare: _Folder | None = None,
     masks: _Folder | None = None,
     kitti: _Folder | None = None,
-    catalogs: Annotated[tuple[_File, ...], Parameter(name="--catalog")] = (),
+    catalogs: Catalogs = (),
     flow: Name = "dis",
     host: str = "127.0.0.1",
     port: Annotated[Whole, Parameter(show_default=False)] = 0,

@@ -267,18 +267,10 @@ def _page(chosen: Sequence[Window], count: int, sources: _Recordings, settings: 
     items = []
     for window in chosen:
         source = sources[window.recording]
-        items.append(
-            (row(window), window.principles, _command(window, source), _strip(window, source, settings))
-        )
+        other = None if isinstance(source, KittiClip) else shlex.quote(source.where)
+        items.append((window, row(window), other, _strip(window, source, settings)))
     page = template.get_template("candidates.html")
     return page.render(items=items, columns=COLUMNS, count=count, recordings=sorted(sources))
-
-
-def _command(window: Window, source: FrameSource) -> str:
-    if isinstance(source, KittiClip):
-        return ""
-    part = f"--range {window.first}-{window.last} --name {window.name}"
-    return f"kt3dmoseg build {shlex.quote(source.where)} {part} -o FOLDER"
 
 
 def _strip(window: Window, source: Any, settings: ChooseOptions) -> list[str]:  # noqa: ANN401  # with a cut

@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from kt3dmoseg import app
-from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Positive, Whole, flags, progress_bar
+from kt3dmoseg.app import (
+    Catalogs,
+    Either,
+    File,
+    Flag,
+    Folder,
+    Name,
+    Parameters,
+    Positive,
+    Whole,
+    flags,
+    progress_bar,
+)
 from kt3dmoseg.choosing import ChooseOptions
 from kt3dmoseg.demo import DemoOptions
 from kt3dmoseg.pipeline import BuildOptions
@@ -84,9 +96,7 @@ def build(
     force: Annotated[Flag, Parameter(help="Build also what is up to date.")] = False,
     parameter: FlowParameters = (),
     cache: FlowCache = None,
-    catalogs: Annotated[
-        tuple[File, ...], _one_clip(name="--catalog", help="Build the clips of a catalog; may be repeated.")
-    ] = (),
+    catalogs: Catalogs = (),
     date: Annotated[str | None, _one_clip(help="Day of the drive, 2011_09_26.")] = None,
     drive: Annotated[str | None, _one_clip(help="Number of the drive, 5 or 0005.")] = None,
     camera: Annotated[Whole, _one_clip(help="0, 1 gray; 2, 3 colour.")] = 0,

@@ -7,12 +7,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from kt3dmoseg.app import File, Folder, Url, flags, group
+from kt3dmoseg.app import Catalogs, File, Folder, Url, flags, group
 from kt3dmoseg.kitti.options import LocateOptions, PullOptions
 
-Catalogs = Annotated[
-    tuple[File, ...], Parameter(name="--catalog", help="A catalog of your own; may be repeated.")
-]
 Clips = Annotated[str, Parameter(help="Clips of the catalog (default: all).")]
 Root = Annotated[Folder, Parameter(alias=("-o", "--root"))]
 

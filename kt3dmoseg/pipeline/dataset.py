@@ -124,7 +124,7 @@ def build_clip(
             raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
         source = found[0]
     [files] = find_labels([source.name], annotation, masks)
-    [given] = find_tracks([source.name], tracks)
+    [given] = [None] if tracks is None else find_tracks([source.name], tracks)
     return _Job((source, files, given), settings).build(progress)
 
 
@@ -203,7 +203,8 @@ def build_dataset(
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     names = _names(sources)
     labels = find_labels(names, annotations, masks)
-    tasks = list(zip(sources, labels, find_tracks(names, tracks), strict=True))
+    given = [None] * len(names) if tracks is None else find_tracks(names, tracks)
+    tasks = list(zip(sources, labels, given, strict=True))
     if workers is not None and workers < 1:
         raise InvalidValueError("workers", expected="at least 1", found=str(workers))
     # Of a system that does not say how many cores this process may use, all.

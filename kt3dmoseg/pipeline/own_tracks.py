@@ -24,14 +24,12 @@ from kt3dmoseg.types import ByteArray, Trajectories
 _APART = 4  # frames between the two pictures that the tracks are compared with
 
 
-def find_tracks(names: Sequence[str], tracks: PathLike | None) -> list[Path | None]:
+def find_tracks(names: Sequence[str], tracks: PathLike) -> list[Path | None]:
     """Find the file of each clip's trajectories: ``TRACKS/<name>.npz``, or the only one in ``TRACKS/<name>``.
 
-    `tracks` may be the file of a single clip; None gives none. InputFileError is raised when it has nothing
-    of any clip; of a clip that has no file, the path is one where it would be.
+    `tracks` may be the file of a single clip. InputFileError is raised when it has nothing of any clip; of a
+    clip that has no file, the path is one where it would be.
     """
-    if tracks is None:
-        return [None] * len(names)
     root = Path(tracks)
     if root.is_file() and len(names) == 1:
         return [root]
