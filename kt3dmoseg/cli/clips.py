@@ -103,7 +103,9 @@ def build(
     range_: Annotated[Range | None, _part(help="Frame numbers, both included; a video's from 0.")] = None,
     step: Annotated[Positive, _part(help="Take every N-th frame.")] = 1,
     size: Annotated[Size, _part(help="Resize the frames.")] = "",
-    name: Annotated[Name, _part(help="Name of the clip (default: its source and the range).")] = "",
+    name: Annotated[
+        Name, _part(help="Name of the clip (default: drive and range; of others their name and range).")
+    ] = "",
     **options: Any,  # noqa: ANN401
 ) -> int:
     """Frames to dataset files: track, label, subsample; one HDF5 file per clip.
