@@ -14,6 +14,7 @@ import re
 import shutil
 import sys
 import textwrap
+import threading
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -317,14 +318,28 @@ def _unknown_option(error: cyclopts.UnknownOptionError) -> str:
 
 @contextmanager
 def progress_bar(unit: str, *, quiet: bool = False) -> Iterator[Callable[..., None]]:
-    """Give a function (done, total, text="") that draws progress on standard error, on a terminal only."""
+    """Give a function (done, total, text="") that draws progress on standard error, on a terminal only.
+
+    Its clock runs while nothing is reported, so that long steps do not look dead.
+    """
     from tqdm import tqdm
 
+    over = threading.Event()
+
+    def tick() -> None:
+        while not over.wait(1):
+            bar.refresh()
+
     with tqdm(unit=unit, disable=True if quiet else None, smoothing=0) as bar:
+        if not bar.disable:
+            threading.Thread(target=tick, daemon=True).start()
 
         def show(done: int, total: int | None, text: str = "") -> None:
             bar.total = total
             bar.update(done - bar.n)
             bar.set_postfix_str(text)
 
-        yield show
+        try:
+            yield show
+        finally:
+            over.set()

@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -131,15 +132,14 @@ def segmented(shot: Shot, options: dict[str, Any], bar: _Progress) -> Shot:
 def _motions(clip: Clip, options: dict[str, Any], bar: _Progress) -> tuple[IntArray, float | None]:
     """Label all trajectories, those of a long shot in parts, joined by the trajectories that they share."""
     if clip.n_frames <= _PART:
-        bar(0, 1, f"{clip.name}: motions")
-        return _segmented_twice(clip.dense, options)
+        return _segmented_twice(clip.dense, options, lambda half: bar(half, 2, f"{clip.name}: motions"))
     labels, margins, failure = np.zeros(len(clip.dense), dtype=np.int64), [], None
     firsts = range(0, clip.n_frames - _OVERLAP, _PART - _OVERLAP)
     for k, first in enumerate(firsts):
-        bar(k, len(firsts), f"{clip.name}: motions")
+        step = partial(lambda k, half: bar(2 * k + half, 2 * len(firsts), f"{clip.name}: motions"), k)
         rows, tracks = _part(clip.dense, first, min(first + _PART, clip.n_frames))
         try:
-            here, margin = _segmented_twice(tracks, options)
+            here, margin = _segmented_twice(tracks, options, step)
         except KT3DMoSegError as error:
             failure = error
             continue
@@ -156,8 +156,11 @@ def _motions(clip: Clip, options: dict[str, Any], bar: _Progress) -> tuple[IntAr
     return spread_labels(clip.dense, known, labels[known]), least
 
 
-def _segmented_twice(tracks: Trajectories, options: dict[str, Any]) -> tuple[IntArray, float | None]:
+def _segmented_twice(
+    tracks: Trajectories, options: dict[str, Any], step: Callable[[int], None]
+) -> tuple[IntArray, float | None]:
     """Label all trajectories; the second time with a part of the largest group, in which small ones drown."""
+    step(0)
     first = segment(tracks, rows="all", **options)
     of_largest = first.labels == np.bincount(first.labels[first.labels > 0]).argmax()
     largest, others = np.flatnonzero(of_largest), np.flatnonzero(~of_largest)
@@ -167,6 +170,7 @@ def _segmented_twice(tracks: Trajectories, options: dict[str, Any]) -> tuple[Int
     drawn = np.random.default_rng(options.get("seed", 0)).choice(largest, part, replace=False)
     rows = np.union1d(drawn, others)
     thinned = Clip("shot", tracks, rows, Labels(np.zeros(len(rows), dtype=np.int64)))
+    step(1)
     second = segment(thinned, rows="all", **options)
     return second.labels, second.report.get("margin")
 

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -35,6 +36,7 @@ from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, Trajectories
 from mseg.clustering import (
     Count,
+    Criterion,
     Fusion,
     GraphLaplacian,
     WeightedSum,
@@ -62,6 +64,7 @@ from mseg.types import Grouping, ModelKind, Segmentation
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")
 # Cuts that differ by less say nothing about which partition is better; seeds move them as far.
 _MARGIN = 1.1
+_MOST_MOTIONS = 7  # that code length compares
 
 
 @dataclass(frozen=True)
@@ -108,8 +111,10 @@ class ViewMethod(ABC):
         0.003, "weight spread over all pairs of points, as a fraction of the mean degree", low=0
     )
     restarts: int = option(100, "restarts of k-means", low=1)
-    count: Literal["eigengap", "self_tuning", "vote"] = option(
-        "self_tuning", "how the number of motions is found when none is given: mseg.clustering.count_clusters"
+    count: Literal["code_length", "eigengap", "self_tuning", "vote"] = option(
+        "code_length",
+        "how the number of motions is found when none is given: by the rigid bodies of multibody among "
+        "partitions into 1 to 7, or by mseg.clustering.count_clusters",
     )
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
@@ -119,12 +124,15 @@ class ViewMethod(ABC):
         """
         *streams, kmeans_rng = rng.spawn(len(KINDS) + 1)
         views, used = self.views(clip, streams, n_motions or 1)
-        counted = self.count_motions(views, kmeans_rng) if n_motions is None else Count(n_motions, {})
+        points = clip.evaluated_trajectories.select(used)
+        counted = Count(n_motions or 0, {})
+        if n_motions is None:
+            counted = self.count_motions(points, views, kmeans_rng)
         labels, report = self.group(views, counted.number, kmeans_rng)
         report |= {"n_motions": counted.number, "trajectories_left_out": int((~used).sum())}
         if n_motions is None:
             report |= {"count_scores": dict(counted.scores), "runners_up": counted.runners_up}
-        report["warnings"] = unconnected_parts(clip.evaluated_trajectories.select(used), self.gap)
+        report["warnings"] = unconnected_parts(points, self.gap)
         return Segmentation.of_part(labels, used, report)
 
     def views(
@@ -179,10 +187,24 @@ class ViewMethod(ABC):
         del points
         return kernel
 
-    def count_motions(self, views: Sequence[csr_array], rng: np.random.Generator) -> Count:
-        """Find the number of motions in the mean of the Laplacians of the views."""
+    def count_motions(
+        self, points: Trajectories, views: Sequence[csr_array], rng: np.random.Generator
+    ) -> Count:
+        """Find the number of motions of the trajectories that take part; `rng` is left as it is.
+
+        By code length, or where no group is large enough for that by self-tuning, in the mean of the
+        Laplacians of the views.
+        """
+        criterion: Criterion = "self_tuning" if self.count == "code_length" else self.count
+        if self.count == "code_length":
+            from mseg.methods.code_length import code_lengths  # which imports this module
+
+            most = min(_MOST_MOTIONS, len(points))
+            groups = {k: self.group(views, k, deepcopy(rng))[0] for k in range(1, most + 1)}
+            if costs := code_lengths(points, views, groups, deepcopy(rng)):
+                return Count(min(costs, key=lambda k: costs[k]), {k: -cost for k, cost in costs.items()})
         mean = WeightedSum(*((1 / len(views), self.laplacian(view)) for view in views))
-        return count_clusters(mean, self.count, rng)
+        return count_clusters(mean, criterion, deepcopy(rng))
 
     @abstractmethod
     def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:

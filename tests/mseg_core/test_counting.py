@@ -51,6 +51,19 @@ def test_a_rotated_indicator_is_turned_back(rng):
     assert cost < 1.02
 
 
+def test_the_code_length_finds_the_bodies(make_clip):
+    clip = make_clip(points=20, motions=3, frames=8)
+    found = mseg.segment(clip, "subset")
+    assert found.report["n_motions"] == 3
+    assert np.array_equal(found.labels, mseg.segment(clip, "subset", n_motions=3).labels)
+
+
+def test_groups_too_small_for_a_body_are_counted_by_self_tuning(make_clip):
+    clip = make_clip(points=2, motions=2, frames=4)
+    number = mseg.segment(clip, "affine", count="self_tuning").report["n_motions"]
+    assert mseg.segment(clip, "affine", count="code_length").report["n_motions"] == number
+
+
 @pytest.mark.parametrize("method", ["affine", "homography", "keradd", "coreg", "subset", "consistent"])
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_methods_of_the_paper_find_the_number(method, criterion, make_clip):
