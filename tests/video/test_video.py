@@ -201,7 +201,9 @@ def test_the_largest_group_is_thinned_the_second_time(monkeypatch):
         return Segmentation(1 + (np.arange(1000) >= 950), {"margin": 20.0}, np.arange(1000))
 
     monkeypatch.setattr(parts, "segment", halves)
-    labels, margin = parts._segmented_twice(tracks, {"method": "any", "seed": 1})
+    steps = []
+    labels, margin = parts._segmented_twice(tracks, {"method": "any", "seed": 1}, steps.append)
+    assert steps == [0, 1]
     assert (len(seen[0]), len(seen[1])) == (1000, 250)  # 200 of the background, and all others
     assert set(range(950, 1000)) <= set(seen[1].tolist())
     assert (np.bincount(labels).tolist(), margin) == ([0, 950, 50], 20.0)
