@@ -41,6 +41,7 @@ T = TypeVar("T")
 
 FORMAT = "kt3dmoseg-annotation"
 PROPOSALS = "kt3dmoseg-proposals"  # the same content, which nobody has checked: no annotation
+BUILT = ".proposals.json"  # after the clip's name, in the folder of annotations
 VERSION = 1
 PROTOCOL = 1
 BACKGROUND = 0

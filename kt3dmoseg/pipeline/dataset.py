@@ -17,8 +17,8 @@ import scipy
 
 import kt3dmoseg
 from kt3dmoseg import pipeline, tracking
-from kt3dmoseg.annotate import Annotation, proposals, save_annotation
-from kt3dmoseg.annotate.model import PROPOSALS
+from kt3dmoseg.annotate import Annotation, save_annotation
+from kt3dmoseg.annotate.model import BUILT, PROPOSALS
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, sha256_files
 from kt3dmoseg.flow import backend_identity, create
@@ -306,8 +306,10 @@ def _build_and_propose(
     settings: _Settings, output: Path, force: bool, folder: Path, task: _Task, progress: Progress
 ) -> Outcome:
     """Build one clip; write proposals where nothing labels it and none of the same trajectories are there."""
+    from kt3dmoseg.annotate import proposals
+
     outcome = _build_file(settings, output, force, task, progress)
-    name, file = outcome.name, folder / f"{outcome.name}{proposals.BUILT}"
+    name, file = outcome.name, folder / f"{outcome.name}{BUILT}"
     kept = file.exists() and outcome.status == "up to date"
     if outcome.status == "failed" or outcome.labels or kept or (folder / f"{name}.json").exists():
         return outcome

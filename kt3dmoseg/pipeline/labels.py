@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.annotate import label_tracks, load_annotation
-from kt3dmoseg.annotate.proposals import BUILT
+from kt3dmoseg.annotate.model import BUILT
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io.images import decode_indices, void_ids

@@ -41,8 +41,6 @@ PROPOSERS = Registry(
     },
     group="kt3dmoseg.proposers",
 )
-BUILT = ".proposals.json"
-"""What a file of proposals has after the clip's name, in the folder of annotations."""
 _MAX_FILE = 64 << 20
 # Seeds lie 8 pixels apart where there is texture; smooth parts of a car leave gaps of some 30 pixels.
 _REACH = 16

@@ -234,7 +234,7 @@ class Routes:
 
 
 def _built(session: ClipSession) -> Path:
-    return session.source.annotation.with_suffix(proposals.BUILT)
+    return session.source.annotation.with_suffix(model.BUILT)
 
 
 def _given(session: ClipSession, body: bytes) -> Annotation:
