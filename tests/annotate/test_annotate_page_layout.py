@@ -277,9 +277,9 @@ def test_a_key_frame_is_dragged_along_the_timeline(page):
     assert (first["frame"], last["frame"], last["visibility"]) == (2, 3, "outside")
     # The outline is the one that was shown there, where the object is.
     assert near(first["polygons"][0], [(x + 8, y) for x, y in CORNERS], 1.5)
-    page.press("Control+.")
+    page.press("Shift+M")
     page.shows("#hint", "another key frame")
-    page.press("Control+,")
+    page.press("Shift+N")
     page.until("labeller.state.frame === 1 && labeller.state.doc.objects[0].key_frames[0].frame === 1")
     page.press("Control+z", "Control+z", "Control+z")
     assert [key["frame"] for key in page.objects()[0]["key_frames"]] == [0, 5]

@@ -37,7 +37,7 @@ for (const [id, keys, shown, run] of [
 ]) {
   const input = byId(id);
   const update = () => document.activeElement !== input && state.clip && (input.value = shown());
-  input.onchange = () => run(input.value);
+  input.onchange = () => input.value.trim() && run(input.value);
   input.onfocus = () => input.select();
   input.onblur = update;
   on(keys, update);

@@ -32,7 +32,7 @@ function itemAt({ target, clientX, clientY, pointerType }) {
   const listed = target.closest(".entry");
   if (listed) return state.doc.objects.find((item) => String(item.id) === listed.dataset.id);
   const box = stage.getBoundingClientRect();
-  return target.closest("#stage") && pointerType ? objectUnder(toImage([clientX - box.left, clientY - box.top]))
+  return target.closest("#stage") && pointerType !== "" ? objectUnder(toImage([clientX - box.left, clientY - box.top]))
     : selectedObject(); // asked for by key
 }
 

@@ -135,7 +135,7 @@ function doubleClick(event) {
 /** The right button takes back a point while drawing, deletes one under it, and else opens the menu. */
 function removeVertex(event) {
   if (!state.view) return;
-  const found = selectedObject() && !state.pending && event.pointerType
+  const found = selectedObject() && !state.pending && event.pointerType !== ""
     && nearestVertex(at(event).point, actions.regionHere().polygons, REACH / state.view.scale);
   if (found) actions.deleteVertex(found);
   else if (state.pending) actions.takeBackPoint();
