@@ -19,7 +19,7 @@ const list = byId("objects");
 const properties = byId("properties");
 
 function drawList() {
-  if (!state.doc) return;
+  if (!state.doc || state.dragging) return;
   const { objects } = state.doc;
   const focused = list.contains(document.activeElement) && document.activeElement.closest(".entry")?.dataset.id;
   fill(list, objects.length ? objects.map(entry)
@@ -103,6 +103,6 @@ function counts() {
 }
 
 list.onscroll = () => set({ scrolled: list.scrollTop });
-on(["doc", "selected", "clip", "unseen", "locked", "weak"], drawList);
+on(["doc", "dragging", "selected", "clip", "unseen", "locked", "weak"], drawList);
 on(["clip"], () => fill(properties.elements.kind, state.clip.kinds.map((kind) => element("option", {}, kind))));
 on(["doc", "selected", "frame", "labels", "regions", "dragging", "clip"], drawProperties);

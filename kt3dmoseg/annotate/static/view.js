@@ -163,5 +163,7 @@ function image(clip, frame) {
 
 on(["frame", "clip"], load);
 on(["frame", "view", "loaded", "clip", "flickered", "pixels", "resized"], drawPicture);
-on(["brightness", "contrast"],
-  () => (canvas.style.filter = `brightness(${state.brightness}) contrast(${state.contrast})`));
+on(["brightness", "contrast"], () => {
+  const { brightness, contrast } = state;
+  canvas.style.filter = brightness === 1 && contrast === 1 ? "" : `brightness(${brightness}) contrast(${contrast})`;
+});
