@@ -6,6 +6,7 @@ NaN. Metadata and data carry checksums, so that damage is noticed.
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from collections.abc import Iterator
@@ -39,7 +40,8 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write a clip; InvalidValueError when its provenance is not made of JSON values."""
     values = clip_values(clip)
     # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
-    with _new_file() as file:
+    image = io.BytesIO()
+    with _new_file(image) as file:
         _write_trajectories(file, clip.dense)
         attributes: dict[str, Any] = {"format": FORMAT, "version": np.int64(VERSION)}
         for name, field in ((name, FIELDS[name]) for name in FIELDS if name in values):
@@ -52,9 +54,7 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
         for place, value in attributes.items():
             group, _, key = place.rpartition("/")
             _untimed_group(file, group).attrs.create(key, _fixed(value))
-        file.flush()
-        image = file.id.get_file_image()
-    write_bytes(path, image)
+    write_bytes(path, image.getvalue())
 
 
 def read(path: str | os.PathLike[str]) -> Clip:
@@ -78,13 +78,13 @@ def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
         return Fields(f"{where}: ", values).json("provenance")
 
 
-def _new_file() -> h5py.File:
+def _new_file(image: io.BytesIO) -> h5py.File:
     # The 1.10 file format has checksums on metadata; times are switched off for root and groups.
     creation = h5py.h5p.create(h5py.h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
     access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
     access.set_libver_bounds(h5py.h5f.LIBVER_V110, h5py.h5f.LIBVER_V110)
-    access.set_fapl_core(_CHUNK_BYTES, False)
+    access.set_fileobj_driver(h5py.h5fd.fileobj_driver, image)
     name = uuid4().hex.encode()  # two threads cannot open files of one name, not even in memory
     return h5py.File(h5py.h5f.create(name, h5py.h5f.ACC_TRUNC, creation, access))
 

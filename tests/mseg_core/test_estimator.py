@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from scipy.cluster.vq import kmeans2
 from sklearn.base import clone
+from sklearn.cluster import KMeans
 from sklearn.utils.estimator_checks import check_estimator
 
 import mseg
@@ -26,7 +26,8 @@ class Places:
 
     def segment(self, clip, *, n_motions, rng):
         xy = clip.evaluated_trajectories.xy.reshape(len(clip.evaluated), -1)
-        return mseg.Segmentation(kmeans2(np.nan_to_num(xy), n_motions, minit="++", rng=rng)[1] + 1)
+        means = KMeans(n_motions, random_state=int(rng.integers(99)))
+        return mseg.Segmentation(means.fit_predict(np.nan_to_num(xy)) + 1)
 
 
 class LikePixels(mseg.MotionSegmenter):
