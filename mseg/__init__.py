@@ -9,7 +9,9 @@ from kt3dmoseg.registry import lazy
 
 if TYPE_CHECKING:
     from mseg import benchmark as benchmark
+    from mseg import errors as errors
     from mseg import methods as methods
+    from mseg import types as types
     from mseg.estimator import MotionSegmenter as MotionSegmenter
     from mseg.evaluation import score as score
     from mseg.methods import segment as segment
