@@ -8,7 +8,7 @@ A page says where a table goes, and everything up to the end mark is replaced:
     <!-- table: summary kt3dmoseg 2018 -->
     <!-- end of table -->
 
-Tables are `summary`, `per-clip` and `short` (the README's), each of a benchmark and a dataset version.
+Tables are `methods`, `summary`, `per-clip` and `short` (README), each of a benchmark and a data version.
 results/SCHEMA.json is written too.
 """
 
@@ -55,7 +55,49 @@ def short(results: list[PublishedResult]) -> ResultsTable:
     return ResultsTable("", columns, rows)
 
 
-TABLES = {"summary": summary, "per-clip": per_clip, "short": short}
+def methods(results: list[PublishedResult]) -> ResultsTable:
+    """Make the table of all methods: the number of motions given, found, and as printed."""
+    first, rows = results[0], []
+    for title in dict.fromkeys(each.title for each in results):
+        of = {each.n_motions: each for each in results if each.title == title}
+        name = next(iter(of.values())).published
+        printed = first.protocol.published.get(name, {}).get("all", {}).get("mean")
+        cells = [cell for way in ("given", "found") for cell in _error_and_seeds(of.get(way))]
+        right = f"{100 * _right(of['found']):.0f}" if "found" in of else ABSENT
+        rows.append(
+            [
+                f"`{title}`",
+                *cells,
+                right,
+                ABSENT if printed is None or "given" not in of else f"{printed:.2f}",
+            ]
+        )
+    columns = ["method", "number given, error", "seeds", "number found, error", "seeds", "number right, %"]
+    title = f"{first.heading}: classification error in %, lower is better"
+    return ResultsTable(title, [*columns, f"as printed, all {first.protocol.n_clips}"], rows)
+
+
+def _error_and_seeds(result: PublishedResult | None) -> list[str]:
+    if result is None:
+        return [ABSENT, ABSENT]
+    means = 100 * result.errors.mean(axis=0)
+    spread = f" ±{means.std(ddof=1):.2f}" if len(means) > 1 else ""
+    return [f"{means.mean():.2f}{spread}", str(len(means))]
+
+
+def _right(result: PublishedResult) -> float:
+    clips = result.clips.values()
+    return sum(found == clip.motions for clip in clips for found in clip.found) / sum(
+        len(clip.found) for clip in clips
+    )
+
+
+def clips_of_main(results: list[PublishedResult]) -> ResultsTable:
+    """Make the table of every clip, of the methods of the paper and ours."""
+    return per_clip([each for each in results if each.title in {*ABOUT, "multibody"}])
+
+
+TABLES = {"methods": methods, "summary": summary, "per-clip": clips_of_main, "short": short}
 
 
 def filled(text: str, results: Mapping[tuple[str, str], list[PublishedResult]]) -> str:

@@ -4,7 +4,7 @@ Runs all methods x benchmarks x seeds that are not in the cache yet, so it can b
 again, and writes one Markdown page: error (mean over clips and seeds, and the standard deviation of the
 mean over seeds), the published figure, and seconds per sequence. What is missing of a benchmark is listed.
 
-    python tools/reproduce_table1.py --seeds 3 --workers 2 --write docs/baselines-results.md
+    python tools/reproduce_table1.py --seeds 3 --workers 2 --write table.md
 
 The data are looked for in $KT3DMOSEG_DATA, or else in ../shared/data.
 """
