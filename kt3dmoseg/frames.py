@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import PathLike, listed, sha256_file, sha256_files
+from kt3dmoseg.files import PathLike, listed, sha256_file, sha256_files, write_text
 from kt3dmoseg.io import dataset_paths, images, load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _DRIVE_FOLDERS = "????_??_??/*_drive_????_sync"
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})")
+_EVEN = 1.5  # a video whose frames are further apart than this many times the least has a variable rate
 _DAY_OR_DRIVE = re.compile(r"\d{4}_\d\d_\d\d(_drive_\d{4}_sync)?")
 
 
@@ -42,6 +43,7 @@ class FrameInfo:
     description: dict[str, Any]
     timestamps: FloatArray | None = None
     camera: Camera | None = None
+    notes: tuple[str, ...] = ()  # what a person should know of them
 
 
 @dataclass(frozen=True)
@@ -142,13 +144,22 @@ class VideoFile:
 
     def inspect(self) -> FrameInfo:
         """Hash the file."""
-        description = {"kind": "video", "file": self.file.name, "sha256": sha256_file(self.file)}
-        cut = self.cut.describe()
-        return FrameInfo(self.numbers() if cut else None, description | ({"cut": cut} if cut else {}))
+        description: dict[str, Any] = {"kind": "video", "file": self.file.name}
+        description["sha256"] = sha256_file(self.file)
+        cut, (times, turned) = self.cut.describe(), images.video_facts(self.file)
+        numbers = self.cut.of(range(len(times)), self.where)
+        gaps = np.diff(times)
+        uneven = len(gaps) and gaps.max() > _EVEN * gaps.min()
+        notes = [f"turned upright by {turned} degrees, as the file states"] * bool(turned)
+        if uneven:
+            least, most = 1000 * gaps.min(), 1000 * gaps.max()
+            notes += [f"frames are {least:.0f} to {most:.0f} ms apart; their times are kept"]
+        description |= {"cut": cut} if cut else {}
+        return FrameInfo(numbers, description, times[np.array(numbers)], notes=tuple(notes))
 
     def numbers(self) -> Sequence[int]:
         """Numbers of the frames; the video is decoded to count them."""
-        return self.cut.of(range(images.count_frames(self.file)), self.where)
+        return self.cut.of(range(len(images.video_facts(self.file)[0])), self.where)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield the luma of every frame that is taken."""
@@ -276,6 +287,15 @@ def find_sources(path: PathLike) -> list[FrameSource]:
             what = f"{inside[0].name}, no pictures" if inside else "an empty folder"
             raise InputFileError(f"{root}", expected=expected, found=what, fix=fix)
     return sorted(found, key=lambda source: source.name)
+
+
+def one_source(path: PathLike) -> FrameSource:
+    """Return the only clip at a path; InvalidValueError when there are more, see `find_sources`."""
+    found = find_sources(path)
+    if len(found) != 1:
+        fix = "give the frames of one"
+        raise InvalidValueError(f"{path}", expected="one clip", found=f"{len(found)}", fix=fix)
+    return found[0]
 
 
 def choose_sources(
@@ -459,17 +479,37 @@ def frames_of(clip: Clip, root: PathLike) -> list[ByteArray]:
     `frame_folder` finds them below `root`, or `root` is their folder. Of pictures in colour the luma
     is taken, of a KITTI drive the frames of the clip's numbers. Those of another clip are refused.
     """
-    folder = frame_folder(clip, root) or Path(root)
-    paths, size = _paths_of(clip, folder), clip.dense.image_size
+    folder, size = frame_folder(clip, root) or Path(root), clip.dense.image_size
+    if folder.is_file():
+        return _frames_of_video(clip, VideoFile(folder))
+    paths = _paths_of(clip, folder)
     if len(paths) != clip.n_frames:
         expected = f"the {clip.n_frames} frames of {clip.name}"
         raise InputFileError(f"{folder}", expected=expected, found=f"{len(paths)}")
-    frames = list(read_frames(paths, "luma"))
+    frames = list(_cut_of(clip).resized(read_frames(paths, "luma")))
     height, width = frames[0].shape
     if size not in (None, (width, height)):
         expected = "frames of {}x{} px, as in {}".format(*size, clip.name)
         raise InputFileError(f"{folder}", expected=expected, found=f"{width}x{height}")
     check_frames(clip.provenance, clip.name, paths)
+    return frames
+
+
+def _cut_of(clip: Clip) -> Cut:
+    """Return how the frames of a built or tracked clip were cut, as far as reading them needs it."""
+    cut, numbers = _source(clip.provenance).get("cut", {}), clip.frame_numbers.tolist()
+    step = numbers[1] - numbers[0] if len(numbers) > 1 else 1
+    return Cut(numbers[0], numbers[-1], step, tuple(cut["size"]) if "size" in cut else None)
+
+
+def _frames_of_video(clip: Clip, video: VideoFile) -> list[ByteArray]:
+    source = _source(clip.provenance)
+    frames = list(replace(video, cut=_cut_of(clip)).frames("luma"))
+    same = source.get("sha256") in (None, sha256_file(video.file)) if source.get("kind") == "video" else True
+    if len(frames) != clip.n_frames or not same:
+        found = f"{len(frames)} frames" if same else "another video (by its sha256)"
+        expected = f"the video of the {clip.n_frames} frames of {clip.name}"
+        raise InputFileError(f"{video.file}", expected=expected, found=found)
     return frames
 
 
@@ -500,13 +540,13 @@ def recorded_inputs(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _source(provenance: Mapping[str, Any], kind: str = "") -> Mapping[str, Any]:
     """Return the recorded source of a built clip, if it is of this kind."""
-    source = recorded_inputs(provenance).get("source")
+    source = recorded_inputs(provenance).get("source", provenance.get("source"))
     return source if isinstance(source, Mapping) and kind in ("", source.get("kind")) else {}
 
 
 def _paths_of(clip: Clip, folder: Path) -> list[Path]:
     """List a folder's numbered pictures, or of a KITTI drive those that the clip was built from."""
-    if _source(clip.provenance, "kitti") and folder.is_dir():
+    if (_source(clip.provenance, "kitti") or "cut" in _source(clip.provenance)) and folder.is_dir():
         pictures, numbers = images.numbered_pictures(folder), clip.frame_numbers.tolist()
         if set(numbers) <= set(pictures):
             return [pictures[number] for number in numbers]
@@ -538,6 +578,8 @@ def find_clips(
     next to the files, or in ``frames`` next to their folder. `tracks` adds more.
     """
     given = Path(path)
+    if given.suffix.lower() in images.VIDEO_SUFFIXES and given.is_file():
+        given = _extracted(VideoFile(given), Path(annotations))
     if catalogs or any(given.glob(_DRIVE_FOLDERS)):
         return _clips_of_root(given, annotations, tracks, catalogs)
     folders, files = {given.resolve().name: given}, _clip_files(given)
@@ -558,6 +600,16 @@ def find_clips(
         paths = frame_paths(known) if known else _frames_of_file(name, files[name], given, frames)
         out[name] = ClipFiles(name, tuple(paths), files.get(name), Path(annotations, f"{name}.json"))
     return out
+
+
+def _extracted(video: VideoFile, folder: Path) -> Path:
+    """Write the frames of a video for the labelling page, once: ``FOLDER/.frames/<name>-<sha256>/<name>``."""
+    target = folder / ".frames" / f"{video.name}-{sha256_file(video.file)[:12]}" / video.name
+    if not (target.parent / "complete").is_file():
+        for number, frame in enumerate(video.frames("luma")):
+            images.write_png(target / f"{number:06d}.png", frame)
+        write_text(target.parent / "complete", "")
+    return target
 
 
 def _clips_of_root(

@@ -163,6 +163,8 @@ def _run(make: Callable[..., list[Outcome]], total: int, output: Path) -> list[O
         if outcome.status == "failed":
             tqdm.write(f"kt3dmoseg: {outcome.name} failed: {app.typed(outcome.reason)}", file=sys.stderr)
             return
+        for note in outcome.notes:
+            tqdm.write(f"kt3dmoseg: warning: {outcome.name}: {note}", file=sys.stderr)
         line = f"{outcome.name}: {outcome.status}" + (f" ({outcome.reason})" if outcome.reason else "")
         numbers = ", ".join(f"{count} {what}" for what, count in outcome.counts.items())
         tqdm.write(f"{line}: {numbers}" if numbers else line)
@@ -230,7 +232,7 @@ def synth(
 
 @flags(TrackOptions)
 def track(
-    frames: Annotated[Folder, Parameter(help="Folder of frames.")],
+    frames: Annotated[Either, Parameter(help="Folder of frames, a video, or a KITTI raw root.")],
     *,
     output: Annotated[File, Parameter(alias="-o", help="File to write.")],
     flow: Annotated[Name, Parameter(help="Optical flow.")] = "dis",
@@ -239,14 +241,20 @@ def track(
     colour: Annotated[
         Literal["refuse", "luma"], Parameter(help="Colour frames: refuse them, or take their luma.")
     ] = "refuse",
+    drive: Annotated[str | None, _part(help="Number of the drive of a KITTI raw root.")] = None,
+    range_: Annotated[Range | None, _part(help="Frame numbers, both included; a video's from 0.")] = None,
+    step: Annotated[Positive, _part(help="Take every N-th frame.")] = 1,
+    size: Annotated[Size, _part(help="Resize the frames.")] = "",
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Frames to dense point trajectories.
 
     Writes every trajectory, unlabelled, in the format that the suffix of FILE names (.h5, .mat, .npz, .dat).
     """
+    from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.files import check_target, check_writable
     from kt3dmoseg.flow import create
+    from kt3dmoseg.frames import choose_sources
     from kt3dmoseg.io import save
     from kt3dmoseg.io.formats import written_as
     from kt3dmoseg.options import parse_assignments
@@ -256,8 +264,14 @@ def track(
     written_as(output)
     check_target(output)
     check_writable(output.parent)
+    sources = choose_sources(frames, drive=drive, frames=range_, step=step, size=size)
+    if len(sources) != 1:
+        names = ", ".join(source.name for source in sources[:3])
+        raise InvalidValueError(f"{frames}", expected="one clip", found=f"{len(sources)}: {names}")
+    for note in sources[0].inspect().notes:
+        _warn(f"{frames}: {note}")
     with progress_bar("frame") as progress:
-        clip = track_clip(frames, backend, colour=colour, cache=cache, progress=progress, **options)
+        clip = track_clip(sources[0], backend, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)
     print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
 

@@ -19,7 +19,7 @@ from PIL import Image, UnidentifiedImageError
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import atomic_path, listed, read_bytes, write_bytes
 from kt3dmoseg.matching import number_in
-from kt3dmoseg.types import ByteArray, IntArray
+from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
 Colour: TypeAlias = Literal["refuse", "luma"]
 
@@ -315,13 +315,17 @@ def read_video(
         raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
 
 
-def count_frames(path: str | os.PathLike[str]) -> int:
-    """Count the pictures of a video by decoding it: what its header states is often wrong."""
+def video_facts(path: str | os.PathLike[str]) -> tuple[FloatArray, int]:
+    """Return the time of every picture of a video in seconds, and by how many degrees pictures are turned.
+
+    The video is decoded: the number in its header is often wrong. `read_video` turns the pictures.
+    """
     with _opened_video(path) as video:
-        count = sum(1 for _ in iter(video.grab, False))
-    if not count:
+        times = [video.get(cv2.CAP_PROP_POS_MSEC) / 1000 for _ in iter(video.grab, False)]
+        turned = int(video.get(cv2.CAP_PROP_ORIENTATION_META))
+    if not times:
         raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
-    return count
+    return np.array(times), turned % 360
 
 
 def resized(frame: ByteArray, size: tuple[int, int]) -> ByteArray:

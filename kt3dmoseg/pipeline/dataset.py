@@ -22,7 +22,7 @@ from kt3dmoseg.annotate.model import BUILT, PROPOSALS
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, sha256_files
 from kt3dmoseg.flow import backend_identity, create
-from kt3dmoseg.frames import FrameSource, find_sources, recorded_inputs
+from kt3dmoseg.frames import FrameSource, find_sources, one_source, recorded_inputs
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.options import from_mapping, option_names
@@ -58,6 +58,8 @@ class Outcome:
         Frames, trajectories, evaluated and motions of a clip that was built.
     labels : {"annotation", "masks", ""}
         What it is labelled by.
+    notes : tuple of str
+        What a person should know of its frames.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Outcome:
     path: Path
     counts: Mapping[str, int]
     labels: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def build_clip(
@@ -118,11 +121,7 @@ def build_clip(
     """
     settings = _Settings(options, flow_parameters, cache, shift)
     if isinstance(source, (str, os.PathLike)):
-        found = find_sources(source)
-        if len(found) != 1:
-            number, fix = f"{len(found)}", "build_dataset builds many"
-            raise InvalidValueError(os.fspath(source), expected="one clip", found=number, fix=fix)
-        source = found[0]
+        source = one_source(source)
     [files] = find_labels([source.name], annotation, masks)
     [given] = [None] if tracks is None else find_tracks([source.name], tracks)
     return _Job((source, files, given), settings).build(progress)
@@ -299,7 +298,7 @@ def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, pro
     sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
     counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
     counts |= clip.provenance.get("dropped", {})
-    return Outcome(name, "built", reason, target, counts, labels)
+    return Outcome(name, "built", reason, target, counts, labels, job.info.notes)
 
 
 def _build_and_propose(

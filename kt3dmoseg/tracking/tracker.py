@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import sha256_file
 from kt3dmoseg.flow import Flow, check_frame, flow_pair
 from kt3dmoseg.flow import create as create_flow
-from kt3dmoseg.io.images import Colour, frame_number, frame_paths, read_frame, read_frames
+from kt3dmoseg.frames import FrameSource, one_source
+from kt3dmoseg.io.images import Colour, read_frame
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking.appearance import Appearance
 from kt3dmoseg.tracking.linking import inside, new_seeds, step
@@ -60,7 +60,8 @@ def track(
     Parameters
     ----------
     frames : path-like, or iterable of arrays or of path-likes
-        A folder of images; or gray frames (H, W) uint8, as an array (F, H, W) has, or the paths of images.
+        A folder of images, or a video, of which the luma is taken; or gray frames (H, W) uint8, as an array
+        (F, H, W) has, or the paths of images.
         An array whose last dimension is by far the shortest is taken for (H, W, F) and refused. An iterator
         is consumed one frame at a time, so a clip of any length needs only the memory of two frames,
         one pair of flow fields, and its trajectories.
@@ -90,7 +91,7 @@ def track(
     """
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
-    items = frame_paths(frames) if isinstance(frames, (str, os.PathLike)) else frames
+    items = one_source(frames).frames("refuse") if isinstance(frames, (str, os.PathLike)) else frames
     _check_axes(frames)
     total, report = len(items) if isinstance(items, Sized) else None, progress or (lambda done, total: None)
     chosen = None if seeds is None else _checked(seeds)
@@ -135,7 +136,7 @@ def _check_axes(frames: Frames) -> None:
 
 
 def track_clip(
-    folder: str | os.PathLike[str],
+    frames: str | os.PathLike[str] | FrameSource,
     flow: str | Flow = "dis",
     *,
     colour: Colour = "refuse",
@@ -143,45 +144,51 @@ def track_clip(
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401
 ) -> Clip:
-    """Track a folder of frames: a clip with every trajectory evaluated and none labelled.
+    """Track the frames of one clip: every trajectory is evaluated and none labelled.
 
     Parameters
     ----------
-    folder : path-like
-        Numbered frames; the clip takes the folder's name.
+    frames : path-like or FrameSource
+        A folder of numbered frames, a video, a KITTI raw root with one clip, or a part of these, as
+        `kt3dmoseg.frames.choose_sources` gives; the clip takes its name.
     colour : {"refuse", "luma"}
-        What to do with frames in colour, see `kt3dmoseg.io.images.read_frame`.
+        What to do with frames in colour, see `kt3dmoseg.io.images.read_frame`; of videos the luma is taken.
     flow, cache, progress, **options
         As in `kt3dmoseg.track`.
 
     Returns
     -------
     Clip
-        Its provenance holds the frames' sha256, every option and the versions.
+        Its provenance holds what the frames are with their sha256, every option and the versions.
 
     Raises
     ------
     InputFileError, FileFormatError
-        For a folder or frame that cannot be read.
+        For frames that cannot be read.
     InvalidValueError, UnknownNameError
-        As `kt3dmoseg.track`.
+        As `kt3dmoseg.track`, and for several clips.
     """
     settings = from_mapping(TrackOptions, options, where="track")
     backend = create_flow(flow) if isinstance(flow, str) else flow
-    paths = frame_paths(folder)
-    frames = paths if colour == "refuse" else read_frames(paths, colour)
-    dense = track(frames, backend, cache=cache, progress=progress, **dataclasses.asdict(settings))
+    source = one_source(frames) if isinstance(frames, (str, os.PathLike)) else frames
+    info = source.inspect()
+    total = None if info.numbers is None else len(info.numbers)
+    report = None if progress is None else lambda done, _: progress(done, total)
+    shown = dataclasses.asdict(settings)
+    dense = track(source.frames(colour), backend, cache=cache, progress=report, **shown)
     return Clip(
-        name=Path(folder).resolve().name,
+        name=source.name,
         dense=dense,
         evaluated=np.arange(len(dense)),
         labels=Labels(np.zeros(len(dense), dtype=np.int64)),
-        frame_numbers=np.array([frame_number(path) for path in paths]),
+        frame_numbers=np.array(info.numbers if info.numbers is not None else range(dense.n_frames)),
+        timestamps=info.timestamps,
+        camera=info.camera,
         provenance={
-            "frames": {path.name: sha256_file(path) for path in paths},
+            "source": info.description,
             "flow": type(backend).__name__,
             "flow_options": dataclasses.asdict(backend) if dataclasses.is_dataclass(backend) else {},
-            "track_options": dataclasses.asdict(settings),
+            "track_options": shown,
             "versions": {"kt3dmoseg": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
         },
     )
