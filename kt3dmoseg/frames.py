@@ -293,7 +293,7 @@ def one_source(path: PathLike) -> FrameSource:
     """Return the only clip at a path; InvalidValueError when there are more, see `find_sources`."""
     found = find_sources(path)
     if len(found) != 1:
-        fix = "give the frames of one"
+        fix = "build_dataset builds many"
         raise InvalidValueError(f"{path}", expected="one clip", found=f"{len(found)}", fix=fix)
     return found[0]
 
