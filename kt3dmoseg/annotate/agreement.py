@@ -19,6 +19,8 @@ from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
 # Bytes of eight pixels each, of all objects together, that are compared at once.
 _BLOCK = 1 << 18
+# Shadows and far walkers that two people outlined overlap by 0.2; neighbours by less than this.
+_SAME_PLACE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,13 +169,14 @@ def compare_objects(
 ) -> list[ObjectPair]:
     """Pair the objects of two annotators so that they overlap most (Kuhn 1955), those that differ most first.
 
-    `labels` (n,) of the same trajectories join the motions; without any those of paired objects correspond.
+    What overlaps by an IoU of less than 0.1 is two objects, of which each annotator missed one. `labels` (n,)
+    of the same trajectories join the motions; where they tell nothing, those of paired objects correspond.
     """
     one, two = ({item.id: item for item in side.objects} for side in annotations)
     (ids, others), size = map(list, regions), annotations[0].image_size
     overlap = overlaps(*regions, size)
     chosen = zip(*linear_sum_assignment(overlap, maximize=True), strict=True)
-    found = [(ids[i], others[j], float(overlap[i, j])) for i, j in chosen if overlap[i, j] > 0]
+    found = [(ids[i], others[j], float(overlap[i, j])) for i, j in chosen if overlap[i, j] > _SAME_PLACE]
     found += [(i, 0, 0.0) for i in sorted(set(ids) - {i for i, _, _ in found})]
     found += [(0, j, 0.0) for j in sorted(set(others) - {j for _, j, _ in found})]
     compared = agree(*labels) if labels else None
@@ -193,10 +196,15 @@ def _renumbered(
     if b is None or b.motion in (BACKGROUND, REJECT):
         return b.motion if b else None
     if compared is None:
-        known = a.motion if a and a.motion != REJECT else BACKGROUND
+        taken, label = set[int](), None
     else:
-        known = {other: label for label, other in compared.matching.items()}.get(int(b.motion) + 1, 1) - 1
-    return known or None
+        taken = set(compared.matching)
+        label = {other: mine for mine, other in compared.matching.items()}.get(int(b.motion) + 1)
+    if label is not None:
+        return label - 1 or None
+    # No trajectory tells: in one place they are the same, unless the first's is another of the second's.
+    alone = a is not None and a.motion not in (BACKGROUND, REJECT) and int(a.motion) + 1 not in taken
+    return a.motion if a and alone else None
 
 
 def _most_apart(a: Sequence[Region], b: Sequence[Region], size: tuple[int, int]) -> int:

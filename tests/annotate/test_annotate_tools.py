@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from sklearn.metrics import cohen_kappa_score
 
 from kt3dmoseg import cli, io
-from kt3dmoseg.annotate import load_annotation, save_revision
-from kt3dmoseg.annotate.agreement import agree, overlaps
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, load_annotation, save_revision
+from kt3dmoseg.annotate.agreement import agree, compare_objects, overlaps
 from kt3dmoseg.annotate.overlay import draw_view
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.draw.palette import motion_colour
@@ -189,3 +189,34 @@ def test_many_objects_are_compared_in_bounded_memory():
     assert np.array_equal(np.diag(found)[:30], np.ones(30))
     assert found[0, 1] == pytest.approx(40**2 / (2 * 50**2 - 40**2), abs=0.03)
     assert overlaps({}, mine, (1242, 375)).shape == (0, 60)
+
+
+def outlined(*boxes):
+    """An annotation of boxes (name, motion, x), and where they are."""
+    items, regions = [], {}
+    for number, (name, motion, x) in enumerate(boxes, 1):
+        polygon = ((x, 10), (x + 40, 10), (x + 40, 50), (x, 50))
+        items.append(AnnotatedObject(number, name, "car", motion, (KeyFrame(0, polygons=(polygon,)),)))
+        regions[number] = [Region("visible", (np.array(polygon, float),), True)] * 2
+    return Annotation("clip", (200, 60), 2, tuple(items)), regions
+
+
+def test_objects_are_paired_by_place_and_motion():
+    one, at_one = outlined(("van", 1, 0), ("walker", 2, 60), ("far car", 3, 140))
+    two, at_two = outlined(("bus", 4, 2), ("runner", 2, 96), ("dot", 5, 141))
+    labels = np.array([1, 1, 2, 2, 2, 3]), np.array([1, 1, 5, 5, 1, 1])  # the last objects label none
+    found = compare_objects((one, two), (at_one, at_two), labels)
+    assert [pair.verdict("A", "B") for pair in found] == [
+        "missed by B: walker",  # by 4 pixels of 40 it is not the runner
+        "missed by A: runner",
+        "labels differ: van / bus",
+        "same labels: far car / dot",
+    ]
+    assert [pair.different for pair in found] == [1, 0, 1, 0]
+    assert [pair.motion for pair in found] == [None, None, 1, 3]
+    two, at_two = outlined(("bus", 4, 0), ("bike", "reject", 60))
+    found = compare_objects((one, two), (at_one, at_two), labels)
+    assert [pair.verdict("A", "B") for pair in found][:2] == [
+        "missed by B: far car",
+        "another motion: walker / bike",
+    ]
