@@ -14,7 +14,6 @@ GAP = 5  # frames over which motion is measured, as in the synthetic benchmark
 _FLAT = 1.0  # px: a scene that a homography explains to within this has no measurable epipolar lines
 _FITS = 4  # of a frame pair, each without what the one before left far off
 _FEWEST = 12  # static trajectories that fix the geometry of a frame pair; eight are minimal
-_THIRDS = [f"{row} {column}" for row in ("top", "middle", "bottom") for column in ("left", "centre", "right")]
 
 
 @dataclass(frozen=True)
@@ -148,53 +147,43 @@ def _from_lines(clip: Clip, _: tuple[int, int]) -> FloatArray:
     return np.where(static, -1.0, from_epipolar_lines(clip.evaluated_trajectories, static))
 
 
-def _between(*bounds: float) -> tuple[str, ...]:
+def _bins(*bounds: float) -> tuple[tuple[float, ...], tuple[str, ...]]:
     middle = (f"{low:g} to {high:g}" for low, high in pairwise(bounds))
-    return (f"under {bounds[0]:g}", *middle, f"{bounds[-1]:g} and over")
+    return bounds, (f"under {bounds[0]:g}", *middle, f"{bounds[-1]:g} and over")
 
 
-_SIZES, _LENGTHS, _SPEEDS, _OFF = (20, 50, 100, 200), (5, 10, 15, 20), (0.5, 2, 4, 8, 16), (0.5, 2, 8)
+_ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
+_NINTHS = tuple(range(1, 9)), tuple(f"{row} {column}" for row in _ROWS for column in _COLUMNS)
+_LINE = (0.0, 0.5, 2, 8), ("static scene", *_bins(0.5, 2, 8)[1])
+_ABOUT_LINE = (
+    "Distance from the epipolar line that the static scene leaves the point. What moves along that line, at "
+    "a small distance, looks static in any two frames. Where the camera rests or only turns: distance from "
+    "where the static scene would be."
+)
 AXES = (
     TrackAxis(
-        "size",
-        "size of the motion, trajectories",
+        *("size", "size of the motion, trajectories"),
         "Number of evaluated trajectories that have the same true motion.",
         lambda clip, _: motion_sizes(clip.labels),
-        _SIZES,
-        _between(*_SIZES),
+        *_bins(20, 50, 100, 200),
     ),
     TrackAxis(
-        "length",
-        "length of the track, frames",
+        *("length", "length of the track, frames"),
         "Number of frames in which the trajectory is visible.",
         lambda clip, _: clip.evaluated_trajectories.lengths.astype(np.float64),
-        _LENGTHS,
-        _between(*_LENGTHS),
+        *_bins(5, 10, 15, 20),
     ),
     TrackAxis(
-        "speed",
-        "speed in the image, px per frame",
+        *("speed", "speed in the image, px per frame"),
         "Median distance between the positions in two consecutive frames.",
         lambda clip, _: speeds(clip.evaluated_trajectories),
-        _SPEEDS,
-        _between(*_SPEEDS),
+        *_bins(0.5, 2, 4, 8, 16),
     ),
+    TrackAxis("line", f"off the epipolar line in {GAP} frames, px", _ABOUT_LINE, _from_lines, *_LINE),
     TrackAxis(
-        "line",
-        f"off the epipolar line in {GAP} frames, px",
-        "Distance from the epipolar line that the static scene leaves the point. What moves along that line, "
-        "at a small distance, looks static in any two frames. Where the camera rests or only turns: distance "
-        "from where the static scene would be.",
-        _from_lines,
-        (0.0, *_OFF),
-        ("static scene", *_between(*_OFF)),
-    ),
-    TrackAxis(
-        "position",
-        "position in the image",
+        *("position", "position in the image"),
         "Ninth of the image in which the trajectory's mean position lies.",
         lambda clip, size: thirds(clip.evaluated_trajectories, size),
-        tuple(range(1, 9)),
-        tuple(_THIRDS),
+        *_NINTHS,
     ),
 )

@@ -99,10 +99,12 @@ function view(root) {
   const slider = find("input[type=range]"), output = find("output"), button = find("button"), strip = find(".strip");
   const onlyErrors = find("input[type=checkbox]"), choice = find("select"), picked = find(".picked"), images = [];
   const canvases = all("figure canvas", root), around = { zoom: 1, x: 0, y: 0 }; // what part of the picture is shown
+  const methods = canvases.map((canvas) => canvas.dataset.method).filter((k) => k !== "").map(Number);
   let timer = 0, track = -1, neighbours = [];
 
   const seed = () => (choice ? Number(choice.value) : runs.length ? runs[0].seed : 0);
   const runOf = (k) => runs.find((r) => r.method === k && r.seed === seed()) ?? runs.find((r) => r.method === k);
+  const wrongOf = (method, n) => (method === "" ? methods : [Number(method)]).some((k) => runOf(k).wrong[n]); // in the truth: by any
   const at = (n, f) => 2 * (n * data.n_frames + f);
   const place = (n, f) => [xy[at(n, f)] / data.scale, xy[at(n, f) + 1] / data.scale];
   const visible = (n, f) => xy[at(n, f)] !== MISSING;
@@ -122,11 +124,12 @@ function view(root) {
     const frame = Number(slider.value);
     output.textContent = `frame ${data.numbers[frame]}`;
     slider.setAttribute("aria-valuetext", output.textContent);
-    canvases.forEach((canvas) => paint(canvas, frame, runOf(Number(canvas.dataset.method)), canvas.dataset.method !== ""));
+    canvases.forEach((canvas) => paint(canvas, frame, canvas.dataset.method));
     drawStrip(frame);
   }
 
-  function paint(canvas, frame, run, predicted) {
+  function paint(canvas, frame, method) {
+    const predicted = method !== "", run = runOf(Number(method));
     const across = canvas.clientWidth || 1000, density = devicePixelRatio || 1;
     const base = Math.min(3, (across * density) / data.width), zoom = base * around.zoom;
     canvas.width = Math.round(data.width * base);
@@ -150,7 +153,7 @@ function view(root) {
       stroke(width, colour);
     };
     (predicted ? run.shown : truth).forEach((label, n) => {
-      const wrong = run && run.wrong[n];
+      const wrong = wrongOf(method, n);
       if (!visible(n, frame) || (onlyErrors.checked && !wrong)) return;
       const colour = colourOf(label, data.background), faint = wanted(n) ? 1 : 0.12;
       pen.beginPath();
@@ -178,7 +181,6 @@ function view(root) {
   }
 
   // Wrong trajectories of every frame, one row of bars per method.
-  const methods = canvases.map((canvas) => canvas.dataset.method).filter((k) => k !== "").map(Number);
   const wrongIn = (run, f) => { let n = 0; run.wrong.forEach((w, i) => { n += w && wanted(i) && visible(i, f) ? 1 : 0; }); return n; };
   function drawStrip(frame) {
     const density = devicePixelRatio || 1, width = strip.clientWidth * density, high = 26 * density;
@@ -262,8 +264,8 @@ function view(root) {
     });
     canvas.addEventListener("click", (event) => {
       if (from && from.moved) return;
-      const [x, y, unit] = where(event), frame = Number(slider.value), k = canvas.dataset.method;
-      const shown = (n) => visible(n, frame) && wanted(n) && !(onlyErrors.checked && !(k === "" ? runOf(0) : runOf(+k))?.wrong[n]);
+      const [x, y, unit] = where(event), frame = Number(slider.value);
+      const shown = (n) => visible(n, frame) && wanted(n) && (!onlyErrors.checked || wrongOf(canvas.dataset.method, n));
       const far = (n) => Math.hypot(place(n, frame)[0] - x, place(n, frame)[1] - y);
       const found = [...Array(count).keys()].filter(shown).reduce((a, b) => (a < 0 || far(b) < far(a) ? b : a), -1);
       select(found >= 0 && far(found) < NEAR * unit ? found : -1);
