@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import os
 import shlex
 from collections import Counter
@@ -14,23 +15,30 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import cv2
-import numpy as np
 
 from kt3dmoseg import __version__, catalog, choosing, tracking
 from kt3dmoseg.choosing import ChooseOptions
 from kt3dmoseg.choosing.windows import Window, measure_windows
 from kt3dmoseg.errors import InputFileError, InvalidValueError
-from kt3dmoseg.files import PathLike, check_writable, hold_folder, write_text
+from kt3dmoseg.files import (
+    JSON_BYTES,
+    PathLike,
+    check_writable,
+    hold_folder,
+    parse_json,
+    read_bytes,
+    write_text,
+)
 from kt3dmoseg.flow import backend_identity, create
 from kt3dmoseg.frames import Cut, FrameSource, KittiClip, choose_sources
 from kt3dmoseg.options import from_mapping
-from kt3dmoseg.parallel import Cache, Progress, cache_key, run_tasks
+from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 
 _PARTS = "measured"  # folder of what is kept of every part, in the folder of results
 _SAME_RECORDING = 0.85  # what another window of a recording that has one already is worth
 _STRIP, _THUMBNAIL, _QUALITY = 5, 260, 70  # pictures, their width, their quality
 
-_Part: TypeAlias = tuple[FrameSource, str]  # and its key
+_Part: TypeAlias = tuple[FrameSource, str]  # and the name of the file that keeps its measures
 _Recordings: TypeAlias = dict[str, FrameSource]
 COLUMNS = ("clip", "score", "translation", "depth", "clutter", "motions", "trajectories", "movers")
 
@@ -116,7 +124,7 @@ def _sources(given: PathLike | Sequence[PathLike | FrameSource]) -> _Recordings:
 
 
 def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
-    """Give the parts of a recording, and the key under which the measures of each are kept."""
+    """Give the parts of a recording, and the name of the file in which the measures of each are kept."""
     info = source.inspect()
     numbers = source.numbers()
     measured = {**asdict(settings), "count": 0, "apart": 0}
@@ -130,7 +138,7 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
             ends = run[start], run[min(start + settings.longest, len(run)) - 1]
             part: Any = source  # a dataclass with a cut
             cut = replace(part.cut, first=ends[0], last=ends[1], name=source.name)
-            yield replace(part, cut=cut), cache_key({**about, "part": ends})
+            yield replace(part, cut=cut), f"{cache_key({**about, 'part': ends})}.json"
 
 
 def _runs(numbers: Sequence[int]) -> list[Sequence[int]]:
@@ -149,7 +157,7 @@ def _measured(
 ) -> list[Window]:
     """Measure every part that is not measured yet; a window that two parts hold is taken from the first."""
     found: dict[tuple[str, int, int], Window] = {}
-    work = partial(_measure_part, settings, Cache(folder))
+    work = partial(_measure_part, settings, folder)
 
     def lost(part: _Part, reason: str) -> list[Window]:
         raise InputFileError(part[0].where, found=reason, fix="run again with fewer workers")
@@ -163,33 +171,19 @@ def _measured(
     return [found[key] for key in sorted(found)]
 
 
-def _measure_part(settings: ChooseOptions, cache: Cache, part: _Part, progress: Progress) -> list[Window]:
+def _measure_part(
+    settings: ChooseOptions, folder: Path | None, part: _Part, progress: Progress
+) -> list[Window]:
     del progress
-    source, key = part
-    kept = cache.get(key)
-    if kept is None:
-        cv2.setNumThreads(1)  # also with one worker, which is the calling process
-        windows = measure_windows(source, settings)
-        cache.put(key, {name: [str(getattr(w, name)) for w in windows] for name in _TEXTS} | _arrays(windows))
-        return windows
-    columns = [kept[name].tolist() for name in ("numbers", "measures", "sizes", *_TEXTS)]
-    return [
-        Window(name, first, last, far, unit, depth, clutter, tuple(filter(None, sizes)), movers, bool(cut))
-        for (first, last, cut), (far, depth, clutter), sizes, name, unit, movers in zip(*columns, strict=True)
-    ]
-
-
-_TEXTS = ("recording", "unit", "movers")
-
-
-def _arrays(windows: Sequence[Window]) -> dict[str, Any]:
-    most = max((w.motions for w in windows), default=0)
-    sizes = [w.sizes + (0,) * (most - w.motions) for w in windows]
-    return {
-        "numbers": np.array([(w.first, w.last, w.cut) for w in windows], dtype=np.int64).reshape(-1, 3),
-        "measures": np.array([(w.translation, w.depth, w.clutter) for w in windows]).reshape(-1, 3),
-        "sizes": np.array(sizes, dtype=np.int64).reshape(len(windows), most),
-    }
+    source, kept = part
+    if folder is not None and (folder / kept).is_file():
+        rows = parse_json(read_bytes(folder / kept, JSON_BYTES), f"{folder / kept}")
+        return [Window(**row | {"sizes": tuple(row["sizes"])}) for row in rows]
+    cv2.setNumThreads(1)  # also with one worker, which is the calling process
+    windows = measure_windows(source, settings)
+    if folder is not None:
+        write_text(folder / kept, json.dumps(list(map(asdict, windows))))
+    return windows
 
 
 def select(windows: Sequence[Window], options: ChooseOptions | None = None) -> list[Window]:

@@ -13,7 +13,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.publishing import PublishOptions
 from kt3dmoseg.publishing.card import card, croissant, table
-from kt3dmoseg.types import Clip, IntArray
+from kt3dmoseg.types import Clip
 
 MANIFEST = "dataset.json"
 _KITTI, _OWN = "cc-by-nc-sa-3.0", "mit"
@@ -302,15 +303,10 @@ def _changes(a: Clip, b: Clip) -> tuple[int, int, int, int, int, str]:
 
 def _by_content(clip: Clip) -> dict[tuple[bytes, int], int]:
     """Rows by the positions of their trajectories; equal ones are numbered."""
-    seen: dict[bytes, int] = {}
+    seen: Counter[bytes] = Counter()
     out = {}
-    for row, xy in _rows(clip):
-        seen[xy] = seen.get(xy, 0) + 1
-        out[xy, seen[xy]] = row
+    for row, xy in enumerate(np.nan_to_num(clip.dense.xy, nan=-1e9)):
+        key = xy.tobytes()
+        seen[key] += 1
+        out[key, seen[key]] = row
     return out
-
-
-def _rows(clip: Clip) -> Iterator[tuple[int, bytes]]:
-    order: IntArray = np.arange(len(clip.dense))
-    for row in order.tolist():
-        yield row, np.nan_to_num(clip.dense.xy[row], nan=-1e9).tobytes()
