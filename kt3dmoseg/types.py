@@ -36,6 +36,8 @@ _BLOCK = 1 << 20
 def frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Return a read-only array of `dtype`, copied unless it is one already; refuse what would wrap around."""
     given = np.asarray(values)
+    if given.dtype.kind == "c":
+        raise InvalidValueError("array", expected="real numbers", found=f"{given.dtype}")
     if dtype == np.int64 and given.dtype == np.uint64 and given.size and given.max() > _MAX_INT:
         raise InvalidValueError("whole numbers", expected=f"at most {_MAX_INT}", found=_brief(given))
     same = given.dtype == dtype and not given.flags.writeable and given.base is None

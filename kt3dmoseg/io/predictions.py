@@ -170,7 +170,9 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
         good &= ~np.ma.getmaskarray(values).ravel()
     if not good.all():
         row = int(np.argmin(good))
-        found = f"{'NaN' if array[row] != array[row] else array[row]!s:.40} in row {row}"
+        value: Any = array[row]
+        text = f"the text {value!r:.40}" if isinstance(value, str) else f"{value!s:.40}"
+        found = f"{'NaN' if value != value else text} in row {row}"
         expected = "labels >= 0, whole numbers, of every trajectory"
         raise InvalidValueError(name, expected=expected, found=found)
     return array.astype(np.int64)

@@ -195,7 +195,7 @@ def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  #
 
 def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  # noqa: ANN401  # checked
     try:
-        xy = np.array(points, dtype=np.float64)
+        xy = np.asarray(points).astype(np.float64, casting="same_kind")  # of complex numbers a TypeError
     except (TypeError, ValueError):
         expected = "a Clip, Trajectories, an array (N, F, 2) or (xy, visible)"
         fix = "kt3dmoseg.load(path) reads a file"

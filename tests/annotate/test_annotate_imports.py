@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import cv2
@@ -241,6 +242,8 @@ RIGHT_COCO = {
     "attributes.track_id": coco({"attributes": {"occluded": False, "track_id": 0, "keyframe": True}}),
     "track_id": coco({"track_id": 0}),
     "track_id as text": coco({"track_id": "car-7"}),
+    "track_id null and in attributes": coco({"track_id": None, "attributes": {"track_id": 0}}),
+    "image ids as texts": re.sub(rb'("(?:image_)?id": )(\d+)', rb'\1"u\2"', coco({"track_id": 1})),
     "instance_id": coco({"instance_id": 5}),
     "ids of pandas": coco({"track_id": 5.0}),
     "a mark of the byte order": b"\xef\xbb\xbf" + coco({"track_id": 5}),
@@ -304,8 +307,16 @@ REFUSED_COCO = {
     "other proportions": (coco({"track_id": 1}, size=(640, 360)), "640x360"),
     "unknown size, far out": (
         coco({"track_id": 1}, size=None, segment=lambda k: flat(k, 3)),
-        "does not say their size",
+        "scale them if they were drawn on others",
     ),
+    "larger than the size that is stated": (coco({"track_id": 1}, segment=lambda k: flat(k, 2)), "390, 320"),
+    "ids of shapes": (
+        re.sub(rb'(?<="track_id": )1', lambda found: b"%d" % found.start(), coco({"track_id": 1})),
+        "every object is in one frame only",
+    ),
+    "pairs": (coco({"track_id": 1}, segment=lambda k: [outline(k)]), r"expected \[\[x, y, x, y"),
+    "one list": (coco({"track_id": 1}, segment=lambda k: flat(k)[0]), r"expected \[\[x, y, x, y"),
+    "a list of shapes": (b"[1]", "expected images, annotations, categories"),
     "two without ids": (
         coco({}, frames=[0, 1, 2, 0]),
         "frame 0 has 2 shapes of 'car'",

@@ -67,6 +67,20 @@ def test_a_data_frame_is_joined_by_track(data):
     assert mseg.score(str(data / "example_two.h5"), table).error == 0
 
 
+def test_tracks_that_are_texts_are_called_so():
+    table = pd.DataFrame({"track": IDS.astype(str).astype(object), "label": CLIP.labels.label})
+    with pytest.raises(InvalidValueError, match=r"pred: track: .*found the text '"):
+        mseg.score(CLIP, table)
+
+
+def test_complex_positions_are_refused():
+    xy, visible = CLIP.dense.xy, CLIP.dense.visible
+    with pytest.raises(InvalidValueError, match=r"an array \(N, F, 2\)"):
+        mseg.segment((xy + 0j, visible), method="affine", n_motions=2)
+    with pytest.raises(InvalidValueError, match="expected real numbers, found complex128"):
+        Trajectories(xy + 0j, visible)
+
+
 def test_a_submission_written_again_leaves_no_older_result(tmp_path):
     perfect(tmp_path / "mine", meta=SubmissionMeta("old"))
     with pytest.raises(InvalidValueError, match="example_three"):

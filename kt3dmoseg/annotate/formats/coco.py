@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions, identity_in
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Key, Regions, identity_in
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, REJECT, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -59,11 +59,13 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
 
 def _read(content: bytes, into: Import) -> None:
     data = parse_document(content, "COCO")
+    if not isinstance(data, dict):
+        raise FileFormatError("COCO", expected="images, annotations, categories", found=f"{data!r:.40}")
     try:
         into.count("images", len(data["images"]), 100 * MAX_OBJECTS)
-        images = {int(image["id"]): image for image in data["images"]}
+        images = {_identity(image, "id"): image for image in data["images"]}
         files = dict(zip(images, _files(data), strict=True))
-        kinds = {int(c["id"]): str(c["name"]) for c in data.get("categories", [])}
+        kinds = {_identity(c, "id"): str(c["name"]) for c in data.get("categories") or []}
         shapes = list(data["annotations"])
         crowds = {bool(shape.get("iscrowd")) for shape in shapes} == {True, False}
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
@@ -73,13 +75,13 @@ def _read(content: bytes, into: Import) -> None:
     frames = into.match(files.values(), "COCO images")
     for number, shape in enumerate(shapes):
         with into.skipping(f"annotations[{number}]"):
-            identity = int(shape["image_id"])
+            identity = _identity(shape, "image_id")
             if identity not in images:
                 raise InvalidValueError("image_id", expected="of images", found=str(identity)[:40])
             if (file := files[identity]) in frames:
-                label = kinds.get(int(shape.get("category_id", 0)), "other")
+                label = kinds.get(_identity({"category_id": 0} | shape, "category_id"), "other")
                 polygons = _outlines(shape, images[identity], file, into)
-                given = {key: shape[key] for key in _IDENTITIES if key in shape}
+                given = {key: shape[key] for key in _IDENTITIES if shape.get(key) is not None}
                 fields = (shape.get("attributes") or {}) | given
                 if crowds and shape.get("iscrowd") and identity_in(fields)[0] is None:
                     into.note("crowds are rejected: no trajectory in them is labelled")
@@ -91,6 +93,13 @@ def _read(content: bytes, into: Import) -> None:
 
 
 COCO = AnnotationFormat(".json", "application/json", _write, _read)
+
+
+def _identity(values: Mapping[str, Any], name: str) -> Key:
+    key, _ = identity_in(values, (name,))
+    if key is None:
+        raise KeyError(name)
+    return key
 
 
 def _files(data: Mapping[str, Any]) -> list[str]:
@@ -116,6 +125,9 @@ def _outlines(shape: Mapping[str, Any], image: Mapping[str, Any], file: str, int
     stated = image.get("width"), image.get("height")
     scale = into.scale(stated, file)
     if isinstance(found, list):
+        if any(not isinstance(p, list) or len(p) % 2 or any(isinstance(v, list) for v in p) for p in found):
+            expected = "[[x, y, x, y, ...], ...]"
+            raise InvalidValueError("segmentation", expected=expected, found=f"{found!r:.40}")
         return [into.outline(zip(p[::2], p[1::2], strict=True), scale) for p in found]
     height, width = (int(side) for side in found["size"])
     if (width, height) != stated:

@@ -50,6 +50,8 @@ _MAX_SIDE = 10**9
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01
 _BEYOND = 2.0
+# Where a file states its size, an outline may go on beyond the border by this share.
+_FAR = 0.1
 _MOST_SKIPS = 50
 _ELLIPSE = 64
 _SYNONYMS = {"person": "pedestrian", "people": "pedestrian", "bicycle": "cyclist", "motorbike": "motorcycle"}
@@ -231,7 +233,9 @@ class Import:
             self.note(f"coordinates times {chosen:g}")
             return chosen, chosen
         size = size_from(*sides)
-        self._sized &= size is not None
+        if size is None:
+            self._sized = False
+            self.note(f"the file does not say the size of its pictures; taken as {width}x{height}")
         across, down = size or (width, height)
         if abs(across * height / (down * width) - 1) > _SAME_SHAPE:
             expected = f"pictures of {width}x{height}, or the same in another scale"
@@ -325,6 +329,9 @@ class Import:
             known = key if key is not None else f"shape {number}" if alone else label
             item = self.object(known, replace(shape, visibility={}, polygons={}))
             item.add(frame, shape.polygons[frame], shape.visibility[frame])
+        seen = {key: len(item.visibility) for key, item in self.found.items()}
+        if self._shapes and not alone and len(seen) > 1 and max(seen.values()) == 1:
+            self.doubts.append("every object is in one frame only; nothing says which belong together")
         if self._shapes and all(isinstance(key, int) for key in self.found):
             self.found = dict(sorted(self.found.items()))
 
@@ -339,10 +346,10 @@ class Import:
         over = max(-left, -top, right - width, bottom - height)
         if outlines and min(left, top) >= -0.5 and max(right, bottom) <= 0.5:  # the first pixel
             self.doubts.append("all coordinates are 0 to 1; they are taken as pixels, not as shares")
-        if not self._sized and over > _BEYOND + _SAME_SHAPE * max(width, height):
+        if over > _BEYOND + (_FAR if self._sized else _SAME_SHAPE) * max(width, height):
             self.doubts.append(
                 f"outlines reach from ({left:.0f}, {top:.0f}) to ({right:.0f}, {bottom:.0f}) in pictures of "
-                f"{width}x{height}, and the file does not say their size; scale them"
+                f"{width}x{height}; scale them if they were drawn on others"
             )
         if hidden := sum(v == "occluded" for item in items for v in item.visibility.values()):
             self.note(f"{hidden} outlines are occluded: trajectories in them are not labelled there")

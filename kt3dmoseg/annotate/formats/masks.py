@@ -271,8 +271,8 @@ def _read_davis(content: bytes, into: Import) -> None:
     for value, item in _in_order(into):
         item.motion = REJECT if value in voids else 1 if value == 255 else value
         item.name = "rejected" if value in voids else f"motion {item.motion}"
-        if value == 255 and value in voids:
-            into.note("255 is void and rejected")
+        if value in voids:
+            into.note(f"{value} is void and rejected")
 
 
 def _read_mots_png(content: bytes, into: Import) -> None:
