@@ -133,7 +133,7 @@ def test_the_number_of_motions_is_found_or_asked_for(method, tiny):
     try:
         assert mseg.segment(tiny, method).labels.min() >= 0
     except KT3DMoSegError as error:
-        assert "--n-motions" in str(error)
+        assert "n_motions" in str(error)
         assert "n_motions=" in str(error)
 
 
