@@ -11,7 +11,7 @@ from jinja2 import Template
 from markupsafe import Markup
 
 from kt3dmoseg.draw.painting import Painting, groups
-from kt3dmoseg.draw.palette import PALETTE, css, label_colour
+from kt3dmoseg.draw.palette import PALETTE, WRONG, css, label_colour
 from kt3dmoseg.errors import InvalidValueError, MissingDependencyError
 from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels
 
@@ -83,6 +83,7 @@ def plot_painting(
     width, height = size or (4, 3)
     made = _axes(ax, (8, min(8.0, 8 * height / width) + 1.2))  # first: it reports when matplotlib is missing
     from matplotlib.collections import LineCollection
+    from matplotlib.patheffects import withStroke
 
     from_, to = (0, tracks.n_frames) if frame is None else (max(0, frame - _TRAIL), frame + 1)
     last = np.where(tracks.visible[:, :to], np.arange(to), -1).max(axis=1, initial=-1)
@@ -95,7 +96,8 @@ def plot_painting(
     made.scatter(x, y, s=8, c=colours, linewidths=0, zorder=2)
     if painting.ringed is not None:
         wrong = painting.ringed[rows]
-        made.scatter(x[wrong], y[wrong], s=36, facecolors="none", edgecolors="white", zorder=3)
+        rings = made.scatter(x[wrong], y[wrong], s=36, facecolors="none", edgecolors=css(WRONG), zorder=3)
+        rings.set(linewidths=0.9, path_effects=[withStroke(linewidth=2.2, foreground="white")])
     made.set(aspect="equal", ylabel="pixels")
     if size:
         made.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))

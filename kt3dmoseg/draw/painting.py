@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.draw import DrawOptions
-from kt3dmoseg.draw.palette import Colour, label_colour
+from kt3dmoseg.draw.palette import WRONG, Colour, label_colour
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import read_prediction
 from kt3dmoseg.matching import match_labels
@@ -33,7 +33,7 @@ class Painting:
     trajectories: Trajectories
     colours: ByteArray
     legend: Legend
-    ringed: BoolArray | None = None  # (N,): whose points have a white ring
+    ringed: BoolArray | None = None  # (N,): whose points have a ring
 
 
 def groups(labels: Labels) -> list[tuple[int, str, int]]:
@@ -77,7 +77,7 @@ def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
         text = f"predicted {value}: {int(chosen.sum())}, {int(wrong[chosen].sum())} wrong"
         legend.append((text, label_colour(match.get(value, 0), background)))
     share = wrong.sum() / max(1, (truth > 0).sum())
-    legend.append((f"ringed: labelled otherwise, {share:.1%}", _WHITE))
+    legend.append((f"ringed: labelled otherwise, {share:.1%}", WRONG))
     return Painting(clip.evaluated_trajectories, _label_colours(shown, background), legend, wrong)
 
 
@@ -166,7 +166,8 @@ def _draw_points(canvas: ByteArray, painting: Painting, frame: int, options: Dra
     for row, point in zip(rows.tolist(), _fixed_point(xy, options.scale).tolist(), strict=True):
         cv2.circle(canvas, point, radius, painting.colours[row].tolist(), cv2.FILLED, cv2.LINE_AA, _SHIFT)
         if painting.ringed is not None and painting.ringed[row]:
-            cv2.circle(canvas, point, 2 * radius, _WHITE, options.scale, cv2.LINE_AA, _SHIFT)
+            for colour, width in ((_WHITE, 3), (WRONG, 1)):
+                cv2.circle(canvas, point, 2 * radius, colour, width * options.scale, cv2.LINE_AA, _SHIFT)
 
 
 def _fixed_point(xy: npt.NDArray[np.float64], scale: int) -> npt.NDArray[np.int32]:

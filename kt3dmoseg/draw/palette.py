@@ -28,6 +28,7 @@ PALETTE: tuple[Colour, ...] = (
 BACKGROUND: Colour = (154, 167, 184)
 UNLABELLED: Colour = (107, 114, 128)
 REJECTED: Colour = (255, 77, 77)
+WRONG: Colour = (227, 23, 10)  # the ring of an error, within a wider white one
 
 
 def label_colour(label: int, background: int | None = None) -> Colour:
@@ -56,10 +57,11 @@ def css(colour: Colour) -> str:
 
 
 def css_palette() -> dict[str, list[str] | str]:
-    """Give web pages the palette: ``labels`` from 1 on, ``background``, ``unlabelled``, ``rejected``."""
+    """Give web pages the palette: ``labels`` from 1 on, and the colours with names."""
     return {
         "labels": [css(colour) for colour in PALETTE],
         "background": css(BACKGROUND),
         "unlabelled": css(UNLABELLED),
         "rejected": css(REJECTED),
+        "wrong": css(WRONG),
     }

@@ -82,7 +82,8 @@ def test_a_prediction_has_the_colours_of_the_motions_it_matches_and_rings_what_i
         "ringed: labelled otherwise, 20.0%",
     ]
     picture = draw_frame(dataclasses.replace(painting, legend=[]), 0)
-    assert picture[30, 30 - 4].min() > 150
+    assert picture[30, 30 - 4, 0] > picture[30, 30 - 4, 1] + 80  # red
+    assert picture[30, 30 - 5].min() > 100  # within white
     assert not picture[30, 20 - 4].any()
 
 

@@ -170,7 +170,7 @@ function view(root) {
       stroke(0.7, "rgba(0,0,0,.65)", faint);
       if (predicted && wrong && faint === 1) {
         ring(n, radius * 1.9, radius * 0.75, "#ffffff");
-        ring(n, radius * 1.9, radius * 0.4, "#e3170a");
+        ring(n, radius * 1.9, radius * 0.4, PALETTE.wrong);
       }
     });
     neighbours.filter((n) => visible(n, frame)).forEach((n) => ring(n, radius * 2.6, radius * 0.5, "#ffffff"));
