@@ -11,12 +11,15 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from kt3dmoseg import catalog, errors, flow, kitti, pipeline, synthetic, tracking, types
     from kt3dmoseg.annotate import label_tracks, load_annotation
+    from kt3dmoseg.choosing import choose
     from kt3dmoseg.io import load, load_dataset, save
+    from kt3dmoseg.publishing import diff, publish
     from kt3dmoseg.tracking import track
     from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
     from kt3dmoseg.viewing import label, show
 
 __all__ = ["load", "load_dataset", "save", "track", "load_annotation", "label_tracks", "show", "label"]
+__all__ += ["choose", "publish", "diff"]
 __all__ += ["Trajectories", "Labels", "Camera", "Clip", "__version__"]
 __all__ += ["pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog"]
 
@@ -24,6 +27,7 @@ __all__ += ["pipeline", "tracking", "flow", "kitti", "errors", "types", "synthet
 _NAMES = dict.fromkeys(("load", "load_dataset", "save"), "io") | {"track": "tracking"}
 _NAMES |= dict.fromkeys(("load_annotation", "label_tracks"), "annotate")
 _NAMES |= dict.fromkeys(("show", "label"), "viewing")
+_NAMES |= {"choose": "choosing", "publish": "publishing", "diff": "publishing"}
 _NAMES |= dict.fromkeys(("Trajectories", "Labels", "Camera", "Clip"), "types")
 _MODULES = ("pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog")
 _FORMER = {"build": "pipeline", "tracks": "tracking"}  # names of 0.1.0

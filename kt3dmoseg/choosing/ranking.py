@@ -93,8 +93,8 @@ def choose(
     sources = _sources(recordings)
     parts = [part for source in sources.values() for part in _parts(source, settings)]
     if not parts:
-        expected = f"a recording of {settings.shortest} frames without a gap"
-        raise InvalidValueError("recordings", expected=expected, found="none")
+        expected = f"a drive, frames or a video, of {settings.shortest} frames or more without a gap"
+        raise InvalidValueError("recordings", expected=expected, found=", ".join(sources) or "none")
     if output is None:
         return select(_measured(parts, settings, None, workers, dask, progress), settings)
     check_writable(Path(output))

@@ -25,7 +25,7 @@ import numpy as np
 from kt3dmoseg.annotate import Annotation, label_tracks
 from kt3dmoseg.annotate.proposals import PROPOSERS, Request
 from kt3dmoseg.choosing import ChooseOptions
-from kt3dmoseg.errors import KT3DMoSegError
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.frames import FrameSource, KittiClip
 from kt3dmoseg.tracking import find_cuts, track
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray, Labels, Trajectories
@@ -186,7 +186,8 @@ def _moving(
         found = PROPOSERS.load(movers)(Request(source.name, empty, tracks, tuple(paths), kitti=root))
     except KT3DMoSegError as error:
         if movers == "tracklets":
-            raise
+            expected = "another one, or a KITTI drive with tracklets"
+            raise InvalidValueError("movers", expected=expected, found=f"{source.where}: {error}") from None
         return np.ones(len(tracks), dtype=np.int64), f"{movers}: {error}"
     if not isinstance(found, Labels):
         found = label_tracks(tracks, replace(empty, objects=tuple(found)))

@@ -16,6 +16,7 @@ import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +95,11 @@ def publish(
             raise InvalidValueError(what, expected=expected, found=repr(text))
     paths = dataset_paths(dataset)
     parts = _splits(list(paths), splits)
+    facts = _manifest(paths, parts, settings)
+    if find_spec("pyarrow") is None:
+        raise MissingDependencyError("publish needs pyarrow", fix="pip install 'kt3dmoseg[publish]'")
     check_writable(Path(output))
     with hold_folder(output) as folder:
-        facts = _manifest(paths, parts, settings)
         _check_same_version(folder, facts)
         for name, path in paths.items():
             with atomic_path(folder / "clips" / f"{name}.h5") as temporary:
@@ -197,12 +200,9 @@ def _write_tables(
     folder: Path, paths: Mapping[str, Path], parts: Mapping[str, Sequence[str]]
 ) -> dict[str, Path]:
     """Write the tables of every split, clip by clip; returns their paths."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        fix = "pip install 'kt3dmoseg[publish]'"
-        raise MissingDependencyError("publish needs pyarrow", fix=fix) from error
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     written = {}
     for what, rows in (("trajectories", trajectory_rows), ("points", point_rows)):
         for split, names in parts.items():

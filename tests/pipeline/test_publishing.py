@@ -13,10 +13,10 @@ from build_scenes import write_clip, write_masks
 
 from kt3dmoseg import load, load_dataset
 from kt3dmoseg.cli import main
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import save
 from kt3dmoseg.pipeline import build_dataset
-from kt3dmoseg.publishing import diff, publish
+from kt3dmoseg.publishing import diff, publish, versions
 from kt3dmoseg.types import Labels
 
 ABOUT = {"name": "Two scenes", "version": "1.0.0", "license": "cc-by-4.0"}
@@ -109,6 +109,13 @@ def test_a_version_never_changes(built, published, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputFileError, match=r"expected a new folder, found notes\.txt"):
         publish(built, tmp_path, **ABOUT)
+
+
+def test_a_missing_package_is_named_before_anything_is_written(built, tmp_path, monkeypatch):
+    monkeypatch.setattr(versions, "find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r"needs pyarrow; pip install 'kt3dmoseg\[publish\]'"):
+        publish(built, tmp_path / "v", **ABOUT)
+    assert not (tmp_path / "v").exists()
 
 
 @pytest.mark.parametrize(
