@@ -190,7 +190,7 @@ def import_annotations(
         if dry_run:
             return ClipReport(clip.name, not plan.doubts, (*plan.lines(), "nothing written"))
         if plan.doubts and not force:
-            raise InvalidValueError("; ".join(plan.doubts), fix="correct it by a shift or scale, or force it")
+            raise InvalidValueError("; ".join(plan.doubts), fix="correct it, or force it if it is right")
         drawn = len(current.objects) + len(current.marks)
         if drawn and not (merge or replace):
             found, fix = f"{drawn} objects and lassos", "merge with them, or replace them"

@@ -147,7 +147,7 @@ def clip_name(path: str | os.PathLike[str]) -> str:
 def check_name(name: str, where: str) -> None:
     """Raise InvalidValueError when a clip's name is empty, too long, or leads elsewhere as a file's name."""
     if not name.isprintable() or name in ("", ".", "..") or len(name) > _LONGEST or set(name) & set("/\\"):
-        expected = f"a clip's name, at most {_LONGEST} characters without a slash"
+        expected = f"a clip's name in UTF-8, at most {_LONGEST} characters without a slash"
         raise InvalidValueError(where, expected=expected, found=f"{name!r}")
 
 

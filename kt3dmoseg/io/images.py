@@ -57,6 +57,8 @@ def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
         expected = "at least two numbered frames (000001.png, 000002.png, ...)"
         found = f"only {next(iter(pictures.values())).name}" if pictures else "no pictures"
         fix = "give the folder that holds the frames of one clip"
+        if below := next((path for path in listed(root) if not pictures and has_pictures(path)), None):
+            fix = f"give {below}, or {root} for a clip of each of its folders"
         raise InputFileError(f"{root}", expected=expected, found=found, fix=fix)
     for before, after in pairwise(pictures):
         if after != before + 1:

@@ -232,8 +232,8 @@ def build_dataset(
 def _names(sources: Sequence[FrameSource]) -> list[str]:
     """Return the clips' names, each of which becomes that of a file."""
     names = [source.name for source in sources]
-    for name in names:
-        check_name(name, "name")
+    for name, source in zip(names, sources, strict=True):
+        check_name(name, f"name of {source.where!a}")
         if names.count(name) > 1:
             both = " and ".join(source.where for source in sources if source.name == name)
             fix = "rename or remove one"

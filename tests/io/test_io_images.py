@@ -43,6 +43,12 @@ def test_real_frames(data_root):
     assert read_frame(paths[0]).shape == (375, 1242)
 
 
+def test_a_folder_of_clips_names_one(tmp_path):
+    _frames(tmp_path / "day" / "clip", ["1.png", "2.png"])
+    with pytest.raises(InputFileError, match=r"give \S+/day/clip, or \S+/day for a clip of each"):
+        frame_paths(tmp_path / "day")
+
+
 @pytest.mark.parametrize(
     ("names", "words"),
     [

@@ -258,9 +258,17 @@ def test_proposals_of_unlabelled_clips_are_written_but_no_labels(frames, tmp_pat
 
 
 def test_a_name_does_not_lead_out_of_the_folder(frames, tmp_path):
-    with pytest.raises(InvalidValueError, match=r"name: expected a clip's name.*found '../elsewhere'"):
+    with pytest.raises(
+        InvalidValueError, match=r"name of '.*': expected a clip's name.*found '../elsewhere'"
+    ):
         build([Named(frames / "a")], tmp_path / "out")
     assert not (tmp_path / "elsewhere.h5").exists()
+
+
+def test_a_folder_whose_name_is_not_utf_8_is_named(frames, tmp_path):
+    (frames / "a").rename(frames / os.fsdecode(b"clip\xff"))
+    with pytest.raises(InvalidValueError, match=r"name of '.*clip.udcff': expected a clip's name in UTF-8"):
+        build(frames, tmp_path / "out")
 
 
 def test_two_clips_of_one_name_are_both_named(frames, tmp_path):
