@@ -44,6 +44,7 @@ def test_real_frames(data_root):
 
 
 def test_a_folder_of_clips_names_one(tmp_path):
+    (tmp_path / "day").mkdir()
     _frames(tmp_path / "day" / "clip", ["1.png", "2.png"])
     with pytest.raises(InputFileError, match=r"give \S+/day/clip, or \S+/day for a clip of each"):
         frame_paths(tmp_path / "day")
