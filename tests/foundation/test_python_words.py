@@ -1,9 +1,10 @@
-"""Functions speak of their arguments as in Python, commands as they are typed."""
+"""Names complete in editors; errors speak of arguments as in Python, commands as they are typed."""
 
 from __future__ import annotations
 
 import ast
 import re
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from mseg.cli import main as mseg_main
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = {"cli.py", "cli", "app.py", "demo.py", "server"}  # what only command lines and the page say
+COMMANDS |= {"site.py"}  # which runs git
 NAMES = ("build --propose",)  # of who made an annotation
 FLAG = re.compile(r"(?<![\w-])--[a-z]")
 
@@ -56,3 +58,16 @@ def test_only_arguments_of_the_running_command_are_typed_as_flags(capsys):
     assert typed(text) == "a/seeds=3.csv: --seeds N, colour='luma', p=2, (--parameter none)"
     assert mseg_main(["methods"]) == 0
     assert typed(text) == text
+
+
+@pytest.mark.parametrize("package", ["kt3dmoseg", "mseg", "mseg.evaluation", "kt3dmoseg.annotate"])
+def test_editors_see_every_public_name_though_it_is_imported_when_used(package):
+    module = import_module(package)
+    tree = ast.parse(Path(module.__file__).read_text())
+    found = [node for node in ast.walk(tree) if isinstance(node, (ast.Import, ast.ImportFrom))]
+    seen = {alias.asname or alias.name for node in found for alias in node.names}
+    seen |= {node.name for node in tree.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    seen |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    assert set(module.__all__) <= seen
+    assert set(module.__all__) <= set(dir(module))
+    assert (ROOT / package.partition(".")[0] / "py.typed").is_file()
