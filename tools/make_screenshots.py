@@ -50,8 +50,8 @@ def main() -> None:
         DOCS.write_text(f"{before}{keys_table(page)}{rest[rest.index('<!-- end') :]}", encoding="utf-8")
         page.keyboard.press("]")
         save(page, given.output / "labelling.webp")
-        page = chromium.new_page(viewport={"width": 1100, "height": 1400})
-        page.goto((given.demo / "report-subset.html").resolve().as_uri())
+        page = chromium.new_page(viewport={"width": 1100, "height": 1050})
+        page.goto((given.demo / "report-subset.html").resolve().as_uri() + "#overlays")
         save(page, given.output / "report.webp")
 
 
