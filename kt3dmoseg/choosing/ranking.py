@@ -125,20 +125,20 @@ def _sources(given: PathLike | Sequence[PathLike | FrameSource]) -> _Recordings:
 
 def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
     """Give the parts of a recording, and the name of the file in which the measures of each are kept."""
-    info = source.inspect()
-    numbers = source.numbers()
+    drive = source.drive if isinstance(source, KittiClip) else None  # which may be on disk in parts
+    whole = None if drive is not None else source.inspect().description
     measured = {**asdict(settings), "count": 0, "apart": 0}
     versions = [__version__, choosing.ALGORITHM_VERSION, tracking.ALGORITHM_VERSION, cv2.__version__]
-    flow = backend_identity(create(settings.flow))
-    about = {"recording": info.description, "options": measured, "versions": versions, "flow": flow}
-    for run in _runs(numbers):
+    about = {"options": measured, "versions": versions, "flow": backend_identity(create(settings.flow))}
+    for run in _runs(source.numbers() if drive is None else drive.numbers.tolist()):
         last = max(0, len(run) - settings.longest)
         starts = [*range(0, last, max(1, settings.longest // 2)), last]
         for start in starts if len(run) >= settings.shortest else []:
             ends = run[start], run[min(start + settings.longest, len(run)) - 1]
-            part: Any = source  # a dataclass with a cut
-            cut = replace(part.cut, first=ends[0], last=ends[1], name=source.name)
-            yield replace(part, cut=cut), f"{cache_key({**about, 'part': ends})}.json"
+            given: Any = source  # a dataclass with a cut
+            part = replace(given, cut=replace(given.cut, first=ends[0], last=ends[1], name=source.name))
+            frames = whole or part.inspect().description
+            yield part, f"{cache_key({**about, 'recording': frames, 'part': ends})}.json"
 
 
 def _runs(numbers: Sequence[int]) -> list[Sequence[int]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from itertools import pairwise
 
 import cv2
@@ -108,6 +109,16 @@ def test_missing_frames_and_cuts_are_in_no_clip(rng, tmp_path):
     assert {w.cut for w in windows if w.first < 10 <= w.last} == {True}
     assert {w.cut for w in windows if not w.first < 10 <= w.last} == {False}
     assert not any(window.cut for window in select(windows, options))
+
+
+def test_a_drive_that_is_on_disk_in_parts_has_windows_in_each(root, tmp_path):
+    shutil.copytree(root, tmp_path / "kitti")
+    name = "2011_09_26/2011_09_26_drive_0002_sync/image_00/data/0000000012.png"
+    (tmp_path / "kitti" / name).unlink()
+    windows = choose(tmp_path / "kitti", count=9, **OPTIONS)
+    spans = {(w.first, w.last) for w in windows if w.recording.endswith("0002")}
+    assert {last < 12 for _, last in spans} == {True, False}
+    assert not any(first <= 12 <= last for first, last in spans)
 
 
 def test_rotation_of_the_camera_is_no_translation(rng):
