@@ -582,12 +582,12 @@ def find_clips(
         given = _extracted(VideoFile(given), Path(annotations))
     if catalogs or any(given.glob(_DRIVE_FOLDERS)):
         return _clips_of_root(given, annotations, tracks, catalogs)
-    folders, files = {given.resolve().name: given}, _clip_files(given)
+    folders, files = {given.resolve().name: given}, clip_paths(given)
     if not is_clip(given):
         inside = listed(given) if given.is_dir() else []
         folders = {folder.name: folder for folder in inside if has_pictures(folder)}
     if tracks is not None:
-        files = _clip_files(Path(tracks)) | files
+        files = clip_paths(Path(tracks)) | files
         if folders and not folders.keys() & files.keys():
             expected = f"tracks of {', '.join(list(folders)[:3])}"
             raise InputFileError(f"{tracks}", expected=expected, found=", ".join(list(files)[:3]) or "none")
@@ -616,12 +616,13 @@ def _clips_of_root(
     root: Path, annotations: PathLike, tracks: PathLike | None, catalogs: Sequence[PathLike]
 ) -> dict[str, ClipFiles]:
     found: Any = choose_sources(root, catalogs=catalogs)  # each with paths
-    files = {} if tracks is None else _clip_files(Path(tracks))
+    files = {} if tracks is None else clip_paths(Path(tracks))
     names = {source.name: tuple(source.paths()) for source in sorted(found, key=lambda source: source.name)}
     return {n: ClipFiles(n, p, files.get(n), Path(annotations, f"{n}.json")) for n, p in names.items()}
 
 
-def _clip_files(path: Path) -> dict[str, Path]:
+def clip_paths(path: Path) -> dict[str, Path]:
+    """Return a clip file, or those of a folder that has some itself, by name of the clip."""
     if path.is_file():
         return {clip_name(path): path}
     here = path.is_dir() and any(file.suffix in CLIP_SUFFIXES for file in path.iterdir())

@@ -378,26 +378,20 @@ def _for_each(
 def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) -> Iterator[_Clip]:
     """Give the clips of a folder of frames, a clip file or a folder of these; clip files need no frames."""
     from kt3dmoseg import io
-    from kt3dmoseg.frames import find_clips
-    from kt3dmoseg.io.fields import clip_name
-    from kt3dmoseg.io.formats import clip_files
+    from kt3dmoseg.frames import clip_paths, find_clips
     from kt3dmoseg.io.images import picture_size
 
     root = Path(given)
-    files = {clip_name(root): root} if root.is_file() else {}
-    if root.is_dir() and clip_files(root):
-        files = io.dataset_paths(root)
+    files = clip_paths(root)
     for name, file in files.items():
         clip = io.load(file)
         names = [f"{number:06d}.png" for number in clip.frame_numbers.tolist()]
         yield _Clip(name, names, clip.dense.image_size, Path(annotations, f"{name}.json"), clip.dense)
     for source in find_clips(root, annotations=annotations, tracks=tracks).values() if not files else ():
         size = picture_size(source.frames[0])
-        dense = (
-            None
-            if source.tracks is None
-            else dataclasses.replace(io.load(source.tracks).dense, image_size=size)
-        )
+        dense = io.load(source.tracks).dense if source.tracks else None
+        if dense is not None:
+            dense = dataclasses.replace(dense, image_size=size)
         yield _Clip(source.name, [frame.name for frame in source.frames], size, source.annotation, dense)
 
 
