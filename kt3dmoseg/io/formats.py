@@ -204,9 +204,9 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
         fix = "move them into one folder, or give the folder of some"
         raise InputFileError(f"{root}", expected="all clips there, or all in folders", found=found, fix=fix)
     if not own and not below:
-        near = clip_files(root.resolve().parent)
+        near = clip_files(root.resolve().parent) or _clips_below(root, 2 * _LEVELS)
         expected, found = f"clips ({', '.join(CLIP_SUFFIXES)})", f"none, nor in folders up to {_LEVELS} below"
-        fix = f"give {root.resolve().parent}, which has {near[0].name}" if near else ""
+        fix = f"give {near[0].parent}, which has {near[0].name}" if near else ""
         raise InputFileError(f"{root}", expected=expected, found=found, fix=fix)
     out: dict[str, Path] = {}
     for file in own or below:

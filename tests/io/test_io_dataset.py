@@ -92,6 +92,14 @@ def test_below_the_clips_or_at_an_archive_the_message_says_where_they_are(benchm
         InputFileError, match=rf"found none, .*; give {below.parent}, which has cars1_truth\.mat"
     ):
         dataset_paths(below)
+    deep = benchmarks.parent / "a" / "b" / "c"
+    deep.mkdir(parents=True)
+    benchmarks.rename(deep / "all")
+    with pytest.raises(
+        InputFileError, match=r"give .*/a/b/c/all/Hopkins155/1R2RC, which has 1R2RC_truth\.mat"
+    ):
+        dataset_paths(benchmarks.parent)
+    (deep / "all").rename(benchmarks)
     (benchmarks / "Hopkins12.zip").write_bytes(b"PK")
     with pytest.raises(
         InputFileError, match=r"Hopkins12\.zip: expected a folder of clips, found a file; .*unpack"
