@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annota
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.matching import match_labels
-from kt3dmoseg.types import ByteArray, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
 
 # Bytes of eight pixels each, of all objects together, that are compared at once.
 _BLOCK = 1 << 18
@@ -99,9 +100,8 @@ def overlaps(
     width = -(-image_size[0] * image_size[1] // 8)
 
     def masks(side: Mapping[int, list[Region]], frame: int) -> ByteArray:
-        shown = (regions[frame] for regions in side.values())
-        drawn = [mask_of(r.polygons if r.visibility == "visible" else (), image_size) for r in shown]
-        return np.array([np.packbits(mask) for mask in drawn], dtype=np.uint8).reshape(len(side), width)
+        drawn = [np.packbits(_seen(regions[frame], image_size)) for regions in side.values()]
+        return np.array(drawn, dtype=np.uint8).reshape(len(side), width)
 
     shared, union = np.zeros((len(a), len(b))), np.zeros((len(a), len(b)))
     step = max(1, _BLOCK // (len(a) + len(b) + 1))
@@ -153,7 +153,7 @@ class ObjectPair:
         same = "same motion" if self.different is None else "same labels"
         return f"{(missed, 'another motion', 'labels differ', same)[self.rank]}: {names}"
 
-    def to_json(self, first: str, second: str) -> dict[str, object]:
+    def to_json(self, first: str, second: str) -> dict[str, Any]:
         """Return names, ids and all of the above; None where one drew nothing."""
         sides = {"first": self.first, "second": self.second}
         names = {side: item.name if item else None for side, item in sides.items()}
@@ -162,15 +162,44 @@ class ObjectPair:
         return names | ids | measures | {"verdict": self.verdict(first, second)}
 
 
-def compare_objects(
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two annotations of a clip.
+
+    Parameters
+    ----------
+    clip : str
+        Its name.
+    agreement : Agreement or None
+        Of the labels that both give its trajectories; None without trajectories.
+    objects : list of ObjectPair
+        What each drew in one place, and how that differs.
+    """
+
+    clip: str
+    agreement: Agreement | None
+    objects: list[ObjectPair]
+
+    def to_json(self, first: str, second: str) -> dict[str, Any]:
+        """Return the clip, the measures of agreement if there are any, and all objects; see `ObjectPair`."""
+        of_labels: dict[str, Any] = {}
+        if found := self.agreement:
+            of_labels = {"agreement": found.agreement, "both": found.both, "kappa": found.kappa}
+            of_labels |= {"trajectories": len(found.a), "different": len(found.differences)}
+        objects = [pair.to_json(first, second) for pair in self.objects]
+        return {"clip": self.clip, **of_labels, "objects": objects}
+
+
+def compare(
     annotations: tuple[Annotation, Annotation],
     regions: tuple[Mapping[int, list[Region]], Mapping[int, list[Region]]],
     labels: tuple[IntArray, IntArray] | None = None,
-) -> list[ObjectPair]:
-    """Pair the objects of two annotators so that they overlap most (Kuhn 1955), those that differ most first.
+) -> Comparison:
+    """Compare two annotations of a clip, with their objects paired so that they overlap most (Kuhn 1955).
 
-    What overlaps by an IoU of less than 0.1 is two objects, of which each annotator missed one. `labels` (n,)
-    of the same trajectories join the motions; where they tell nothing, those of paired objects correspond.
+    Those that differ most come first. What overlaps by an IoU of less than 0.1 is two objects, of which each
+    annotator missed one. `labels` (n,) of the same trajectories join the motions; where they tell nothing,
+    those of paired objects correspond.
     """
     one, two = ({item.id: item for item in side.objects} for side in annotations)
     (ids, others), size = map(list, regions), annotations[0].image_size
@@ -184,48 +213,40 @@ def compare_objects(
     for i, j, iou in found:
         a, b = one.get(i), two.get(j)
         frame = _most_apart(regions[0].get(i, ()), regions[1].get(j, ()), size)
-        different = _differing(a, b, labels, compared) if labels and compared else None
+        different = None
+        if labels and compared:
+            of_either = (labels[0] == _label(a)) | (labels[1] == _label(b))
+            different = int((of_either & (compared.a != compared.b)).sum())
         out.append(ObjectPair(a, b, iou, frame, different, _renumbered(a, b, compared)))
-    return sorted(out, key=lambda pair: (pair.rank, -(pair.different or 0), pair.iou))
+    out.sort(key=lambda pair: (pair.rank, -(pair.different or 0), pair.iou))
+    return Comparison(annotations[0].clip, compared, out)
 
 
 def _renumbered(
     a: AnnotatedObject | None, b: AnnotatedObject | None, compared: Agreement | None
 ) -> Motion | None:
     """Return the motion of the second's object as the first numbers it; None where the first has it not."""
-    if b is None or b.motion in (BACKGROUND, REJECT):
+    if b is None or _label(b) < 0:
         return b.motion if b else None
-    if compared is None:
-        taken, label = set[int](), None
-    else:
-        taken = set(compared.matching)
-        label = {other: mine for mine, other in compared.matching.items()}.get(int(b.motion) + 1)
+    matching = compared.matching if compared else {}
+    label = {other: mine for mine, other in matching.items()}.get(_label(b))
     if label is not None:
         return label - 1 or None
     # No trajectory tells: in one place they are the same, unless the first's is another of the second's.
-    alone = a is not None and a.motion not in (BACKGROUND, REJECT) and int(a.motion) + 1 not in taken
-    return a.motion if a and alone else None
+    return a.motion if a and _label(a) not in {-1, *matching} else None
+
+
+def _label(item: AnnotatedObject | None) -> int:
+    """Return the label of an object that moves, else -1."""
+    return -1 if item is None or item.motion in (BACKGROUND, REJECT) else int(item.motion) + 1
 
 
 def _most_apart(a: Sequence[Region], b: Sequence[Region], size: tuple[int, int]) -> int:
     """Return the frame in which the visible pixels of two objects differ most."""
-    empty = Region("outside")
-    masks = [
-        [mask_of(r.polygons if r.visibility == "visible" else (), size) for r in pair]
-        for pair in zip_longest(a, b, fillvalue=empty)
-    ]
-    return int(np.argmax([np.count_nonzero(one != two) for one, two in masks])) if masks else 0
+    pairs = zip_longest(a, b, fillvalue=Region("outside"))
+    counts = [int(np.count_nonzero(_seen(x, size) != _seen(y, size))) for x, y in pairs]
+    return int(np.argmax(counts or [0]))
 
 
-def _differing(
-    a: AnnotatedObject | None,
-    b: AnnotatedObject | None,
-    labels: tuple[IntArray, IntArray],
-    compared: Agreement,
-) -> int:
-    """Count the trajectories with the motion of either whose labels differ."""
-    moves = [
-        item.motion + 1 if item and isinstance(item.motion, int) and item.motion else -1 for item in (a, b)
-    ]
-    of_either = (labels[0] == moves[0]) | (labels[1] == moves[1])
-    return int((of_either & (compared.a != compared.b)).sum())
+def _seen(region: Region, size: tuple[int, int]) -> BoolArray:
+    return mask_of(region.polygons if region.visibility == "visible" else (), size)

@@ -20,14 +20,14 @@ from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate import Annotation, LabelledTracks, Region
-    from kt3dmoseg.annotate.agreement import Agreement, ObjectPair
+    from kt3dmoseg.annotate.agreement import Comparison
     from kt3dmoseg.types import Trajectories
 
 notes = group("annotations", "Import, export, check and compare the annotations of clips.")
 
 _MAX_FILE = 128 << 20
 _SAME_OBJECT = 0.5
-_MEASURES = {"agreement": ".2%", "both": ".2%", "kappa": ".3f"}
+_SHOWN = {"agreement": ".2%", "both": ".2%", "kappa": ".3f"}
 _CLIPS = "A folder of frames, a clip file, or a folder with one of these per clip."
 _TRACKS = "Clip file or folder of them with trajectories."
 
@@ -63,25 +63,6 @@ _Tracks = Annotated[AnyPath | None, Parameter(metavar="PATH", help=_TRACKS)]
 _Report = Annotated[Callable[[ClipReport], object], Parameter(parse=False)]
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Two annotations of a clip.
-
-    Parameters
-    ----------
-    clip : str
-        Its name.
-    agreement : Agreement or None
-        Of the labels that both give its trajectories; None without trajectories.
-    objects : list of ObjectPair
-        What each drew in one place, and how that differs.
-    """
-
-    clip: str
-    agreement: Agreement | None
-    objects: list[ObjectPair]
-
-
 @dataclass(frozen=True)
 class _Clip:
     """What is known of a clip without its annotation; no size where its file does not state it."""
@@ -98,11 +79,8 @@ class _Clip:
         if not path.exists():
             return None
         found = annotate.load_annotation(path)
-        wanted = {"clip": self.name, "n_frames": len(self.names), "image_size": self.size or found.image_size}
-        for field, value in wanted.items():
-            if (stated := getattr(found, field)) != value:
-                raise InvalidValueError(f"{path}: {field}", expected=repr(value), found=repr(stated))
-        return found
+        size = self.size or found.image_size
+        return found.expect(f"{path}: ", clip=self.name, n_frames=len(self.names), image_size=size)
 
     def current(self) -> Annotation:
         """Read the annotation, an empty one when there is none."""
@@ -311,9 +289,7 @@ def compare_annotations(
         a, b = (annotate.formats.regions(annotation, clip.trajectories) for annotation in (one, two))
         of_one, of_two = clip.labelled(one, a), clip.labelled(two, b)
         labels = (of_one.labels.label, of_two.labels.label) if of_one and of_two else None
-        agreement = annotate.agreement.agree(*labels) if labels else None
-        objects = annotate.agreement.compare_objects((one, two), (a, b), labels)
-        found.append(Comparison(clip.name, agreement, objects))
+        found.append(annotate.agreement.compare((one, two), (a, b), labels))
     if not found:
         expected = "<clip>.json in both, named as a clip"
         raise InputFileError(f"{first} and {second}", expected=expected, found="none")
@@ -335,23 +311,20 @@ def compare(
 
     from kt3dmoseg.tables import text_table
 
-    shown, rows = [], []
-    for c in compare_annotations(first, second, clips, tracks=tracks):
-        labels = {} if c.agreement is None else {name: getattr(c.agreement, name) for name in _MEASURES}
-        objects = [pair.to_json("the first", "the second") for pair in c.objects]
-        shown.append({"clip": c.clip, **labels, "objects": objects})
-        cells = [f"{labels[name]:{form}}" if labels else "" for name, form in _MEASURES.items()]
-        mean = sum(pair.iou for pair in c.objects) / max(1, len(c.objects))
-        rows.append([c.clip, *cells, f"{mean:.3f}", ""])
-        rows += [[f"  {o['verdict']}", *[""] * 3, f"{o['iou']:.3f}", _count(o["different"])] for o in objects]
+    comparisons = compare_annotations(first, second, clips, tracks=tracks)
+    shown = [comparison.to_json("the first", "the second") for comparison in comparisons]
     if json:
         print(dumps(shown, indent=1, ensure_ascii=False))
-    else:
-        print(text_table(rows, ["clip, objects", "agreement", "both labelled", "kappa", "IoU", "differ"]))
-
-
-def _count(number: object) -> str:
-    return "" if number is None else f"{number}"
+        return
+    rows = []
+    for c in shown:
+        cells = [f"{c[name]:{form}}" if name in c else "" for name, form in _SHOWN.items()]
+        mean = sum(o["iou"] for o in c["objects"]) / max(1, len(c["objects"]))
+        rows.append([c["clip"], *cells, f"{mean:.3f}", ""])
+        for o in c["objects"]:
+            differ = "" if o["different"] is None else str(o["different"])
+            rows.append([f"  {o['verdict']}", *[""] * 3, f"{o['iou']:.3f}", differ])
+    print(text_table(rows, ["clip, objects", "agreement", "both labelled", "kappa", "IoU", "differ"]))
 
 
 def _for_each(

@@ -255,6 +255,13 @@ class Annotation:
             for number, o in enumerate(objects, first)
         ]
 
+    def expect(self, where: str = "", **wanted: object) -> Annotation:
+        """Return the annotation; InvalidValueError names, after `where`, what is not as wanted."""
+        for name, value in wanted.items():
+            if (found := getattr(self, name)) != value:
+                raise InvalidValueError(f"{where}{name}", expected=repr(value), found=repr(found))
+        return self
+
     def emptied(self) -> Annotation:
         """Return the annotation of the same clip without objects and marks."""
         return replace(self, objects=(), marks=())

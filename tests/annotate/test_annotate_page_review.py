@@ -174,12 +174,24 @@ def test_the_state_of_a_clip_is_what_its_annotator_sets(context, equipped):
     page.press("F2")
     page.shows("dialog p", "0 not started, 1 in work, 0 done, 1 reviewed.")
     page.tab.get_by_label("two is assigned to").fill("Cy")
+    page.press("ArrowDown")  # opens the names of the team, and stays in the field
+    assert page.value("document.activeElement.ariaLabel") == "two is assigned to"
     page.press("Tab")
     page.until("labeller.state.work.assigned === 'Cy'")
     page.shows("dialog p", "Bo: 1 done, 0.0 minutes each")
     page.tab.get_by_label("Show clips with").fill("cy")
     page.until("document.querySelectorAll('dialog tr button').length === 1")
     assert page.errors == []
+
+
+def test_going_back_from_the_first_clip_leaves_the_page(page, shared):
+    other = page.tab.context.new_page()
+    other.goto(shared.address + "api/clips")
+    assert page.value("history.length") == other.evaluate("history.length")
+    page.press("PageDown")
+    page.until("labeller.state.clip.name === 'two' && location.search === '?clip=two'")
+    page.tab.go_back()
+    page.until("labeller.state.clip.name === 'one' && location.search === '?clip=one'")
 
 
 def test_each_of_a_team_opens_the_page_as_themselves(browser, clips, tmp_path):

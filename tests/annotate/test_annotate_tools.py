@@ -22,7 +22,7 @@ from sklearn.metrics import cohen_kappa_score
 
 from kt3dmoseg import cli, io
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, load_annotation, save_revision
-from kt3dmoseg.annotate.agreement import agree, compare_objects, overlaps
+from kt3dmoseg.annotate.agreement import agree, compare, overlaps
 from kt3dmoseg.annotate.overlay import draw_view
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.draw.palette import motion_colour
@@ -205,7 +205,7 @@ def test_objects_are_paired_by_place_and_motion():
     one, at_one = outlined(("van", 1, 0), ("walker", 2, 60), ("far car", 3, 140))
     two, at_two = outlined(("bus", 4, 2), ("runner", 2, 96), ("dot", 5, 141))
     labels = np.array([1, 1, 2, 2, 2, 3]), np.array([1, 1, 5, 5, 1, 1])  # the last objects label none
-    found = compare_objects((one, two), (at_one, at_two), labels)
+    found = compare((one, two), (at_one, at_two), labels).objects
     assert [pair.verdict("A", "B") for pair in found] == [
         "missed by B: walker",  # by 4 pixels of 40 it is not the runner
         "missed by A: runner",
@@ -215,7 +215,7 @@ def test_objects_are_paired_by_place_and_motion():
     assert [pair.different for pair in found] == [1, 0, 1, 0]
     assert [pair.motion for pair in found] == [None, None, 1, 3]
     two, at_two = outlined(("bus", 4, 0), ("bike", "reject", 60))
-    found = compare_objects((one, two), (at_one, at_two), labels)
+    found = compare((one, two), (at_one, at_two), labels).objects
     assert [pair.verdict("A", "B") for pair in found][:2] == [
         "missed by B: far car",
         "another motion: walker / bike",

@@ -34,10 +34,8 @@ class ClipLog:
 
     def entries(self) -> list[dict[str, Any]]:
         """Return all entries, the first first; FileFormatError with the line that is damaged."""
-        if not self.path.exists():
+        if not (version := file_version(self.path)):
             return []
-        status = self.path.stat()
-        version = status.st_mtime_ns, status.st_size, status.st_ino
         if self._read[0] != version:
             lines = read_bytes(self.path, _MAX_LOG).splitlines()
             found = [_entry(line, f"{os.fspath(self.path)}: line {k}") for k, line in enumerate(lines, 1)]
@@ -50,9 +48,8 @@ class ClipLog:
             expected = f"one of {', '.join(WORK_STATES)}"
             raise InvalidValueError("state", expected=expected, found=repr(what["state"])[:80])
         _check_name("assigned", what.get("assigned", ""))
-        if (
-            "revision" not in what or "state" in what
-        ):  # what is saved may have been drawn by nobody in particular
+        # What is saved may have been drawn by nobody in particular.
+        if "revision" not in what or "state" in what:
             _check_name("by", by, least=1)
         entry = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "by": str(by).strip()} | what
         with hold_folder(self.path.parent):
@@ -82,6 +79,15 @@ class ClipLog:
             saved[entry["by"]].append(datetime.fromisoformat(entry["time"]))
         gaps = {by: [(b - a).total_seconds() for a, b in pairwise(times)] for by, times in saved.items()}
         return {by: sum(gap for gap in all_of if gap <= _PAUSE) / 60 for by, all_of in gaps.items()}
+
+
+def file_version(path: Path) -> tuple[int, ...]:
+    """Return what changes whenever a file is written; empty when there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 def _check_name(field: str, value: object, least: int = 0) -> None:

@@ -7,7 +7,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -19,7 +19,7 @@ from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
 from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation, save_revision
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate, propagate_keys, weak_frames
 from kt3dmoseg.annotate.proposals.residual import moving_groups
-from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog
+from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog, file_version
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import listed
 from kt3dmoseg.frames import ClipFiles, check_frames
@@ -50,8 +50,9 @@ class ClipSession:
         self._carried = lru_cache(_KEPT_OBJECTS)(self._carry)
         self._doubted = lru_cache(_KEPT_OBJECTS)(self._doubt)
         self._asked: object = None
+        self._counting: Future[None] = Future()
         self.doubt = ""  # what is wrong with the clip's files, for the page
-        self._counted: tuple[object, dict[str, Any]] = (None, {})
+        self._counted: dict[str, Any] = {}
 
     @cached_property
     def image_size(self) -> tuple[int, int]:
@@ -81,12 +82,8 @@ class ClipSession:
 
     def checked(self, annotation: Annotation) -> Annotation:
         """Return the annotation; InvalidValueError, which names the field, when it is of another clip."""
-        frames = len(self.source.frames)
-        wanted = {"clip": self.source.name, "image_size": self.image_size, "n_frames": frames}
-        for name, value in wanted.items():
-            if getattr(annotation, name) != value:
-                raise InvalidValueError(name, expected=repr(value), found=repr(getattr(annotation, name)))
-        return annotation
+        name, frames = self.source.name, len(self.source.frames)
+        return annotation.expect(clip=name, image_size=self.image_size, n_frames=frames)
 
     def trajectories(self, *, wait: bool = False) -> Trajectories:
         """Return the trajectories, or raise NotTrackedError; the first call starts the work."""
@@ -165,23 +162,21 @@ class ClipSession:
         """
         # Trajectories that no file holds are not computed for it.
         tracks, computed = self.source.tracks, isinstance(self._tracks, Trajectories)
-        state = _file_state(self.source.annotation), _file_state(tracks) if tracks else computed
+        state = file_version(self.source.annotation), file_version(tracks) if tracks else computed
         if state != self._asked:
-            self._asked = state
-            pool.submit(self._count, state)
-        counted_for, counted = self._counted
+            self._asked, self._counting = state, pool.submit(self._count)
         try:
             work: dict[str, Any] = {"work": self.work(), "minutes": self.log.minutes()}
         except KT3DMoSegError as error:
             work = {"error": str(error)}
         general = {"name": self.source.name, "n_frames": len(self.source.frames)}
-        return general | counted | work | {"counting": counted_for != state}
+        return general | self._counted | work | {"counting": not self._counting.done()}
 
-    def _count(self, state: object) -> None:
+    def _count(self) -> None:
         try:
-            self._counted = state, self._counts()
+            self._counted = self._counts()
         except KT3DMoSegError as error:
-            self._counted = state, {"error": str(error)}
+            self._counted = {"error": str(error)}
 
     def _counts(self) -> dict[str, Any]:
         ready, path = isinstance(self._tracks, Trajectories), self.source.tracks
@@ -254,11 +249,3 @@ def sessions_of(clips: Mapping[str, ClipFiles], tracker: Tracker) -> dict[str, C
 
 def _warn(message: str) -> None:
     print(f"kt3dmoseg: warning: {message}", file=sys.stderr)
-
-
-def _file_state(path: Path) -> tuple[int, ...]:
-    try:
-        status = path.stat()
-    except OSError:
-        return ()
-    return status.st_mtime_ns, status.st_size, status.st_ino

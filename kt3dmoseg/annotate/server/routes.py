@@ -23,7 +23,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from kt3dmoseg.annotate import formats, model, proposals
-from kt3dmoseg.annotate.agreement import agree, compare_objects
+from kt3dmoseg.annotate.agreement import compare
 from kt3dmoseg.annotate.formats.foreign import Choices
 from kt3dmoseg.annotate.model import KINDS, Annotation
 from kt3dmoseg.annotate.propagation import Region
@@ -209,13 +209,9 @@ class Routes:
         theirs = session.checked(model.load_annotation(self.other / f"{session.source.name}.json"))
         regions = session.regions(given), session.regions(theirs)
         labels = session.labelled(given).labels.label, session.labelled(theirs).labels.label
-        agreement = agree(*labels)
-        pairs = compare_objects((given, theirs), regions, labels)
-        objects = [pair.to_json("you", "the other") for pair in pairs]
-        measures = {name: getattr(agreement, name) for name in ("agreement", "both", "kappa")}
-        counts = {"trajectories": len(labels[0]), "different": len(agreement.differences)}
+        found = compare((given, theirs), regions, labels).to_json("you", "the other")
         shown = {"theirs": model.to_json(theirs)["objects"], "regions": _shown(regions[1])}
-        return measures | counts | shown | {"objects": objects}
+        return found | shown
 
     def _export(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given, chosen = _given(session, body), formats.load(request.path_params["format"])

@@ -3,6 +3,7 @@
 import {
   addObject, changeObject, clamp, distance, inside, keyAt, middle, rounded, setKey, simplify, splice,
 } from "./annotation.js";
+import { nextOf } from "./dom.js";
 import { cancel, edit, editLast, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
 import { rowsWhere, visitNext } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
@@ -33,9 +34,6 @@ export const draw = (polygons, visibility) => edit(withKey(state.doc, state.fram
 
 /** Change an object's properties, while one is selected that may be changed. */
 export const update = withObject((_, { id }, fields) => edit(changeObject(state.doc, id, fields)));
-
-/** The item of a list after the one at an index, or before it; at no index (-1) the first or the last. */
-const nextOf = (list, at, by) => list.at(((at < 0 && by < 0 ? 0 : at) + by) % list.length);
 
 // Drawing
 

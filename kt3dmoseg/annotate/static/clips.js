@@ -1,9 +1,8 @@
 // Opening clips, the list of them, and how far this one and all are.
 
-import { ask, listClips } from "./api.js";
 import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { proposeBuilt } from "./exchange.js";
-import { flush, saver, startFrom, yourName } from "./saving.js";
+import { ask, flush, listClips, saver, startFrom, yourName } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
 import { loadTracks } from "./tracks.js";
 import { fit, numbersOf, stop } from "./view.js";
@@ -12,11 +11,11 @@ const POLL = 500;
 const HEADS = ["clip", "frames", "objects", "assigned to", "state", "set by", "in doubt", "minutes", "saved"];
 
 /** Open a clip, or report why it cannot be opened. */
-export async function openClip(name, pushHistory = true) {
+export async function openClip(name, remember = "pushState") {
   try {
     await flush(); // what cannot be saved of the present clip stays in this browser
     const clip = await ask(name);
-    if (pushHistory) history.pushState(null, "", `?clip=${encodeURIComponent(name)}`);
+    history[remember](null, "", `?clip=${encodeURIComponent(name)}`);
     stop();
     saver.base = undefined;
     clip.numbers = numbersOf(clip.frame_names);
@@ -25,7 +24,7 @@ export async function openClip(name, pushHistory = true) {
     await startFrom(name, clip.annotation);
     attempt(() => loadTracks(clip).then(() => proposeBuilt(clip)));
   } catch (error) {
-    const again = button("Try again", () => (close(), openClip(name, pushHistory)));
+    const again = button("Try again", () => (close(), openClip(name, remember)));
     open("The clip cannot be opened", paragraph(error.message), row(again, button("Close", close)));
   }
 }

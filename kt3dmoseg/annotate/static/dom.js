@@ -73,15 +73,18 @@ export function begin(canvas) {
 
 const dialog = byId("dialog");
 
-// The buttons of what scrolls are walked with the arrow keys.
-dialog.addEventListener("keydown", (event) => {
+/** The item of a list after the one at an index, or before it; at no index (-1) the first or the last. */
+export const nextOf = (list, at, by) => list.at(((at < 0 && by < 0 ? 0 : at) + by) % list.length);
+
+/** With the arrow keys, go to the next or previous of some elements; a field with suggestions has them itself. */
+export function walk(event, items) {
   const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-  const buttons = [...dialog.querySelectorAll(".scroll button")];
-  if (!by || !buttons.length) return;
-  const at = buttons.indexOf(document.activeElement);
-  buttons[Math.min(buttons.length - 1, Math.max(0, at + by))].focus();
+  if (!by || !items.length || event.target.list) return;
+  nextOf(items, items.indexOf(document.activeElement), by).focus();
   event.preventDefault();
-});
+}
+
+dialog.onkeydown = (event) => walk(event, [...dialog.querySelectorAll(".scroll button")]);
 
 /** Open the dialog; closing it gives the focus back to the stage. */
 export function open(title, ...content) {
@@ -89,7 +92,6 @@ export function open(title, ...content) {
   if (!dialog.open) dialog.showModal();
   else dialog.querySelector("button:enabled")?.focus();
   dialog.onclose = () => byId("stage").focus();
-  dialog.oncancel = null;
 }
 
 export const close = () => dialog.open && dialog.close();

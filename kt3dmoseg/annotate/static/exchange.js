@@ -2,7 +2,7 @@
 
 import { redraw, setTool } from "./actions.js";
 import { addObject, boundsOf, changeObject, nextMotion, objectOf } from "./annotation.js";
-import { ask, request } from "./api.js";
+import { ask, request } from "./saving.js";
 import { button, byId, close, download, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { edit, editLast, on, regionOf, set, state } from "./state.js";
 import { goTo, showBox } from "./view.js";

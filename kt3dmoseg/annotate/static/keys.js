@@ -1,11 +1,11 @@
-// The keys, and from the same table their help.
+// The keys; from the same table their help, and the menu of the right mouse button or of the key for it.
 
 import * as actions from "./actions.js";
 import { clips, openNext } from "./clips.js";
-import { button, byId, close, element, open, row } from "./dom.js";
+import { button, byId, close, element, fill, open, row, walk } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
 import { flush } from "./saving.js";
-import { attempt, redo, state, toggleObject, undo } from "./state.js";
+import { attempt, redo, select, selectedObject, state, toggleObject, undo } from "./state.js";
 import { zoomTimeline } from "./timeline.js";
 import { nextProblem, nextUnexplained } from "./tracks.js";
 import * as view from "./view.js";
@@ -160,3 +160,48 @@ for (const b of document.querySelectorAll("[data-key]")) {
   b.title = `${text[0].toUpperCase()}${text.slice(1)} (${here(shown)})`;
   b.onclick = () => press(b.dataset.key);
 }
+
+// The menu: actions on what is under the pointer, or on what is selected
+
+const OF_OBJECT = "r p c o e Shift+E Backspace z Shift+H Shift+R Delete Shift+Delete".split(" ");
+const OF_PLACE = "n q s Shift+Z h t y".split(" ");
+
+const menu = byId("menu");
+
+/** Open the menu of an object, or of none, at a place of the window. */
+function showMenu(item, x, y) {
+  if (item) select(item.id);
+  fill(menu, (item ? OF_OBJECT : OF_PLACE).map((name) => {
+    const { shown, text } = TABLE.get(name);
+    const run = () => (menu.hidePopover(), press(name));
+    return button([text.replace(/ \(.*/, ""), element("kbd", {}, here(shown))], run, "", { role: "menuitem" });
+  }));
+  menu.setAttribute("aria-label", item ? item.name : "Clip");
+  menu.showPopover();
+  menu.style.left = `${Math.max(0, Math.min(x, innerWidth - menu.offsetWidth - 4))}px`;
+  menu.style.top = `${Math.max(0, Math.min(y, innerHeight - menu.offsetHeight - 4))}px`;
+  menu.firstChild.focus();
+}
+
+/** What a place on the stage, in the list or on the timeline is about. */
+function itemAt({ target, clientX, clientY, pointerType }) {
+  const listed = target.closest(".entry");
+  if (listed) return state.doc.objects.find((item) => String(item.id) === listed.dataset.id);
+  if (!target.closest("#stage") || pointerType === "") return selectedObject(); // asked for by key
+  const box = byId("stage").getBoundingClientRect();
+  return actions.objectUnder(view.toImage([clientX - box.left, clientY - box.top]));
+}
+
+addEventListener("contextmenu", (event) => {
+  const { target, clientX, clientY } = event;
+  if (event.defaultPrevented || !state.doc || !target.closest("#stage, .entry, #timeline")) return;
+  event.preventDefault();
+  showMenu(itemAt(event), clientX, clientY);
+});
+
+menu.onkeydown = (event) => {
+  event.stopPropagation();
+  if (event.key === "Tab") menu.hidePopover();
+  walk(event, [...menu.children]);
+};
+menu.ontoggle = ({ newState }) => newState === "closed" && byId("stage").focus({ preventScroll: true });

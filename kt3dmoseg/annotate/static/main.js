@@ -1,20 +1,18 @@
-// Puts the page together: what it shows about itself, its size.
+// Puts the page together: what it shows about itself and how, its size.
 
 import { setTool } from "./actions.js";
 import { clamp } from "./annotation.js";
 import { clips, openClip } from "./clips.js";
 import { byId } from "./dom.js";
 import "./keys.js";
-import "./look.js";
-import "./menu.js";
 import "./objects.js";
 import "./pointer.js";
 import { drawRegions } from "./regions.js";
 import { saver } from "./saving.js";
-import { attempt, on, set, state } from "./state.js";
+import { USUAL, attempt, on, set, state } from "./state.js";
 import "./timeline.js";
 import { drawTracks } from "./tracks.js";
-import { drawPicture, fitAll } from "./view.js";
+import { drawPicture, fitAll, goToNumber, zoomTo } from "./view.js";
 
 const TITLE = { object: "a new object", region: "the object again in this frame", part: "another part" };
 
@@ -54,6 +52,52 @@ const tools = document.querySelectorAll("[data-tool]");
 for (const b of tools) b.onclick = () => state.doc && setTool(b.dataset.tool);
 byId("clips").onclick = () => attempt(clips);
 
+// How things are shown: the form behind "View"
+
+const form = byId("look");
+const names = Object.keys(USUAL);
+
+/** The field of a name, and which of its properties holds the value. */
+function field(name) {
+  const found = form.elements[name];
+  return [found, { checkbox: "checked", range: "valueAsNumber" }[found.type] ?? "value"];
+}
+
+form.oninput = ({ target: { name } }) => {
+  const [found, property] = field(name);
+  set({ [name]: found[property] });
+};
+form.onsubmit = (event) => event.preventDefault();
+byId("usual").onclick = () => set(USUAL);
+
+function show() {
+  document.documentElement.style.colorScheme = state.theme;
+  for (const name of names) {
+    const [found, property] = field(name);
+    found[property] = state[name];
+  }
+  const { hidden, problems, ...kept } = Object.fromEntries(names.map((name) => [name, state[name]]));
+  localStorage.setItem("look", JSON.stringify(kept)); // but nothing is left out when the page opens again
+}
+
+// Numbers that are shown and may be typed
+for (const [id, keys, shown, run] of [
+  ["frame", ["clip", "frame"], () => state.clip.numbers[state.frame], goToNumber],
+  ["scale", ["view"], () => `${Math.round(100 * state.view?.scale)} %`, (text) => zoomTo(parseFloat(text))],
+]) {
+  const input = byId(id);
+  const update = () => document.activeElement !== input && state.clip && (input.value = shown());
+  input.onchange = () => input.value.trim() && run(input.value);
+  input.onfocus = () => input.select();
+  input.onblur = update;
+  on(keys, update);
+}
+
+on(names, show);
+matchMedia("(prefers-color-scheme: dark)").onchange = () => set({ resized: performance.now() });
+set(JSON.parse(localStorage.getItem("look") ?? "{}"));
+show();
+
 // The panel's edges are dragged, or moved with the arrow keys; this browser keeps where they are.
 const EDGES = [
   ["panel", "panel", "offsetHeight", "ArrowUp", "ArrowDown"],
@@ -92,7 +136,7 @@ const resized = new ResizeObserver((entries) => {
   if (state.clip && entries.some(({ target }) => target.id === "stage")) fitAll();
 });
 ["stage", "timeline"].forEach((id) => resized.observe(byId(id)));
-addEventListener("popstate", () => openClip(new URLSearchParams(location.search).get("clip"), false));
+addEventListener("popstate", () => openClip(new URLSearchParams(location.search).get("clip"), "replaceState"));
 
 window.labeller = { state, saver, drawPicture, drawTracks, drawRegions };
-openClip(document.documentElement.dataset.clip);
+openClip(document.documentElement.dataset.clip, "replaceState");

@@ -17,7 +17,6 @@ const PINCH = 0.01;
 const canvas = byId("timeline");
 const list = byId("objects");
 const context = canvas.getContext("2d");
-const hatches = new Map();
 let colours = {};
 let drag = null;
 
@@ -49,7 +48,7 @@ function drawTimeline() {
   if (!state.doc) return;
   begin(canvas);
   const { color, backgroundColor, outlineColor, caretColor } = getComputedStyle(canvas);
-  colours = { ink: color, ground: backgroundColor, faint: outlineColor, accent: caretColor };
+  colours = { ink: color, ground: backgroundColor, faint: outlineColor, accent: caretColor, doubt: hatch(color) };
   const { from, column } = span();
   bar(colours.accent, 0.25, (state.frame - from) * column, 0, Math.max(2, column), canvas.clientHeight);
   state.doc.objects.forEach((item, k) => drawRow(item, ROW + k * ROW - state.scrolled));
@@ -86,7 +85,7 @@ function drawMap() {
   const pixels = canvas.clientWidth / n_frames;
   bar(colours.accent, 0.3, from * pixels, 0, count * pixels, MAP);
   for (const item of state.doc.objects) {
-    for (const [frame] of weakFrames(item)) bar(hatch(), 0.7, frame * pixels, 0, Math.max(2, pixels), MAP);
+    for (const [frame] of weakFrames(item)) bar(colours.doubt, 0.7, frame * pixels, 0, Math.max(2, pixels), MAP);
     const colour = colourOfMotion(item.motion);
     for (const { frame } of item.key_frames) bar(colour, 1, (frame + 0.5) * pixels - 1, 1, 2, MAP - 2);
   }
@@ -94,14 +93,11 @@ function drawMap() {
 }
 
 /** Slanted lines, for what is in doubt. */
-function hatch() {
-  if (!hatches.has(colours.ink)) {
-    const tile = new OffscreenCanvas(5, 5).getContext("2d");
-    Object.assign(tile, { strokeStyle: colours.ink, lineWidth: 1.2 });
-    tile.stroke(new Path2D("M-1 6L6 -1M-1 1L1 -1M4 6L6 4"));
-    hatches.set(colours.ink, context.createPattern(tile.canvas, "repeat"));
-  }
-  return hatches.get(colours.ink);
+function hatch(strokeStyle) {
+  const tile = new OffscreenCanvas(5, 5).getContext("2d");
+  Object.assign(tile, { strokeStyle, lineWidth: 1.2 });
+  tile.stroke(new Path2D("M-1 6L6 -1M-1 1L1 -1M4 6L6 4"));
+  return context.createPattern(tile.canvas, "repeat");
 }
 
 function drawRow(item, top) {
@@ -115,7 +111,7 @@ function drawRow(item, top) {
     const alpha = { visible: 0.7, occluded: 0.3, outside: 0 }[visibility];
     bar(colours.faint, alpha, left, middle - 4, column + 0.5, 8);
     bar(colour, alpha, left, middle - 3, column + 0.5, 6);
-    if (state.weak?.[item.id]?.[frame]) bar(hatch(), 0.7, left, top + 3, column, ROW - 6);
+    if (state.weak?.[item.id]?.[frame]) bar(colours.doubt, 0.7, left, top + 3, column, ROW - 6);
     if (key) drawKey(left + column / 2, middle, visibility === "visible", colour);
   }
 }

@@ -2,7 +2,7 @@
 // does not draw them again.
 
 import { clamp } from "./annotation.js";
-import { ask, request } from "./api.js";
+import { ask, request } from "./saving.js";
 import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
 import { now, on, notify, set, state } from "./state.js";
 import { goTo, showPoint, toScreen } from "./view.js";

@@ -2,7 +2,7 @@
 // image position { x, y } of the stage's top left corner, and the scale.
 
 import { boundsOf, clamp } from "./annotation.js";
-import { frameAddress } from "./api.js";
+import { frameAddress } from "./saving.js";
 import { begin, byId } from "./dom.js";
 import { chosen, on, notify, regionOf, set, state } from "./state.js";
 
