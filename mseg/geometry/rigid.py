@@ -7,19 +7,22 @@ own, so static scene and moving objects are treated alike. Several bodies are ad
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
 # Stages of a descent: standard deviation over noise, and steps. From far to near where all points would be
 # outliers of cameras that have not moved, as in a deep scene; at once where motion is small or depth shallow;
 # from a factorisation.
-_GRADUAL = ((100.0, 5), (27.0, 5), (7.0, 5), (1.0, 10))
-_DIRECT = ((1.0, 25),)
-_FACTORED = ((27.0, 5), (7.0, 5), (1.0, 15))
+_GRADUAL = ((100.0, 7), (27.0, 7), (7.0, 7))
+_DIRECT = ((1.0, 12),)
+_FACTORED = ((27.0, 5), (7.0, 5))
+_FINAL = ((1.0, 30),)
 # Residual, in standard deviations, at which a trajectory loses half of its weight.
 _HALF_WEIGHT = 2.0
 # A stage ends for a body that gains less than this part of its cost.
@@ -30,8 +33,13 @@ _NEAREST = 0.05
 _DEPTHS = (0.3, 1.7)
 _DAMPING = 1e-3
 _TINY = 1e-12
+# Steps are found in single precision; whether they are good is evaluated in double.
+_STEP = np.float32
 # Least square of an axis of the shape, relative to the largest, that the metric upgrade may leave.
 _FLATTEST = 1e-2
+
+
+_Array = NDArray[np.floating[Any]]
 
 
 class Cameras(NamedTuple):
@@ -99,6 +107,34 @@ def adjust(
     Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment: a modern synthesis", 1999. The start: Yu,
     Gallup, "3D reconstruction from accidental motion", CVPR 2014.
     """
+    end = _adjusted(image, visible, rng, noise)
+    return Cameras(end.rotation, end.translation), end.cost
+
+
+def focal_length(
+    image: FloatArray, visible: BoolArray, rng: np.random.Generator, *, noise: float, lengths: Sequence[float]
+) -> float:
+    """Choose among focal lengths that under which bodies are most rigid.
+
+    Bodies are adjusted under the middle one, from there under its neighbours, and so on. Parameters as for
+    `adjust`, but `image` and `noise` in the units of the `lengths`, which are in order.
+    """
+    middle = len(lengths) // 2
+    first = _adjusted(image / lengths[middle], visible, rng, noise / lengths[middle])
+    costs = {lengths[middle]: first.cost.sum()}
+    reference = visible.sum(axis=2).argmax(axis=1)
+    for order in (lengths[middle::-1], lengths[middle:]):
+        end = first
+        for last, f in itertools.pairwise(order):
+            points = end.points * np.array([last / f, last / f, 1.0])
+            cameras = Cameras(end.rotation, end.translation * np.array([last / f, last / f, 1.0]))
+            end = _descend(image / f, visible, reference, cameras, points, _FINAL, noise / f)
+            costs[f] = end.cost.sum()
+    return min(costs, key=costs.__getitem__)
+
+
+def _adjusted(image: FloatArray, visible: BoolArray, rng: np.random.Generator, noise: float) -> _State:
+    """Descend from several starts, and from the best end of each body to the noise."""
     reference = visible.sum(axis=2).argmax(axis=1)
     deep = rng.uniform(*_DEPTHS, (visible.shape[0], visible.shape[2]))
     starts: list[tuple[Cameras, FloatArray, Sequence[tuple[float, int]]]] = [
@@ -108,11 +144,11 @@ def adjust(
     if (visible == visible.any(axis=1, keepdims=True)).all():
         starts += [(*start, _FACTORED) for start in _factored(image, visible, reference)]
     ends = [_descend(image, visible, reference, *start, noise) for start in starts]
-    costs = np.stack([cost for _, cost in ends])
-    best = costs.argmin(axis=0), np.arange(len(visible))
-    rotation = np.stack([cameras.rotation for cameras, _ in ends])[best]
-    translation = np.stack([cameras.translation for cameras, _ in ends])[best]
-    return Cameras(rotation, translation), costs[best]
+    best = np.stack([end.cost for end in ends]).argmin(axis=0), np.arange(len(visible))
+    rotation, translation, points = (
+        np.stack([getattr(end, part) for end in ends])[best] for part in ("rotation", "translation", "points")
+    )
+    return _descend(image, visible, reference, Cameras(rotation, translation), points, _FINAL, noise)
 
 
 def _descend(
@@ -123,8 +159,8 @@ def _descend(
     points: FloatArray,
     stages: Sequence[tuple[float, int]],
     noise: float,
-) -> tuple[Cameras, FloatArray]:
-    """Adjust bodies from a start; cameras and cost as `adjust` returns them."""
+) -> _State:
+    """Adjust bodies from a start; the end's cost is that at `noise`."""
     n_bodies, n_frames, _ = visible.shape
     fixed = np.zeros((n_bodies, n_frames), dtype=np.bool_)
     fixed[np.arange(n_bodies), reference] = True
@@ -151,7 +187,7 @@ def _descend(
         depth = np.where(np.abs(depth) > _TINY, depth, 1.0)
         points = state.points / np.stack([np.ones_like(depth), np.ones_like(depth), depth], axis=1)[:, None]
         cameras = Cameras(state.rotation, state.translation * depth[:, None, None])
-    return cameras, state.cost
+    return _evaluate(cameras, points, planes, visible, noise)
 
 
 def _still(
@@ -302,61 +338,105 @@ def _step(
     state: _State, visible: BoolArray, fixed: BoolArray, damping: FloatArray, noise: float
 ) -> tuple[Cameras, FloatArray]:
     """Solve the damped normal equations of cameras and points, and apply the solution."""
-    rotation, translation, points = state.rotation, state.translation, state.points
     n_bodies, n_frames, n_points = visible.shape
     size = 6 * n_frames
-    weight = visible * np.sqrt(1 / (1 + state.square / _HALF_WEIGHT**2))[:, None] / noise
-    x, y, z = (state.rotated[:, :, axis] for axis in range(3))
-    rho = points[:, None, :, 2]
-    columns = np.concatenate([rotation[..., :2], translation[..., None]], axis=-1)[..., None]
-    # A row of the Jacobian is the gradient g of an image coordinate by the point in the camera's axes, times
-    # the derivative of that: (Rp x) by a rotation, rho by the translation, columns of R and t by the point.
-    # Points run along the last axis, so that all sums over them are contiguous.
-    g = state.inverse * weight
-    by_camera = np.empty((2, n_bodies, n_frames, 6, n_points))
-    by_point = np.empty((2, n_bodies, n_frames, 3, n_points))
-    for axis in (0, 1):
-        gz = -state.image[:, axis] * g
-        gx, gy = (g, 0.0) if axis == 0 else (0.0, g)
-        parts = (gz * y - gy * z, gx * z - gz * x, gy * x - gx * y, rho * gx, rho * gy, rho * gz)
-        for k, part in enumerate(parts):
-            by_camera[axis, :, :, k] = part
-        by_point[axis] = g[:, :, None] * columns[:, :, axis] + gz[:, :, None] * columns[:, :, 2]
-    by_camera *= ~fixed[:, :, None, None]
-    error = (state.error * weight[:, None]).swapaxes(0, 1)
-    cameras_normal = (by_camera @ by_camera.swapaxes(-1, -2)).sum(axis=0)
-    cameras_right = -(by_camera @ error[..., None]).sum(axis=0).reshape(n_bodies, size)
-    points_right = -(by_point * error[:, :, :, None]).sum(axis=(0, 2))
-    points_normal = np.empty((n_bodies, n_points, 3, 3))
-    for i in range(3):
-        for j in range(i + 1):
-            product = (by_point[:, :, :, i] * by_point[:, :, :, j]).sum(axis=(0, 2))
-            points_normal[..., i, j] = points_normal[..., j, i] = product
-    coupling = by_camera[0, :, :, :, None] * by_point[0, :, :, None]
-    coupling += by_camera[1, :, :, :, None] * by_point[1, :, :, None]
-    coupling = coupling.reshape(n_bodies, size, 3, n_points)
-
-    grow = damping[:, None, None, None]
-    trace = np.einsum("bnii->bn", points_normal)[..., None, None]
-    inverse = np.linalg.inv(points_normal + grow * np.eye(3) * (trace + 1e-6)).transpose(0, 2, 3, 1)
-    reduced = coupling[:, :, :1] * inverse[:, None, 0]
-    for k in (1, 2):
-        reduced += coupling[:, :, k, None] * inverse[:, None, k]
-    reduced, flat = (part.reshape(n_bodies, size, 3 * n_points) for part in (reduced, coupling))
-    system = -(reduced @ flat.swapaxes(1, 2)) + _TINY * np.eye(size)
+    error, by_point, by_camera, couple = _derivatives(state, visible, fixed, noise)
+    lower = _cholesky(by_point, damping[:, None])
+    by_point = _solve_lower(lower, np.moveaxis(by_point, 3, 0))  # (3, B, F, 2, n)
+    points_right = -(by_point * error).sum(axis=(2, 3))
+    by_camera = by_camera.reshape(n_bodies, n_frames, 6, -1)
+    cameras_normal = by_camera @ by_camera.swapaxes(-1, -2)
+    cameras_right = -(by_camera @ error.reshape(n_bodies, n_frames, -1, 1)).reshape(n_bodies, size)
+    coupling = couple(by_point).reshape(n_bodies, size, 3 * n_points)
+    system = -(coupling @ coupling.swapaxes(1, 2)) + _TINY * np.eye(size)
     diagonal = np.einsum("bfkk->bfk", cameras_normal)[..., None] + 1e-6 * n_points
-    blocks = cameras_normal + np.eye(6) * (grow * diagonal + fixed[:, :, None, None])
+    blocks = cameras_normal + np.eye(6) * (damping[:, None, None, None] * diagonal + fixed[:, :, None, None])
     frames = np.arange(n_frames)
     view = system.reshape(n_bodies, n_frames, 6, n_frames, 6)
     view[:, frames, :, frames, :] += blocks.swapaxes(0, 1)
-    right = cameras_right - (reduced @ points_right.reshape(n_bodies, -1, 1))[..., 0]
-    move = np.linalg.solve(system, right[..., None])
-    back = points_right - (flat.swapaxes(1, 2) @ move)[..., 0].reshape(n_bodies, 3, n_points)
+    flat = points_right.swapaxes(0, 1).reshape(n_bodies, -1, 1)
+    move = np.linalg.solve(system, cameras_right[..., None] - coupling @ flat)
+    back = (flat.swapaxes(1, 2) - move.swapaxes(1, 2) @ coupling).reshape(n_bodies, 3, n_points)
     turn = move.reshape(n_bodies, n_frames, 6)
     return (
-        Cameras(_rotations(turn[..., :3]) @ rotation, translation + turn[..., 3:]),
-        points + (inverse * back[:, None]).sum(axis=2).swapaxes(1, 2),
+        Cameras(_rotations(turn[..., :3]) @ state.rotation, state.translation + turn[..., 3:]),
+        state.points + np.stack(_solve_upper(lower, back.swapaxes(0, 1)), axis=2),
     )
+
+
+def _derivatives(
+    state: _State, visible: BoolArray, fixed: BoolArray, noise: float
+) -> tuple[_Array, _Array, _Array, Callable[[_Array], _Array]]:
+    """Weighted errors (B, F, 2, n) and their derivatives, single precision.
+
+    A row of the Jacobian is the gradient g (1, 0, -u) or g (0, 1, -v) of an image coordinate by the point in
+    the camera's axes, times the derivative of that by the point, (x, y, rho) (B, F, 2, 3, n), and by the
+    camera (B, F, 6, 2, n). The function gives the product (B, F, 6, 3, n) of the latter with what the former
+    became, (3, B, F, 2, n). Points run along the last axis, so that all sums over them are contiguous.
+    """
+    weight = visible * np.sqrt(1 / (1 + state.square / _HALF_WEIGHT**2))[:, None] / noise
+    error = (state.error * weight[:, None]).swapaxes(1, 2).astype(_STEP)
+    g = (state.inverse * weight)[:, :, None].astype(_STEP)
+    gz = -state.image.swapaxes(1, 2).astype(_STEP) * g
+    rho = np.broadcast_to(state.points[:, None, :, 2], visible.shape)
+    rays = np.stack([*np.moveaxis(state.rotated, 2, 0), rho]) * ~fixed[:, :, None]
+    rays = rays[:, :, :, None].astype(_STEP)
+    columns = np.concatenate([state.rotation[..., :2], state.translation[..., None]], axis=-1)
+    columns = columns[..., None].astype(_STEP)
+    by_point = g[..., None, :] * columns[:, :, :2] + gz[:, :, :, None] * columns[:, :, 2, None]
+    zero = np.zeros_like(g)
+    ends = np.concatenate([g, zero], axis=2), np.concatenate([zero, g], axis=2), gz
+
+    def couple(rows: _Array) -> _Array:
+        x, y = (rows[:, :, :, axis].transpose(1, 2, 0, 3) for axis in (0, 1))
+        return _by_camera((g * x, g * y, gz[:, :, :1] * x + gz[:, :, 1:] * y), rays)
+
+    return error, by_point, _by_camera(ends, rays), couple
+
+
+def _by_camera(ends: tuple[_Array, ...], rays: _Array) -> _Array:
+    """Derive vectors times the rays R p + rho t by rotation and translation: (B, F, 6, ...)."""
+    (a, b, c), (x, y, z, rho) = ends, rays
+    rows = np.empty((*a.shape[:2], 6, *a.shape[2:]), dtype=a.dtype)
+    for k, (first, by, second, times) in enumerate(((c, y, b, z), (a, z, c, x), (b, x, a, y))):
+        row = np.multiply(first, by, out=rows[:, :, k])
+        row -= second * times
+    for k, end in enumerate(ends, 3):
+        np.multiply(rho, end, out=rows[:, :, k])
+    return rows
+
+
+def _cholesky(rows: _Array, damping: _Array) -> list[list[_Array]]:
+    """Lower factors, as 3 rows of (B, n), of the damped normal matrices of rows (B, F, 2, 3, n)."""
+    damping = damping.astype(rows.dtype)
+    normal = [[(rows[..., i, :] * rows[..., j, :]).sum(axis=(1, 2)) for j in range(i + 1)] for i in range(3)]
+    grow = damping * (normal[0][0] + normal[1][1] + normal[2][2] + 1e-6)
+    lower: list[list[_Array]] = []
+    for i, row in enumerate(normal):
+        lower.append(row)
+        for j in range(i + 1):
+            for k in range(j):
+                row[j] = row[j] - row[k] * lower[j][k]
+            row[j] = np.sqrt(np.maximum(row[j] + grow, _TINY)) if i == j else row[j] / lower[j][j]
+    return lower
+
+
+def _solve_lower(lower: list[list[_Array]], right: _Array) -> _Array:
+    """Solve for right sides (3, B, F, 2, n)."""
+    solved = np.empty_like(right)
+    for i, row in enumerate(lower):
+        rest = right[i]
+        for k in range(i):
+            rest = rest - row[k][:, None, None] * solved[k]
+        solved[i] = rest / row[i][:, None, None]
+    return solved
+
+
+def _solve_upper(lower: list[list[_Array]], right: _Array) -> list[_Array]:
+    """Solve with the transposed factors for right sides (3, B, n)."""
+    z = right[2] / lower[2][2]
+    y = (right[1] - lower[2][1] * z) / lower[1][1]
+    return [(right[0] - lower[1][0] * y - lower[2][0] * z) / lower[0][0], y, z]
 
 
 def _rotations(vectors: FloatArray) -> FloatArray:

@@ -10,9 +10,9 @@
 4. Refinement: the bodies of the best groupings are adjusted again and compete in another choice; last, each
    trajectory joins the body that explains it and its neighbours best.
 
-The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price * motions``:
-``c = log(1 + q / (9 s^2)) + 0.3 log(s^2 / s_0^2)`` for a mean squared residual q of trajectory i under a
-body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals. (0.3 and
+The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price * mean(w) * motions``:
+``c = log(1 + q / (9 s^2)) + 0.28 log(s^2 / s_0^2)`` for a mean squared residual q of trajectory i under a
+body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals. (0.28 and
 not 1/2: what a lens or a tracker gets wrong is alike in neighbours, so there are fewer witnesses.) w_i grows
 with the length of the trajectory; the cut is the weight of edges between motions in the mean of the views'
 graphs, each with unit degrees.
@@ -53,7 +53,7 @@ _BATCH = 24
 _UNEXPLAINED = 3.0
 _NOISIEST = 10.0
 # Cost of a body's noise, per trajectory and logarithm of its variance over the clip's.
-_NOISIER = 0.3
+_NOISIER = 0.28
 # A trajectory of this many frames weighs 1, the heaviest one 1.5.
 _USUAL_LENGTH = 10
 _HEAVIEST = 1.5
@@ -78,7 +78,7 @@ class MultiBody:
     """
 
     atoms: int = option(20, "clusters of the over-segmentation", low=2)
-    price: float = option(16.0, "cost of a motion", low=0)
+    price: float = option(20.0, "cost of a motion, for trajectories of ten frames", low=0)
     coherence: float = option(12.0, "cost of an edge between motions, per unit of degree", low=0)
     most: int = option(7, "largest number of motions that is looked for", low=1)
     reject_outliers: bool = option(False, "label 0 for trajectories that fit no motion")
@@ -178,6 +178,8 @@ class _Scene:
                 expected=f"{_SMALLEST} trajectories that live long enough",
                 found=str(self.size.sum()),
             )
+        # The cameras of a motion have parameters in every frame that its trajectories live.
+        price *= float(self.weight.mean())
         self.focal = self._focal(sets)
         bodies = self._bodies(sets)
         self._measure_noise(bodies)
@@ -230,8 +232,7 @@ class _Scene:
     def _focal(self, sets: list[BoolArray]) -> float:
         """Focal length, in widths, that lets the largest sets be rigid best."""
         image, visible = self._sample(sorted(sets, key=lambda atoms: -int(self.size[atoms].sum()))[:6])
-        costs = [rigid.adjust(image / f, visible, self.rng, noise=_NOISE / f)[1].sum() for f in _FOCAL]
-        return _FOCAL[int(np.argmin(costs))]
+        return rigid.focal_length(image, visible, self.rng, noise=_NOISE, lengths=_FOCAL)
 
     def _bodies(self, sets: list[BoolArray]) -> list[_Body]:
         """Adjust a body to each set of atoms."""
