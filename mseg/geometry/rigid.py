@@ -18,7 +18,7 @@ from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
 # Stages of a descent: standard deviation over noise, and steps. From far to near where all points would be
 # outliers of cameras that have not moved, as in a deep scene; at once where motion is small or depth shallow;
-# from a factorisation.
+# from a factorisation; last, from the best end of these.
 _GRADUAL = ((100.0, 7), (27.0, 7), (7.0, 7))
 _DIRECT = ((1.0, 12),)
 _FACTORED = ((27.0, 5), (7.0, 5))
@@ -81,7 +81,7 @@ def adjust(
     as a whole: its weight falls with its mean squared residual as Cauchy's does. Of several descents each
     body keeps the best: from cameras that do not move, with random depths and a scale that narrows;
     from the same with equal depths; and, where all points are seen in all frames, from two factorisations
-    under weak perspective, which find bodies that turn far.
+    under weak perspective, which find bodies that turn far. From the best end it descends to the noise.
 
     Parameters
     ----------
@@ -369,10 +369,9 @@ def _derivatives(
 ) -> tuple[_Array, _Array, _Array, Callable[[_Array], _Array]]:
     """Weighted errors (B, F, 2, n) and their derivatives, single precision.
 
-    A row of the Jacobian is the gradient g (1, 0, -u) or g (0, 1, -v) of an image coordinate by the point in
-    the camera's axes, times the derivative of that by the point, (x, y, rho) (B, F, 2, 3, n), and by the
-    camera (B, F, 6, 2, n). The function gives the product (B, F, 6, 3, n) of the latter with what the former
-    became, (3, B, F, 2, n). Points run along the last axis, so that all sums over them are contiguous.
+    A row is the gradient g (1, 0, -u) or g (0, 1, -v) by the point in the camera's axes, times its derivative
+    by the point's (x, y, rho), (B, F, 2, 3, n), or by the camera, (B, F, 6, 2, n). The function multiplies
+    the latter by what the former became, (3, B, F, 2, n). The last axis is contiguous for sums over points.
     """
     weight = visible * np.sqrt(1 / (1 + state.square / _HALF_WEIGHT**2))[:, None] / noise
     error = (state.error * weight[:, None]).swapaxes(1, 2).astype(_STEP)
@@ -397,23 +396,14 @@ def _derivatives(
 def _by_camera(ends: tuple[_Array, ...], rays: _Array) -> _Array:
     """Derive vectors times the rays R p + rho t by rotation and translation: (B, F, 6, ...)."""
     (a, b, c), (x, y, z, rho) = ends, rays
-    rows = np.empty((*a.shape[:2], 6, *a.shape[2:]), dtype=a.dtype)
-    for k, (first, by, second, times) in enumerate(((c, y, b, z), (a, z, c, x), (b, x, a, y))):
-        row = np.multiply(first, by, out=rows[:, :, k])
-        row -= second * times
-    for k, end in enumerate(ends, 3):
-        np.multiply(rho, end, out=rows[:, :, k])
-    return rows
+    return np.stack([c * y - b * z, a * z - c * x, b * x - a * y, rho * a, rho * b, rho * c], axis=2)
 
 
 def _cholesky(rows: _Array, damping: _Array) -> list[list[_Array]]:
     """Lower factors, as 3 rows of (B, n), of the damped normal matrices of rows (B, F, 2, 3, n)."""
-    damping = damping.astype(rows.dtype)
-    normal = [[(rows[..., i, :] * rows[..., j, :]).sum(axis=(1, 2)) for j in range(i + 1)] for i in range(3)]
-    grow = damping * (normal[0][0] + normal[1][1] + normal[2][2] + 1e-6)
-    lower: list[list[_Array]] = []
-    for i, row in enumerate(normal):
-        lower.append(row)
+    lower = [[(rows[..., i, :] * rows[..., j, :]).sum(axis=(1, 2)) for j in range(i + 1)] for i in range(3)]
+    grow = damping.astype(rows.dtype) * (lower[0][0] + lower[1][1] + lower[2][2] + 1e-6)
+    for i, row in enumerate(lower):
         for j in range(i + 1):
             for k in range(j):
                 row[j] = row[j] - row[k] * lower[j][k]
@@ -423,20 +413,18 @@ def _cholesky(rows: _Array, damping: _Array) -> list[list[_Array]]:
 
 def _solve_lower(lower: list[list[_Array]], right: _Array) -> _Array:
     """Solve for right sides (3, B, F, 2, n)."""
-    solved = np.empty_like(right)
-    for i, row in enumerate(lower):
-        rest = right[i]
-        for k in range(i):
-            rest = rest - row[k][:, None, None] * solved[k]
-        solved[i] = rest / row[i][:, None, None]
-    return solved
+    (a,), (b, c), (d, e, f) = ([part[:, None, None] for part in row] for row in lower)
+    x = right[0] / a
+    y = (right[1] - b * x) / c
+    return np.stack([x, y, (right[2] - d * x - e * y) / f])
 
 
 def _solve_upper(lower: list[list[_Array]], right: _Array) -> list[_Array]:
     """Solve with the transposed factors for right sides (3, B, n)."""
-    z = right[2] / lower[2][2]
-    y = (right[1] - lower[2][1] * z) / lower[1][1]
-    return [(right[0] - lower[1][0] * y - lower[2][0] * z) / lower[0][0], y, z]
+    (a,), (b, c), (d, e, f) = lower
+    z = right[2] / f
+    y = (right[1] - e * z) / c
+    return [(right[0] - b * y - d * z) / a, y, z]
 
 
 def _rotations(vectors: FloatArray) -> FloatArray:
