@@ -129,11 +129,12 @@ def check_writable(path: PathLike) -> None:
 
 
 @contextmanager
-def hold_folder(path: PathLike, busy: Callable[[], object] = lambda: None) -> Iterator[Path]:
+def hold_folder(path: PathLike, busy: Callable[[], object] = lambda: None, alone: str = "") -> Iterator[Path]:
     """Make a folder and hold it alone while the block runs, against other threads and processes.
 
     The system releases it when the process ends, however it ends; on Windows nothing is held. `busy` is
-    called when somebody else holds the folder, before waiting for it; it may raise instead.
+    called when somebody else holds the folder, before waiting for it; InputFileError is raised instead of
+    waiting where `alone` says what must run alone.
     """
     folder = Path(path)
     with ExitStack() as held:
@@ -146,6 +147,11 @@ def hold_folder(path: PathLike, busy: Callable[[], object] = lambda: None) -> It
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
+                if alone:
+                    expected, found = f"no other {alone}", f"another {alone} running in this folder"
+                    raise InputFileError(
+                        f"{path}", expected=expected, found=found, fix="wait for it"
+                    ) from None
                 busy()
                 fcntl.flock(handle, fcntl.LOCK_EX)
         yield folder

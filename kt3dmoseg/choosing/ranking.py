@@ -7,12 +7,12 @@ import json
 import os
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import cv2
 
@@ -39,7 +39,6 @@ _SAME_RECORDING = 0.85  # what another window of a recording that has one alread
 _STRIP, _THUMBNAIL, _QUALITY = 5, 260, 70  # pictures, their width, their quality
 
 _Part: TypeAlias = tuple[FrameSource, str]  # and the name of the file that keeps its measures
-_Recordings: TypeAlias = dict[str, FrameSource]
 COLUMNS = ("clip", "score", "translation", "depth", "clutter", "motions", "trajectories", "movers")
 
 
@@ -98,24 +97,17 @@ def choose(
     if output is None:
         return select(_measured(parts, settings, None, workers, dask, progress), settings)
     check_writable(Path(output))
-    with hold_folder(output, busy=partial(_busy, output)) as folder:
+    with hold_folder(output, alone="choice") as folder:
         windows = _measured(parts, settings, folder / _PARTS, workers, dask, progress)
         chosen = select(windows, settings)
         _write(folder, windows, chosen, sources, settings)
     return chosen
 
 
-def _busy(output: PathLike) -> None:
-    raise InputFileError(
-        f"{output}", expected="no other choice running there", found="one", fix="wait for it"
-    )
-
-
-def _sources(given: PathLike | Sequence[PathLike | FrameSource]) -> _Recordings:
-    found: _Recordings = {}
+def _sources(given: PathLike | Sequence[PathLike | FrameSource]) -> dict[str, FrameSource]:
+    found: dict[str, FrameSource] = {}
     for item in [given] if isinstance(given, (str, os.PathLike)) else given:
-        path = isinstance(item, (str, os.PathLike))
-        for source in cast("list[FrameSource]", choose_sources(item, drives=True) if path else [item]):  # type: ignore[arg-type]  # a path
+        for source in choose_sources(item, drives=True) if isinstance(item, (str, os.PathLike)) else [item]:
             if source.name in found:
                 where, both = f"recording {source.name}", f"{found[source.name].where} and {source.where}"
                 raise InvalidValueError(where, expected="one", found=both, fix="rename one")
@@ -125,18 +117,22 @@ def _sources(given: PathLike | Sequence[PathLike | FrameSource]) -> _Recordings:
 
 def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
     """Give the parts of a recording, and the name of the file in which the measures of each are kept."""
-    drive = source.drive if isinstance(source, KittiClip) else None  # which may be on disk in parts
-    whole = None if drive is not None else source.inspect().description
+    given: Any = source  # a dataclass with a cut
+    whole, cut = None, given.cut
+    if isinstance(source, KittiClip):  # which may be on disk in parts
+        numbers = source.drive.numbers.tolist()
+        numbers = [n for n in numbers if (cut.first or 0) <= n and (cut.last is None or n <= cut.last)]
+    else:
+        whole, numbers = source.inspect().description, source.numbers()
     measured = {**asdict(settings), "count": 0, "apart": 0}
     versions = [__version__, choosing.ALGORITHM_VERSION, tracking.ALGORITHM_VERSION, cv2.__version__]
     about = {"options": measured, "versions": versions, "flow": backend_identity(create(settings.flow))}
-    for run in _runs(source.numbers() if drive is None else drive.numbers.tolist()):
+    for run in _runs(numbers):
         last = max(0, len(run) - settings.longest)
         starts = [*range(0, last, max(1, settings.longest // 2)), last]
         for start in starts if len(run) >= settings.shortest else []:
             ends = run[start], run[min(start + settings.longest, len(run)) - 1]
-            given: Any = source  # a dataclass with a cut
-            part = replace(given, cut=replace(given.cut, first=ends[0], last=ends[1], name=source.name))
+            part = replace(given, cut=replace(cut, first=ends[0], last=ends[1], name=source.name))
             frames = whole or part.inspect().description
             yield part, f"{cache_key({**about, 'recording': frames, 'part': ends})}.json"
 
@@ -156,18 +152,19 @@ def _measured(
     progress: Callable[[int, int], None] | None,
 ) -> list[Window]:
     """Measure every part that is not measured yet; a window that two parts hold is taken from the first."""
-    found: dict[tuple[str, int, int], Window] = {}
+    measured: dict[str, list[Window]] = {}
     work = partial(_measure_part, settings, folder)
 
     def lost(part: _Part, reason: str) -> list[Window]:
         raise InputFileError(part[0].where, found=reason, fix="run again with fewer workers")
 
     done = run_tasks(work, parts, lost=lost, workers=workers, dask=dask)
-    for count, (_, windows) in enumerate(done, start=1):
-        for window in windows:
-            found.setdefault((window.recording, window.first, window.last), window)
+    for count, ((_, kept), windows) in enumerate(done, start=1):
+        measured[kept] = windows
         if progress is not None:
             progress(count, len(parts))
+    ordered = [window for _, kept in reversed(parts) for window in measured[kept]]  # not as they came
+    found = {(window.recording, window.first, window.last): window for window in ordered}
     return [found[key] for key in sorted(found)]
 
 
@@ -206,29 +203,21 @@ def select(windows: Sequence[Window], options: ChooseOptions | None = None) -> l
 
 def _apart(one: Window, other: Window, frames: int) -> bool:
     gap = max(one.first - other.last, other.first - one.last)
-    return one.recording != other.recording or gap > max(frames, 0)
+    return one.recording != other.recording or gap > frames
 
 
 def row(window: Window) -> list[str]:
     """Return what the table shows of a window; see `COLUMNS`."""
-    sizes = " ".join(map(str, window.sizes)) or "-"
-    return [
-        window.name,
-        "cut" if window.cut else f"{window.score:.3f}",
-        f"{window.translation:.1f} {window.unit}",
-        f"{window.depth:.1f}",
-        f"{window.clutter:.2f}",
-        f"{window.motions}",
-        sizes,
-        window.movers,
-    ]
+    score, far = "cut" if window.cut else f"{window.score:.3f}", f"{window.translation:.1f} {window.unit}"
+    scene, sizes = [f"{window.depth:.1f}", f"{window.clutter:.2f}"], " ".join(map(str, window.sizes)) or "-"
+    return [window.name, score, far, *scene, f"{window.motions}", sizes, window.movers]
 
 
 def _write(
     folder: Path,
     found: Sequence[Window],
     chosen: Sequence[Window],
-    sources: _Recordings,
+    sources: Mapping[str, FrameSource],
     settings: ChooseOptions,
 ) -> None:
     import pandas as pd
@@ -246,25 +235,25 @@ def _entry(window: Window, source: FrameSource) -> catalog.Entry | None:
     """Return the catalog's entry of a window; None when it is not of a KITTI drive."""
     if not isinstance(source, KittiClip):
         return None
-    numbers = tuple(range(window.first, window.last + 1))
-    drive = source.drive
+    numbers, drive = tuple(range(window.first, window.last + 1)), source.drive
     about = f"kt3dmoseg choose: score {window.score:.3f}, {window.motions} motions by {window.movers}"
-    size = drive.image_size
-    return catalog.Entry(window.name, drive.drive, drive.camera, len(numbers), size, numbers, source=about)
+    where = drive.drive, drive.camera, len(numbers), drive.image_size
+    return catalog.Entry(window.name, *where, numbers, source=about)
 
 
-def _page(chosen: Sequence[Window], count: int, sources: _Recordings, settings: ChooseOptions) -> str:
-    from jinja2 import Environment, FileSystemLoader
+def _page(
+    chosen: Sequence[Window], count: int, sources: Mapping[str, FrameSource], settings: ChooseOptions
+) -> str:
+    from jinja2 import Template
 
-    loader = FileSystemLoader(Path(__file__).with_name("static"))
-    template = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    text = Path(__file__).with_name("static").joinpath("candidates.html").read_text("utf-8")
     items = []
     for window in chosen:
         source = sources[window.recording]
         other = None if isinstance(source, KittiClip) else shlex.quote(source.where)
         items.append((window, row(window), other, _strip(window, source, settings)))
-    page = template.get_template("candidates.html")
-    return page.render(items=items, columns=COLUMNS, count=count, recordings=sorted(sources))
+    template = Template(text, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return str(template.render(items=items, columns=COLUMNS, count=count, recordings=sources))
 
 
 def _strip(window: Window, source: Any, settings: ChooseOptions) -> list[str]:  # noqa: ANN401  # with a cut

@@ -166,7 +166,8 @@ def _metres(source: FrameSource, first: int, last: int) -> float | None:
         cameras = drive.poses([first, last]) @ np.linalg.inv(drive.T_cam_imu)
     except KT3DMoSegError:
         return None
-    return float(np.linalg.norm(cameras[1, :3, 3] - cameras[0, :3, 3]))
+    metres = float(np.linalg.norm(cameras[1, :3, 3] - cameras[0, :3, 3]))
+    return metres if np.isfinite(metres) else None  # packets may hold nan
 
 
 def _moving(

@@ -244,12 +244,7 @@ def _names(sources: Sequence[FrameSource]) -> list[str]:
 @contextmanager
 def _sole_writer(output: Path) -> Iterator[Path]:
     """Make the folder and hold it for this process; leave none where nothing came of it."""
-
-    def refuse() -> None:
-        found, fix = "another build running in this folder", "wait for it"
-        raise InputFileError(f"{output}", expected="no other build", found=found, fix=fix)
-
-    with hold_folder(output, busy=refuse) as folder:
+    with hold_folder(output, alone="build") as folder:
         try:
             check_writable(folder)
             yield folder

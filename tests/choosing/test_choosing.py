@@ -89,6 +89,33 @@ def test_what_is_measured_is_kept_and_other_numbers_of_choices_cost_nothing(root
         choose(root, output, **OPTIONS | {"stride": 4})
 
 
+def test_a_window_of_two_parts_is_taken_from_the_first_whichever_is_measured_first(root, monkeypatch):
+    [source] = choose_sources(root, drive=1)
+    parts = [(source, "a"), (source, "b")]
+    results = [[Window("r", 0, 9, metres, "m", 1, 1, (), "")] for metres in (1.0, 2.0)]
+    done = list(zip(parts, results, strict=True))
+    for order in (done, done[::-1]):
+        monkeypatch.setattr(ranking, "run_tasks", lambda *_, order=order, **__: iter(order))
+        assert ranking._measured(parts, ChooseOptions(), None, 2, "", None) == results[0]
+
+
+def test_only_the_given_part_of_a_drive_is_looked_at(root):
+    sources = choose_sources(root, drive=1, frames=(5, 18))
+    windows = choose(sources, count=9, **OPTIONS)
+    assert windows
+    assert all(5 <= window.first < window.last <= 18 for window in windows)
+
+
+def test_positions_that_are_not_numbers_are_not_ranked(root, monkeypatch):
+    [source] = choose_sources(root, drive=1, frames=(0, 11))
+    monkeypatch.setattr(
+        type(source.drive), "poses", lambda self, numbers: np.full((len(numbers), 4, 4), np.nan)
+    )
+    windows = measure_windows(source, ChooseOptions(**OPTIONS))
+    assert {window.unit for window in windows} == {"px"}
+    assert all(0 < window.score < 1 for window in windows)
+
+
 def test_parts_are_no_longer_than_the_longest_window(root):
     settings = ChooseOptions(**OPTIONS)
     [source, _] = ranking._sources(root).values()
