@@ -21,7 +21,6 @@ from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Positive
 
 if TYPE_CHECKING:
     from mseg.evaluation.leaderboard import Leaderboard
-    from mseg.evaluation.scoring import ScoreTable
 
 _NAMES = ("methods", "run", "example-submission", "validate", "score", "compare", "report", "leaderboard")
 COMMANDS = {name: f"mseg.cli:{name.replace('-', '_')}" for name in (*_NAMES, "benchmark")}
@@ -215,6 +214,7 @@ def score(
     with other problems is rejected with all of them (exit code 1); --force scores it all the same.
     """
     from kt3dmoseg.files import write_text
+    from mseg.evaluation.results import rendered
     from mseg.evaluation.scoring import score_validated
     from mseg.evaluation.validation import validate_submission
 
@@ -225,28 +225,12 @@ def score(
             print("rejected: repair it, or score it as it is with --force", file=sys.stderr)
             return 1
     form = "json" if json else "csv" if csv else "markdown" if markdown else "latex" if latex else "text"
-    content = _rendered(score_validated(checked, force=force), form)
+    content = rendered(score_validated(checked, force=force), form)
     if output is None:
         print(content)
     else:
         write_text(output, content + "\n")
     return 0
-
-
-def _rendered(scores: ScoreTable, form: str) -> str:
-    from mseg.evaluation import results
-    from mseg.evaluation.scoring import to_json
-
-    if form == "json":
-        return json_.dumps(to_json(scores), indent=1)
-    if form == "csv":
-        return results.per_clip(scores, scores.metrics).csv().rstrip()
-    if form == "markdown":
-        return results.headline(scores).markdown()
-    if form == "latex":
-        return results.headline(scores).latex()
-    forms = (results.headline, results.by_axis, results.per_clip, results.all_means)
-    return "\n\n".join(table.text() for make in forms if (table := make(scores)))
 
 
 def compare(

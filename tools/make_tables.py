@@ -63,7 +63,7 @@ def methods(results: list[PublishedResult]) -> ResultsTable:
         name = next(iter(of.values())).published
         printed = first.protocol.published.get(name, {}).get("all", {}).get("mean")
         cells = [cell for way in ("given", "found") for cell in _error_and_seeds(of.get(way))]
-        right = f"{100 * _right(of['found']):.0f}" if "found" in of else ABSENT
+        right = f"{100 * of['found'].right:.0f}" if "found" in of else ABSENT
         rows.append(
             [
                 f"`{title}`",
@@ -83,13 +83,6 @@ def _error_and_seeds(result: PublishedResult | None) -> list[str]:
     means = 100 * result.errors.mean(axis=0)
     spread = f" ±{means.std(ddof=1):.2f}" if len(means) > 1 else ""
     return [f"{means.mean():.2f}{spread}", str(len(means))]
-
-
-def _right(result: PublishedResult) -> float:
-    clips = result.clips.values()
-    return sum(found == clip.motions for clip in clips for found in clip.found) / sum(
-        len(clip.found) for clip in clips
-    )
 
 
 def clips_of_main(results: list[PublishedResult]) -> ResultsTable:

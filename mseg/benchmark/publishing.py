@@ -65,7 +65,6 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
     authors: list[str] = Field(default=[], description="of a submission; of our own the source is documented")
     link: str = Field(default="", description="paper or code")
     supervised: bool = Field(default=False, description="whether trained with labels, of other clips")
-    unit: Literal["trajectories"] = Field(default="trajectories", description="what is counted")
     seeds: list[_Count] = Field(min_length=1)
     clips: dict[str, ClipResult] = Field(min_length=1)
 
@@ -103,6 +102,16 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
         return sum(clip.seconds for clip in self.clips.values())
 
     @property
+    def right(self) -> float:
+        """Share of the runs in which as many groups were found as there are motions."""
+        return float(np.mean([found == each.motions for each in self.clips.values() for found in each.found]))
+
+    @property
+    def failed(self) -> int:
+        """Number of runs that failed."""
+        return sum(len(clip.failures) for clip in self.clips.values())
+
+    @property
     def published(self) -> str:
         """Name of the method's row in the published table; empty where it has none."""
         return published_name(self.protocol, self.method)
@@ -126,7 +135,7 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
 
     def text(self) -> str:
         """Write as JSON, one line per field and per clip."""
-        optional = {n for n in ("authors", "link", "supervised", "unit") if n not in self.model_fields_set}
+        optional = {n for n in ("authors", "link", "supervised") if n not in self.model_fields_set}
         values = self.model_dump(exclude={"clips", *optional})
         lines = [f" {json.dumps(name)}: {json.dumps(value)}," for name, value in values.items()]
         clips = {name: clip.model_dump(exclude_defaults=True) for name, clip in self.clips.items()}
@@ -246,13 +255,12 @@ def _order(result: PublishedResult) -> tuple[bool, int, str]:
 
 def summary(results: Sequence[PublishedResult]) -> ResultsTable:
     """One row per method of one dataset: mean ± spread over seeds and median of every group, and time."""
-    first, clips = results[0], [each.clips.values() for each in results]
-    right = [np.mean([found == clip.motions for clip in part for found in clip.found]) for part in clips]
+    first = results[0]
     extra = {
         "seeds": [str(len(each.seeds)) for each in results],
-        "right number of groups, %": [f"{100 * share:.0f}" for share in right],
+        "right number of groups, %": [f"{100 * each.right:.0f}" for each in results],
         "CPU s per seed": [f"{each.seconds:.1f}" for each in results],
-        "failed runs": [str(sum(len(clip.failures) for clip in part)) for part in clips],
+        "failed runs": [str(each.failed) for each in results],
     }
     title = f"{first.heading}: classification error in %, lower is better"
     errors, published = {each.row: each.errors for each in results}, [each.published for each in results]

@@ -15,8 +15,6 @@ import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from kt3dmoseg.draw.painting import by_label, draw_frame
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes, write_bytes, write_text, zip_bytes
@@ -83,20 +81,18 @@ def write_site(
 
 
 def _row(result: PublishedResult, history: Sequence[Version]) -> Row:
-    clips, source = result.clips.values(), _source(result.method)
+    source = _source(result.method)
     names = result.authors or ["this toolkit"] * source.startswith("ours") or _NAMES.findall(source)
-    right = [found == clip.motions for clip in clips for found in clip.found]
     return Row(
         result.title,
         result.errors,
         number=result.n_motions,
         kind="baseline" if result.method in BASELINES else "measured",
         supervised=result.supervised,
-        unit=result.unit,
         authors=", ".join(names),
         link=result.link,
-        failed=sum(len(clip.failures) for clip in clips),
-        right=float(np.mean(right)),
+        failed=result.failed,
+        right=result.right,
         seconds=result.seconds,
         facts={"source": source, "hardware": result.hardware, **result.versions, **result.parameters},
         history=history,
@@ -158,7 +154,8 @@ def _git(folder: Path, *arguments: str) -> bytes | None:
     program = shutil.which("git")
     if program is None:
         return None
-    done = subprocess.run([program, "-C", folder, *arguments], capture_output=True, timeout=_SECONDS)
+    line = [program, "-C", folder, "-c", "core.quotepath=off", *arguments]
+    done = subprocess.run(line, capture_output=True, timeout=_SECONDS)
     return done.stdout if done.returncode == 0 else None
 
 
@@ -184,13 +181,15 @@ def submit(
     RejectedSubmissionError
         When it is invalid.
     InvalidValueError
-        When its clips are of no benchmark, or a row of that name has no predictions and so is another's.
+        When its clips are of no benchmark, or a row of that file name is another's: it has no predictions, or
+        another title.
     """
     source = Path(submission)
     result = _scored(score_submission(source, data, benchmark=benchmark))
     path = Path(results) / result.path
-    if path.is_file() and not path.with_suffix(".zip").is_file():
-        found, fix = "that of a method of the toolkit", "choose another name in meta.toml"
+    old = read_result(path).title if path.is_file() else ""
+    if old and (old != result.title or not path.with_suffix(".zip").is_file()):
+        found, fix = f"that of {old}, a method of others", "choose another name in meta.toml"
         raise InvalidValueError("method", expected="a name of its own", found=found, fix=fix)
     if source.is_dir():
         files = sorted([source / META, *prediction_files(source)])
@@ -258,11 +257,9 @@ def check_submissions(
     """
     found = sorted(Path(results).glob("*/*/*.zip"))
     wrong = [text for path in found for text in _differences(path, data)]
-    for path in sorted(Path(results).glob("*/*/*.json")):
-        if not path.with_suffix(".zip").is_file() and read_result(path).method not in METHODS.names():
-            wrong.append(
-                f"{path}: expected its predictions beside it, found none; run mseg leaderboard submit"
-            )
+    others = sorted({*Path(results).glob("*/*/*.json")} - {path.with_suffix(".json") for path in found})
+    lacking = "expected its predictions beside it, found none; run mseg leaderboard submit"
+    wrong += [f"{path}: {lacking}" for path in others if read_result(path).method not in METHODS.names()]
     return len(found), wrong
 
 
@@ -274,14 +271,13 @@ def _differences(path: Path, data: Sequence[str | os.PathLike[str]]) -> Iterator
     old = read_result(stated)
     paths, _ = find_clips(load_protocol(old.benchmark), [Path(folder) for folder in data])
     new = _scored(score_submission(path, [load(file) for file in paths.values()], benchmark=old.benchmark))
-    for name in sorted(PublishedResult.model_fields.keys() - {"clips", "versions", "dataset_version"}):
-        yield from _compared(f"{stated}: {name}", getattr(old, name), getattr(new, name))
-    for clip in sorted(old.clips.keys() | new.clips.keys()):
-        for name in ClipResult.model_fields:
-            was, now = (getattr(each.clips.get(clip), name, None) for each in (old, new))
-            yield from _compared(f"{stated}: clips.{clip}.{name}", was, now)
+    was, now = _figures(old), _figures(new)
+    for name in sorted(was.keys() | now.keys()):
+        if was.get(name) != now.get(name):
+            yield f"{stated}: {name}: stated {was.get(name)!r:.80}, scored again {now.get(name)!r:.80}"
 
 
-def _compared(where: str, stated: object, again: object) -> Iterator[str]:
-    if stated != again:
-        yield f"{where}: stated {stated!r:.80}, scored again {again!r:.80}"
+def _figures(result: PublishedResult) -> dict[str, object]:
+    """Every field by name, those of clips too; not what depends on the version of the toolkit."""
+    clips = {f"clips.{name}.{key}": value for name, clip in result.clips.items() for key, value in clip}
+    return result.model_dump(exclude={"clips", "versions", "dataset_version"}) | clips

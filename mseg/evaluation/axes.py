@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
+from mseg.geometry.hartley import normalise
 
 GAP = 5  # frames over which motion is measured, as in the synthetic benchmark
 _FLAT = 1.0  # px: a scene that a homography explains to within this has no measurable epipolar lines
@@ -122,9 +123,7 @@ def _off_epipolar(x1: FloatArray, x2: FloatArray, still: BoolArray) -> FloatArra
 
 def _normalised(x: FloatArray, still: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Homogeneous points (P, 3) in Hartley's coordinates of the static ones, and the similarity (3, 3)."""
-    centre = x[still].mean(axis=0)
-    scale = np.sqrt(2) / max(1e-9, float(np.linalg.norm(x[still] - centre, axis=1).mean()))
-    similarity = np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
+    _, similarity = normalise(x[still])
     return np.column_stack([x, np.ones(len(x))]) @ similarity.T, similarity
 
 

@@ -70,6 +70,15 @@ class Comparison:
         )
 
 
+def unique_names(tables: Sequence[ScoreTable]) -> list[str]:
+    """Names of the methods, numbered where they occur more than once."""
+    methods = [table.meta.method for table in tables]
+    return [
+        f"{name} ({methods[: i + 1].count(name)})" if methods.count(name) > 1 else name
+        for i, name in enumerate(methods)
+    ]
+
+
 def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: str = "error") -> Comparison:
     """Compare two or more submissions that were scored on the same data, by a metric.
 
@@ -98,11 +107,7 @@ def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: 
                 found=f"dataset {data[:16]} and {here[:16]}",
                 fix="score both on the same data; versions are never mixed",
             )
-    methods = [table.meta.method for table in tables]
-    names = [  # numbered where they occur more than once
-        f"{name} ({methods[: i + 1].count(name)})" if methods.count(name) > 1 else name
-        for i, name in enumerate(methods)
-    ]
+    names = unique_names(tables)
     values = [table.matrix(metric) for table in tables]
     both = list(combinations(range(len(tables)), 2))
     deltas = [values[i].mean(axis=1) - values[j].mean(axis=1) for i, j in both]

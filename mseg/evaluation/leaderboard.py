@@ -303,7 +303,7 @@ def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str =
 def _rows(board: Leaderboard, ranked: Board) -> DataRows:
     """Rows of the page; those of fewer clips than the others are marked."""
     scores = [(entry, board.scores(entry.id)) for _, entry in ranked.ranked]
-    fullest = max((table for _, table in scores), key=lambda table: len(table.names))
+    _, fullest = max(scores, key=lambda each: (not each[0].claimed, len(each[1].names)))
     rows = [
         Row(
             entry.method,
@@ -314,7 +314,7 @@ def _rows(board: Leaderboard, ranked: Board) -> DataRows:
             authors=", ".join(table.meta.authors),
             link=table.meta.link,
             failed=entry.failed,
-            complete=len(table.names) == len(fullest.names),
+            complete=table.names == fullest.names,
             right=float(np.mean([clip.n_found == clip.n_motions for clip in table.clips])),
             seconds=table.meta.seconds,
             facts={"added": entry.added[:10], "submission": entry.submission_sha256[:8]}

@@ -32,7 +32,6 @@ def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
     made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     made.filters["mean"] = np.mean
     made.filters["percent"] = lambda value, digits=2: f"{100 * value:.{digits}f}"
-    made.filters["median"] = np.median
     made.filters["min_one"] = lambda value: min(1.0, value)
     made.filters["points"] = lambda value: f"{value:+.2f}" if round(value, 2) else "0.00"
     # The round distance of the lines of a bar's axis, four of which hold all values, and where a value lies.
@@ -42,13 +41,19 @@ def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
 
 
 def jpegs(pictures: Sequence[ByteArray], most: int) -> list[str]:
-    """Write pictures (H, W) or (H, W, 3) as addresses of data, together at most so many characters."""
+    """Write pictures (H, W) or (H, W, 3) as addresses of data, together at most so many characters.
+
+    Where small pictures are too many as well, some are left empty: every second one, or more.
+    """
     made: list[str] = []
     for width, quality in _SIZES:
         made = [jpeg(picture, width, quality) for picture in pictures]
         if sum(map(len, made)) <= most:
             break
-    return made
+    step = max(1, -(-sum(map(len, made)) // max(1, most)))
+    while sum(map(len, made[::step])) > most:
+        step += 1
+    return [address if i % step == 0 else "" for i, address in enumerate(made)]
 
 
 def jpeg(picture: ByteArray, width: int, quality: int) -> str:

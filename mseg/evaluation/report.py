@@ -18,19 +18,22 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import check_target, write_text
+from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation import results
 from mseg.evaluation.axes import AXES
-from mseg.evaluation.comparison import Comparison, compare, comparison_table
+from mseg.evaluation.comparison import Comparison, compare, comparison_table, unique_names
 from mseg.evaluation.contingency import Contingency
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.pages import jpegs, render
-from mseg.evaluation.scoring import ScoreTable, clip_json, score_validated, to_json
+from mseg.evaluation.scoring import ScoreTable, clip_json, score_validated
 from mseg.evaluation.validation import Validation, load_clips, validate_submission
 
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # of the methods
+_ENDINGS = {"latex": "tex", "markdown": "md", "csv": "csv", "json": "json"}
 _MISSING = -32768
 _CLIP_CHARACTERS = 2_900_000  # of the pictures and positions of one clip
+_POSITION_CHARACTERS = 1_200_000  # of positions and labels, so that pictures find room
 
 
 def write_report(
@@ -87,9 +90,10 @@ def write_report(
     checked = [validate_submission(each, clips, benchmark=benchmark) for each in given]
     scores = [score_validated(each, force=force) for each in checked]
     contents = {page.name: report_html(checked, scores, frames=frames)}
-    for name, table in zip(_names(scores), scores, strict=True):
-        stem = page.stem if len(given) == 1 else re.sub(r"[^\w.=-]+", "-", f"{page.stem}-{name}")
-        contents |= _tables_beside(table, stem, extras)
+    stems = [re.sub(r"[^\w.=-]+", "-", f"{page.stem}-{name}") for name in unique_names(scores)]
+    for letter, stem, table in zip(LETTERS, stems, scores, strict=False):
+        own = stem if stems.count(stem) == 1 else f"{stem}-{letter}"
+        contents |= _tables_beside(table, page.stem if len(given) == 1 else own, extras)
     for name, content in contents.items():
         write_text(page.with_name(name), content)
     return [page.with_name(name) for name in contents]
@@ -97,21 +101,14 @@ def write_report(
 
 def _tables_beside(scores: ScoreTable, stem: str, extras: Sequence[str]) -> dict[str, str]:
     """Names and contents of the tables asked for."""
-    contents = {}
-    if "latex" in extras:
-        contents[f"{stem}.tex"] = results.headline(scores).latex() + "\n"
-    if "markdown" in extras:
-        contents[f"{stem}.md"] = results.headline(scores).markdown() + "\n"
+    contents = {
+        f"{stem}.{ending}": results.rendered(scores, form) + "\n"
+        for form, ending in _ENDINGS.items()
+        if form in extras
+    }
     if "csv" in extras:
-        contents[f"{stem}.csv"] = results.per_clip(scores, scores.metrics).csv()
         contents |= results.davis_files(scores, "" if stem == "report" else f"-{stem}")
-    if "json" in extras:
-        contents[f"{stem}.json"] = json.dumps(to_json(scores), indent=1) + "\n"
     return contents
-
-
-def _names(scores: Sequence[ScoreTable]) -> list[str]:
-    return [scores[0].meta.method] if len(scores) == 1 else compare(scores).names
 
 
 def report_html(
@@ -126,6 +123,7 @@ def report_html(
     Without `overlays` it holds scores only: nothing from which true labels could be read.
     """
     first, comparison = scores[0], compare(scores) if len(scores) > 1 else None
+    methods = list(zip(LETTERS, unique_names(scores), scores, strict=False))
     errors = dict(zip(first.names, zip(*(table.matrix() for table in scores), strict=True), strict=True))
     order = sorted(errors, key=lambda name: -np.mean([run.mean() for run in errors[name]]))
     clips = [checked[0].clips[name] for name in order]
@@ -138,14 +136,14 @@ def report_html(
         if names and rows:
             own = [
                 (each.summary("error", names).mean, f"{name} (this submission)", "own")
-                for name, each in zip(_names(scores), scores, strict=True)
+                for _, name, each in methods
             ]
             published.append((group.title, sorted([*own, *rows])))
     return render(
         "report.html",
         all_scores=scores,
-        methods=list(zip(LETTERS, _names(scores), scores, strict=False)),
-        method_names=[f"{a} {b}" if comparison else b for a, b in zip(LETTERS, _names(scores), strict=False)],
+        methods=methods,
+        method_names=[f"{letter} {name}" if comparison else name for letter, name, _ in methods],
         highest=max(table.summary().interval.high for table in scores),
         top=max(float(table.matrix().max()) for table in scores),
         comparison=comparison,
@@ -155,23 +153,15 @@ def report_html(
         sections=sections,
         axes=_by_track_axis(sections),
         axis_titles={axis.name: [axis.title, *axis.titles, "not known"] for axis in AXES},
-        tables=_tables(first) if comparison is None else _comparing_tables(comparison),
+        tables=_tables(first, comparison),
     )
 
 
-def _tables(scores: ScoreTable) -> list[results.ResultsTable | None]:
-    """Benchmark table, by axes of the benchmark, all metrics, per clip."""
-    return [
-        results.headline(scores),
-        results.by_axis(scores),
-        results.all_means(scores),
-        results.per_clip(scores),
-    ]
-
-
-def _comparing_tables(comparison: Comparison) -> list[results.ResultsTable | None]:
-    """Lay out the same tables of several submissions."""
-    first = comparison.tables[0]
+def _tables(first: ScoreTable, comparison: Comparison | None) -> list[results.ResultsTable | None]:
+    """Benchmark table, by axes of the benchmark, all metrics, per clip; of one submission or several."""
+    if comparison is None:
+        forms = (results.headline, results.by_axis, results.all_means, results.per_clip)
+        return [make(first) for make in forms]
     protocol, unit = first.benchmark, "classification error in %, lower is better"
     matrices = {n: t.matrix() for n, t in zip(comparison.names, comparison.tables, strict=True)}
     part = protocol.coverage(first.names)
@@ -211,8 +201,6 @@ def _by_track_axis(sections: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]
 
 def _pictures(clips: Sequence[Clip], folder: Path) -> dict[str, list[ByteArray]]:
     """Read the frames of every clip that has some in the folder, (H, W) gray."""
-    from kt3dmoseg.frames import frame_folder, frames_of
-
     found = {clip.name: frames_of(clip, folder) for clip in clips if frame_folder(clip, folder)}
     if not found:
         names = f"a folder of pictures per clip, such as {clips[0].name}"
@@ -229,13 +217,15 @@ def _section(
     truth, size = clip.labels.label, _size(clip, pictures)
     scale = min(10.0, 32000 / max(size))
     bins = {axis.name: axis.bins(clip, size) for axis in AXES}
+    n_runs = sum(len(table.seeds) for table in scores)
+    drawn = _drawn(truth, _POSITION_CHARACTERS // (6 * clip.n_frames + 3 * (n_runs + len(AXES)) + 24))
     runs, wrong = [], []
     for k, (check, table) in enumerate(zip(checked, scores, strict=True)):
         shown = {seed: _shown(check, table, clip, seed) for seed in table.seeds}
         off = {seed: (truth > 0) & (labels != truth) for seed, labels in shown.items()}
         wrong.append(np.mean(list(off.values()), axis=0))
         for seed in (s for s in table.seeds if not table.of(name, s).reason):
-            packed = {"shown": _packed(shown[seed]), "wrong": _packed(off[seed])}
+            packed = {"shown": _packed(shown[seed][drawn]), "wrong": _packed(off[seed][drawn])}
             runs.append({"method": k, "seed": seed, **packed})
     payload = {
         "width": size[0],
@@ -244,15 +234,16 @@ def _section(
         "background": clip.labels.background or 0,
         "scale": scale,
         "numbers": clip.frame_numbers.tolist(),
-        "ids": clip.evaluated_trajectories.track_id.tolist(),
-        "xy": _packed_positions(clip, scale),
-        "truth": _packed(truth),
-        "bins": {name: _packed(values) for name, values in bins.items()},
+        "ids": clip.evaluated_trajectories.track_id[drawn].tolist(),
+        "xy": _packed_positions(clip, drawn, scale),
+        "truth": _packed(truth[drawn]),
+        "bins": {name: _packed(values[drawn]) for name, values in bins.items()},
         "runs": runs,
     }
     room = _CLIP_CHARACTERS - len(json.dumps(payload))
     return {
         "name": name,
+        "thinned": "" if len(drawn) == len(truth) else f"{len(drawn)} of {len(truth)}",
         "payload": payload | {"frames": jpegs(pictures, room)},
         "seeds": sorted({run["seed"] for run in runs}),
         "wrong": np.array(wrong),  # (methods, n), mean over seeds
@@ -303,8 +294,15 @@ def _packed(values: npt.NDArray[Any]) -> str:
     return base64.b64encode(np.minimum(values, 255).astype(np.uint8).tobytes()).decode()
 
 
-def _packed_positions(clip: Clip, scale: float) -> str:
-    tracks = clip.evaluated_trajectories
+def _drawn(truth: IntArray, most: int) -> IntArray:
+    """Rows of at most so many trajectories to draw, the same share of each motion; sorted."""
+    order = np.argsort(truth, kind="stable")
+    chosen = np.linspace(0, len(order) - 1, min(max(1, most), len(order))).astype(np.int64)
+    return np.sort(order[chosen])
+
+
+def _packed_positions(clip: Clip, drawn: IntArray, scale: float) -> str:
+    tracks = clip.evaluated_trajectories.select(drawn)
     steps = np.rint(np.where(tracks.visible[..., None], tracks.xy, 0.0) * scale)
     small = np.clip(steps, -32767, 32767).astype("<i2")
     small[~tracks.visible] = _MISSING

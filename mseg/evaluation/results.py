@@ -5,6 +5,7 @@ Cells are texts, rounded as they are printed; figures to compute with are in `Sc
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from kt3dmoseg.tables import text_table
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import Protocol, share
-from mseg.evaluation.scoring import ScoreTable
+from mseg.evaluation.scoring import ScoreTable, to_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -271,6 +272,18 @@ def all_means(scores: ScoreTable) -> ResultsTable:
         rows.append([metric.title, metric.better, *values, spread, interval])
     columns = ["metric", "better", "mean", "median", "pooled", "sd over seeds", "95 % over clips"]
     return ResultsTable("Over all clips scored, fractions in %", columns, rows)
+
+
+def rendered(scores: ScoreTable, form: str) -> str:
+    """Lay a submission out as "json" (all), "csv" (clips), "markdown", "latex" (headline) or "text"."""
+    if form == "json":
+        return json.dumps(to_json(scores), indent=1)
+    if form == "csv":
+        return per_clip(scores, scores.metrics).csv().rstrip()
+    if form == "text":
+        tables = (make(scores) for make in (headline, by_axis, per_clip, all_means))
+        return "\n\n".join(table.text() for table in tables if table)
+    return headline(scores).markdown() if form == "markdown" else headline(scores).latex()
 
 
 def plot_metric(scores: Mapping[str, ScoreTable], metric: str, *, ax: Axes | None = None) -> Axes:

@@ -43,7 +43,7 @@ from mseg.evaluation.protocol import (
     load_protocol,
     protocol_of_clips,
 )
-from mseg.evaluation.statistics import Summary, bootstrap_mean, standard_deviation
+from mseg.evaluation.statistics import Summary, summarise
 from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs, wrong_fields
 from mseg.evaluation.validation import Validation, load_clips, validate_submission
 from mseg.types import Segmentation
@@ -197,15 +197,7 @@ class ScoreTable:
         """Summarise a metric over clips: one or more of `names`, by default all."""
         wanted = self.names if clips is None else clips
         rows = [self.names.index(name) for name in wanted]
-        values = self.matrix(metric)[rows]
-        means = values.mean(axis=1)
-        return Summary(
-            float(means.mean()),
-            float(np.median(means)),
-            float(np.average(means, weights=[self.of(name).n for name in wanted])),
-            standard_deviation(values.mean(axis=0)),
-            bootstrap_mean(means),
-        )
+        return summarise(self.matrix(metric)[rows], [self.of(name).n for name in wanted])
 
     @cached_property
     def _by_key(self) -> dict[tuple[str, int], ClipScore]:

@@ -15,7 +15,7 @@ import numpy as np
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.pages import render
 from mseg.evaluation.protocol import Protocol
-from mseg.evaluation.statistics import Interval, bootstrap_mean, standard_deviation
+from mseg.evaluation.statistics import Summary, bootstrap_mean, summarise
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,6 @@ class Row:
     number: str = "given"  # of motions: "given" or "found"
     kind: str = "measured"  # "baseline", or "claimed": read from a file of scores
     supervised: bool = False  # trained with labels of other clips
-    unit: str = "trajectories"  # what is counted
     authors: str = ""
     link: str = ""
     failed: int = 0  # runs that count as fully wrong
@@ -54,7 +53,7 @@ class Row:
     @property
     def group(self) -> str:
         """Rows of one group are ranked together: the same protocol, complete and without failures."""
-        return f"{self.number} {self.unit}" if self.complete and not self.failed else ""
+        return self.number if self.complete and not self.failed else ""
 
     @cached_property
     def per_clip(self) -> FloatArray:
@@ -64,17 +63,12 @@ class Row:
     @cached_property
     def shown(self) -> float:
         """The mean as it is printed, in per cent, by which rows are ranked."""
-        return round(100 * float(self.per_clip.mean()), 2)
+        return round(100 * self.summary.mean, 2)
 
     @cached_property
-    def interval(self) -> Interval:
-        """95 % bootstrap interval of the mean over clips."""
-        return bootstrap_mean(self.per_clip)
-
-    @cached_property
-    def spread(self) -> float | None:
-        """Standard deviation over seeds of the mean over clips."""
-        return standard_deviation(self.errors.mean(axis=0))
+    def summary(self) -> Summary:
+        """Mean, median, interval and spread."""
+        return summarise(self.errors)
 
     def like(self, other: Row) -> bool:
         """Whether the 95 % interval of the paired difference of two rows of the same clips holds 0."""
@@ -108,7 +102,7 @@ class DataRows:
     def highest(self) -> float:
         """Upper end of the intervals that the axis must hold: those of methods, not of baselines."""
         rows = [row for row in self.rows if row.kind != "baseline"] or self.rows
-        return max(row.interval.high for row in rows)
+        return max(row.summary.interval.high for row in rows)
 
     @property
     def groups(self) -> list[tuple[str, list[int]]]:
@@ -137,7 +131,6 @@ def site_html(boards: Sequence[DataRows], *, title: str = "Leaderboard", notes: 
         facets={
             "number": sorted({row.number for row in rows}, reverse=True),
             "supervised": sorted({"yes" if row.supervised else "no" for row in rows}),
-            "unit": sorted({row.unit for row in rows}),
             "kind": sorted({row.kind for row in rows} | {"printed" for b in boards if b.printed}),
         },
         most_seeds=max((row.errors.shape[1] for row in rows), default=1),

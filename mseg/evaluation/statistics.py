@@ -32,6 +32,18 @@ class Summary:
     interval: Interval  # 95 % bootstrap interval of the mean over clips
 
 
+def summarise(values: FloatArray, weights: Sequence[int] | None = None) -> Summary:
+    """Summarise a metric (clips, seeds); `pooled` is the mean weighted by trajectories of each clip."""
+    means = values.mean(axis=1)
+    return Summary(
+        float(means.mean()),
+        float(np.median(means)),
+        float(np.average(means, weights=weights)),
+        standard_deviation(values.mean(axis=0)),
+        bootstrap_mean(means),
+    )
+
+
 def bootstrap_mean(values: FloatArray) -> Interval:
     """95 % percentile bootstrap interval of the mean of (n,) values (Efron 1979), always the same.
 

@@ -204,6 +204,19 @@ def test_a_claim_on_fewer_clips_has_no_rank_beside_a_complete_one(board, tmp_pat
     assert [(rank, e.clips) for rank, e in board.boards()[0].ranked] == [(1, 2), (None, 1)]
 
 
+def test_the_page_ranks_as_the_table_where_a_claim_is_of_other_clips(board, tmp_path):
+    scores = scored(tmp_path, "one", 3)
+    board.add(claim(scores), claimed=True)
+    board.add(claim(scores, fewer))
+    export(board, tmp_path / "b.html")
+    page = (tmp_path / "b.html").read_text()
+    assert [(rank, e.claimed) for rank, e in board.boards()[0].ranked] == [(1, 0), (None, 1)]
+    assert re.findall(r"<td>(1|-)</td><th scope='row'>.*?(claimed|</th>)", page, re.DOTALL) == [
+        ("1", "</th>"),
+        ("-", "claimed"),
+    ]
+
+
 def test_equal_to_two_decimals_is_equal_in_rank(board, tmp_path):
     for i, mean in enumerate((0.10001, 0.1, 0.2)):
         table = score([1, 1, 2, 2, 2], [1, 1, 2, 2, 2])

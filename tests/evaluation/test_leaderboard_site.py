@@ -185,6 +185,9 @@ def test_a_submission_replaces_its_own_row_and_no_other(data, tmp_path):
     packed.unlink()  # as rows of the toolkit have none
     with pytest.raises(InvalidValueError, match="choose another name"):
         submit(mine, data, results)
+    submit(submission(tmp_path / "a", data, "the one"), data, results)
+    with pytest.raises(InvalidValueError, match="that of the one"):  # its file has the same name
+        submit(submission(tmp_path / "b", data, "the-one"), data, results)
 
 
 def test_commands(data, tmp_path, capsys):
@@ -228,6 +231,10 @@ def test_filters_ranks_and_links_in_chromium(results, tmp_path, browser):
     assert listed() == [["1", "subset"]]
     shown.locator("a").first.click()
     assert page.locator("details.row[open]").inner_text().startswith("subset, number found: 5.00 %")
+    page.locator("button[type=reset]").click()
+    page.locator("input[name=name]").fill("50% of")
+    page.reload()
+    assert page.locator("input[name=name]").input_value() == "50% of"
     page.locator("button[type=reset]").click()
     expect(shown).to_have_count(8 + len(load_protocol("kt3dmoseg").published))
     page.locator("table.board th button", has_text="mean").click()

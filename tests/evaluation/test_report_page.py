@@ -16,7 +16,7 @@ import mseg.cli
 from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.types import Clip, Labels
 from mseg.errors import RejectedSubmissionError
-from mseg.evaluation import SubmissionMeta, score_submission, write_failure, write_submission
+from mseg.evaluation import SubmissionMeta, report, score_submission, write_failure, write_submission
 from mseg.evaluation.report import write_report
 from mseg.evaluation.results import ResultsTable, headline, per_clip
 
@@ -262,16 +262,36 @@ def test_equal_methods_are_not_said_to_differ(tmp_path):
 
 def test_a_failed_clip_counts_in_every_bin_of_the_properties_of_its_trajectories(three, tmp_path):
     (path,) = write_report(three, CLIPS, tmp_path / "r.html")
-    rows = re.findall(r"<tr data-bin='position\.\d' .*?</tr>", path.read_text(), re.DOTALL)
+    rows = re.findall(r"<tr data-bin='position\.\d'.*?</tr>", path.read_text(), re.DOTALL)
     cells = np.array([re.findall(r"<td>([\d.]+)</td>", row) for row in rows], dtype=float)
     wrong = np.rint(cells[:, 1:] / 100 * cells[:, :1]).sum(axis=0)
     assert cells[:, 0].sum() == sum(len(clip.labels) for clip in CLIPS.values())
     assert wrong.tolist() == [0, 10, len(CLIPS["example_three"].labels)]
 
 
+def test_of_very_many_trajectories_a_share_of_each_motion_is_drawn(submission, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "_POSITION_CHARACTERS", 2000)
+    (path,) = write_report(submission, CLIPS, tmp_path / "r.html")
+    content = path.read_text()
+    for payload, name in zip(payloads(content), ("example_two", "example_three"), strict=True):
+        drawn = np.frombuffer(base64.b64decode(payload["truth"]), np.uint8)
+        assert 10 < len(drawn) == len(payload["ids"]) < 40
+        assert len(base64.b64decode(payload["xy"])) == len(drawn) * 10 * 4
+        assert sum(len(payload[key]) for key in ("xy", "truth")) < 2000
+        shares = np.bincount(drawn)[1:] / np.bincount(CLIPS[name].labels.label)[1:]
+        assert np.ptp(shares) < 0.1
+        assert f"{len(drawn)} of {len(CLIPS[name].labels)} trajectories" in content
+    assert "12.50 %" in content  # errors are of all
+
+
 def test_pictures_of_a_clip_fit_into_its_share():
     from mseg.evaluation.pages import jpegs
 
+    many = [np.random.default_rng(i).integers(0, 255, (40, 60), dtype=np.uint8) for i in range(9)]
+    few = jpegs(many, 6000)
+    assert 0 < sum(map(bool, few)) < 9 == len(few)
+    assert few[0]
+    assert sum(map(len, few)) <= 6000
     noise = [np.random.default_rng(i).integers(0, 255, (400, 1200), dtype=np.uint8) for i in range(3)]
     assert sum(map(len, jpegs(noise, 1 << 30))) > 500_000
     assert sum(map(len, jpegs(noise, 200_000))) <= 200_000
@@ -321,6 +341,12 @@ def test_the_tables_of_two_methods_lie_in_one_folder(tmp_path):
     assert len(set(wrote)) == len(wrote) == 15
 
 
+def test_tables_of_methods_with_names_alike_are_all_written(tmp_path):
+    given = [perfect(tmp_path / n, meta=SubmissionMeta(n)) for n in ("a b", "a-b", "c")]
+    names = [path.name for path in write_report(given, CLIPS, tmp_path / "r.html", extras=["latex"])]
+    assert names == ["r.html", "r-a-b-A.tex", "r-a-b-B.tex", "r-c.tex"]
+
+
 @pytest.mark.browser
 def test_from_a_bar_to_a_clip_a_frame_a_trajectory_and_its_neighbours(three, tmp_path, browser):
     (path,) = write_report(three, CLIPS, tmp_path / "r.html")
@@ -333,9 +359,9 @@ def test_from_a_bar_to_a_clip_a_frame_a_trajectory_and_its_neighbours(three, tmp
     page.locator("input[name=clip]").fill("two")
     assert page.locator("section.clip:visible").count() == 1
     page.locator("#by-length tbody a").first.click()
-    page.locator(".only a", has_text="example_two").click()
+    page.locator(".only:visible a", has_text="example_two").click()
     assert page.evaluate("only.axis") == "length"
-    page.locator(".only button").click()
+    page.locator(".only:visible button").click()
     section = page.locator("#clip-example_two")
     box = section.locator("canvas").nth(2).bounding_box()
     x, y = (CLIPS["example_two"].evaluated_trajectories.xy[3, 5] + 0.5) * box["width"] / 320

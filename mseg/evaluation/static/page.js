@@ -5,8 +5,8 @@ const make = (tag, text, values = {}) => Object.assign(document.createElement(ta
 
 // --- the address: #ANCHOR&name=value&... ---------------------------------------------------------------------
 const address = () => {
-  const [anchor, ...rest] = decodeURI(location.hash.slice(1)).split("&");
-  return { anchor, values: Object.fromEntries(rest.map((each) => each.split("=").map(decodeURIComponent))) };
+  const [anchor, ...rest] = location.hash.slice(1).split("&");
+  return { anchor: decodeURI(anchor), values: Object.fromEntries(rest.map((each) => each.split("=").map(decodeURIComponent))) };
 };
 const keep = (changes, anchor = address().anchor) => {
   const values = Object.entries({ ...address().values, ...changes }).filter(([, value]) => value !== "" && value !== null);
@@ -16,8 +16,8 @@ const keep = (changes, anchor = address().anchor) => {
 
 // --- tables --------------------------------------------------------------------------------------------------
 const valueOf = (row, k) => {
-  const cell = row.cells[k], text = cell.dataset.v ?? cell.textContent.trim();
-  return text === "" || isNaN(parseFloat(text)) ? text.toLowerCase() : parseFloat(text);
+  const text = row.cells[k].textContent.trim();
+  return isNaN(parseFloat(text)) ? text.toLowerCase() : parseFloat(text);
 };
 
 function sort(table, k, down) {
@@ -111,6 +111,7 @@ function view(root) {
   const wanted = (n) => !only || (truth[n] > 0 && bins[only.axis][n] === only.bin);
 
   function picture(frame) {
+    while (frame > 0 && !data.frames[frame]) frame--; // of long clips not every frame is here
     if (!data.frames.length) return null;
     if (!images[frame]) {
       images[frame] = new Image();
@@ -327,23 +328,13 @@ all("[data-colour]").forEach((dot) => {
 });
 
 // --- from a bar to its trajectories --------------------------------------------------------------------------
-const notice = document.querySelector(".only");
 function showOnly(text) {
-  const [axis, bin] = (text ?? "").split(".");
-  const row = axis && document.querySelector(`tr[data-bin="${CSS.escape(text)}"]`);
-  only = row ? { axis, bin: Number(bin) } : null;
-  if (notice) notice.hidden = !row;
-  all("tr[data-bin]").forEach((each) => each.classList.toggle("own", each === row));
-  if (row) {
-    const link = ([clip, n]) => make("a", `${clip} (${n} wrong)`, { href: `#clip-${clip}&bin=${text}` });
-    const clips = JSON.parse(row.dataset.worst).map(link);
-    const end = make("button", "show all trajectories", { type: "button" });
-    end.addEventListener("click", () => { keep({ bin: "" }); showOnly(""); });
-    const title = make("b", `Only ${AXES[axis][0]}: ${AXES[axis][1 + only.bin]}. `);
-    notice.replaceChildren(title, clips.length ? "Most errors: " : "No errors. ", ...clips.flatMap((each) => [each, " "]), end);
-  }
+  const parts = all("[data-bin]").filter((each) => each.classList.toggle("own", each.dataset.bin === text));
+  const [axis, bin] = text.split(".");
+  only = parts.length ? { axis, bin: Number(bin) } : null;
   views.forEach((each) => each.draw());
 }
+all(".only button").forEach((each) => each.addEventListener("click", () => { keep({ bin: "" }); showOnly(""); }));
 
 // --- what the address asks for -------------------------------------------------------------------------------
 function follow() {
@@ -354,7 +345,7 @@ function follow() {
   });
   const [, id, k, down] = /^(.*)\.(\d+)(d?)$/.exec(values.sort ?? "") ?? [];
   if (id && document.getElementById(id)) sort(document.getElementById(id), Number(k), Boolean(down));
-  if (notice && (values.bin ?? "") !== (only ? `${only.axis}.${only.bin}` : "")) showOnly(values.bin);
+  if ((values.bin ?? "") !== (only ? `${only.axis}.${only.bin}` : "")) showOnly(values.bin ?? "");
   if (!target) return;
   for (let part = target; part; part = part.parentElement) if (part.tagName === "DETAILS") part.open = true;
   target.scrollIntoView({ block: target.matches("table") ? "nearest" : "start" });
