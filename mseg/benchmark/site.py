@@ -154,7 +154,7 @@ def _git(folder: Path, *arguments: str) -> bytes | None:
     program = shutil.which("git")
     if program is None:
         return None
-    line = [program, "-C", folder, "-c", "core.quotepath=off", *arguments]
+    line = [program, "-C", str(folder), "-c", "core.quotepath=off", *arguments]
     done = subprocess.run(line, capture_output=True, timeout=_SECONDS)
     return done.stdout if done.returncode == 0 else None
 
