@@ -130,7 +130,7 @@ def draw_frame(
 
 def _canvas(trajectories: Trajectories, picture: ByteArray | None, options: DrawOptions) -> ByteArray:
     given = None if picture is None else picture.shape[::-1]
-    width, height = given or trajectories.image_size or _extent(trajectories)
+    width, height = given or trajectories.image_size or extent(trajectories)
     if width * height * options.scale**2 > _MAX_PIXELS:
         found = f"{width}x{height}, enlarged {options.scale} times"
         raise InvalidValueError("scale", expected=f"pictures of at most {_MAX_PIXELS} pixels", found=found)
@@ -141,7 +141,7 @@ def _canvas(trajectories: Trajectories, picture: ByteArray | None, options: Draw
     return np.repeat(large[..., None], 3, axis=2)
 
 
-def _extent(trajectories: Trajectories) -> tuple[int, int]:
+def extent(trajectories: Trajectories) -> tuple[int, int]:
     """Width and height that hold every point, for clips without an image size."""
     points = trajectories.xy[trajectories.visible]
     width, height = np.clip(np.ceil(points.max(axis=0, initial=0)) + 1, (64, 48), _MAX_EXTENT).tolist()

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.draw.painting import extent
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import check_target, write_text
 from kt3dmoseg.frames import frame_folder, frames_of
@@ -316,6 +317,4 @@ def _size(clip: Clip, pictures: Sequence[ByteArray]) -> tuple[int, int]:
     if pictures:
         height, width = pictures[0].shape
         return width, height
-    xy = clip.dense.xy[clip.dense.visible]
-    width, height = np.maximum(1, np.ceil(xy.max(axis=0, initial=0)) + 1).astype(int).tolist()
-    return width, height
+    return extent(clip.dense)

@@ -284,6 +284,17 @@ def test_of_very_many_trajectories_a_share_of_each_motion_is_drawn(submission, t
     assert "12.50 %" in content  # errors are of all
 
 
+def test_a_point_far_outside_leaves_the_picture_of_a_clip_without_a_size_moderate(tmp_path):
+    name, clip = next(iter(CLIPS.items()))
+    xy = clip.dense.xy.copy()
+    xy[0, 0] = 1e7
+    far = {name: replace(clip, dense=replace(clip.dense, xy=xy, image_size=None))}
+    folder = write_submission(tmp_path / "s", far.values(), {name: clip.labels.label}, META)
+    (path,) = write_report(folder, far, tmp_path / "r.html")
+    (payload,) = payloads(path.read_text())
+    assert max(payload["width"], payload["height"]) <= 4096
+
+
 def test_pictures_of_a_clip_fit_into_its_share():
     from mseg.evaluation.pages import jpegs
 

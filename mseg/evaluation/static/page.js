@@ -5,13 +5,12 @@ const make = (tag, text, values = {}) => Object.assign(document.createElement(ta
 
 // --- the address: #ANCHOR&name=value&... ---------------------------------------------------------------------
 const address = () => {
-  const [anchor, ...rest] = location.hash.slice(1).split("&");
-  return { anchor: decodeURI(anchor), values: Object.fromEntries(rest.map((each) => each.split("=").map(decodeURIComponent))) };
+  const [, anchor, rest] = /^#?([^&]*)&?(.*)$/.exec(location.hash);
+  return { anchor: decodeURI(anchor), values: Object.fromEntries(new URLSearchParams(rest)) };
 };
 const keep = (changes, anchor = address().anchor) => {
-  const values = Object.entries({ ...address().values, ...changes }).filter(([, value]) => value !== "" && value !== null);
-  const text = [encodeURI(anchor), ...values.map((each) => each.map(encodeURIComponent).join("="))].join("&");
-  history.replaceState(null, "", text ? `#${text}` : location.pathname);
+  const values = Object.entries({ ...address().values, ...changes }).filter(([, value]) => value !== "");
+  history.replaceState(null, "", `#${encodeURI(anchor)}${values.length ? "&" : ""}${new URLSearchParams(values)}`);
 };
 
 // --- tables --------------------------------------------------------------------------------------------------
@@ -44,12 +43,12 @@ all("table.sorts").forEach((table) => [...table.tHead.rows[0].cells].forEach((he
 
 // Elements with data-row are hidden with the row of a table.facets of that name; ranks are among what is shown.
 function filter(form) {
-  const wanted = [...form.elements].filter((e) => e.name && (e.type === "checkbox" ? e.checked : e.value));
-  const fits = (row) => wanted.every(({ name, value, dataset }) => {
-    const have = row.dataset[name];
+  const wanted = [...new FormData(form)].filter(([, value]) => value);
+  const fits = (row) => wanted.every(([name, value]) => {
+    const have = row.dataset[name], { test } = form.elements[name].dataset;
     if (have === undefined) return true;
-    if (dataset.test === "least") return Number(have) >= Number(value);
-    return dataset.test === "part" ? have.toLowerCase().includes(value.toLowerCase()) : have === value;
+    if (test === "least") return Number(have) >= Number(value);
+    return test === "part" ? have.toLowerCase().includes(value.toLowerCase()) : have === value;
   });
   const rows = all(".facets tbody tr"), hidden = new Set(rows.filter((row) => !fits(row)).map((row) => row.dataset.row));
   all("[data-row]").forEach((each) => { each.hidden = hidden.has(each.dataset.row); });
@@ -70,8 +69,8 @@ forms.forEach((form) => {
   form.addEventListener("reset", () => setTimeout(() => form.dispatchEvent(new Event("input"))));
   form.addEventListener("input", () => {
     filter(form);
-    const value = (e) => (e.type === "checkbox" ? (e.checked ? e.value : "") : e.value);
-    keep(Object.fromEntries([...form.elements].filter((e) => e.name).map((e) => [e.name, value(e)])));
+    const cleared = [...form.elements].filter((e) => e.name).map((e) => [e.name, ""]);
+    keep(Object.fromEntries([...cleared, ...new FormData(form)]));
   });
 });
 
@@ -340,7 +339,10 @@ all(".only button").forEach((each) => each.addEventListener("click", () => { kee
 function follow() {
   const { anchor, values } = address(), target = document.getElementById(anchor);
   forms.forEach((form) => {
-    [...form.elements].filter((e) => values[e.name]).forEach((e) => { e[e.type === "checkbox" ? "checked" : "value"] = e.type === "checkbox" || values[e.name]; });
+    [...form.elements].filter((e) => values[e.name]).forEach((e) => {
+      if (e.type === "checkbox") e.checked = true;
+      else e.value = values[e.name];
+    });
     filter(form);
   });
   const [, id, k, down] = /^(.*)\.(\d+)(d?)$/.exec(values.sort ?? "") ?? [];
