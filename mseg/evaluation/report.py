@@ -34,6 +34,7 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # of the methods
 _ENDINGS = {"latex": "tex", "markdown": "md", "csv": "csv", "json": "json"}
 _MISSING = -32768
 _CLIP_CHARACTERS = 2_900_000  # of the pictures and positions of one clip
+_PICTURE_CHARACTERS = 9_000_000  # of the pictures of all clips, so that the page opens in a second
 _POSITION_CHARACTERS = 1_200_000  # of positions and labels, so that pictures find room
 
 
@@ -241,7 +242,7 @@ def _section(
         "bins": {name: _packed(values[drawn]) for name, values in bins.items()},
         "runs": runs,
     }
-    room = _CLIP_CHARACTERS - len(json.dumps(payload))
+    room = min(_CLIP_CHARACTERS - len(json.dumps(payload)), _PICTURE_CHARACTERS // len(scores[0].names))
     return {
         "name": name,
         "thinned": "" if len(drawn) == len(truth) else f"{len(drawn)} of {len(truth)}",
