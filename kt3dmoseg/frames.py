@@ -77,10 +77,13 @@ class Cut:
         return frames if self.size is None else (images.resized(frame, self.size) for frame in frames)
 
     def describe(self) -> dict[str, Any]:
-        """State what differs from taking all, as JSON values."""
+        """State under ``cut`` what differs from taking all, as JSON values; nothing where nothing does."""
         size = None if self.size is None else list(self.size)
-        given = {"first": self.first, "last": self.last, "step": self.step, "size": size}
-        return {key: value for key, value in given.items() if value not in (None, 1)}
+        given = {"first": (self.first, None), "last": (self.last, None), "step": (self.step, 1)}
+        cut = {
+            key: value for key, (value, usual) in (given | {"size": (size, None)}).items() if value != usual
+        }
+        return {"cut": cut} if cut else {}
 
 
 _ALL = Cut()
@@ -107,9 +110,8 @@ class FrameFolder:
         """Check names and numbers and hash the files."""
         paths = self.paths()
         ends = {"first": paths[0].name, "last": paths[-1].name, "count": len(paths)}
-        numbers = self.numbers()
-        cut = {"cut": self.cut.describe()} if self.cut.describe() else {}
-        return FrameInfo(numbers, {"kind": "frames", **ends, "sha256": sha256_files(paths)} | cut)
+        description = {"kind": "frames", **ends, "sha256": sha256_files(paths)}
+        return FrameInfo(self.numbers(), description | self.cut.describe())
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames, all of one size."""
@@ -144,18 +146,14 @@ class VideoFile:
 
     def inspect(self) -> FrameInfo:
         """Hash the file."""
-        description: dict[str, Any] = {"kind": "video", "file": self.file.name}
-        description["sha256"] = sha256_file(self.file)
-        cut, (times, turned) = self.cut.describe(), images.video_facts(self.file)
-        numbers = self.cut.of(range(len(times)), self.where)
-        gaps = np.diff(times)
-        uneven = len(gaps) and gaps.max() > _EVEN * gaps.min()
+        description = {"kind": "video", "file": self.file.name, "sha256": sha256_file(self.file)}
+        times, turned = images.video_facts(self.file)
+        numbers, gaps = self.cut.of(range(len(times)), self.where), 1000 * np.diff(times)
         notes = [f"turned upright by {turned} degrees, as the file states"] * bool(turned)
-        if uneven:
-            least, most = 1000 * gaps.min(), 1000 * gaps.max()
-            notes += [f"frames are {least:.0f} to {most:.0f} ms apart; their times are kept"]
-        description |= {"cut": cut} if cut else {}
-        return FrameInfo(numbers, description, times[np.array(numbers)], notes=tuple(notes))
+        if gaps.max() > _EVEN * gaps.min():  # two frames at least
+            notes += [f"frames are {gaps.min():.0f} to {gaps.max():.0f} ms apart; their times are kept"]
+        described = description | self.cut.describe()
+        return FrameInfo(numbers, described, times[np.array(numbers)], notes=tuple(notes))
 
     def numbers(self) -> Sequence[int]:
         """Numbers of the frames; the video is decoded to count them."""
@@ -192,8 +190,7 @@ class KittiClip:
         paths = self.paths()
         description = {"kind": "kitti", "drive": drive.drive.name, "camera": drive.camera}
         description |= {"first": numbers[0], "last": numbers[-1], "sha256": sha256_files(paths)}
-        cut = {key: value for key, value in self.cut.describe().items() if key in ("step", "size")}
-        description |= {"cut": cut} if cut else {}
+        description |= replace(self.cut, first=None, last=None).describe()
         times = drive.timestamps(numbers)
         (width, height), calibrated = images.picture_size(paths[0]), drive.image_size
         if calibrated != (width, height):
@@ -280,11 +277,9 @@ def find_sources(path: PathLike) -> list[FrameSource]:
         found = [FrameFolder(path) for path in inside if path.is_dir()]
         found += [VideoFile(path) for path in inside if path.suffix.lower() in images.VIDEO_SUFFIXES]
         if not found:
-            expected, fix = (
-                "numbered frames, or one folder of frames per clip",
-                "give the folder that holds them",
-            )
+            expected = "numbered frames, or one folder of frames per clip"
             what = f"{inside[0].name}, no pictures" if inside else "an empty folder"
+            fix = "give the folder that holds them"
             raise InputFileError(f"{root}", expected=expected, found=what, fix=fix)
     return sorted(found, key=lambda source: source.name)
 
@@ -447,7 +442,7 @@ def take(
     if first is None and step == 1 and wanted is None and not name:
         return list(sources)
     given: dict[str, Any] = {"step": step, "size": wanted}
-    given |= {"first": first, "last": last} if first is not None else {}
+    given |= {} if first is None else {"first": first, "last": last}
     given |= {"name": name} if name else {}
     parts: Any = sources  # of dataclasses with a cut
     return [replace(source, cut=replace(source.cut, **given)) for source in parts]
@@ -464,7 +459,7 @@ def _pair(text: str | tuple[int, int] | None, what: str, between: str, form: str
 
 def frame_folder(clip: Clip, root: PathLike) -> Path | None:
     """Find the folder of a clip's frames below `root`: ``ROOT/CLIP``, or its camera of a KITTI drive."""
-    below, source = [Path(root, clip.name)], _source(clip.provenance, "kitti")
+    below, source = [Path(root, clip.name)], recorded_source(clip.provenance, "kitti")
     drive = _DRIVE.fullmatch(str(source.get("drive")))
     if drive and source.get("camera") in (0, 1, 2, 3):
         from kt3dmoseg.kitti import Drive
@@ -497,13 +492,13 @@ def frames_of(clip: Clip, root: PathLike) -> list[ByteArray]:
 
 def _cut_of(clip: Clip) -> Cut:
     """Return how the frames of a built or tracked clip were cut, as far as reading them needs it."""
-    cut, numbers = _source(clip.provenance).get("cut", {}), clip.frame_numbers.tolist()
+    cut, numbers = recorded_source(clip.provenance).get("cut", {}), clip.frame_numbers.tolist()
     step = numbers[1] - numbers[0] if len(numbers) > 1 else 1
     return Cut(numbers[0], numbers[-1], step, tuple(cut["size"]) if "size" in cut else None)
 
 
 def _frames_of_video(clip: Clip, video: VideoFile) -> list[ByteArray]:
-    source = _source(clip.provenance)
+    source = recorded_source(clip.provenance)
     frames = list(replace(video, cut=_cut_of(clip)).frames("luma"))
     same = source.get("sha256") in (None, sha256_file(video.file)) if source.get("kind") == "video" else True
     if len(frames) != clip.n_frames or not same:
@@ -515,7 +510,7 @@ def _frames_of_video(clip: Clip, video: VideoFile) -> list[ByteArray]:
 
 def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]) -> None:
     """Raise InputFileError for frames other than those of a clip, whose provenance may hold their sha256."""
-    source, tracked = _source(provenance), provenance.get("frames")
+    source, tracked = recorded_source(provenance), provenance.get("frames")
     wanted: object = None
     found: object = None
     if source.get("kind") in ("frames", "kitti"):
@@ -524,11 +519,8 @@ def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]
         wanted = [str(tracked[name]) for name in sorted(tracked, key=frame_number)]
         found = [sha256_file(path) for path in paths]
     if wanted not in (None, found):
-        expected, found = (
-            f"the frames that {clip} was made from",
-            "pictures with other contents (by their sha256)",
-        )
-        fix = "give the folder that the clip was made from"
+        expected, fix = f"the frames that {clip} was made from", "give the folder that the clip was made from"
+        found = "pictures with other contents (by their sha256)"
         raise InputFileError(f"{paths[0].parent}", expected=expected, found=found, fix=fix)
 
 
@@ -538,7 +530,7 @@ def recorded_inputs(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
     return inputs if isinstance(inputs, Mapping) else {}
 
 
-def _source(provenance: Mapping[str, Any], kind: str = "") -> Mapping[str, Any]:
+def recorded_source(provenance: Mapping[str, Any], kind: str = "") -> Mapping[str, Any]:
     """Return the recorded source of a built clip, if it is of this kind."""
     source = recorded_inputs(provenance).get("source", provenance.get("source"))
     return source if isinstance(source, Mapping) and kind in ("", source.get("kind")) else {}
@@ -546,7 +538,9 @@ def _source(provenance: Mapping[str, Any], kind: str = "") -> Mapping[str, Any]:
 
 def _paths_of(clip: Clip, folder: Path) -> list[Path]:
     """List a folder's numbered pictures, or of a KITTI drive those that the clip was built from."""
-    if (_source(clip.provenance, "kitti") or "cut" in _source(clip.provenance)) and folder.is_dir():
+    if (
+        recorded_source(clip.provenance, "kitti") or "cut" in recorded_source(clip.provenance)
+    ) and folder.is_dir():
         pictures, numbers = images.numbered_pictures(folder), clip.frame_numbers.tolist()
         if set(numbers) <= set(pictures):
             return [pictures[number] for number in numbers]

@@ -192,15 +192,8 @@ def label(
     from kt3dmoseg.frames import find_clips
 
     create(flow)
-    given = {
-        "team": team,
-        "frames": frames,
-        "tracks": tracks,
-        "compare": compare,
-        "masks": masks,
-        "kitti": kitti,
-    }
-    for name, path in given.items():
+    given = {"team": team, "frames": frames, "tracks": tracks}
+    for name, path in (given | {"compare": compare, "masks": masks, "kitti": kitti}).items():
         if path is not None and not Path(path).exists():
             raise InputFileError(f"--{name} {path}", found="no such file or folder")
 

@@ -240,11 +240,8 @@ def check_on_pictures(where: str, tracks: Trajectories, pictures: npt.NDArray[An
         if given > _CLEAR * max(_change(other, pictures), _SAME):
             only = "as (y, x)" if "::" in words else f"when scaled by {words}"
             fix = "give points[..., ::-1]" if "::" in words else f"multiply them by {words}"
-            expected, found = (
-                "(x, y), x to the right, in pixels",
-                f"points that follow the frames only {only}",
-            )
-            raise InvalidValueError(where, expected=expected, found=found, fix=fix)
+            found = f"points that follow the frames only {only}"
+            raise InvalidValueError(where, expected="(x, y), x to the right, in pixels", found=found, fix=fix)
 
 
 def _readings(places: FloatArray, size: npt.NDArray[Any]) -> Iterator[tuple[str, FloatArray]]:

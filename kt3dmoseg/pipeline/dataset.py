@@ -396,10 +396,8 @@ def _reason_to_build(target: Path, wanted: Mapping[str, Any], force: bool) -> st
     except KT3DMoSegError as error:
         return f"the file there is no intact clip ({error})"
     if not found and not force:
-        expected, fix = (
-            "no file, or a clip that was built from frames",
-            "give another output folder, or force=True to write over it",
-        )
+        expected = "no file, or a clip that was built from frames"
+        fix = "give another output folder, or force=True to write over it"
         raise InputFileError(f"{target}", expected=expected, found="another clip", fix=fix)
     if wanted["flow"] is None:
         return "the fields of this flow backend may depend on more than its parameters"

@@ -15,6 +15,7 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike
+from kt3dmoseg.frames import recorded_source
 from kt3dmoseg.io import load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import clip_files
@@ -55,16 +56,21 @@ def read_tracks(
 ) -> tuple[Trajectories, dict[str, int]]:
     """Read the trajectories of a clip with these frames, and count what is left out, in words.
 
-    FileFormatError when they are of another number of frames, or follow the frames only with x and y
-    exchanged, or scaled.
+    FileFormatError when they are of another number of frames, or of other ones by their recorded numbers, or
+    follow the frames only with x and y exchanged, or scaled.
     """
-    given = load(path).dense
+    clip = load(path)
+    given, stated = clip.dense, clip.frame_numbers.tolist()
     pictures = np.stack(list(islice(frames, _APART + 1)))
     count = len(numbers) if numbers is not None else len(pictures) + sum(1 for _ in frames)
     height, width = pictures.shape[1:]
+    fix = "give the tracks of all frames of the clip, and of no others"
     if given.n_frames != count:
-        fix = "give the tracks of all frames of the clip, and of no others"
         raise FileFormatError(f"{path}", expected=f"{count} frames", found=f"{given.n_frames}", fix=fix)
+    known = recorded_source(clip.provenance) or stated != list(range(count))  # trackers record no numbers
+    if known and numbers is not None and stated != list(numbers):
+        expected, found = (f"frames {some[0]}-{some[-1]}" for some in (numbers, stated))
+        raise FileFormatError(f"{path}", expected=expected, found=found, fix=fix)
     if given.image_size not in (None, (width, height)):
         expected = f"tracks in {width}x{height} px, as the frames"
         raise FileFormatError(f"{path}", expected=expected, found=f"{given.image_size}")

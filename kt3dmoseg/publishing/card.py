@@ -89,14 +89,10 @@ def table(clips: Iterable[Clip]) -> str:
 def card(facts: Mapping[str, Any], counted: str, settings: PublishOptions) -> str:
     """Return README.md: YAML front matter (JSON is YAML) and what a reader asks first."""
     count = sum(clip["trajectories"] for clip in facts["clips"].values())
-    files = {
-        what: [{"split": split, "path": f"data/{what}/{split}.parquet"} for split in facts["splits"]]
-        for what in FIELDS
-    }
-    configs: list[dict[str, Any]] = [
-        {"config_name": what, "data_files": each} for what, each in files.items()
-    ]
-    configs[0]["default"] = True
+    configs: list[dict[str, Any]] = []
+    for what in FIELDS:
+        files = [{"split": split, "path": f"data/{what}/{split}.parquet"} for split in facts["splits"]]
+        configs.append({"config_name": what, "data_files": files} | ({} if configs else {"default": True}))
     head = {
         "license": facts["license"],
         "pretty_name": facts["name"],
@@ -162,6 +158,7 @@ def croissant(
     facts: Mapping[str, Any], files: Mapping[str, Path], settings: PublishOptions
 ) -> dict[str, Any]:
     """Return Croissant 1.0 with the responsible-AI vocabulary 1.0 (http://mlcommons.org/croissant/RAI/1.0)."""
+    dated = ("citeAs", settings.citation), ("datePublished", settings.date)
     form = {".parquet": "application/x-parquet", ".h5": "application/x-hdf5"}
     rai = {
         "dataCollection": settings.collection,
@@ -182,8 +179,7 @@ def croissant(
         "version": facts["version"],
         "license": f"https://spdx.org/licenses/{facts['license']}",
         "keywords": _TAGS,
-        **({"citeAs": settings.citation} if settings.citation else {}),
-        **({"datePublished": settings.date} if settings.date else {}),
+        **{key: text for key, text in dated if text},
         **{f"rai:{key}": text for key, text in rai.items()},
         "distribution": [
             {

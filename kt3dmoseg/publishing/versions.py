@@ -39,14 +39,18 @@ from kt3dmoseg.files import (
 )
 from kt3dmoseg.frames import recorded_inputs
 from kt3dmoseg.io import dataset_paths, load
+from kt3dmoseg.matching import is_hidden, several
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.publishing import PublishOptions
-from kt3dmoseg.publishing.card import card, croissant, table
+from kt3dmoseg.publishing.card import FIELDS, card, croissant, table
 from kt3dmoseg.types import Clip
 
 MANIFEST = "dataset.json"
 _KITTI, _OWN = "cc-by-nc-sa-3.0", "mit"
-_VERSION = re.compile(r"[0-9]+(\.[0-9]+){1,3}([-.+]?[A-Za-z0-9]+)?")
+_FORMS = {
+    "name": (r"[\w. -]{1,100}", "a name of letters, digits, . _ -"),
+    "version": (r"[0-9]+(\.[0-9]+){1,3}([-.+]?[A-Za-z0-9]+)?", "a version, as 1.0.0"),
+}
 _MIXED = ("options", "flow", "algorithms")  # of what clips are built with, in their provenance
 
 
@@ -86,12 +90,8 @@ def publish(
         Without pyarrow, the extra ``publish``.
     """
     settings = from_mapping(PublishOptions, options, where="publish")
-    for what, text, form in (
-        ("name", settings.name, r"[\w. -]{1,100}"),
-        ("version", settings.version, _VERSION),
-    ):
-        if not re.fullmatch(form, text):
-            expected = "a name of letters, digits, . _ -" if what == "name" else "a version, as 1.0.0"
+    for what, (form, expected) in _FORMS.items():
+        if not re.fullmatch(form, text := getattr(settings, what)):
             raise InvalidValueError(what, expected=expected, found=repr(text))
     paths = dataset_paths(dataset)
     parts = _splits(list(paths), splits)
@@ -100,12 +100,15 @@ def publish(
         raise MissingDependencyError("publish needs pyarrow", fix="pip install 'kt3dmoseg[publish]'")
     check_writable(Path(output))
     with hold_folder(output) as folder:
-        _check_same_version(folder, facts)
-        for name, path in paths.items():
-            with atomic_path(folder / "clips" / f"{name}.h5") as temporary:
+        copies = {f"clips/{name}.h5": path for name, path in paths.items()}
+        tables = {f"data/{what}/{split}.parquet": (what, parts[split]) for what in FIELDS for split in parts}
+        _check_same_version(folder, facts, {*copies, *tables})
+        for file, path in copies.items():
+            with atomic_path(folder / file) as temporary:
                 shutil.copyfile(path, temporary)
-        files = _write_tables(folder, paths, parts)
-        files |= {f"clips/{name}.h5": folder / f"clips/{name}.h5" for name in paths}
+        for file, (what, names) in tables.items():
+            _write_table(folder / file, what, [paths[name] for name in names])
+        files = {file: folder / file for file in (*tables, *copies)}
         text = json.dumps(croissant(facts, files, settings), indent=1, ensure_ascii=False)
         write_text(folder / "croissant.json", text + "\n")
         write_text(folder / "README.md", card(facts, table(map(load, paths.values())), settings))
@@ -133,12 +136,14 @@ def _manifest(
     """Collect what identifies the version; InvalidValueError when clips do not belong together."""
     clips: dict[str, Any] = {}
     built: dict[str, Any] = {}
-    kitti, synthetic = False, True
+    kitti, synthetic, known = False, True, catalog.load()
     for name, path in paths.items():
         clip = load(path)
+        if clip.name != name or path.suffix != ".h5":  # its tables would have another name
+            raise FileFormatError(f"{path}", expected=f"{clip.name}.h5, as it is built", found=path.name)
         inputs = recorded_inputs(clip.provenance)
         source = inputs.get("source", {})
-        kitti |= source.get("kind") == "kitti" or name in catalog.load()
+        kitti |= source.get("kind") == "kitti" or name in known
         synthetic &= source.get("kind") == "synthetic"
         way = {key: inputs.get(key) for key in _MIXED}
         first = next(iter(built), name)
@@ -168,23 +173,19 @@ def _source(source: Mapping[str, Any], clip: Clip) -> str:
     return f"{where or 'unknown'}, {numbers}"
 
 
-def _check_same_version(folder: Path, facts: Mapping[str, Any]) -> None:
-    """Refuse to write over anything but the very same version."""
-    path, own = folder / MANIFEST, {"clips", "data", "README.md", "croissant.json"}
-    others = [
-        each.name for each in folder.iterdir() if each.name not in own | {MANIFEST} and each.name[0] != "."
-    ]
-    if others:
-        raise InputFileError(f"{folder}", expected="a new folder", found=", ".join(sorted(others)[:3]))
-    if not path.exists():
-        return
-    old = read_manifest(folder)
-    for key in ("name", "version", "splits", "clips"):
+def _check_same_version(folder: Path, facts: Mapping[str, Any], files: set[str]) -> None:
+    """Refuse to write over or next to anything but the very same version."""
+    old = read_manifest(folder) if (folder / MANIFEST).exists() else facts
+    for key in ("name", "version", "license", "splits", "clips"):
         if old.get(key) != facts[key]:
             expected = f"{facts['name']} {facts['version']} with the same clips, or a new folder"
             fix = "a published version never changes: give the next version, and another folder"
             found = f"{old.get('name')} {old.get('version')} with other {key}"
             raise InputFileError(f"{folder}", expected=expected, found=found, fix=fix)
+    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    others = there - files - {MANIFEST, "README.md", "croissant.json"}
+    if others := {path for path in others if not is_hidden(path)}:
+        raise InputFileError(f"{folder}", expected="a new folder", found=several(sorted(others)))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -196,33 +197,24 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _write_tables(
-    folder: Path, paths: Mapping[str, Path], parts: Mapping[str, Sequence[str]]
-) -> dict[str, Path]:
-    """Write the tables of every split, clip by clip; returns their paths."""
+def _write_table(file: Path, what: str, clips: Sequence[Path]) -> None:
+    """Write a table of a split, clip by clip."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    written = {}
-    for what, rows in (("trajectories", trajectory_rows), ("points", point_rows)):
-        for split, names in parts.items():
-            path = f"data/{what}/{split}.parquet"
-            with atomic_path(folder / path) as temporary:
-                first = pa.Table.from_pandas(rows(load(paths[names[0]])), preserve_index=False)
-                schema = first.schema.remove_metadata()
-                with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
-                    for name in names:
-                        frame = rows(load(paths[name]))
-                        writer.write_table(pa.Table.from_pandas(frame, schema=schema, preserve_index=False))
-            written[path] = folder / path
-    return written
+    rows = trajectory_rows if what == "trajectories" else point_rows
+    schema = pa.Schema.from_pandas(rows(load(clips[0])), preserve_index=False).remove_metadata()
+    with atomic_path(file) as temporary, pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
+        for path in clips:
+            table = pa.Table.from_pandas(rows(load(path)), schema=schema, preserve_index=False)
+            writer.write_table(table)
 
 
 def trajectory_rows(clip: Clip) -> pd.DataFrame:
     """Give one row per trajectory; `label` is 0 and `motion` empty where it is not evaluated."""
     visible, count = clip.dense.visible, len(clip.dense)
-    label, evaluated = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.bool_)
-    label[clip.evaluated], evaluated[clip.evaluated] = clip.labels.label, True
+    label, evaluated = np.zeros(count, dtype=np.int64), np.isin(np.arange(count), clip.evaluated)
+    label[clip.evaluated] = clip.labels.label
     names = [clip.labels.names.get(value, "") if value else "" for value in label.tolist()]
     last = visible.shape[1] - 1 - visible[:, ::-1].argmax(axis=1)
     columns = {"clip": np.full(count, clip.name, dtype=object), "track": clip.dense.track_id}
@@ -279,10 +271,13 @@ def _clips_of(folder: Path) -> dict[str, Path]:
     if not (folder / MANIFEST).is_file():
         return dataset_paths(folder)
     paths, manifest = dataset_paths(folder / "clips"), read_manifest(folder)
-    for name, facts in manifest["clips"].items():
-        if name not in paths or sha256_file(paths[name]) != facts["sha256"]:
-            found = "another file" if name in paths else "none"
-            expected = f"the clip of {manifest['name']} {manifest['version']}"
+    for name in sorted({*manifest["clips"], *paths}):
+        wanted = manifest["clips"].get(name, {}).get("sha256")
+        found = sha256_file(paths[name]) if name in paths else None
+        if found != wanted:
+            version = f"{manifest['name']} {manifest['version']}"
+            expected = f"the clip of {version}" if wanted else f"only clips of {version}"
+            found = "another file" if found else "none"
             raise FileFormatError(f"{folder}/clips/{name}.h5", expected=expected, found=found)
     return paths
 

@@ -9,6 +9,7 @@ from build_scenes import FRAMES, write_clip, write_masks
 from kt3dmoseg import load, track
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.io import save
 from kt3dmoseg.io.point_tracks import write_layout
 from kt3dmoseg.pipeline import build_clip, build_dataset
 from kt3dmoseg.types import Clip, Labels, Trajectories
@@ -67,6 +68,13 @@ def test_tracks_that_do_not_fit_the_frames_are_refused(scene, tmp_path):
     sized = Trajectories(tracks.xy, tracks.visible, image_size=(200, 100))
     with pytest.raises(FileFormatError, match="tracks in 96x64 px, as the frames, found"):
         build_clip(frames, tracks=_write(tmp_path / "a.npz", sized, "tap-vid"))
+    later = np.arange(11, 11 + FRAMES)  # as many frames, but others
+    clip = Clip("a", tracks, np.arange(len(tracks)), Labels(np.zeros(len(tracks), int)), later)
+    save(clip, tmp_path / "a.h5")
+    with pytest.raises(
+        FileFormatError, match=rf"expected frames 1-{FRAMES}, found frames 11-{10 + FRAMES}; give"
+    ):
+        build_clip(frames, tracks=tmp_path / "a.h5")
     turned = Trajectories(tracks.xy[..., ::-1], tracks.visible)
     with pytest.raises(FileFormatError, match=r"a\.npz: tracks: .* only as \(y, x\); give points"):
         build_clip(frames, tracks=_write(tmp_path / "a.npz", turned))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -106,9 +107,29 @@ def test_a_version_never_changes(built, published, tmp_path):
     for changes in ({"version": "1.0.1"}, {"splits": []}):
         with pytest.raises(InputFileError, match="a published version never changes: give the next version"):
             publish(built, published, **{"splits": ["test=*_test"]} | ABOUT | changes)
+    with pytest.raises(InputFileError, match=r"found Two scenes 1\.0\.0 with other license"):
+        publish(built, published, splits=["test=*_test"], **ABOUT | {"license": "cc0-1.0"})
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputFileError, match=r"expected a new folder, found notes\.txt"):
         publish(built, tmp_path, **ABOUT)
+
+
+def test_files_of_another_version_that_was_interrupted_are_not_mixed_in(built, published, tmp_path):
+    (tmp_path / "v").mkdir()
+    shutil.copytree(published / "clips", tmp_path / "v" / "clips")
+    shutil.copy(built / "a.h5", tmp_path / "v" / "clips" / "other.h5")
+    with pytest.raises(InputFileError, match=r"expected a new folder, found clips/other\.h5"):
+        publish(built, tmp_path / "v", splits=["test=*_test"], **ABOUT)
+    shutil.copy(published / "dataset.json", tmp_path / "v")
+    with pytest.raises(FileFormatError, match=r"other\.h5: expected only clips of Two scenes 1\.0\.0"):
+        diff(tmp_path / "v", built)
+
+
+def test_a_clip_is_published_under_its_own_name_only(built, tmp_path):
+    (tmp_path / "in").mkdir()
+    shutil.copy(built / "a.h5", tmp_path / "in" / "renamed.h5")
+    with pytest.raises(FileFormatError, match=r"renamed\.h5: expected a\.h5, as it is built"):
+        publish(tmp_path / "in", tmp_path / "v", **ABOUT)
 
 
 def test_a_missing_package_is_named_before_anything_is_written(built, tmp_path, monkeypatch):
