@@ -18,7 +18,7 @@ import cv2
 
 from kt3dmoseg import __version__, catalog, choosing, tracking
 from kt3dmoseg.choosing import ChooseOptions
-from kt3dmoseg.choosing.windows import Window, measure_windows
+from kt3dmoseg.choosing.windows import Window, measure_windows, metres_between
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import (
     JSON_BYTES,
@@ -126,7 +126,11 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
         whole, numbers = source.inspect().description, source.numbers()
     measured = {**asdict(settings), "count": 0, "apart": 0}
     versions = [__version__, choosing.ALGORITHM_VERSION, tracking.ALGORITHM_VERSION, cv2.__version__]
-    about = {"options": measured, "versions": versions, "flow": backend_identity(create(settings.flow))}
+    about: dict[str, Any] = {
+        "options": measured,
+        "versions": versions,
+        "flow": backend_identity(create(settings.flow)),
+    }
     for run in _runs(numbers):
         last = max(0, len(run) - settings.longest)
         starts = [*range(0, last, max(1, settings.longest // 2)), last]
@@ -134,6 +138,8 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
             ends = run[start], run[min(start + settings.longest, len(run)) - 1]
             part = replace(given, cut=replace(cut, first=ends[0], last=ends[1], name=source.name))
             frames = whole or part.inspect().description
+            if isinstance(source, KittiClip):  # both may come later
+                about["known"] = [source.drive.has_tracklets, metres_between(part, *ends) is not None]
             yield part, f"{cache_key({**about, 'recording': frames, 'part': ends})}.json"
 
 

@@ -108,17 +108,13 @@ def measure_windows(source: FrameSource, options: ChooseOptions | None = None) -
     """
     settings = options or ChooseOptions()
     frames = list(source.frames(settings.colour))
-    starts = find_cuts(frames)[0]
+    starts, numbers, windows = find_cuts(frames)[0], source.numbers(), windows_of(len(frames), settings)
     found = []
     for start, stop in pairwise([*starts, len(frames)]):
-        shot = range(start, stop)
-        ends = [(a, b) for a, b in windows_of(len(frames), settings) if a in shot and b in shot]
+        ends = [(a, b) for a, b in windows if start <= a and b < stop]
         found += _measure_shot(source, frames[start:stop], start, ends, settings) if ends else []
-    numbers = source.numbers()
-    whole = {(window.first, window.last) for window in found}
-    for a, b in windows_of(len(frames), settings):
-        if (numbers[a], numbers[b]) not in whole:
-            found.append(Window(source.name, numbers[a], numbers[b], 0, "px", 0, 0, (), "", cut=True))
+    cut = [(numbers[a], numbers[b]) for a, b in windows if any(a < start <= b for start in starts)]
+    found += [Window(source.name, *ends, 0, "px", 0, 0, (), "", cut=True) for ends in cut]
     return sorted(found, key=lambda window: (window.first, window.last))
 
 
@@ -140,7 +136,7 @@ def _measure_shot(
         first, last = a - start, b - start
         inside = [pair for pair in pairs[first : max(first + 1, last + 1 - _GAP)] if pair is not None]
         motion, depth, clutter = np.median(inside, axis=0).tolist() if inside else (0.0, 0.0, 0.0)
-        metres = _metres(source, numbers[a], numbers[b])
+        metres = metres_between(source, numbers[a], numbers[b])
         lives = tracks.visible[:, first : last + 1].sum(axis=1) >= LIVES
         counts = np.bincount(labels[lives & (labels > 1)], minlength=2)
         sizes = tuple(sorted((int(n) for n in counts if n >= FEWEST), reverse=True))
@@ -157,7 +153,7 @@ def windows_of(count: int, options: ChooseOptions) -> list[tuple[int, int]]:
     return [(start, start + n - 1) for start in starts for n in lengths if start + n <= count]
 
 
-def _metres(source: FrameSource, first: int, last: int) -> float | None:
+def metres_between(source: FrameSource, first: int, last: int) -> float | None:
     """Metres between the cameras of two frames; None where that is not known."""
     if not isinstance(source, KittiClip):
         return None

@@ -128,10 +128,9 @@ def build(
         there = any(path.stem.lower() in names for path in folder.glob("*.json"))
         annotations = folder if there and annotations != Path("none") else None
     annotations = None if annotations == Path("none") else annotations
-    make = partial(build_dataset, sources, output, annotations=annotations, masks=masks, cache=cache)
-    make = partial(make, propose=folder if propose else None, tracks=tracks)
-    make = partial(make, shift=shift, workers=workers, dask=dask, force=force)
-    make = partial(make, flow_parameters=parse_assignments(parameter))
+    options |= {"masks": masks, "cache": cache, "tracks": tracks, "shift": shift, "workers": workers}
+    options |= {"propose": folder if propose else None, "flow_parameters": parse_assignments(parameter)}
+    make = partial(build_dataset, sources, output, annotations=annotations, dask=dask, force=force)
     outcomes = _run(partial(make, **options), len(sources), output)
     empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
     if empty:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from importlib.util import find_spec
@@ -283,25 +282,25 @@ def _clips_of(folder: Path) -> dict[str, Path]:
 
 
 def _changes(a: Clip, b: Clip) -> tuple[int, int, int, int, int, str]:
-    first, second = _by_content(a), _by_content(b)
-    common = sorted(first.keys() & second.keys())
-    labels = [dict(zip(c.evaluated.tolist(), c.labels.label.tolist(), strict=True)) for c in (a, b)]
-    ours = [labels[0].get(first[key]) for key in common]
-    theirs = [labels[1].get(second[key]) for key in common]
-    pairs = list(zip(ours, theirs, strict=True))
-    changed = sum(None not in pair and pair[0] != pair[1] for pair in pairs)
-    once = sum((pair[0] is None) != (pair[1] is None) for pair in pairs)
+    first, second = _labels(a), _labels(b)
+    common = pd.concat([first, second], axis=1, join="inner")
+    known = (common >= 0).sum(axis=1)
+    changed = int((common[known == 2].nunique(axis=1) == 2).sum())
     inputs = [recorded_inputs(clip.provenance) for clip in (a, b)]
     built = sorted(key for key in {*inputs[0], *inputs[1]} if inputs[0].get(key) != inputs[1].get(key))
-    return len(second) - len(common), len(first) - len(common), len(common), changed, once, ", ".join(built)
+    counts = (
+        len(second) - len(common),
+        len(first) - len(common),
+        len(common),
+        changed,
+        int((known == 1).sum()),
+    )
+    return *counts, ", ".join(built)
 
 
-def _by_content(clip: Clip) -> dict[tuple[bytes, int], int]:
-    """Rows by the positions of their trajectories; equal ones are numbered."""
-    seen: Counter[bytes] = Counter()
-    out = {}
-    for row, xy in enumerate(np.nan_to_num(clip.dense.xy, nan=-1e9)):
-        key = xy.tobytes()
-        seen[key] += 1
-        out[key, seen[key]] = row
-    return out
+def _labels(clip: Clip) -> pd.Series[int]:
+    """Labels by the positions of the trajectories, equal ones numbered; -1 where not evaluated."""
+    label = np.full(len(clip.dense), -1)
+    label[clip.evaluated] = clip.labels.label
+    content = pd.Series([xy.tobytes() for xy in np.nan_to_num(clip.dense.xy, nan=-1e9)], dtype=object)
+    return pd.Series(label, [content, content.groupby(content).cumcount()])

@@ -99,6 +99,17 @@ def test_a_window_of_two_parts_is_taken_from_the_first_whichever_is_measured_fir
         assert ranking._measured(parts, ChooseOptions(), None, 2, "", None) == results[0]
 
 
+def test_positions_that_come_later_are_measured(root, tmp_path):
+    shutil.copytree(root, tmp_path / "kitti")
+    packets = tmp_path / "kitti" / "2011_09_26/2011_09_26_drive_0002_sync/oxts"
+    packets.rename(tmp_path / "oxts")
+    sources = choose_sources(tmp_path / "kitti", drive=2, frames=(0, 11))
+    options = OPTIONS | {"movers": "residual", "count": 1}
+    assert [window.unit for window in choose(sources, tmp_path / "out", **options)] == ["px"]
+    (tmp_path / "oxts").rename(packets)
+    assert [window.unit for window in choose(sources, tmp_path / "out", **options)] == ["m"]
+
+
 def test_only_the_given_part_of_a_drive_is_looked_at(root):
     sources = choose_sources(root, drive=1, frames=(5, 18))
     windows = choose(sources, count=9, **OPTIONS)
