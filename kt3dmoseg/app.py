@@ -63,6 +63,8 @@ Catalogs = Annotated[
     tuple[File, ...], Parameter(name="--catalog", help="A catalog of your own; may be repeated.")
 ]
 Either = Annotated[Path, Parameter(metavar="PATH")]
+Range = Annotated[str, Parameter(name="--range", metavar="FIRST-LAST")]
+Size = Annotated[str, Parameter(metavar="WIDTHxHEIGHT")]
 Parameters = Annotated[
     tuple[str, ...], Parameter(alias=("-p", "--set"), metavar="NAME=VALUE", show_default=False)
 ]

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -564,27 +566,27 @@ def find_clips(
     frames: PathLike | None = None,
     tracks: PathLike | None = None,
     catalogs: Sequence[PathLike] = (),
+    range_: str = "",
+    step: int = 1,
+    size: str = "",
 ) -> dict[str, ClipFiles]:
     """Find the clips to label, sorted by name: a folder of frames, a clip file, or a folder of these.
 
     Of a KITTI raw root they are the clips of `catalogs`, or of its ``located.toml``. The `frames` of clip
     files are in a folder with one per clip, the folder itself, or the KITTI raw root of the build; by default
-    next to the files, or in ``frames`` next to their folder. `tracks` adds more.
+    next to the files, or in ``frames`` next to their folder. `tracks` adds more. Of frames and videos
+    `range_`, `step` and `size` take a part, as `take` does.
     """
     given = Path(path)
-    if given.suffix.lower() in images.VIDEO_SUFFIXES and given.is_file():
-        given = _extracted(VideoFile(given), Path(annotations))
-    if catalogs or any(given.glob(_DRIVE_FOLDERS)):
-        return _clips_of_root(given, annotations, tracks, catalogs)
+    video = given.suffix.lower() in images.VIDEO_SUFFIXES and given.is_file()
+    if catalogs or range_ or step != 1 or size or video or any(given.glob(_DRIVE_FOLDERS)):
+        sources = choose_sources(given, catalogs=catalogs, frames=range_, step=step, size=size)
+        return _clips_of_sources(sources, Path(annotations), tracks)
     folders, files = {given.resolve().name: given}, clip_paths(given)
     if not is_clip(given):
         inside = listed(given) if given.is_dir() else []
         folders = {folder.name: folder for folder in inside if has_pictures(folder)}
-    if tracks is not None:
-        files = clip_paths(Path(tracks)) | files
-        if folders and not folders.keys() & files.keys():
-            expected = f"tracks of {', '.join(list(folders)[:3])}"
-            raise InputFileError(f"{tracks}", expected=expected, found=", ".join(list(files)[:3]) or "none")
+    files = _with_tracks(files, tracks, list(folders))
     if not folders and not files:
         expected = "a folder of frames, a clip file, or a folder of such"
         raise InputFileError(f"{given}", expected=expected, found="none of them")
@@ -596,23 +598,39 @@ def find_clips(
     return out
 
 
-def _extracted(video: VideoFile, folder: Path) -> Path:
-    """Write the frames of a video for the labelling page, once: ``FOLDER/.frames/<name>-<sha256>/<name>``."""
-    target = folder / ".frames" / f"{video.name}-{sha256_file(video.file)[:12]}" / video.name
-    if not (target.parent / "complete").is_file():
-        for number, frame in enumerate(video.frames("luma")):
-            images.write_png(target / f"{number:06d}.png", frame)
-        write_text(target.parent / "complete", "")
-    return target
+def _with_tracks(files: dict[str, Path], tracks: PathLike | None, names: Sequence[str]) -> dict[str, Path]:
+    """Add the files of a folder of trajectories; refuse one that has those of none of the clips."""
+    if tracks is None:
+        return files
+    files = clip_paths(Path(tracks)) | files
+    if names and not files.keys() & {*names}:
+        expected, found = f"tracks of {', '.join(names[:3])}", ", ".join(list(files)[:3]) or "none"
+        raise InputFileError(f"{tracks}", expected=expected, found=found)
+    return files
 
 
-def _clips_of_root(
-    root: Path, annotations: PathLike, tracks: PathLike | None, catalogs: Sequence[PathLike]
+def _clips_of_sources(
+    sources: Sequence[FrameSource], notes: Path, tracks: PathLike | None
 ) -> dict[str, ClipFiles]:
-    found: Any = choose_sources(root, catalogs=catalogs)  # each with paths
-    files = {} if tracks is None else clip_paths(Path(tracks))
-    names = {source.name: tuple(source.paths()) for source in sorted(found, key=lambda source: source.name)}
-    return {n: ClipFiles(n, p, files.get(n), Path(annotations, f"{n}.json")) for n, p in names.items()}
+    known, out = _with_tracks({}, tracks, [source.name for source in sources]), {}
+    for source in sorted(sources, key=lambda source: source.name):
+        stored = isinstance(source, FrameFolder | KittiClip) and source.cut.size is None
+        paths = source.paths() if stored else _extracted(source, notes)  # type: ignore[attr-defined]
+        files = tuple(paths), known.get(source.name), notes / f"{source.name}.json"
+        out[source.name] = ClipFiles(source.name, *files)
+    return out
+
+
+def _extracted(source: FrameSource, folder: Path) -> list[Path]:
+    """Write frames for the labelling page, once: ``FOLDER/.frames/<name>-<checksum>/<name>``."""
+    checksum = hashlib.sha256(json.dumps(source.inspect().description).encode()).hexdigest()
+    target = folder / ".frames" / f"{source.name}-{checksum[:12]}" / source.name
+    paths = [target / f"{number:06d}.png" for number in source.numbers()]
+    if not (target.parent / "complete").is_file():
+        for path, frame in zip(paths, source.frames("luma"), strict=True):
+            images.write_png(path, frame)
+        write_text(target.parent / "complete", "")
+    return paths
 
 
 def clip_paths(path: Path) -> dict[str, Path]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from kt3dmoseg.app import Catalogs, Flag, Name, Whole, flags
+from kt3dmoseg.app import Catalogs, Flag, Name, Range, Size, Whole, flags
 from kt3dmoseg.draw import DrawOptions
 
 if TYPE_CHECKING:
@@ -133,6 +133,9 @@ def label(
     masks: _Folder | None = None,
     kitti: _Folder | None = None,
     catalogs: Catalogs = (),
+    range_: Range = "",
+    step: Whole = 1,
+    size: Size = "",
     flow: Name = "dis",
     host: str = "127.0.0.1",
     port: Annotated[Whole, Parameter(show_default=False)] = 0,
@@ -165,6 +168,12 @@ def label(
         KITTI raw root to propose regions from tracklets.
     catalogs : paths, optional
         Label the clips of these catalogs; CLIP is a KITTI raw root.
+    range_ : str
+        Frame numbers of frames or a video, both included; a video's from 0.
+    step : int
+        Take every N-th frame.
+    size : str
+        Resize the frames.
     flow : str
         Flow that computes missing trajectories.
     host : str
@@ -202,9 +211,9 @@ def label(
 
         return track(pictures, flow=flow, progress=progress)
 
-    sessions = sessions_of(
-        find_clips(clip, annotations=annotations, frames=frames, tracks=tracks, catalogs=catalogs), tracker
-    )
+    part: dict[str, Any] = {"range_": range_, "step": step, "size": size, "catalogs": catalogs}
+    clips = find_clips(clip, annotations=annotations, frames=frames, tracks=tracks, **part)
+    sessions = sessions_of(clips, tracker)
     other, mask_folder, raw = (None if path is None else Path(path) for path in (compare, masks, kitti))
     tokens = {} if team is None else read_team(Path(team))
     folders: dict[str, Any] = {"other": other, "masks": mask_folder, "kitti": raw}

@@ -20,6 +20,8 @@ from kt3dmoseg.app import (
     Name,
     Parameters,
     Positive,
+    Range,
+    Size,
     Whole,
     flags,
     progress_bar,
@@ -41,8 +43,6 @@ FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields 
 Workers = Annotated[Whole | None, Parameter(help="Processes (default: one per core).")]
 Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
 Names = Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))]
-Range = Annotated[str, Parameter(name="--range", metavar="FIRST-LAST")]
-Size = Annotated[str, Parameter(metavar="WIDTHxHEIGHT")]
 _one_clip = partial(Parameter, group=Group.create_ordered("One drive of a KITTI raw root"))
 _part = partial(Parameter, group=Group.create_ordered("A part of the frames"))
 

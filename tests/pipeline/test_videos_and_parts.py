@@ -74,6 +74,18 @@ def test_the_labelling_page_gets_the_frames_of_a_video(video, tmp_path):
         np.testing.assert_array_equal(images.read_frame(path), frame)
 
 
+def test_the_labelling_page_gets_the_part_that_build_takes(video, tmp_path):
+    folder = write_clip(tmp_path / "clip", frames=12)
+    for given, size in ((folder, ""), (folder, "80x48"), (video, "80x48")):
+        part = {"step": 2, "size": size}
+        [source] = choose_sources(given, frames="3-9", **part)
+        [clip] = find_clips(given, annotations=tmp_path / "notes", range_="3-9", **part).values()
+        assert clip.name == source.name
+        assert [images.frame_number(path) for path in clip.frames] == [3, 5, 7, 9]
+        for path, frame in zip(clip.frames, source.frames("luma"), strict=True):
+            np.testing.assert_array_equal(images.read_frame(path), frame)
+
+
 def test_a_turned_video_is_turned_upright_and_that_is_said(video, tmp_path, capsys):
     content = bytearray(video.read_bytes())
     header = content.find(b"tkhd")
