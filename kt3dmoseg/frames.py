@@ -18,9 +18,10 @@ import numpy as np
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, listed, sha256_file, sha256_files, write_text
 from kt3dmoseg.io import dataset_paths, images, load
-from kt3dmoseg.io.fields import clip_name
+from kt3dmoseg.io.fields import check_name, clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
 from kt3dmoseg.io.images import Colour, frame_number, frame_paths, has_pictures, is_clip, read_frames
+from kt3dmoseg.matching import several
 from kt3dmoseg.types import ByteArray, Camera, Clip, FloatArray
 
 # What KITTI's drives need is imported where there are any.
@@ -286,13 +287,25 @@ def find_sources(path: PathLike) -> list[FrameSource]:
     return sorted(found, key=lambda source: source.name)
 
 
-def one_source(path: PathLike) -> FrameSource:
-    """Return the only clip at a path; InvalidValueError when there are more, see `find_sources`."""
-    found = find_sources(path)
+def one_source(path: PathLike, **part: Any) -> FrameSource:  # noqa: ANN401
+    """Return the only clip at a path; InvalidValueError when there are more, see `choose_sources`."""
+    found = choose_sources(path, **part)
     if len(found) != 1:
-        fix = "build_dataset builds many"
-        raise InvalidValueError(f"{path}", expected="one clip", found=f"{len(found)}", fix=fix)
+        names, fix = several(source.name for source in found), "build_dataset builds many"
+        raise InvalidValueError(f"{path}", expected="one clip", found=f"{len(found)}: {names}", fix=fix)
     return found[0]
+
+
+def source_names(sources: Sequence[FrameSource]) -> list[str]:
+    """Return the clips' names, each of which becomes that of a file; refuse bad ones, and two of one name."""
+    names = [source.name for source in sources]
+    for name, source in zip(names, sources, strict=True):
+        check_name(name, f"name of {source.where!a}")
+        if names.count(name) > 1:
+            both = " and ".join(source.where for source in sources if source.name == name)
+            fix = "rename or remove one"
+            raise InvalidValueError(f"clip {name}", expected="one source", found=both, fix=fix)
+    return names
 
 
 def choose_sources(

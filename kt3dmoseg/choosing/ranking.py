@@ -30,7 +30,7 @@ from kt3dmoseg.files import (
     write_text,
 )
 from kt3dmoseg.flow import backend_identity, create
-from kt3dmoseg.frames import Cut, FrameSource, KittiClip, choose_sources
+from kt3dmoseg.frames import Cut, FrameSource, KittiClip, choose_sources, source_names
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 
@@ -105,14 +105,10 @@ def choose(
 
 
 def _sources(given: PathLike | Sequence[PathLike | FrameSource]) -> dict[str, FrameSource]:
-    found: dict[str, FrameSource] = {}
+    found: list[FrameSource] = []
     for item in [given] if isinstance(given, (str, os.PathLike)) else given:
-        for source in choose_sources(item, drives=True) if isinstance(item, (str, os.PathLike)) else [item]:
-            if source.name in found:
-                where, both = f"recording {source.name}", f"{found[source.name].where} and {source.where}"
-                raise InvalidValueError(where, expected="one", found=both, fix="rename one")
-            found[source.name] = source
-    return found
+        found += choose_sources(item, drives=True) if isinstance(item, (str, os.PathLike)) else [item]
+    return dict(zip(source_names(found), found, strict=True))
 
 
 def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:

@@ -250,10 +250,9 @@ def track(
 
     Writes every trajectory, unlabelled, in the format that the suffix of FILE names (.h5, .mat, .npz, .dat).
     """
-    from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.files import check_target, check_writable
     from kt3dmoseg.flow import create
-    from kt3dmoseg.frames import choose_sources
+    from kt3dmoseg.frames import one_source
     from kt3dmoseg.io import save
     from kt3dmoseg.io.formats import written_as
     from kt3dmoseg.options import parse_assignments
@@ -263,14 +262,11 @@ def track(
     written_as(output)
     check_target(output)
     check_writable(output.parent)
-    sources = choose_sources(frames, drive=drive, frames=range_, step=step, size=size)
-    if len(sources) != 1:
-        names = ", ".join(source.name for source in sources[:3])
-        raise InvalidValueError(f"{frames}", expected="one clip", found=f"{len(sources)}: {names}")
-    for note in sources[0].inspect().notes:
+    source = one_source(frames, drive=drive, frames=range_, step=step, size=size)
+    for note in source.inspect().notes:
         _warn(f"{frames}: {note}")
     with progress_bar("frame") as progress:
-        clip = track_clip(sources[0], backend, colour=colour, cache=cache, progress=progress, **options)
+        clip = track_clip(source, backend, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)
     print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
 

@@ -22,9 +22,8 @@ from kt3dmoseg.annotate.model import BUILT, PROPOSALS
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, sha256_files
 from kt3dmoseg.flow import backend_identity, create
-from kt3dmoseg.frames import FrameSource, find_sources, one_source, recorded_inputs
+from kt3dmoseg.frames import FrameSource, find_sources, one_source, recorded_inputs, source_names
 from kt3dmoseg.io import hdf5
-from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 from kt3dmoseg.pipeline import BuildOptions
@@ -200,7 +199,7 @@ def build_dataset(
     """
     settings = _Settings(options, flow_parameters, cache, shift)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
-    names = _names(sources)
+    names = source_names(sources)
     labels = find_labels(names, annotations, masks)
     given = [None] * len(names) if tracks is None else find_tracks(names, tracks)
     tasks = list(zip(sources, labels, given, strict=True))
@@ -227,18 +226,6 @@ def build_dataset(
             if report is not None:
                 report(outcome)
     return sorted(outcomes, key=lambda outcome: outcome.name)
-
-
-def _names(sources: Sequence[FrameSource]) -> list[str]:
-    """Return the clips' names, each of which becomes that of a file."""
-    names = [source.name for source in sources]
-    for name, source in zip(names, sources, strict=True):
-        check_name(name, f"name of {source.where!a}")
-        if names.count(name) > 1:
-            both = " and ".join(source.where for source in sources if source.name == name)
-            fix = "rename or remove one"
-            raise InvalidValueError(f"clip {name}", expected="one source", found=both, fix=fix)
-    return names
 
 
 @contextmanager

@@ -182,15 +182,8 @@ def croissant(
         **{key: text for key, text in dated if text},
         **{f"rai:{key}": text for key, text in rai.items()},
         "distribution": [
-            {
-                "@type": "cr:FileObject",
-                "@id": path,
-                "name": path,
-                "contentUrl": path,
-                "contentSize": f"{file.stat().st_size} B",
-                "encodingFormat": form[file.suffix],
-                "sha256": sha256_file(file),
-            }
+            _node("FileObject", path, contentUrl=path, contentSize=f"{file.stat().st_size} B")
+            | {"encodingFormat": form[file.suffix], "sha256": sha256_file(file)}
             for path, file in files.items()
         ],
         "recordSet": [
@@ -200,23 +193,13 @@ def croissant(
 
 
 def _record_set(what: str, split: str, fields: Mapping[str, str]) -> dict[str, Any]:
-    name = f"{what}_{split}"
-    return {
-        "@type": "cr:RecordSet",
-        "@id": name,
-        "name": name,
-        "field": [
-            {
-                "@type": "cr:Field",
-                "@id": f"{name}/{field}",
-                "name": f"{name}/{field}",
-                "description": text,
-                "dataType": _TYPES.get(field, "sc:Integer"),
-                "source": {
-                    "fileObject": {"@id": f"data/{what}/{split}.parquet"},
-                    "extract": {"column": field},
-                },
-            }
-            for field, text in fields.items()
-        ],
-    }
+    found = []
+    for field, text in fields.items():
+        source = {"fileObject": {"@id": f"data/{what}/{split}.parquet"}, "extract": {"column": field}}
+        about = {"description": text, "dataType": _TYPES.get(field, "sc:Integer"), "source": source}
+        found.append(_node("Field", f"{what}_{split}/{field}", **about))
+    return _node("RecordSet", f"{what}_{split}", field=found)
+
+
+def _node(kind: str, name: str, **values: Any) -> dict[str, Any]:  # noqa: ANN401  # JSON
+    return {"@type": f"cr:{kind}", "@id": name, "name": name, **values}
