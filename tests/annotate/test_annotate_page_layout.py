@@ -167,10 +167,7 @@ def test_brackets_made_with_option_or_altgr_choose_objects(page, held):
 def test_frames_have_the_numbers_of_their_files(page):
     page.press("ArrowRight")
     page.shows("#frame-badge", "000002.png · 2 of 6")
-    numbers = "import('/static/view.js').then((view) => view.numbersOf({}))"
     assert page.value("labeller.state.clip.numbers") == ["1", "2", "3", "4", "5", "6"]
-    names = '["a_3_10.png", "a_3_11.png"]', '["left.png", "right.png"]', '["x1.png", "y1.png"]'
-    assert [page.value(numbers.format(name)) for name in names] == [["10", "11"], ["0", "1"], ["0", "1"]]
 
 
 def test_undo_and_redo_have_buttons(page):

@@ -22,7 +22,7 @@ from kt3dmoseg.annotate.server.app import create_app, is_loopback
 from kt3dmoseg.annotate.server.clip_session import ClipSession, sessions_of
 from kt3dmoseg.annotate.server.routes import _WORKERS, Routes
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.frames import find_clips
+from kt3dmoseg.frames import ClipFiles, find_clips
 from kt3dmoseg.io import load
 from kt3dmoseg.io import save as save_clip
 from kt3dmoseg.types import Trajectories
@@ -52,6 +52,19 @@ def routes(clips, tmp_path, tracker=never, tracks=True, **options):
 
 def client(routes, **options):
     return Client(create_app(routes, hosts=[HOST], **options), f"http://{HOST}")
+
+
+@pytest.mark.parametrize(
+    ("names", "numbers"),
+    [
+        (["a_3_10.png", "a_3_11.png"], ["10", "11"]),
+        (["left.png", "right.png"], ["0", "1"]),
+        (["x1.png", "y1.png"], ["0", "1"]),
+    ],
+)
+def test_frames_have_the_numbers_in_their_names_where_these_differ(tmp_path, names, numbers):
+    source = ClipFiles("c", tuple(tmp_path / name for name in names), None, tmp_path / "c.json")
+    assert ClipSession(source, never).numbers == numbers
 
 
 def test_frames_of_another_clip_are_said_on_the_page_of_that_clip(tmp_path, capsys):

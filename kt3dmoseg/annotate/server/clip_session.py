@@ -25,6 +25,7 @@ from kt3dmoseg.files import listed
 from kt3dmoseg.frames import ClipFiles, check_frames
 from kt3dmoseg.io.formats import recognise
 from kt3dmoseg.io.images import picture_size, read_frame, read_frames
+from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import ByteArray, IntArray, Trajectories
 
 Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], None]], Trajectories]
@@ -63,6 +64,13 @@ class ClipSession:
     def frame_names(self) -> list[str]:
         """File names of the frames."""
         return [frame.name for frame in self.source.frames]
+
+    @property
+    def numbers(self) -> list[str]:
+        """Numbers of the frames: those in the names of their files, where each has its own, else indices."""
+        found = [number_in(name) for name in self.frame_names]
+        distinct = None not in found and len(set(found)) == len(found)
+        return [str(number) for number in (found if distinct else range(len(found)))]
 
     def check_files(self, *, thoroughly: bool) -> None:
         """Check that the trajectories are of the frames; thoroughly, that everything can be read, too."""

@@ -125,6 +125,7 @@ class Routes:
             "image_size": session.image_size,
             "n_frames": len(session.source.frames),
             "frame_names": session.frame_names,
+            "numbers": session.numbers,
             "annotation": model.to_json(session.annotation()),
             "annotator": self._annotator(request),
             "team": self.team,

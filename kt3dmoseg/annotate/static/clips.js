@@ -5,7 +5,7 @@ import { proposeBuilt } from "./exchange.js";
 import { ask, flush, listClips, saver, startFrom, yourName } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
 import { loadTracks } from "./tracks.js";
-import { fit, numbersOf, stop } from "./view.js";
+import { fit, stop } from "./view.js";
 
 const POLL = 500;
 const HEADS = ["clip", "frames", "objects", "assigned to", "state", "set by", "in doubt", "minutes", "saved"];
@@ -18,7 +18,6 @@ export async function openClip(name, remember = "pushState") {
     history[remember](null, "", `?clip=${encodeURIComponent(name)}`);
     stop();
     saver.base = undefined;
-    clip.numbers = numbersOf(clip.frame_names);
     begin(clip, { work: clip.work, doc: clip.annotation, view: fit(clip.image_size) });
     byId("stage").focus({ preventScroll: true });
     await startFrom(name, clip.annotation);
@@ -110,9 +109,10 @@ export function clips() {
   const rename = button(`You: ${yourName() || "?"}`, askName, "", {
     title: "Whose name is kept with the states that you set", disabled: Boolean(state.clip.annotator),
   });
-  open("Clips", filter, body, row(button("Close", close), rename));
+  const team = element("datalist", { id: "team" }, state.clip.team.map((value) => element("option", { value })));
+  open("Clips", filter, body, team, row(button("Close", close), rename));
   drawClips();
-  body.querySelector("button.on")?.focus();
+  body.querySelector("[aria-current=true]")?.focus();
 }
 
 function drawClips() {
@@ -149,20 +149,18 @@ function throughput(summaries) {
 
 /** Who a clip is for, to be typed or chosen. */
 function assignment({ name, work }) {
-  const options = state.clip.team.map((value) => element("option", { value }));
-  const names = element("datalist", { id: `team-${name}` }, options);
   const field = element("input", {
     value: work?.assigned ?? "", maxLength: 100, size: 8, "aria-label": `${name} is assigned to`,
     onchange: () => attempt(() => setWork(name, { assigned: field.value.trim() })),
   });
-  field.setAttribute("list", names.id);
-  return element("span", {}, field, names);
+  field.setAttribute("list", "team");
+  return field;
 }
 
 function cells(summary) {
   const { name, n_frames, objects = "", revision, counts, weak, error } = summary;
-  const here = name === state.clip.name ? "on" : "";
-  const go = button(name, () => (close(), openClip(name)), here, { "data-clip": name });
+  const go = button(name, () => (close(), openClip(name)), "",
+    { "data-clip": name, ariaCurrent: name === state.clip.name });
   const { now, detail } = stateOf(summary);
   let hint = counts ? doubtOf(counts, weak) : "";
   if (error) hint = element("span", { className: "bad" }, error);

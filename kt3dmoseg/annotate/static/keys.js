@@ -4,6 +4,7 @@ import * as actions from "./actions.js";
 import { clips, openNext } from "./clips.js";
 import { button, byId, close, element, fill, open, row, walk } from "./dom.js";
 import { compare, exchange, nextDifference, propose } from "./exchange.js";
+import { at } from "./pointer.js";
 import { flush } from "./saving.js";
 import { attempt, redo, select, selectedObject, state, toggleObject, undo } from "./state.js";
 import { zoomTimeline } from "./timeline.js";
@@ -184,12 +185,12 @@ function showMenu(item, x, y) {
 }
 
 /** What a place on the stage, in the list or on the timeline is about. */
-function itemAt({ target, clientX, clientY, pointerType }) {
+function itemAt(event) {
+  const { target, pointerType } = event;
   const listed = target.closest(".entry");
   if (listed) return state.doc.objects.find((item) => String(item.id) === listed.dataset.id);
   if (!target.closest("#stage") || pointerType === "") return selectedObject(); // asked for by key
-  const box = byId("stage").getBoundingClientRect();
-  return actions.objectUnder(view.toImage([clientX - box.left, clientY - box.top]));
+  return actions.objectUnder(at(event).point);
 }
 
 addEventListener("contextmenu", (event) => {

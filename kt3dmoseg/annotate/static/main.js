@@ -34,19 +34,13 @@ on(["clip", "frame", "flickered"], () => {
 on(["hint", "pending", "tool"], () => (byId("hint").textContent = state.hint || instruction(state)));
 on(["computing"], () => (byId("loading").textContent = state.computing ?? ""));
 on(["tool", "playing", "flickered", "done", "undone", "clip"], () => {
-  for (const b of tools) press(b, b.dataset.tool === state.tool);
+  for (const b of tools) b.ariaPressed = b.dataset.tool === state.tool;
   byId("stage").className = state.tool;
-  press(byId("play"), state.playing);
-  press(byId("flicker"), state.flickered !== null);
+  byId("play").ariaPressed = state.playing;
+  byId("flicker").ariaPressed = state.flickered !== null;
   byId("undo").disabled = !state.done.length;
   byId("redo").disabled = !state.undone.length;
 });
-
-/** Show whether what a button switches is on. */
-function press(button, on) {
-  button.classList.toggle("on", on);
-  button.ariaPressed = on;
-}
 
 const tools = document.querySelectorAll("[data-tool]");
 for (const b of tools) b.onclick = () => state.doc && setTool(b.dataset.tool);

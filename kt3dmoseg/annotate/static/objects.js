@@ -60,9 +60,7 @@ function drawProperties() {
   const { name, kind, note, forget } = properties.elements;
   for (const field of [name, kind, note]) field.value = shown[field.name] ?? "";
   for (const b of properties.querySelectorAll("[value]")) {
-    const on = [visibility, String(shown.motion)].includes(b.value);
-    b.classList.toggle("on", on);
-    b.ariaPressed = on;
+    b.ariaPressed = [visibility, String(shown.motion)].includes(b.value);
   }
   forget.disabled = !key;
 }

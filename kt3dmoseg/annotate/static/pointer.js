@@ -17,7 +17,7 @@ const stage = byId("stage");
 let drag = null;
 
 /** Where an event is, on the screen and on the image. */
-function at(event) {
+export function at(event) {
   const box = stage.getBoundingClientRect();
   const screen = [event.clientX - box.left, event.clientY - box.top];
   return { screen, point: toImage(screen) };

@@ -31,13 +31,6 @@ export function goToNumber(wanted) {
   else notify(`There is no frame ${wanted}: they are ${numbers[0]} to ${numbers.at(-1)}`);
 }
 
-/** The numbers of frames: those in the names of their files, where each has its own. */
-export function numbersOf(names) {
-  const found = names.map((name) => /(\d+)\D*$/.exec(name.replace(/\.[^.]*$/, ""))?.[1]);
-  const distinct = found.every(Boolean) && new Set(found.map(Number)).size === names.length;
-  return names.map((_, frame) => String(distinct ? Number(found[frame]) : frame));
-}
-
 let timer = 0;
 
 export function stop() {
