@@ -97,8 +97,8 @@ def test_the_timeline_is_there_as_text(page):
     page.press("ArrowRight", "ArrowRight", "o", "End", "e")
     page.until("labeller.state.weak?.[1]?.[1]")
     text = page.tab.get_by_role("list", name="Timeline").get_by_role("listitem")
-    page.until("document.getElementById('timeline-text').textContent.includes('in doubt')")
     expected = "object 1: visible 1 to 2; occluded 3 to 5; outside 6; key frames 1, 3, 6; in doubt 2"
+    page.until(f"document.getElementById('timeline-text').textContent === '{expected}'")  # of the last edit
     assert text.all_inner_texts() == [expected]
 
 
