@@ -52,6 +52,7 @@ MAX_OBJECTS = 1_000
 MAX_POLYGONS = 200
 MAX_POINTS = 5_000
 MAX_SIDE = 100_000
+MAX_CLICKS = 100
 _MAX_BYTES = 32 << 20
 _MAX_VALUES = 3_000_000
 _OTHERS = {"segmentations": "YouTube-VIS", "result": "JSON of Label Studio"}
@@ -85,6 +86,8 @@ Motion: TypeAlias = Annotated[
 ]
 Coordinate: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_SIDE, le=MAX_SIDE, allow_inf_nan=False)]
 Point: TypeAlias = tuple[Coordinate, Coordinate]
+Click: TypeAlias = tuple[Coordinate, Coordinate, Annotated[bool, Field(strict=True)]]
+"""x and y in pixels, and whether it adds or takes away."""
 Polygon: TypeAlias = Annotated[
     tuple[Point, ...],
     Field(min_length=3, max_length=MAX_POINTS),
@@ -190,6 +193,26 @@ class Mark:
     frame: _Frame
     motion: Motion
     polygon: Polygon
+
+
+@_checked
+class Clicks:
+    """Where a frame was clicked, to outline what moves there.
+
+    Parameters
+    ----------
+    frame : int
+        0-based index in the clip.
+    clicks : sequence of (x, y, adds)
+        In pixels, and whether it adds to the outline or takes away; the first adds.
+    """
+
+    frame: _Frame
+    clicks: Annotated[tuple[Click, ...], Field(min_length=1, max_length=MAX_CLICKS), FailFast()]
+
+    def __post_init__(self) -> None:
+        if not self.clicks[0][2]:
+            raise InvalidValueError("clicks[0][2]", expected="true: the first click adds", found="false")
 
 
 @_checked
@@ -391,6 +414,12 @@ def polygon_from(points: Sequence[Sequence[float]], where: str) -> Polygon:
         return _POLYGON.validate_python(points)
 
 
+def clicks_from(data: object) -> Clicks:
+    """Build clicks from parsed JSON; raises InvalidValueError, which names the field."""
+    with _errors_of_this_package():
+        return _CLICKS.validate_python(data)
+
+
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of annotation files, which annotations/SCHEMA.json holds."""
     schema = _ANNOTATION.json_schema()
@@ -423,6 +452,7 @@ def _moved(
 
 _REQUIRED = ["format", "version", *(field.name for field in fields(Annotation) if field.name != "marks")]
 _ANNOTATION = TypeAdapter(Annotation)
+_CLICKS = TypeAdapter(Clicks)
 _POLYGON: TypeAdapter[Polygon] = TypeAdapter(Polygon)
 _MODELS = {"objects": AnnotatedObject, "key_frames": KeyFrame, "marks": Mark}
 _EXPECTED = {

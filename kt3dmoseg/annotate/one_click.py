@@ -1,8 +1,8 @@
 """Clicks on a moving thing become its outline.
 
 1. **Trajectories.** Those nearest to a click that move alike are its seeds. Where motions were found before
-   (`groups`), the rest of the seeds' group that chains of neighbours join to them belongs to it, too; else the
-   seeds grow by trajectories that follow their common affine motion, over up to four frames back and forth.
+   (`groups`), those of the seeds' group that chains of neighbours join to them belong to it, too; else the
+   seeds grow by what follows their common affine motion, over up to four frames back and forth.
 2. **Pixels.** A pixel speaks for the object where the frames before and after, moved by the object's motion,
    fit better than moved by that of the scene around it. Near the trajectories that speaks for it as well. A
    random walker (Grady, "Multilabel random walks using prior models", CVPR 2005) spreads this up to edges of
@@ -12,22 +12,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, diags_array
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
-from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
-from kt3dmoseg.annotate.geometry import signed_distance
-from kt3dmoseg.annotate.model import KeyFrame, Polygon
-from kt3dmoseg.annotate.propagation import TrackMotion, propagate_keys, weak_frames
+from kt3dmoseg.annotate.formats.masks import polygons_of
+from kt3dmoseg.annotate.model import Click, Polygon
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
-Click: TypeAlias = tuple[float, float, bool]
-"""x and y in pixels, and whether it adds or takes away."""
 Box: TypeAlias = tuple[int, int, int, int]
 Frames: TypeAlias = Callable[[int], ByteArray]
 """The gray frame (H, W) of an index."""
@@ -47,7 +44,7 @@ _STIFF = 200.0
 _MARGIN, _MARGIN_SHARE, _MOST_PIXELS = 24, 0.15, 15_000
 # Evidence: frames back and forth, gray levels that convince, and those that count at most.
 _PAIRS, _CONVINCING, _MOST_GRAY = (1, 2, 3), 4.0, 60.0
-# Prior by distance to the closed trajectories: for the object up to NEAR pixels, from FAR on fully against it.
+# Prior by distance to the closed trajectories: for the object up to NEAR pixels, against it from FAR on.
 _CLOSING, _NEAR, _FAR = 16, 7.0, 34.0
 _PRIOR, _EVIDENCE, _ON_TRACK, _CERTAIN = 0.12, 0.05, 0.3, 3.0
 _PULL, _PULL_SHARE = 0.1, 0.03
@@ -56,9 +53,6 @@ _BAND, _SHOWN_EVIDENCE = 4, 25
 _TAKEN = 20.0
 _TOLERANCE = 0.7
 _LEAST = 0.1  # parts smaller than this share of the largest are specks
-_SEEN = 30  # pixels of a region that lie in the picture; with fewer it has left it
-_MOST_KEYS = 8
-_SAME = 0.5
 
 
 class Steps:
@@ -90,7 +84,7 @@ class Steps:
         return centre, model
 
     def followed(self, member: BoolArray) -> FloatArray:
-        """Steps (G, n, 2) that each would take with the members: their affine ones, and of those beside it."""
+        """Return the steps (G, n, 2) of each if it moved as the members do, and as those beside it."""
         centre, model = self.affine(member)
         steps = np.column_stack([self.xy - centre, np.ones(len(self.xy))]) @ model
         if member.sum() < _BESIDE:
@@ -123,7 +117,8 @@ class Steps:
 
 def seeds_at(steps: Steps, x: float, y: float) -> BoolArray:
     """Find the trajectories nearest to a point that move alike, (n,)."""
-    distance, near = steps.tree.query((x, y), k=range(1, min(2 * _SEEDS, len(steps.rows)) + 1))
+    count = range(1, min(2 * _SEEDS, len(steps.rows)) + 1)
+    distance, near = map(np.asarray, steps.tree.query((x, y), k=count))
     near = near[distance <= max(_REACH, 1.5 * distance[0])]
     step = steps.step[:, near]
     odd = step - steps.around(steps.groups == 1, steps.step, _AROUND)[:, near]
@@ -164,9 +159,9 @@ def grown(steps: Steps, seeds: BoolArray) -> BoolArray:
     return member
 
 
-def members_of(steps: Steps, clicks: Sequence[Click], member: BoolArray | None = None) -> BoolArray:
-    """Return the trajectories that the clicks choose, (n,), beginning with none or with those given."""
-    chosen = np.zeros(len(steps.rows), dtype=np.bool_) if member is None else member
+def members_of(steps: Steps, clicks: Sequence[Click]) -> BoolArray:
+    """Return the trajectories that the clicks choose, (n,)."""
+    chosen = np.zeros(len(steps.rows), dtype=np.bool_)
     for x, y, adds in clicks:
         if not adds:
             far = np.hypot(*(steps.xy - (x, y)).T)
@@ -185,7 +180,6 @@ def outline_clicks(
     frame: int,
     clicks: Sequence[Click],
     groups: Sequence[IntArray] = (),
-    region: Sequence[FloatArray] = (),
 ) -> list[Polygon]:
     """Outline what moves with the clicked places of a frame.
 
@@ -198,82 +192,35 @@ def outline_clicks(
     frame : int
         Where it was clicked.
     clicks : sequence of (x, y, adds)
-        In pixels; without a region, the first adds.
+        In pixels; the first adds.
     groups : sequence of (N,) int64
         Motions of the trajectories, 1 = scene, the most trusted first; those of the first are taken by which
         the clicked place moves by itself.
-    region : sequence of (P, 2) float64
-        What is to be corrected, polygons in pixels.
 
     Returns
     -------
     list of polygons
-        Empty where nothing is left.
+        Empty where nothing is left, or fewer than six trajectories are seen.
     """
-    for known in (*groups, None) if not groups else groups:
+    candidates: list[IntArray | None] = [*groups] or [None]
+    for known in candidates:
         steps = Steps(tracks, frame, known)
-        if region or (len(steps.rows) and steps.own_group(seeds_at(steps, *clicks[0][:2])) > 1):
+        if len(steps.rows) < _SEEDS or not len(steps.gaps):
+            return []
+        if steps.own_group(seeds_at(steps, *clicks[0][:2])) > 1:
             break
-    if len(steps.rows) < _SEEDS or not len(steps.gaps):
+    member = members_of(steps, clicks)
+    if not member.any():
         return []
-    inner = signed_distance(steps.xy, region, reach=0.0) >= 0 if region else None
-    member = members_of(steps, clicks, inner)
-    points = np.array([*steps.xy[member], *[click[:2] for click in clicks if click[2]], *_corners(region)])
-    if not member.any() or not len(points):
-        return []
-    mask = _cut(frames, steps, member, frame, points.reshape(-1, 2), clicks, region)
-    return clean(mask)
+    points = np.array([*steps.xy[member], *[click[:2] for click in clicks if click[2]]])
+    return _outlined(_cut(frames, steps, member, frame, points, clicks))
 
 
-def clean(mask: BoolArray) -> list[Polygon]:
+def _outlined(mask: BoolArray) -> list[Polygon]:
     """Outline a mask (H, W): without specks, smooth, with few corners."""
     polygons = polygons_of(cv2.medianBlur(mask.astype(np.uint8), 5) > 0, tolerance=_TOLERANCE)
     sizes = [cv2.contourArea(np.array(polygon, dtype=np.float32)) for polygon in polygons]
     return [p for p, size in zip(polygons, sizes, strict=True) if size >= _LEAST * max(sizes)]
-
-
-def paint(
-    region: Sequence[FloatArray], stroke: FloatArray, radius: float, adds: bool, image_size: tuple[int, int]
-) -> list[Polygon]:
-    """Add a stroke (P, 2) of a brush to a region, or take it away; pixels."""
-    mask = mask_of(region, image_size).astype(np.uint8)
-    line = np.rint(16 * stroke).astype(np.int32)[:, None]
-    cv2.polylines(mask, [line], False, int(adds), max(1, round(2 * radius)), shift=4)
-    return clean(mask > 0)
-
-
-def keys_where_weak(
-    frames: Frames,
-    tracks: Trajectories,
-    keys: Sequence[KeyFrame],
-    groups: Sequence[IntArray] = (),
-) -> list[KeyFrame]:
-    """Add key frames where carrying the region becomes weak, from the carried region and the image.
-
-    In order of the distance to a key frame, at most eight. A region that is cut otherwise by more than half
-    is left as it was; where next to nothing of it lies in the picture, it is outside from there on.
-    """
-    made, motion = list(keys), TrackMotion(tracks)
-    height, width = frames(0).shape
-    tried: set[int] = set()
-    for _ in range(_MOST_KEYS):
-        regions = propagate_keys(made, tracks.n_frames, motion)
-        weak = weak_frames(regions, motion)
-        seen = [key.frame for key in made if key.visibility == "visible"]
-        open_ = [f for f, why in enumerate(weak) if why and f not in tried]
-        if not open_ or not seen:
-            break
-        frame = min(open_, key=lambda f: min(abs(f - key) for key in seen))
-        tried.add(frame)
-        before = mask_of(regions[frame].polygons, (width, height))
-        if before.sum() < _SEEN:
-            made = sorted([*made, KeyFrame(frame, "outside")], key=lambda key: key.frame)
-            continue
-        polygons = outline_clicks(frames, tracks, frame, (), groups, regions[frame].polygons)
-        after = mask_of([np.array(p) for p in polygons], (width, height))
-        if (before & after).sum() >= _SAME * (before | after).sum():
-            made = sorted([*made, KeyFrame(frame, polygons=tuple(polygons))], key=lambda key: key.frame)
-    return made
 
 
 def _cut(
@@ -283,7 +230,6 @@ def _cut(
     frame: int,
     points: FloatArray,
     clicks: Sequence[Click],
-    region: Sequence[FloatArray],
 ) -> BoolArray:
     """Mask (H, W) of what moves with the members, around the points (P, 2)."""
     height, width = frames(frame).shape
@@ -298,8 +244,7 @@ def _cut(
     view = _View(box)
     here, evidence = _evidence(frames, steps, member, frame, view)
     scene = ~member & (steps.groups == 1)
-    within = view.shrunk(mask_of(region, (width, height))) if region else view.closed(points)
-    far = cv2.distanceTransform(1 - within, cv2.DIST_L2, 5) / view.scale
+    far = cv2.distanceTransform(1 - view.closed(points), cv2.DIST_L2, 5) / view.scale
     prior = _PRIOR * np.clip((_NEAR - far) / (_FAR - _NEAR), -1, 1)
     field = _EVIDENCE * evidence + prior
     field = np.where(far > _FAR, np.minimum(field, -_PRIOR), field)
@@ -307,7 +252,7 @@ def _cut(
     reach = _PULL_SHARE * np.hypot(right - left, bottom - top) + 4
     for k, (x, y, adds) in enumerate(clicks):
         sign = 1.0 if adds else -1.0
-        if k or region:
+        if k:
             field += sign * _PULL * np.exp(-((view.x - x) ** 2 + (view.y - y) ** 2) / (2 * reach**2))
         field = np.where(view.discs(np.array([(x, y)]), 4.0) > 0, sign * _CERTAIN, field)
     soft = _walk(here, field)
@@ -336,7 +281,7 @@ class _View:
         return out
 
     def closed(self, points: FloatArray) -> ByteArray:
-        """The points and the gaps between them, 0 or 1."""
+        """Paint the points and the gaps between them, 0 or 1."""
         reach = _CLOSING * self.scale
         pad = int(reach) + 2
         dots = np.pad(self.discs(points, 1).astype(np.uint8), pad)
@@ -344,17 +289,11 @@ class _View:
         inner = (cv2.distanceTransform(wide, cv2.DIST_L2, 5) >= reach - 1) | (dots > 0)
         return inner[pad:-pad, pad:-pad].astype(np.uint8)
 
-    def shrunk(self, mask: BoolArray) -> ByteArray:
-        """Return the part (h, w) of a mask of the image, 0 or 1."""
-        left, top, right, bottom = self.box
-        part = np.ascontiguousarray(mask[top:bottom, left:right], dtype=np.uint8)
-        return cv2.resize(part, (self.width, self.height), interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-
 
 def _evidence(
     frames: Frames, steps: Steps, member: BoolArray, frame: int, view: _View
 ) -> tuple[Float32Array, Float32Array]:
-    """The view, and per pixel, -1 to 1, how much better the frames around fit it by the members' motion."""
+    """Show the view, and per pixel, -1 to 1, how much better the members' motion explains it."""
     here = cv2.remap(frames(frame), view.x, view.y, cv2.INTER_LINEAR).astype(np.float32)
     centre, model = steps.affine(member)
     flat = np.stack([view.x - centre[0], view.y - centre[1], np.ones_like(view.x)], axis=-1)
@@ -370,11 +309,11 @@ def _evidence(
         if errors:  # what is hidden before or after is seen on the other side
             own, scene = (np.min(side, axis=0) for side in zip(*errors, strict=True))
             total += np.clip((scene - own) / _CONVINCING, -1, 1)
-    return here, total / len(_PAIRS)
+    return here, np.asarray(total / len(_PAIRS), dtype=np.float32)
 
 
 def _background(steps: Steps, scene: BoolArray, view: _View) -> Float32Array:
-    """The scene's motion (G, h, w, 2), from the nearest trajectories of nodes 8 pixels apart."""
+    """Carry the scene's motion (G, h, w, 2) from the trajectories nearest to nodes 8 pixels apart."""
     left, top, right, bottom = view.box
     xs, ys = np.arange(left, right + 8, 8.0), np.arange(top, bottom + 8, 8.0)
     nodes = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
@@ -396,45 +335,21 @@ def _misfit(here: Float32Array, other: ByteArray, view: _View, move: Float32Arra
 
 
 def _walk(here: Float32Array, field: FloatArray) -> Float32Array:
-    """Spread a field to where the picture has no edge; conjugate gradients on the random walker's system."""
+    """Spread a field to where the picture has no edge: the random walker's system, by conjugate gradients."""
     smooth = cv2.GaussianBlur(here, (0, 0), 0.8)
     dx, dy = np.diff(smooth, axis=1) ** 2, np.diff(smooth, axis=0) ** 2
     soft = max(float(dx.mean() + dy.mean()) / 2, 1.0)
-    wx, wy = np.exp(-dx / soft) + 0.01, np.exp(-dy / soft) + 0.01
-    diagonal = (np.abs(field) + 1e-4).astype(np.float32)
-    right = diagonal * np.sign(field).astype(np.float32)
-    for part, weight in _neighbours(diagonal, wx, wy):
-        part += weight
-
-    def times(v: Float32Array) -> Float32Array:
-        out = diagonal * v
-        out[:, :-1] -= wx * v[:, 1:]
-        out[:, 1:] -= wx * v[:, :-1]
-        out[:-1] -= wy * v[1:]
-        out[1:] -= wy * v[:-1]
-        return out
-
-    x = np.sign(field).astype(np.float32)
-    rest = right - times(x)
-    z = rest / diagonal
-    way, size = z.copy(), float((rest * z).sum())
-    for _ in range(_ITERATIONS):
-        moved = times(way)
-        length = size / max(float((way * moved).sum()), 1e-12)
-        x += length * way
-        rest -= length * moved
-        z = rest / diagonal
-        new = float((rest * z).sum())
-        if new < 1e-4 * x.size:
-            break
-        way, size = z + new / size * way, new
-    return x
-
-
-def _neighbours(
-    of: Float32Array, wx: Float32Array, wy: Float32Array
-) -> list[tuple[Float32Array, Float32Array]]:
-    return [(of[:, :-1], wx), (of[:, 1:], wx), (of[:-1], wy), (of[1:], wy)]
+    right = np.pad(np.exp(-dx / soft) + 0.01, ((0, 0), (0, 1))).ravel()[:-1]
+    below = (np.exp(-dy / soft) + 0.01).ravel()
+    width, own = here.shape[1], np.abs(field).ravel() + 1e-4
+    wish = np.sign(field).ravel()
+    bands: Any = [right, right, below, below]
+    links = diags_array(bands, offsets=[1, -1, width, -width], format="csr")
+    diagonal = own + links.sum(axis=1)
+    system = diags_array(diagonal, format="csr") - links
+    preconditioner = diags_array(1 / diagonal)
+    spread, _ = cg(system, own * wish, wish, rtol=1e-2, maxiter=_ITERATIONS, M=preconditioner)
+    return np.asarray(spread.reshape(here.shape), dtype=np.float32)
 
 
 def _in_band(here: Float32Array, evidence: Float32Array, soft: Float32Array, scale: float) -> Float32Array:
@@ -451,12 +366,8 @@ def _in_band(here: Float32Array, evidence: Float32Array, soft: Float32Array, sca
     cut, models = sure.astype(np.uint8), (np.zeros((1, 65)), np.zeros((1, 65)))
     picture = cv2.merge([gray, shown, cv2.GaussianBlur(gray, (0, 0), 3)])
     cv2.setRNGSeed(0)
-    cv2.grabCut(picture, cut, None, *models, 1, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(picture, cut, (0, 0, 0, 0), *models, 1, cv2.GC_INIT_WITH_MASK)
     return np.where(cut & 1, 1.0, -1.0).astype(np.float32)
-
-
-def _corners(region: Sequence[FloatArray]) -> FloatArray:
-    return np.concatenate([np.zeros((0, 2)), *region])
 
 
 def _median(values: FloatArray, axis: int) -> FloatArray:

@@ -16,7 +16,17 @@ from typing import Any, TypeAlias
 
 from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
-from kt3dmoseg.annotate.model import Annotation, KeyFrame, load_annotation, save_revision
+from kt3dmoseg.annotate.model import (
+    BUILT,
+    PROPOSALS,
+    Annotation,
+    Clicks,
+    KeyFrame,
+    Polygon,
+    load_annotation,
+    save_revision,
+)
+from kt3dmoseg.annotate.one_click import outline_clicks
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate, propagate_keys, weak_frames
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog, file_version
@@ -33,6 +43,7 @@ Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], 
 
 _KEPT_LABELLINGS = 4
 _KEPT_OBJECTS = 256
+_KEPT_FRAMES = 16
 
 
 class NotTrackedError(Exception):
@@ -71,6 +82,11 @@ class ClipSession:
         found = [number_in(name) for name in self.frame_names]
         distinct = None not in found and len(set(found)) == len(found)
         return [str(number) for number in (found if distinct else range(len(found)))]
+
+    @property
+    def built(self) -> Path:
+        """Where a build writes proposals."""
+        return self.source.annotation.with_suffix(BUILT)
 
     def check_files(self, *, thoroughly: bool) -> None:
         """Check that the trajectories are of the frames; thoroughly, that everything can be read, too."""
@@ -126,6 +142,28 @@ class ClipSession:
             return moving_groups(self.trajectories(wait=True))
         except InvalidValueError:
             return None
+
+    @cached_property
+    def proposed(self) -> IntArray | None:
+        """Group (N,) of each trajectory by the proposals that a build made, 1 = scene; None without any."""
+        if not self.built.exists():
+            return None
+        built = self.checked(load_annotation(self.built, PROPOSALS))
+        return label_tracks_detailed(self.trajectories(wait=True), built).labels.label
+
+    def outline(self, asked: Clicks) -> list[Polygon]:
+        """Outline what moves with the clicked places; InvalidValueError when they are not in the clip."""
+        frames, (width, height) = self.source.frames, self.image_size
+        if asked.frame >= len(frames):
+            expected = f"a whole number in 0..{len(frames) - 1}"
+            raise InvalidValueError("frame", expected=expected, found=str(asked.frame))
+        for k, (x, y, _) in enumerate(asked.clicks):
+            if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
+                expected = f"a place in the {width}x{height} px of the frame"
+                raise InvalidValueError(f"clicks[{k}]", expected=expected, found=f"({x:g}, {y:g})")
+        tracks = self.trajectories()
+        groups = [known for known in (self.proposed, self.moving) if known is not None]
+        return outline_clicks(lambda k: _gray(frames[k]), tracks, asked.frame, asked.clicks, groups)
 
     def work(self) -> dict[str, Any]:
         """Return the last ``state`` set, with its ``by``, ``time`` and ``revision``, and ``assigned``.
@@ -253,6 +291,11 @@ def sessions_of(clips: Mapping[str, ClipFiles], tracker: Tracker) -> dict[str, C
         if path.name not in files and path.name.lower() in {file.lower() for file in files}:
             _warn(f"{path} is of none of the clips by its case")
     return sessions
+
+
+@lru_cache(_KEPT_FRAMES)
+def _gray(path: Path) -> ByteArray:
+    return read_frame(path, "luma")
 
 
 def _warn(message: str) -> None:

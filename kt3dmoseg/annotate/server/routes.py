@@ -77,7 +77,7 @@ class Routes:
         self.proposers = {name: lacking.get(name, "") for name in proposals.PROPOSERS.names()}
 
     def table(self) -> list[Route]:
-        """Return the routes for starlette; what is posted to all but the last is an annotation, not saved."""
+        """Return the routes for starlette; what is posted is an annotation, not saved, unless told."""
         quick, slow = self.quick, self.slow
         return [
             Route("/api/clips", self._clips),  # all of them, and how far each is
@@ -90,11 +90,12 @@ class Routes:
             self._route("GET", "/annotation", self._annotation),  # as saved, its revision as ETag
             self._route("PUT", "/annotation", self._save),  # If-Match: the revision that was edited
             self._route("POST", "/regions", self._regions, quick),  # in each frame, and why in doubt
+            self._route("POST", "/outline", self._outline, quick),  # {"frame", "clicks": [[x, y, adds], ...]}
             self._route("POST", "/labels", self._labels, quick),
             self._route("POST", "/proposals/{proposer}", self._propose, slow),
             self._route("POST", "/compare", self._compare, quick),  # with the other annotator's
             self._route("POST", "/export/{format}", self._export, quick),
-            self._route("POST", "/import/{format}", self._import, quick),  # ?shift=N&scale=X
+            self._route("POST", "/import/{format}", self._import, quick),  # a file; ?shift=N&scale=X
         ]
 
     def _route(self, method: str, path: str, work: Work, pool: Executor | None = None) -> Route:
@@ -133,7 +134,7 @@ class Routes:
             "states": WORK_STATES,
             "kinds": KINDS,
             "formats": self.suffixes,
-            "proposers": self.proposers | {"built": "" if _built(session).exists() else _NOT_BUILT},
+            "proposers": self.proposers | {"built": "" if session.built.exists() else _NOT_BUILT},
             "compare": self.other is not None,
             "doubt": session.doubt,
         }
@@ -186,6 +187,11 @@ class Routes:
         session.trajectories()  # refused until they are there
         return {"regions": _shown(session.regions(given)), "weak": session.weak(given)}
 
+    def _outline(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+        with model.within("body"):
+            asked = model.clicks_from(model.parse_document(body, "body"))
+            return {"polygons": session.outline(asked)}
+
     def _labels(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         given = _given(session, body)
         session.trajectories()
@@ -198,7 +204,7 @@ class Routes:
     def _propose(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given, tracks = _given(session, body), session.trajectories(wait=True)
         name, frames = session.source.name, session.source.frames
-        asked = proposals.Request(name, given, tracks, frames, self.masks, self.kitti, _built(session))
+        asked = proposals.Request(name, given, tracks, frames, self.masks, self.kitti, session.built)
         proposer, stop = request.path_params["proposer"], request.state.stop
         objects = run_apart(proposals.propose, proposer, asked, stop=stop)
         return {"objects": model.to_json(replace(given.emptied(), objects=tuple(objects)))["objects"]}
@@ -228,10 +234,6 @@ class Routes:
         plan = formats.plan(name, body, session.annotation(), session.frame_names, choices)
         found = {"lines": plan.lines(), "skipped": plan.skipped, "doubts": plan.doubts}
         return model.to_json(plan.annotation) | {"plan": found}
-
-
-def _built(session: ClipSession) -> Path:
-    return session.source.annotation.with_suffix(model.BUILT)
 
 
 def _given(session: ClipSession, body: bytes) -> Annotation:

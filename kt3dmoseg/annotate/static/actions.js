@@ -4,7 +4,8 @@ import {
   addObject, changeObject, clamp, distance, inside, keyAt, middle, rounded, setKey, simplify, splice,
 } from "./annotation.js";
 import { nextOf } from "./dom.js";
-import { cancel, edit, editLast, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
+import { ask } from "./saving.js";
+import { attempt, cancel, edit, editLast, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
 import { rowsWhere, visitNext } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
@@ -40,6 +41,7 @@ export const update = withObject((_, { id }, fields) => edit(changeObject(state.
 export function setTool(tool, mode = "object") {
   const pending = tool === "select" ? null : { points: [], mode, freehand: false };
   set({ tool, pending, lassoed: null, vertex: null, cross: state.keyboard ? state.cross : null });
+  if (tool === "click") select(null);
 }
 
 export const redraw = withObject((_, mode) => setTool("draw", mode));
@@ -78,10 +80,12 @@ export const takeBackPoint = () => setPoints(state.pending.points.slice(0, -1));
 
 /** Enter: a point under the cross while drawing, or the end when the cross is on the last one. */
 export function enter() {
-  const { pending, cross } = state;
+  const { tool, pending, cross } = state;
   if (!pending) return cross && select(objectUnder(cross)?.id ?? null);
-  const last = pending.points.at(-1);
-  return cross && !(last && distance(last, cross) < 0.5) ? addPoint([...cross]) : finish();
+  const last = (tool === "click" ? clicksHere() : pending.points).at(-1);
+  const further = cross && !(last && distance(last, cross) < 0.5);
+  if (tool === "click") return further ? click(cross, true) : select(null);
+  return further ? addPoint([...cross]) : finish();
 }
 
 export function escape() {
@@ -89,6 +93,38 @@ export function escape() {
   if (state.pending) return setTool("select");
   const first = ["lassoed", "vertex", "cross", "review", "compared"].find((key) => state[key]) ?? "selected";
   return set({ [first]: null, ...(first === "review" ? { proposals: null } : {}) });
+}
+
+// Outlines by clicks. The clicks that made an outline are kept with it: undo takes both back.
+
+const clicksOf = new WeakMap();
+const clicksAt = (frame) => clicksOf.get(keyAt(selectedObject() ?? { key_frames: [] }, frame)?.polygons) ?? [];
+export const clicksHere = () => clicksAt(state.frame);
+
+let turn = Promise.resolve();
+
+/** Outline what moves with a point: the selected object, else a new one. Further clicks add to the outline or take
+ *  away; one after the other, however fast they come. */
+export function click(point, adds) {
+  const { clip, frame } = state;
+  turn = turn.then(() => attempt(() => clip === state.clip && outline(frame, point, adds)));
+  return turn;
+}
+
+async function outline(frame, point, adds) {
+  const item = selectedObject();
+  if (item && !editable()) return undefined;
+  if (!state.tracks) return notify("The trajectories are not there yet");
+  const clicks = [...clicksAt(frame), [...point, adds]];
+  if (!clicks[0][2]) return notify("Click on what moves first; then Alt+click takes away");
+  const { doc } = state;
+  const answer = await ask(state.clip.name, "outline", { frame, clicks });
+  if (doc !== state.doc) return notify("Edited meanwhile: click again");
+  if (!answer.polygons.length) return notify("No outline there: click on what moves, where trajectories are");
+  const polygons = answer.polygons.map(rounded);
+  clicksOf.set(polygons, clicks);
+  if (item) return edit(setKey(doc, item.id, frame, polygons));
+  return editLast(addObject(doc, { key_frames: [{ frame, visibility: "visible", polygons }] }));
 }
 
 // Objects

@@ -51,6 +51,7 @@ export const KEYS = {
   ],
   "Objects": [
     key("n", "N", "outline a new object", () => actions.setTool("draw")),
+    key("Shift+O", "Shift+O", "outline what moves with a click (Alt: take away)", () => actions.setTool("click")),
     key("r", "R", "outline it again in this frame", () => actions.redraw("region")),
     key("p", "P", "outline another part of it", () => actions.redraw("part")),
     key("] a", "]", "next object (or A)", () => actions.cycleObject(1)),

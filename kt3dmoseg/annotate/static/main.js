@@ -18,6 +18,9 @@ const TITLE = { object: "a new object", region: "the object again in this frame"
 
 function instruction({ pending, tool }) {
   if (!pending) return "";
+  if (tool === "click") {
+    return "Click on what moves; a further click adds, Alt+click takes away; Enter: the next object, Esc leaves";
+  }
   if (tool === "lasso") return "Draw around trajectories; Esc cancels";
   return `Outline ${TITLE[pending.mode]}: click points or draw freehand; Enter or the first point closes, `
     + "Backspace takes one back, Esc cancels";

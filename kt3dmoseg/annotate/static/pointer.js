@@ -32,6 +32,7 @@ function down(event) {
   const { screen, point } = at(event);
   if (event.button === 2) return; // the menu, or removing a point
   if (event.button === 1) drag = panning(screen);
+  else if (state.tool === "click") drag = panning(screen, () => actions.click(point, !event.altKey));
   else drag = state.pending ? drawing(screen, point) : grab(point, screen);
 }
 
@@ -50,7 +51,7 @@ function grab(point, screen) {
   const edge = nearestEdge(point, polygons, reach * 0.7);
   if (edge) return reshaping(edge, (to) => splice(polygons, edge, 0, to));
   const under = state.hidden ? null : actions.objectUnder(point);
-  if (!under || under !== item) return panning(screen, under);
+  if (!under || under !== item) return panning(screen, () => select(under?.id ?? null));
   set({ vertex: null });
   return reshaping(null, (to) => shift(polygons, to[0] - point[0], to[1] - point[1]));
 }
@@ -64,8 +65,8 @@ const reshape = (item, visibility, vertex, change) => ({
   up: () => state.dragging && edit(state.doc),
 });
 
-/** Pan; a click that does not move selects what is under it. */
-function panning(from, under) {
+/** Pan, or do something else at a click that does not move. */
+function panning(from, click = () => select(null)) {
   let moved = false;
   stage.style.cursor = "grabbing";
   return {
@@ -75,7 +76,7 @@ function panning(from, under) {
       moved = true;
       from = screen;
     },
-    up: () => moved || select(under?.id ?? null),
+    up: () => moved || click(),
   };
 }
 

@@ -1,6 +1,6 @@
 // Regions, handles, the outline being drawn, the lasso and the keyboard's cross.
 
-import { editableRegion } from "./actions.js";
+import { clicksHere, editableRegion } from "./actions.js";
 import { boundsOf } from "./annotation.js";
 import { begin, byId, colourOfMotion, signOf } from "./dom.js";
 import { on, regionOf, state } from "./state.js";
@@ -26,6 +26,7 @@ export function drawRegions() {
     theirs.forEach((item) => drawOther(item, compared.regions[item.id][frame]));
   }
   if (pending) drawPending(pending);
+  if (state.tool === "click") for (const [x, y, adds] of clicksHere()) square(toScreen([x, y]), 3, adds ? WHITE : DARK);
   if (lassoed?.frame === frame) outline(lassoed.polygon, WHITE, [4, 3]);
   if (cross) drawCross(toScreen(cross));
 }
