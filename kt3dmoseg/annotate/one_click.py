@@ -38,6 +38,8 @@ _ROUNDS = 8
 # a share of the difference to the scene's motion, a share of the motion where the scene's is not known.
 _OFF, _OFF_A_FRAME, _OF_CONTRAST, _OF_MOTION = 0.5, 0.15, 0.4, 0.06
 _MOSTLY = 0.6
+# What grew to a larger share of all than this, without a group that bounds it, took the scene for the object.
+_MOST_GROWN = 0.12
 _AROUND, _BESIDE = 9, 5
 _STIFF = 200.0
 # The picture around the trajectories that is looked at: pixels and a share of their extent; at most so many.
@@ -156,7 +158,7 @@ def grown(steps: Steps, seeds: BoolArray) -> BoolArray:
         if (new == member).all() and (own > 1 or k > _ROUNDS - 2):
             break
         member = new
-    return member
+    return seeds if own <= 1 and member.mean() > _MOST_GROWN else member
 
 
 def members_of(steps: Steps, clicks: Sequence[Click]) -> BoolArray:
