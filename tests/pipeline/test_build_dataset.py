@@ -432,7 +432,7 @@ def _wait_for_the_end(group):
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
-    for seed in range(6):
+    for seed in range(12):  # so many that the build is still at work when the signal comes
         write_clip(tmp_path / "frames" / f"clip{seed}", seed)
     process = _start(tmp_path / "frames", tmp_path / "out")
     _wait_for_a_clip(process, tmp_path / "out")
@@ -446,7 +446,7 @@ def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
     if how == signal.SIGINT:
         assert printed == "kt3dmoseg: interrupted; what was finished is kept\n"
     finished = {path.name: path.read_bytes() for path in (tmp_path / "out").glob("*.h5")}
-    assert 1 <= len(finished) < 6
+    assert 1 <= len(finished) < 12
     for name in finished:
         hdf5.read(tmp_path / "out" / name)
     (tmp_path / "out/.clip5.h5.before.part").write_bytes(b"half")
