@@ -32,6 +32,25 @@ def test_what_two_tabs_draw_is_merged(context, shared):
     assert first.errors == second.errors == []
 
 
+def test_a_clip_is_done_after_its_last_edit_is_saved(context, shared):
+    page = Page(context, shared.address)
+    page.value(
+        "(() => { const send = window.fetch; let first = true; window.fetch = async (...all) => {"
+        " if (all[1]?.method === 'PUT' && first) { first = false;"
+        " await new Promise((later) => setTimeout(later, 800)); }"
+        " return send(...all); }; localStorage.setItem('annotator', 'me'); })()"
+    )
+    page.draw()
+    page.until("labeller.state.saving.kind === 'busy'")
+    page.press("4")  # while the first is on its way
+    page.tab.get_by_label("State of this clip").select_option("done")
+    page.saved()
+    page.until("labeller.state.work.state === 'done'")
+    log = [json.loads(line) for line in (shared.notes / "one.log.jsonl").read_text().splitlines()]
+    assert log[-1].get("state") == "done", log
+    assert log[-1]["revision"] == log[-2]["revision"] == 2
+
+
 def test_server_killed_and_restarted_loses_nothing(context, clips, server, tmp_path):
     page = Page(context, server.address)
     page.draw()

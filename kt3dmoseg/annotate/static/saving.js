@@ -67,11 +67,13 @@ export async function startFrom(clip, doc) {
 /** Whose work this is: who has the token or was named on the command line, else whom this browser keeps. */
 export const yourName = () => state.clip.annotator || localStorage.getItem("annotator") || "";
 
+/** Save now. What is on its way was taken before the last edits: it is awaited, then these are sent. */
 export async function flush() {
   clearTimeout(timer);
-  if (!saver.pending) return sending;
+  await sending;
+  if (!saver.pending) return;
   sending ??= send().finally(() => (sending = null));
-  return sending;
+  await sending;
 }
 
 function schedule(delay) {
