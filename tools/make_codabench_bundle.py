@@ -28,7 +28,7 @@ from mseg.evaluation.protocol import choose_protocol, load_protocol
 # What the scoring program imports; the other sub-packages (methods, trackers, servers) stay out.
 _PARTS = {
     kt3dmoseg: ("*.py", "io/**/*", "draw/__init__.py", "draw/palette.py"),
-    mseg: ("*.py", "evaluation/**/*", "protocols/*.toml"),
+    mseg: ("*.py", "evaluation/**/*", "geometry/*.py", "protocols/*.toml"),
 }
 _PACKAGES = {
     "numpy": ">=1.26",

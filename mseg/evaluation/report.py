@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.draw.painting import extent
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import check_target, write_text
 from kt3dmoseg.frames import frame_folder, frames_of
@@ -318,4 +317,6 @@ def _size(clip: Clip, pictures: Sequence[ByteArray]) -> tuple[int, int]:
     if pictures:
         height, width = pictures[0].shape
         return width, height
+    from kt3dmoseg.draw.painting import extent  # Codabench scores without OpenCV
+
     return extent(clip.dense)
