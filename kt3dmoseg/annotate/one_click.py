@@ -86,7 +86,7 @@ class Steps:
         return centre, model
 
     def followed(self, member: BoolArray) -> FloatArray:
-        """Return the steps (G, n, 2) of each if it moved as the members do, and as those beside it."""
+        """Return the steps (G, n, 2) of each if it moved as the members do, and as its neighbours."""
         centre, model = self.affine(member)
         steps = np.column_stack([self.xy - centre, np.ones(len(self.xy))]) @ model
         if member.sum() < _BESIDE:

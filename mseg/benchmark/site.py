@@ -258,7 +258,7 @@ def check_submissions(
     found = sorted(Path(results).glob("*/*/*.zip"))
     wrong = [text for path in found for text in _differences(path, data)]
     others = sorted({*Path(results).glob("*/*/*.json")} - {path.with_suffix(".json") for path in found})
-    lacking = "expected its predictions beside it, found none; run mseg leaderboard submit"
+    lacking = "expected its predictions in the same folder, found none; run mseg leaderboard submit"
     wrong += [f"{path}: {lacking}" for path in others if read_result(path).method not in METHODS.names()]
     return len(found), wrong
 
