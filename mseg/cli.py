@@ -450,7 +450,7 @@ def check(
     n, wrong = check_submissions(results, data)
     for difference in wrong:
         print(difference)
-    print(f"{count(n, 'submission')} scored again, {count(len(wrong), 'difference')}", file=sys.stderr)
+    print(f"{count(n, 'submission')} checked, {count(len(wrong), 'fault')}", file=sys.stderr)
     return int(bool(wrong))
 
 

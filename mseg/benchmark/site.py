@@ -16,13 +16,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from kt3dmoseg.draw.painting import by_label, draw_frame
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes, write_bytes, write_text, zip_bytes
 from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.types import Clip
 from mseg.benchmark.publishing import ClipResult, PublishedResult, read_result, read_results
 from mseg.benchmark.runner import BASELINES, find_clips
+from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.pages import jpeg
 from mseg.evaluation.protocol import load_protocol
 from mseg.evaluation.scoring import ScoreTable, score_submission
@@ -253,24 +254,30 @@ def check_submissions(
     n : int
         Number of submissions.
     differences : list of str
-        File and field of every figure that is not what the predictions give.
+        File and field of every figure that is not what the predictions give, and every file that is rejected.
     """
-    found = sorted(Path(results).glob("*/*/*.zip"))
-    wrong = [text for path in found for text in _differences(path, data)]
-    others = sorted({*Path(results).glob("*/*/*.json")} - {path.with_suffix(".json") for path in found})
-    lacking = "expected its predictions in the same folder, found none; run mseg leaderboard submit"
-    wrong += [f"{path}: {lacking}" for path in others if read_result(path).method not in METHODS.names()]
-    return len(found), wrong
+    packed = sorted(Path(results).glob("*/*/*.zip"))
+    wrong: list[str] = []
+    for path in sorted({*Path(results).glob("*/*/*.json"), *(each.with_suffix(".json") for each in packed)}):
+        try:
+            wrong += _differences(path, data)
+        except (RejectedSubmissionError, FileFormatError, InvalidValueError) as error:
+            wrong.append(str(error) if str(error).startswith(f"{path.parent}") else f"{path}: {error}")
+    return len(packed), wrong
 
 
-def _differences(path: Path, data: Sequence[str | os.PathLike[str]]) -> Iterator[str]:
-    stated = path.with_suffix(".json")
+def _differences(stated: Path, data: Sequence[str | os.PathLike[str]]) -> Iterator[str]:
+    packed = stated.with_suffix(".zip")
     if not stated.is_file():
-        yield f"{stated}: expected the scores of {path.name}, found none; run mseg leaderboard submit"
+        yield f"{stated}: expected the scores of {packed.name}, found none; run mseg leaderboard submit"
         return
     old = read_result(stated)
+    if not packed.is_file():
+        lacking = "expected its predictions in the same folder, found none; run mseg leaderboard submit"
+        yield from [f"{stated}: {lacking}"] * (old.method not in METHODS.names())
+        return
     paths, _ = find_clips(load_protocol(old.benchmark), [Path(folder) for folder in data])
-    new = _scored(score_submission(path, [load(file) for file in paths.values()], benchmark=old.benchmark))
+    new = _scored(score_submission(packed, [load(file) for file in paths.values()], benchmark=old.benchmark))
     was, now = _figures(old), _figures(new)
     for name in sorted(was.keys() | now.keys()):
         if was.get(name) != now.get(name):

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -166,7 +167,7 @@ def test_a_figure_that_the_predictions_do_not_give_is_found(data, tmp_path, caps
     assert mseg.cli.main(["leaderboard", "check", str(tmp_path / "r"), "--data", str(data)]) == 1
     out, err = capsys.readouterr()
     assert re.search(f"mine.json: {field}", out)
-    assert err == "1 submission scored again, 1 difference\n"
+    assert err == "1 submission checked, 1 fault\n"
 
 
 def test_scores_without_predictions_and_predictions_without_scores_are_found(data, tmp_path):
@@ -176,6 +177,19 @@ def test_scores_without_predictions_and_predictions_without_scores_are_found(dat
     shutil.move(tmp_path / "away.zip", packed)
     path.unlink()
     assert "expected the scores of mine.zip" in check_submissions(tmp_path / "r", [data])[1][0]
+
+
+def test_every_rejected_file_is_listed_and_the_others_are_checked(data, tmp_path, capsys):
+    path, packed = submit(submission(tmp_path / "m", data, wrong=1), data, tmp_path / "r")
+    path.with_name("a.json").write_text("{}")
+    for name in ("b", "c"):
+        path.with_name(f"{name}.json").write_bytes(path.read_bytes())
+        packed.with_name(f"{name}.zip").write_bytes(b"no zip")
+    path.write_text(path.read_text().replace('"wrong": [1]', '"wrong": [0]', 1))
+    assert mseg.cli.main(["leaderboard", "check", str(tmp_path / "r"), "--data", str(data)]) == 1
+    out, err = capsys.readouterr()
+    assert [Path(line.split(":")[0]).stem for line in out.splitlines()] == ["a", "b", "c", "mine"]
+    assert err == "3 submissions checked, 4 faults\n"
 
 
 def test_a_submission_replaces_its_own_row_and_no_other(data, tmp_path):
