@@ -13,7 +13,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 from mseg.evaluation.metrics import Metric, all_metrics
 from mseg.evaluation.protocol import count
-from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, failure_notes, plot_metric
+from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, failure_notes, plot_metric, unique_names
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
 
@@ -68,15 +68,6 @@ class Comparison:
         return pd.concat(
             [pd.DataFrame({"method": n, **t.to_dataframe()}) for n, t in frames], ignore_index=True
         )
-
-
-def unique_names(tables: Sequence[ScoreTable]) -> list[str]:
-    """Names of the methods, numbered where they occur more than once."""
-    methods = [table.meta.method for table in tables]
-    return [
-        f"{name} ({methods[: i + 1].count(name)})" if methods.count(name) > 1 else name
-        for i, name in enumerate(methods)
-    ]
 
 
 def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: str = "error") -> Comparison:

@@ -22,9 +22,8 @@ from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation import results
 from mseg.evaluation.axes import AXES
-from mseg.evaluation.comparison import Comparison, compare, comparison_table, unique_names
+from mseg.evaluation.comparison import compare, comparison_table
 from mseg.evaluation.contingency import Contingency
-from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.pages import jpegs, render
 from mseg.evaluation.scoring import ScoreTable, clip_json, score_validated
 from mseg.evaluation.validation import Validation, load_clips, validate_submission
@@ -91,7 +90,7 @@ def write_report(
     checked = [validate_submission(each, clips, benchmark=benchmark) for each in given]
     scores = [score_validated(each, force=force) for each in checked]
     contents = {page.name: report_html(checked, scores, frames=frames)}
-    stems = [re.sub(r"[^\w.=-]+", "-", f"{page.stem}-{name}") for name in unique_names(scores)]
+    stems = [re.sub(r"[^\w.=-]+", "-", f"{page.stem}-{name}") for name in results.unique_names(scores)]
     for letter, stem, table in zip(LETTERS, stems, scores, strict=False):
         own = stem if stems.count(stem) == 1 else f"{stem}-{letter}"
         contents |= _tables_beside(table, page.stem if len(given) == 1 else own, extras)
@@ -124,7 +123,7 @@ def report_html(
     Without `overlays` it holds scores only: nothing from which true labels could be read.
     """
     first, comparison = scores[0], compare(scores) if len(scores) > 1 else None
-    methods = list(zip(LETTERS, unique_names(scores), scores, strict=False))
+    methods = list(zip(LETTERS, results.unique_names(scores), scores, strict=False))
     errors = dict(zip(first.names, zip(*(table.matrix() for table in scores), strict=True), strict=True))
     order = sorted(errors, key=lambda name: -np.mean([run.mean() for run in errors[name]]))
     clips = [checked[0].clips[name] for name in order]
@@ -154,30 +153,9 @@ def report_html(
         sections=sections,
         axes=_by_track_axis(sections),
         axis_titles={axis.name: [axis.title, *axis.titles, "not known"] for axis in AXES},
-        tables=_tables(first, comparison),
+        tables=[make(*scores) for make in (results.headline, results.by_axis, results.all_means)],
+        clip_table=comparison_table(comparison) if comparison else results.per_clip(first),
     )
-
-
-def _tables(first: ScoreTable, comparison: Comparison | None) -> list[results.ResultsTable | None]:
-    """Benchmark table, by axes of the benchmark, all metrics, per clip; of one submission or several."""
-    if comparison is None:
-        forms = (results.headline, results.by_axis, results.all_means, results.per_clip)
-        return [make(first) for make in forms]
-    protocol, unit = first.benchmark, "classification error in %, lower is better"
-    matrices = {n: t.matrix() for n, t in zip(comparison.names, comparison.tables, strict=True)}
-    part = protocol.coverage(first.names)
-    title = f"{protocol.title}, {part}: {unit}"
-    means = [
-        [metric.title, metric.better, *(metric.show(table[name]) for table in comparison.tables)]
-        for name, metric in all_metrics().items()
-    ]
-    columns = ["metric", "better", *comparison.names]
-    return [
-        results.error_table(title, protocol, first.motions, matrices, protocol.published),
-        results.axis_table(f"By what makes clips hard: {unit}", protocol, first.motions, matrices),
-        results.ResultsTable(f"Means over {part}, fractions in %, counts as counts", columns, means),
-        comparison_table(comparison),
-    ]
 
 
 def _by_track_axis(sections: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 MAIN_METRICS = ("error", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f")
 ABSENT = "-"
 LISTED = 12  # clips named in a note
+_ERROR = "classification error in %, lower is better"
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,36 +187,53 @@ def _median(values: FloatArray, scale: int = 100) -> str:
 # --- one submission ---------------------------------------------------------------------------------
 
 
-def headline(scores: ScoreTable) -> ResultsTable:
+def unique_names(tables: Sequence[ScoreTable]) -> list[str]:
+    """Names of the methods, numbered where they occur more than once."""
+    methods = [table.meta.method for table in tables]
+    return [
+        f"{name} ({methods[: i + 1].count(name)})" if methods.count(name) > 1 else name
+        for i, name in enumerate(methods)
+    ]
+
+
+def headline(*tables: ScoreTable) -> ResultsTable:
     """Classification error per group of the benchmark, and the rows of Table 1 of Xu et al. 2018.
 
     The notes are what is needed to read it rightly: coverage, failures, versions, seeds.
     """
-    protocol, summary = scores.benchmark, scores.summary()
+    first = tables[0]
+    protocol = first.benchmark
     parts = ", ".join(
         f"{group.title} "
         + ("which clips is not published" if group.unknown else f"{len(names)} of {group.n_clips}")
-        for group, names in scores.groups()
+        for group, names in first.groups()
     )
     more = f" ({parts})" if len(protocol.groups) > 1 else ""
-    notes = [f"Scored: {protocol.coverage(scores.names)}{more}."]
-    if len(scores.names) < protocol.n_clips:
+    notes = [f"Scored: {protocol.coverage(first.names)}{more}."]
+    if len(first.names) < protocol.n_clips:
         notes.append("A part of the benchmark: the published figures are for all of it.")
-    version, wanted = scores.provenance.dataset_version, protocol.published_dataset_version
+    version, wanted = first.provenance.dataset_version, protocol.published_dataset_version
     if protocol.published and wanted and version != wanted:
         notes.append(
             f"Data version {version!r}; published figures are for version {wanted!r}: not comparable."
         )
+    named = dict(zip(unique_names(tables), tables, strict=True))
+    for name, table in named.items():
+        of = f"{name}: " if len(tables) > 1 else ""
+        notes += [of + note for note in (_spread_note(table), *_method_notes(table), *failure_notes(table))]
+    title, rows = f"{protocol.title}: {_ERROR}", {name: table.matrix() for name, table in named.items()}
+    return error_table(title, protocol, first.motions, rows, protocol.published, notes=notes)
+
+
+def _spread_note(scores: ScoreTable) -> str:
+    summary = scores.summary()
     low, high = summary.interval
     sd = "" if summary.seed_sd is None else f", sd over seeds {100 * summary.seed_sd:.2f}"
-    notes.append(
+    return (
         f"{len(scores.seeds)} seed{'s' if sd else ''}{sd}; "
         f"95 % bootstrap interval over clips {100 * low:.2f} to {100 * high:.2f}; "
         f"all trajectories pooled {100 * summary.pooled:.2f}."
     )
-    notes += [*_method_notes(scores), *failure_notes(scores)]
-    title, rows = f"{protocol.title}: classification error in %", {scores.meta.method: scores.matrix()}
-    return error_table(title, protocol, scores.motions, rows, protocol.published, notes=notes)
 
 
 def _method_notes(scores: ScoreTable) -> list[str]:
@@ -239,10 +257,10 @@ def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:
     return [f"Counted as fully wrong: {who}{c.clip} (seed {c.seed}): {c.reason}." for c in scores.failures]
 
 
-def by_axis(scores: ScoreTable) -> ResultsTable | None:
+def by_axis(*tables: ScoreTable) -> ResultsTable | None:
     """Break the classification error down by the axes of the benchmark; None where it has none."""
-    title = "Classification error in % by what makes clips hard"
-    return axis_table(title, scores.benchmark, scores.motions, {scores.meta.method: scores.matrix()})
+    errors = {name: table.matrix() for name, table in zip(unique_names(tables), tables, strict=True)}
+    return axis_table(f"By what makes clips hard: {_ERROR}", tables[0].benchmark, tables[0].motions, errors)
 
 
 def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> ResultsTable:
@@ -261,9 +279,13 @@ def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> Resul
     return ResultsTable("Per clip, fractions in %", columns, rows, notes)
 
 
-def all_means(scores: ScoreTable) -> ResultsTable:
-    """Every metric: mean, median and pooled over clips, sd over seeds, 95 % interval."""
-    rows = []
+def all_means(scores: ScoreTable, *others: ScoreTable) -> ResultsTable:
+    """Every metric: mean, median and pooled over clips, sd over seeds, 95 % interval; of several the mean."""
+    title, rows = f"Over {scores.benchmark.coverage(scores.names)}, fractions in %, counts as counts", []
+    if others:
+        for name, metric in all_metrics().items():
+            rows.append([metric.title, metric.better, *(metric.show(t[name]) for t in (scores, *others))])
+        return ResultsTable(title, ["metric", "better", *unique_names([scores, *others])], rows)
     for name, metric in all_metrics().items():
         summary = scores.summary(name)
         values = [metric.show(v) for v in (summary.mean, summary.median, summary.pooled)]
@@ -271,7 +293,7 @@ def all_means(scores: ScoreTable) -> ResultsTable:
         interval = " to ".join(map(metric.show, summary.interval))
         rows.append([metric.title, metric.better, *values, spread, interval])
     columns = ["metric", "better", "mean", "median", "pooled", "sd over seeds", "95 % over clips"]
-    return ResultsTable("Over all clips scored, fractions in %", columns, rows)
+    return ResultsTable(title, columns, rows)
 
 
 def rendered(scores: ScoreTable, form: str) -> str:

@@ -41,6 +41,11 @@ all("table.sorts").forEach((table) => [...table.tHead.rows[0].cells].forEach((he
   });
 }));
 
+// In a narrow window each row is a block, whose cells have their headings in front.
+all("table.stacks").forEach((table) => [...table.tBodies[0].rows].forEach((row) => [...row.cells].forEach((cell, k) => {
+  cell.dataset.head = cell.matches(".track") || !cell.textContent ? "" : table.tHead.rows[0].cells[k].textContent;
+})));
+
 // Elements with data-row are hidden with the row of a table.facets of that name; ranks are among what is shown.
 function filter(form) {
   const wanted = [...new FormData(form)].filter(([, value]) => value);
