@@ -25,7 +25,8 @@ def _path(name: str) -> PurePosixPath:
 
 def stem(name: str) -> str:
     r"""Return a file's name without folders, given with ``/`` or ``\``, and without its suffix."""
-    return _APPENDED.sub("", _path(name).stem)
+    path = _path(name)
+    return _APPENDED.sub("", path.name if path.suffix[1:].isdecimal() else path.stem)
 
 
 def number_in(name: str) -> int | None:
@@ -56,7 +57,8 @@ class FrameMatch:
     """Which frame each file is of, by its index in the clip, whose frames are named `names`.
 
     The `unmatched` files are of no frame, and the `others` of other clips, in folders of their own. The
-    `note` says what was concluded from the numbers; it is empty when the names say it all.
+    `note` says what was concluded from the numbers; it is empty when the names say it all. The `shift` would
+    let the files' numbers begin with the first frame's; None where one of them has none.
     """
 
     frames: dict[str, int]
@@ -64,6 +66,7 @@ class FrameMatch:
     others: list[str]
     note: str
     names: Sequence[str]
+    shift: int | None
 
     @property
     def doubt(self) -> str:
@@ -80,11 +83,10 @@ class FrameMatch:
     @property
     def fix(self) -> str:
         """What to do about files of no frame."""
-        first, files = number_in(self.names[0]), (*self.frames, *self.unmatched)
-        numbers = [number for file in files if (number := number_in(file)) is not None]
-        if not numbers or first in (None, min(numbers)):
-            return "shift the numbers"
-        return f"shift the numbers; a shift of {first - min(numbers)} begins with the first frame"
+        if self.shift is None:
+            return "rename them as the frames"
+        advice = f"; a shift of {self.shift} begins with the first frame"
+        return "shift the numbers" + advice * bool(self.shift)
 
 
 def match_frames(
@@ -94,19 +96,19 @@ def match_frames(
 
     `frames` are the names of the clip's frames. Numbers that start at 0 and go on to the last frame are
     indices where no frame bears any of them; a `shift` is added to the files' numbers, and their names do not
-    count. Hidden files are passed over. Of files in several folders that compete for frames, those below a
-    folder of the clip's name count. FileFormatError when two files are of one frame, or no folder is the
-    clip's.
+    count. Hidden files are passed over. Of files in several folders, those below a folder of the clip's name
+    count. FileFormatError when two files are of one frame, or files compete and no folder is the clip's.
     """
     shown = [file for file in files if not is_hidden(file)]
-    numbers = {file: number_in(file) for file in _of_clip(shown, clip)}
     named = {} if shift is not None else {stem(name): k for k, name in enumerate(frames)}
+    # A number behind a frame's name is another's: of a part, an object or a camera.
+    numbers = {f: None if _before_number(f) in named else number_in(f) for f in _of_clip(shown, clip)}
     numbered = {number_in(name): k for k, name in enumerate(frames)}
     by_name = {file: named[stem(file)] for file in numbers if stem(file) in named}
     note = f"numbers shifted by {shift}" if shift else ""
     indices = range(len(frames))
-    known = bool(by_name) or any(number in numbered for number in numbers.values())
-    if shift is None and not known and len(numbers) == len(frames) and {*numbers.values()} == {*indices}:
+    fits = bool(by_name) or any(number in numbered for number in numbers.values())
+    if shift is None and not fits and len(numbers) == len(frames) and {*numbers.values()} == {*indices}:
         numbered = dict(zip(indices, indices, strict=True))
         note = f"numbered from 0, where the clip starts with {frames[0]}"
     found, taken, unmatched = dict(by_name), {*by_name.values()}, []
@@ -122,20 +124,27 @@ def match_frames(
         if owners.setdefault(frame, file) != file:
             where, both = f"frame {frame}", f"{owners[frame]} and {file}"
             raise FileFormatError(where, expected="one file", found=both, fix="keep one of them")
-    return FrameMatch(found, unmatched, [file for file in shown if file not in numbers], note, frames)
+    first, known = number_in(frames[0]), [number for number in numbers.values() if number is not None]
+    begin = None if first is None or not known else first - min(known)
+    return FrameMatch(found, unmatched, [f for f in shown if f not in numbers], note, frames, begin)
+
+
+def _before_number(name: str) -> str:
+    """Return what of a file's name stands before its last number."""
+    return _LAST_NUMBER.sub("", stem(name)).rstrip("_-. ")
 
 
 def _of_clip(files: list[str], clip: str) -> list[str]:
-    """Those of the clip's folder, where the same names are in several folders."""
+    """Those below a folder of the clip's name, else all; the same names in several folders are refused."""
     paths = {file: _path(file) for file in files}
-    if len({path.name for path in paths.values()}) == len(paths):
-        return files
-    own = {path.parent for path in paths.values() if clip in path.parent.parts}
-    if len(own) != 1:
-        found = several(sorted({str(path.parent) for path in paths.values()}))
+    own = {
+        file: path for file, path in paths.items() if clip.casefold() in map(str.casefold, path.parent.parts)
+    } or paths
+    if len({path.name for path in own.values()}) < len(own):
+        found = several(sorted({str(path.parent) for path in own.values()}))
         fix = f"name one {clip}, or leave the others out"
         raise FileFormatError("folders", expected=f"one of {clip}", found=found, fix=fix)
-    return [file for file, path in paths.items() if path.parent in own]
+    return list(own)
 
 
 def match_labels(a: IntArray, b: IntArray) -> dict[int, int]:

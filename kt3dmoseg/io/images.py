@@ -180,8 +180,12 @@ def void_ids(used: Collection[int], bits: int, where: str) -> list[int]:
     """Return which of the ids that the masks of a clip use are void, nothing to be scored on.
 
     10000 in the 16 bits of MOTS; in 8 bits 254 (ours) and 255 (DAVIS), but masks of 0 and 255 are of one
-    object. Raises FileFormatError where 255 may be either: next to other values that one can see.
+    object. Raises FileFormatError where 255 may be either, next to other values that one can see, and where
+    no pixel is 0, the background.
     """
+    if 0 not in used:
+        expected, fix = "0 for the background", "number the background 0, and the objects from 1 on"
+        raise FileFormatError(where, expected=expected, found=f"only {sorted(used)[:5]}", fix=fix)
     if bits == 16:
         return [MOTS_IGNORE]
     others = set(used) - {0, 255}

@@ -24,6 +24,7 @@ from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, 
 from kt3dmoseg.flow import backend_identity, create
 from kt3dmoseg.frames import FrameSource, find_sources, one_source, recorded_inputs, source_names
 from kt3dmoseg.io import hdf5
+from kt3dmoseg.matching import several
 from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 from kt3dmoseg.pipeline import BuildOptions
@@ -58,7 +59,7 @@ class Outcome:
     labels : {"annotation", "masks", ""}
         What it is labelled by.
     notes : tuple of str
-        What a person should know of its frames.
+        What a person should know of its frames and labels.
     """
 
     name: str
@@ -280,7 +281,9 @@ def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, pro
     sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
     counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
     counts |= clip.provenance.get("dropped", {})
-    return Outcome(name, "built", reason, target, counts, labels, job.info.notes)
+    nothing = [named for label, named in clip.labels.names.items() if label not in clip.labels.motions]
+    notes = (f"nothing is labelled as {several(nothing)}",) if nothing else ()
+    return Outcome(name, "built", reason, target, counts, labels, job.info.notes + notes)
 
 
 def _build_and_propose(

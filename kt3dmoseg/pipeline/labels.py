@@ -124,7 +124,8 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
         three quarters of the points agree.
     """
     votes: list[tuple[IntArray, IntArray]] = []
-    used, bits = {0}, 1
+    used: set[int] = set()
+    bits = 1
     for frame, path in sorted(masks.items()):
         mask, depth = decode_indices(read_bytes(path, _MAX_FILE), os.fspath(path))
         used, bits = used.union(np.unique(mask).tolist()), max(bits, depth)

@@ -259,6 +259,7 @@ RIGHT_COCO = {
     "run lengths of another size": coco(
         {"track_id": 1}, size=(640, 480), segment=lambda k: crowd(k, scale=2)
     ),
+    "zipped": zipped(**{"annotations__instances_default.json": coco({"track_id": 1})}),
     "two frames listed": coco({"track_id": 1}, frames=(0, 7), listed=(0, 7)),
     "two frames annotated": coco({"track_id": 1}, frames=(0, 7)),
     "two videos": json.dumps(
@@ -326,6 +327,12 @@ REFUSED_COCO = {
         "401 digits",
     ),
     "no images": (coco({"track_id": 1}, listed=()), "image_id"),
+    "an image id twice": (coco({}).replace(b'"id": 2, "file', b'"id": 1, "file'), "each once, found 1 twice"),
+    "an image twice": (coco({}, names="000003.png"), "found '000003.png' twice"),
+    "one id for two kinds": (
+        coco({"track_id": 1}, frames=[0, 1, 2, 0]).replace(b'"category_id": 1', b'"category_id": 2', 1),
+        "in frame 0, shapes of several labels have one id, 1: car, other",
+    ),
 }
 
 
@@ -413,8 +420,8 @@ def test_a_circle_is_an_outline():
 # Masks
 
 
-def mask(k, value=1, dtype=np.uint8, size=(W, H)):
-    picture = np.zeros((size[1], size[0]), dtype)
+def mask(k, value=1, dtype=np.uint8, size=(W, H), blank=0):
+    picture = np.full((size[1], size[0]), blank, dtype)
     picture[80:160, 60 + 5 * k : 160 + 5 * k] = value
     return cv2.imencode(".png", picture)[1].tobytes()
 
@@ -482,6 +489,7 @@ REFUSED_MASKS = {
     "255 and gray levels": ({"000000.png": mask(0, 255), "000001.png": mask(1, 128)}, NAMES, "255"),
     "pictures": ({"000000.jpg": b"x"}, NAMES, r"\*\.png"),
     "another file": ({"000000.png": mask(0), "overlay.png": mask(0)}, NAMES, "overlay.png"),
+    "no background": ({f"{k:06d}.png": mask(k, 2, blank=1) for k in range(F)}, NAMES, "0 for the background"),
     "other clips": ({f"{clip}__000000.png": mask(0) for clip in ("a", "b")}, NAMES, "a, b"),
 }
 

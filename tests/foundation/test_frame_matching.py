@@ -25,6 +25,9 @@ KITTI = [f"{k:010d}.png" for k in range(3, 11)]
         ("000009.png", None),
         ("000000.png", None),
         ("readme.png", None),
+        ("left.000003", 2),
+        ("000001_3.png", None),
+        ("2011_0001_000003.png", 2),
     ],
 )
 def test_a_file_belongs_to_the_frame_of_its_name_else_its_number(file, frame):
@@ -83,6 +86,16 @@ def test_of_several_folders_the_clip_s_counts():
     assert match.others == ["road/000001.png", "road/000002.png"]
     with pytest.raises(FileFormatError, match="road, town"):
         match_frames(files, FROM_ONE, clip="lake")
+
+
+def test_files_of_another_clip_fill_no_gap():
+    match = match_frames(["Town/000001.png", "road/000002.png"], FROM_ONE, clip="town")
+    assert (match.frames, match.others) == ({"Town/000001.png": 0}, ["road/000002.png"])
+
+
+def test_parts_of_a_frame_are_not_answered_with_a_shift():
+    match = match_frames(["000003_1.png", "000003_2.png"], FROM_ONE)
+    assert (match.frames, match.fix) == ({}, "rename them as the frames")
 
 
 def test_the_last_number_counts():

@@ -15,7 +15,7 @@ from build_scenes import FRAMES, HEIGHT, WIDTH, scene, write_clip
 from PIL import Image
 
 import kt3dmoseg
-from kt3dmoseg.annotate import Annotation
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame
 from kt3dmoseg.annotate.model import save_annotation
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError
@@ -191,9 +191,9 @@ def test_tracks_of_other_clips_are_not_left_out_quietly(frames, built, tmp_path)
 # --- annotations -----------------------------------------------------------------------------------
 
 
-def annotate(path, clip="clip"):
+def annotate(path, clip="clip", *objects):
     path.parent.mkdir(exist_ok=True)
-    save_annotation(path, Annotation(clip, (WIDTH, HEIGHT), FRAMES))
+    save_annotation(path, Annotation(clip, (WIDTH, HEIGHT), FRAMES, objects))
 
 
 def test_annotations_of_no_clip_are_refused(frames, tmp_path, capsys):
@@ -211,6 +211,10 @@ def test_annotations_of_no_clip_are_refused(frames, tmp_path, capsys):
     annotate(folder / "clip.json")
     assert run(*command) == 0
     assert "warning" not in capsys.readouterr().err
+    drawn = KeyFrame(0, polygons=(((0, 0), (WIDTH, 0), (0, HEIGHT)),))
+    annotate(folder / "clip.json", "clip", *(AnnotatedObject(m, f"car {m}", "car", m, (drawn,)) for m in (1, 2)))
+    assert run(*command) == 0  # where two motions are drawn in one place, every trajectory is in conflict
+    assert "warning: clip: nothing is labelled as car 1, car 2\n" in capsys.readouterr().err
 
 
 def test_clips_without_an_annotation_among_others_are_listed(frames, tmp_path, capsys, monkeypatch):

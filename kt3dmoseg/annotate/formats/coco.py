@@ -1,4 +1,4 @@
-"""COCO: one JSON file, a run-length encoded mask per object and frame.
+"""COCO: one JSON file, also zipped as CVAT does, with a run-length encoded mask per object and frame.
 
 ``pycocotools`` reads it; files of polygons are read too. Reading, an image is the frame of its file name,
 else of its number. An object is what has one ``track_id``, in the annotation or its attributes; without ids,
@@ -8,13 +8,14 @@ what has one category, once an image. Boxes are no outlines.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Key, Regions, identity_in
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Key, Regions, identity_in, unpacked
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, REJECT, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
@@ -58,19 +59,21 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
 
 
 def _read(content: bytes, into: Import) -> None:
-    data = parse_document(content, "COCO")
+    data = parse_document(unpacked(content, ".json", "COCO"), "COCO")
     if not isinstance(data, dict):
         raise FileFormatError("COCO", expected="images, annotations, categories", found=f"{data!r:.40}")
     try:
         into.count("images", len(data["images"]), 100 * MAX_OBJECTS)
-        images = {_identity(image, "id"): image for image in data["images"]}
-        files = dict(zip(images, _files(data), strict=True))
+        names, ids = _files(data), [_identity(image, "id") for image in data["images"]]
+        images, files = (dict(zip(ids, values, strict=True)) for values in (data["images"], names))
         kinds = {_identity(c, "id"): str(c["name"]) for c in data.get("categories") or []}
         shapes = list(data["annotations"])
         crowds = {bool(shape.get("iscrowd")) for shape in shapes} == {True, False}
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-        problem = f"{type(error).__name__}: {error}"[:100]
+        problem = (f"no {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}")[:100]
         raise FileFormatError("COCO", expected="images, annotations, categories", found=problem) from error
+    if twice := [value for given in (ids, names) for value, number in Counter(given).items() if number > 1]:
+        raise FileFormatError("COCO images", expected="each once", found=f"{twice[0]!r} twice")
     into.count("annotations", len(shapes), MAX_OBJECTS * into.like.n_frames)
     frames = into.match(files.values(), "COCO images")
     for number, shape in enumerate(shapes):
@@ -112,8 +115,6 @@ def _files(data: Mapping[str, Any]) -> list[str]:
     for image in data["images"]:
         file = str(image.get("file_name") or image.get("frame_id", image["id"]))
         files.append(f"{videos[image['video_id']]}/{file}" if len(videos) > 1 else file)
-    if len(set(files)) < len(files):
-        raise ValueError("an image is listed twice")
     return files
 
 

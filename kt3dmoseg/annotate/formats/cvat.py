@@ -27,7 +27,7 @@ from kt3dmoseg.annotate.formats.foreign import (
     ellipse,
     identity_in,
     kind_of,
-    opened_zip,
+    unpacked,
     with_corner_origin,
 )
 from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, outlines_of
@@ -106,12 +106,7 @@ def _put(parent: ET.Element, content: Mapping[str, Any]) -> None:
 
 def _read(content: bytes, into: Import) -> None:
     """Read one XML file, or the zip file with one that CVAT offers."""
-    if content.startswith(b"PK"):
-        with opened_zip(content, ".xml", _WHAT) as archive:
-            if len(archive.sizes) > 1:
-                raise FileFormatError(_WHAT, expected="one *.xml file", found=several(archive.sizes))
-            content = archive.read(*archive.sizes)
-    root = _parsed(content)
+    root = _parsed(unpacked(content, ".xml", _WHAT))
     tasks = [_Task.of(node) for tag in ("task", "job") for node in root.iterfind(f"meta//{tag}")]
     tracks = {f"track[{k}]": node for k, node in enumerate(root.findall("track"))}
     images = root.findall("image")

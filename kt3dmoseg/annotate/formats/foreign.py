@@ -302,6 +302,7 @@ class Import:
 
     def finish(self) -> None:
         """Make the annotation; raises FileFormatError when there is nothing but what was skipped."""
+        self._check_ids()
         self._identify()
         more = self._counts["skipped"]
         if self.skipped and not self.found:
@@ -334,6 +335,18 @@ class Import:
             self.doubts.append("every object is in one frame only; nothing says which belong together")
         if self._shapes and all(isinstance(key, int) for key in self.found):
             self.found = dict(sorted(self.found.items()))
+
+    def _check_ids(self) -> None:
+        """Say where several shapes in one frame have one id, and doubt it where their labels differ."""
+        parts: dict[tuple[int, Key], list[str]] = {}
+        for frame, key, label, _ in self._shapes:
+            if key is not None:
+                parts.setdefault((frame, key), []).append(label)
+        if any(len(labels) > 1 for labels in parts.values()):
+            self.note("shapes of one id in one frame are parts of one object")
+        if mixed := [place for place, labels in parts.items() if len(set(labels)) > 1]:
+            (frame, key), labels = mixed[0], several(sorted(set(parts[mixed[0]])))
+            self.doubts.append(f"in frame {frame}, shapes of several labels have one id, {key}: {labels}")
 
     def _review(self) -> None:
         items = self.found.values()
@@ -454,6 +467,16 @@ def opened_zip(content: bytes, suffix: str, what: str) -> SafeZip:
     if not archive.sizes:
         raise FileFormatError(what, expected=f"*{suffix} files", found="none")
     return archive
+
+
+def unpacked(content: bytes, suffix: str, what: str) -> bytes:
+    """Return a file's content, also of the only one with that suffix in a zip, as CVAT offers it."""
+    if not content.startswith(b"PK"):
+        return content
+    with opened_zip(content, suffix, what) as archive:
+        if len(archive.sizes) > 1:
+            raise FileFormatError(what, expected=f"one *{suffix} file", found=several(archive.sizes))
+        return archive.read(*archive.sizes)
 
 
 def _ranges(frames: Iterable[int]) -> str:

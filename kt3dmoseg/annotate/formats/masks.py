@@ -265,8 +265,7 @@ def _zipped(files: Iterable[bytes], names: Sequence[str]) -> bytes:
 
 
 def _read_davis(content: bytes, into: Import) -> None:
-    _read_images(content, into, "DAVIS masks", bits=8)
-    voids = void_ids({0, *map(int, into.found)}, 8, "DAVIS masks")
+    voids = _read_images(content, into, "DAVIS masks", bits=8)
     into.note("ids are the values of the masks")
     for value, item in _in_order(into):
         item.motion = REJECT if value in voids else 1 if value == 255 else value
@@ -310,8 +309,9 @@ MOTS_PNG = AnnotationFormat(".zip", "application/zip", _write_mots_png, _read_mo
 MOTS_TXT = AnnotationFormat(".txt", "text/plain", _write_mots_text, _read_mots_text)
 
 
-def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> None:
-    """Read a zip of PNGs of at most `bits` bits, whose numbers are objects."""
+def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> list[int]:
+    """Read a zip of PNGs of at most `bits` bits, whose numbers are objects; return which are void."""
+    used = set()
     for frame, file, png in into.unzip(content, ".png", what):
         image, depth = decode_indices(png, f"{what}: {file}")
         if depth > bits:
@@ -319,10 +319,12 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> None:
             raise FileFormatError(f"{what}: {file}", expected=expected, found=f"{depth} bits")
         into.check_shape(image.shape, f"{what}: {file}")
         into.annotated.add(frame)
+        used |= {int(image.min())}
         for value, box in enumerate(ndimage.find_objects(image), start=1):
             if box is not None:
                 item = into.object(value)
                 item.add(frame, outlines_of(image[box] == value, into, (box[1].start, box[0].start)))
+    return void_ids(used.union(map(int, into.found)), bits, what)
 
 
 def _in_order(into: Import) -> list[tuple[int, ForeignObject]]:
