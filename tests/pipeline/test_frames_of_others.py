@@ -212,7 +212,8 @@ def test_annotations_of_no_clip_are_refused(frames, tmp_path, capsys):
     assert run(*command) == 0
     assert "warning" not in capsys.readouterr().err
     drawn = KeyFrame(0, polygons=(((0, 0), (WIDTH, 0), (0, HEIGHT)),))
-    annotate(folder / "clip.json", "clip", *(AnnotatedObject(m, f"car {m}", "car", m, (drawn,)) for m in (1, 2)))
+    cars = (AnnotatedObject(motion, f"car {motion}", "car", motion, (drawn,)) for motion in (1, 2))
+    annotate(folder / "clip.json", "clip", *cars)
     assert run(*command) == 0  # where two motions are drawn in one place, every trajectory is in conflict
     assert "warning: clip: nothing is labelled as car 1, car 2\n" in capsys.readouterr().err
 
