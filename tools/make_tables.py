@@ -5,10 +5,10 @@
 
 A page says where a table goes, and everything up to the end mark is replaced:
 
-    <!-- table: summary kt3dmoseg 2018 -->
+    <!-- table: methods kt3dmoseg 2018 -->
     <!-- end of table -->
 
-Tables are `methods`, `summary`, `per-clip` and `short` (README), each of a benchmark and a data version.
+Tables are `methods`, `per-clip` and `short` (README), each of a benchmark and a data version.
 results/SCHEMA.json is written too.
 """
 
@@ -21,9 +21,12 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from kt3dmoseg.files import write_text
-from mseg.benchmark.publishing import SCHEMA, PublishedResult, json_schema, per_clip, read_results, summary
-from mseg.evaluation.results import ABSENT, ResultsTable, published_name
+from mseg.benchmark.publishing import SCHEMA, PublishedResult, json_schema, read_results
+from mseg.evaluation.protocol import count, share
+from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, published_name
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "docs/results.md")
@@ -44,11 +47,9 @@ def short(results: list[PublishedResult]) -> ResultsTable:
     first = results[0]
     rows = []
     for each in (r for r in results if r.title in ABOUT and r.n_motions == "given"):
-        errors = 100 * each.errors
-        spread = f" ±{errors.mean(axis=0).std(ddof=1):.2f}" if len(each.seeds) > 1 else ""
         name = published_name(each.protocol, each.method)
         printed = each.protocol.published.get(name, {}).get("all", {}).get("mean")
-        cells = [f"{errors.mean():.2f}{spread}", ABSENT if printed is None else f"{printed:.2f}"]
+        cells = [_mean(each.errors), ABSENT if printed is None else f"{printed:.2f}"]
         rows.append([f"`{each.title}`: {ABOUT[each.title]}", *cells])
     have = first.protocol.coverage(first.clips)
     columns = ["method", f"error in %, {have}", f"as printed, all {first.protocol.n_clips}"]
@@ -56,41 +57,58 @@ def short(results: list[PublishedResult]) -> ResultsTable:
 
 
 def methods(results: list[PublishedResult]) -> ResultsTable:
-    """Make the table of all methods: the number of motions given, found, and as printed."""
-    first, rows = results[0], []
-    for title in dict.fromkeys(each.title for each in results):
-        of = {each.n_motions: each for each in results if each.title == title}
-        name = next(iter(of.values())).published
-        printed = first.protocol.published.get(name, {}).get("all", {}).get("mean")
-        cells = [cell for way in ("given", "found") for cell in _error_and_seeds(of.get(way))]
-        right = f"{100 * of['found'].right:.0f}" if "found" in of else ABSENT
-        rows.append(
-            [
-                f"`{title}`",
-                *cells,
-                right,
-                ABSENT if printed is None or "given" not in of else f"{printed:.2f}",
-            ]
-        )
-    columns = ["method", "number given, error", "seeds", "number found, error", "seeds", "number right, %"]
-    title = f"{first.heading}: classification error in %, lower is better"
-    return ResultsTable(title, [*columns, f"as printed, all {first.protocol.n_clips}"], rows)
+    """Make the table of all methods, best first; a column that would be empty is left out."""
+    first, of = results[0], dict[str, dict[str, PublishedResult]]()
+    for each in results:
+        of.setdefault(each.title, {})[each.n_motions] = each
+    order = sorted(of.items(), key=lambda item: _rank(item[1]))
+    rows = {f"`{title}`": _cells(ways.get("given"), ways.get("found")) for title, ways in order}
+    columns = [name for name in next(iter(rows.values())) if any(c[name] != ABSENT for c in rows.values())]
+    title = f"{first.heading}: mean error in %, lower is better"
+    cells = [[name, *(row[column] for column in columns)] for name, row in rows.items()]
+    notes = [
+        f"{each.row}: {count(each.failed, 'run')} failed, fully wrong" for each in results if each.failed
+    ]
+    return ResultsTable(title, ["method", *columns], cells, notes)
 
 
-def _error_and_seeds(result: PublishedResult | None) -> list[str]:
-    if result is None:
-        return [ABSENT, ABSENT]
-    means = 100 * result.errors.mean(axis=0)
-    spread = f" ±{means.std(ddof=1):.2f}" if len(means) > 1 else ""
-    return [f"{means.mean():.2f}{spread}", str(len(means))]
+def _rank(ways: Mapping[str, PublishedResult]) -> tuple[bool, float]:
+    first = ways.get("given") or ways["found"]
+    return "given" not in ways, float(first.errors.mean())
+
+
+def _cells(given: PublishedResult | None, found: PublishedResult | None) -> dict[str, str]:
+    """One row, by column: the number of motions given, found, and as printed."""
+    ways = [each for each in (given, found) if each]
+    first, protocol, cells = ways[0], ways[0].protocol, {}
+    clips, parts = list(first.clips), {g: protocol.clips_of(g, first.motions) for g in protocol.groups}
+    for group, names in parts.items():
+        if names and len(names) < len(clips):
+            part = f"{group.title}, {share(len(names), group.n_clips)}"
+            cells[part] = _mean(given.errors[[clips.index(name) for name in names]]) if given else ABSENT
+    cells["number given"] = _mean(given.errors) if given else ABSENT
+    cells["median"] = f"{100 * np.median(given.errors.mean(axis=1)):.2f}" if given else ABSENT
+    same = protocol.published_dataset_version in ("", first.dataset_version) and given
+    printed = protocol.published.get(first.published, {}).get("all", {}).get("mean") if same else None
+    cells[f"printed, all {protocol.n_clips}"] = ABSENT if printed is None else f"{printed:.2f}"
+    cells["number found"] = _mean(found.errors) if found else ABSENT
+    cells["right, %"] = f"{100 * found.right:.0f}" if found else ABSENT
+    seeds = " / ".join(str(len(each.seeds)) for each in ways)
+    return cells | {"seeds": seeds, "CPU s": f"{first.seconds:.1f}"}
+
+
+def _mean(errors: np.ndarray) -> str:
+    means = 100 * errors.mean(axis=0)
+    return f"{means.mean():.2f}" + (f" ±{means.std(ddof=1):.2f}" if len(means) > 1 else "")
 
 
 def clips_of_main(results: list[PublishedResult]) -> ResultsTable:
     """Make the table of every clip, of the methods of the paper and ours."""
-    return per_clip([each for each in results if each.title in {*ABOUT, "multibody"}])
+    shown = {each.row: each.errors for each in results if each.title in {*ABOUT, "multibody"}}
+    return clip_table(f"{results[0].heading}: error in %, lower is better", shown, results[0].motions)
 
 
-TABLES = {"methods": methods, "summary": summary, "per-clip": clips_of_main, "short": short}
+TABLES = {"methods": methods, "per-clip": clips_of_main, "short": short}
 
 
 def filled(text: str, results: Mapping[tuple[str, str], list[PublishedResult]]) -> str:

@@ -1,4 +1,4 @@
-"""Published results: one JSON file per method, benchmark and dataset version, and tables made of them.
+"""Published results: one JSON file per method, benchmark and dataset version.
 
 ::
 
@@ -13,7 +13,6 @@ import json
 import os
 import platform
 import re
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -28,7 +27,7 @@ from kt3dmoseg.parallel import algorithm_version
 from kt3dmoseg.types import FloatArray
 from mseg.benchmark.results import BenchmarkResult
 from mseg.evaluation.protocol import Protocol, count, list_protocols, load_protocol
-from mseg.evaluation.results import ResultsTable, clip_table, error_table, published_name
+from mseg.evaluation.results import published_name
 from mseg.evaluation.scoring import read_model
 from mseg.methods import create
 
@@ -251,23 +250,3 @@ def read_results(folder: str | os.PathLike[str]) -> dict[tuple[str, str], list[P
 def _order(result: PublishedResult) -> tuple[bool, int, str]:
     rows = [*result.protocol.published, ""]
     return result.n_motions == "found", rows.index(result.published), result.title
-
-
-def summary(results: Sequence[PublishedResult]) -> ResultsTable:
-    """One row per method of one dataset: mean ± spread over seeds and median of every group, and time."""
-    first = results[0]
-    extra = {
-        "seeds": [str(len(each.seeds)) for each in results],
-        "right number of groups, %": [f"{100 * each.right:.0f}" for each in results],
-        "CPU s per seed": [f"{each.seconds:.1f}" for each in results],
-        "failed runs": [str(each.failed) for each in results],
-    }
-    title = f"{first.heading}: classification error in %, lower is better"
-    errors, published = {each.row: each.errors for each in results}, [each.published for each in results]
-    return error_table(title, first.protocol, first.motions, errors, published, extra=extra)
-
-
-def per_clip(results: Sequence[PublishedResult]) -> ResultsTable:
-    """One row per clip of one dataset, one column per method."""
-    title = f"{results[0].heading}: classification error in % per clip, lower is better"
-    return clip_table(title, {each.row: each.errors for each in results}, results[0].motions)
