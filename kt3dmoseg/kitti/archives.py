@@ -134,6 +134,14 @@ class Archive:
         """Open a file."""
         return cls(str(path), path.stat().st_size, partial(_read_file, path), local=True)
 
+    @classmethod
+    def verified(cls, path: Path) -> Archive:
+        """Open a file that was downloaded whole, once every file in it has its checksum."""
+        archive = cls.on_disk(path)
+        for _ in archive.read(name for name, size in archive.sizes.items() if size <= LARGEST_FILE):
+            pass
+        return archive
+
     def crc32(self, name: str) -> int:
         """CRC32 of a file, as the directory claims it; `read` verifies it."""
         return self._zip.infos[name].CRC
@@ -407,9 +415,7 @@ class Archives:
         with tqdm(total=size, unit="B", unit_scale=True, desc="zip", disable=None) as bar:
             self._client.download(url, part, bar.update)
         try:
-            archive = Archive.on_disk(part)
-            for _ in archive.read(name for name, size in archive.sizes.items() if size <= LARGEST_FILE):
-                pass  # every file has its checksum
+            archive = Archive.verified(part)
         except FileFormatError as error:
             part.unlink(missing_ok=True)
             raise DamagedError(error.where, expected=error.expected, found=error.found) from None

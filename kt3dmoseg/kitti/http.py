@@ -31,6 +31,8 @@ _LONGEST_WAIT = 30.0
 _REDIRECTS = 5
 _ABSENT = (403, 404, 410)  # S3 answers 403 for an object that is absent from a bucket it may not list
 _TRANSIENT = (408, 425, 429, 500, 502, 503, 504)
+_NUMBER = r"\d{1,18}"  # in a header
+_UNSTATED = 4 << 30  # bytes of a body whose length is not stated
 
 
 class AbsentError(InputFileError):
@@ -141,6 +143,8 @@ class Client:
             for block in self._body(response):
                 yield block[max(0, start - at) : None if end is None else max(0, end - at)]
                 at += len(block)
+                if end is None and at > _UNSTATED:
+                    raise InputFileError(url, expected=f"at most {_UNSTATED} bytes", found="more")
                 if stop is not None and at >= stop:
                     return  # what the server sends beyond the request is not read
         if end is not None and at < end:
@@ -158,14 +162,15 @@ class Client:
             if asked != version:
                 raise ChangedError(url, expected=f"version {asked} as before", found=version or "another")
             total = headers.get("Content-Length", "")
-            size = int(total) if total.isdigit() else None
+            size = int(total) if re.fullmatch(_NUMBER, total) else None
             if not whole:
                 raise RangesIgnoredError(url, size)
             return 0, size
         text = headers.get("Content-Range", "")
-        match = re.fullmatch(r"bytes (\d+)-\d+/(\d+)", text.strip())
+        match = re.fullmatch(rf"bytes ({_NUMBER})-{_NUMBER}/({_NUMBER})", text.strip())
         if not match:
-            raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=repr(text))
+            found = f"{text!r:.80}"
+            raise InputFileError(f"{url}: Content-Range", expected="bytes FIRST-LAST/SIZE", found=found)
         first, size = int(match[1]), int(match[2])
         known = self.sizes.setdefault(url, size)
         if known != size:
@@ -191,7 +196,7 @@ class Client:
             response.close()
             if code in _TRANSIENT:
                 pause = response.headers.get("Retry-After", "")
-                raise _TransientError(status, float(pause) if pause.isdigit() else 0.0)
+                raise _TransientError(status, float(pause) if re.fullmatch(_NUMBER, pause) else 0.0)
             kind = AbsentError if code in _ABSENT else InputFileError
             raise kind(f"{url}: the server answered {status}")
         return response

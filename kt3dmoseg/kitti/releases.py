@@ -112,8 +112,8 @@ def fetch_release(
         expected = _read_sums(folder) | release.checksums
         with closing(Client(Origin(retries=retries, timeout=60))) as client:
             for file, url in release.downloads(mirror).items():
-                if not _is_right(folder / file, expected.get(file)):
-                    _download(client, url, folder / file, expected.get(file), f"by hand: {release.by_hand}")
+                if not _is_right(folder / file, expected.get(file), packed=bool(release.wanted)):
+                    _download(client, url, folder / file, expected.get(file), release)
                 if file not in expected:
                     expected[file] = sha256_file(folder / file)
                     report(f"  {file}: no published hash; trusted now, SHA-256 {expected[file]} from now on")
@@ -123,20 +123,30 @@ def fetch_release(
     return fetched
 
 
-def _is_right(path: Path, checksum: str | None) -> bool:
-    """Whether a file is there with this SHA-256, if it is known."""
-    return path.is_file() and checksum in (None, sha256_file(path))
+def _is_right(path: Path, checksum: str | None, *, packed: bool = False) -> bool:
+    """Whether a file is there with this SHA-256; where that is not known, whether it is no damaged zip."""
+    if not path.is_file() or checksum is not None:
+        return path.is_file() and checksum == sha256_file(path)
+    try:
+        return not packed or bool(Archive.verified(path))
+    except FileFormatError:
+        return False
 
 
-def _download(client: Client, url: str, path: Path, checksum: str | None, by_hand: str) -> None:
+def _download(client: Client, url: str, path: Path, checksum: str | None, release: Release) -> None:
+    """Download a file; what arrives damaged is fetched once more."""
+    wanted = f"SHA-256 {checksum}" if checksum else "an intact zip"
     with atomic_path(path) as temporary:
-        with tqdm(unit="B", unit_scale=True, desc=path.name, disable=None) as bar:
-            try:
-                client.download(url, temporary, bar.update)
-            except InputFileError as error:
-                raise InputFileError(f"{error}", fix=by_hand) from None
-        if not _is_right(temporary, checksum):
-            raise FileFormatError(url, expected=f"SHA-256 {checksum}", found="other content")
+        for _ in range(2):
+            temporary.write_bytes(b"")
+            with tqdm(unit="B", unit_scale=True, desc=path.name, disable=None) as bar:
+                try:
+                    client.download(url, temporary, bar.update)
+                except InputFileError as error:
+                    raise InputFileError(f"{error}", fix=f"by hand: {release.by_hand}") from None
+            if _is_right(temporary, checksum, packed=bool(release.wanted)):
+                return
+        raise FileFormatError(url, expected=wanted, found="other content")
 
 
 def _unpack(release: Release, path: Path, folder: Path, expected: Mapping[str, str]) -> None:

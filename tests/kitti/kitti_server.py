@@ -24,6 +24,7 @@ class FaultyServer(ThreadingHTTPServer):
         self.fault: Callable[[int, str], str] = lambda count, path: ""
         self.ranges = True
         self.versions: dict[str, str] = {}  # ETags, by path
+        self.endless: dict[str, str] | None = None  # headers of an answer to everything, without an end
         self.requests: list[tuple[str, str]] = []
         self.sent = 0
         self.connections = 0
@@ -66,10 +67,10 @@ class _Handler(BaseHTTPRequestHandler):
             return self._status(int(fault))
         if fault == "drop":
             return self._hang_up()
-        if fault == "redirect" and not self.path.startswith("/moved"):
-            return self._status(302, {"Location": "/moved" + self.path})
-        if fault == "fat redirect" and not self.path.startswith("/moved"):
-            return self._redirect_with_endless_body()
+        if "redirect" in fault and not self.path.startswith("/moved"):
+            head = {"Location": "/moved" + self.path}
+            fat = head | {"Content-Length": f"{1 << 40}"}
+            return self._status(302, head) if fault == "redirect" else self._endless(302, fat)
         if fault == "slow headers":
             return self._trickle_headers()
         if fault == "loop":
@@ -77,6 +78,8 @@ class _Handler(BaseHTTPRequestHandler):
         content = self.server.files.get(self.path.removeprefix("/moved").removeprefix("/raw_data/"))
         if content is None:
             return self._status(404)
+        if self.server.endless is not None:
+            return self._endless(200, self.server.endless)
         return self._send(content, asked, fault)
 
     def _send(self, content: bytes, asked: str, fault: str) -> None:
@@ -131,14 +134,15 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", "0")
         self.end_headers()
 
-    def _redirect_with_endless_body(self) -> None:
-        self.send_response(302)
-        self.send_header("Location", "/moved" + self.path)
-        self.send_header("Content-Length", f"{1 << 40}")
+    def _endless(self, status: int, head: dict[str, str]) -> None:
+        self.send_response(status)
+        for key, value in head.items():
+            self.send_header(key, value)
         self.end_headers()
         self.close_connection = True
+        chunk = b"%x\r\n%b\r\n" % (_PIECE, bytes(_PIECE))
         while not self.server.stopping.is_set():
-            self._write(bytes(_PIECE))
+            self._write(chunk if "Transfer-Encoding" in head else bytes(_PIECE))
 
     def _trickle_headers(self) -> None:
         self.close_connection = True

@@ -104,6 +104,35 @@ def test_zip_is_unpacked_to_the_layout_of_the_readers(small: FaultyServer, tmp_p
     assert found == {"hopkins155/cars1/cars1_truth.mat", "hopkins155/cars2/cars2_truth.mat"}
 
 
+@pytest.mark.parametrize("arrived", [False, True], ids=["on the way", "on the disk"])
+def test_a_damaged_zip_is_fetched_again(small: FaultyServer, tmp_path: Path, arrived: bool) -> None:
+    content = {"Hopkins155/cars1/cars1_truth.mat": bytes(range(256)) * 9}
+    good = drives.write_zip(tmp_path / "h.zip", content).read_bytes()
+    bad = good[:300] + bytes([good[300] ^ 0x55]) + good[301:]
+    if arrived:
+        (tmp_path / "hopkins155").mkdir()
+        (tmp_path / "hopkins155/Hopkins155.zip").write_bytes(bad)
+
+    def heal(count: int, path: str) -> str:
+        small.files["hopkins155/Hopkins155.zip"] = good if arrived or count > 1 else bad
+        return ""
+
+    small.fault = heal
+    (found,) = fetch_release(tmp_path, ["hopkins155"], mirror=small.url, report=len)["hopkins155"]
+    assert found.read_bytes() == content["Hopkins155/cars1/cars1_truth.mat"]
+
+
+@pytest.mark.parametrize("head", [{"Content-Length": "9" * 5000}, {"Transfer-Encoding": "chunked"}, {}])
+def test_a_body_of_any_stated_or_unstated_length_ends(
+    small: FaultyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, head: dict[str, str]
+) -> None:
+    monkeypatch.setattr("kt3dmoseg.kitti.http._UNSTATED", 1 << 20)
+    small.endless = head
+    with pytest.raises(InputFileError, match="at most 1048576 bytes"):
+        fetch_release(tmp_path, mirror=small.url, retries=0, report=len)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
 def test_unknown_release_proposes_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'hopkins155'"):
         fetch_release(tmp_path, ["hopkins15"])
