@@ -32,4 +32,5 @@ _NAMES |= dict.fromkeys(("Trajectories", "Labels", "Camera", "Clip"), "types")
 _MODULES = ("pipeline", "tracking", "flow", "kitti", "errors", "types", "synthetic", "catalog")
 _FORMER = {"build": "pipeline", "tracks": "tracking"}  # names of 0.1.0
 
-__getattr__, __dir__ = lazy(__name__, _NAMES, dict(zip(_MODULES, _MODULES, strict=True)) | _FORMER)
+if not TYPE_CHECKING:  # a checker refuses names that do not exist
+    __getattr__, __dir__ = lazy(__name__, _NAMES, dict(zip(_MODULES, _MODULES, strict=True)) | _FORMER)

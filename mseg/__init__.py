@@ -32,4 +32,5 @@ _MODULES = ("methods", "benchmark", "errors", "types")
 
 __all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
 
-__getattr__, __dir__ = lazy(__name__, _PUBLIC, dict(zip(_MODULES, _MODULES, strict=True)))
+if not TYPE_CHECKING:  # a checker refuses names that do not exist
+    __getattr__, __dir__ = lazy(__name__, _PUBLIC, dict(zip(_MODULES, _MODULES, strict=True)))

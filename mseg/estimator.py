@@ -12,7 +12,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import validate_data
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import Clip, Trajectories
+from kt3dmoseg.types import Clip, IntArray, Trajectories
 from mseg.methods import segment
 from mseg.types import Method, Segmentation
 
@@ -74,8 +74,12 @@ class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # sci
             **(self.parameters or {}),
         )
         groups = np.unique(self.segmentation_.labels, return_inverse=True)[1]
-        self.labels_ = groups - bool((self.segmentation_.labels == 0).any())
+        self.labels_: IntArray = groups - bool((self.segmentation_.labels == 0).any())
         return self
+
+    def fit_predict(self, X: Clip | Trajectories | npt.ArrayLike, y: object = None) -> IntArray:
+        """Segment `X` as `fit` does; returns `labels_`, (N,) int64."""
+        return self.fit(X, y).labels_
 
     def _points(self, given: Any) -> Any:  # noqa: ANN401  # `segment` checks it
         if isinstance(given, (Clip, Trajectories)) or np.ndim(given) == 3:

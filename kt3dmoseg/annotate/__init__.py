@@ -48,4 +48,5 @@ _PUBLIC = dict.fromkeys(__all__, "model") | dict.fromkeys(_LABELLING, "labelling
 _PUBLIC |= dict.fromkeys(_PROPAGATION, "propagation")
 _MODULES = {"agreement": "agreement", "formats": "formats", "model": "model"}
 
-__getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)
+if not TYPE_CHECKING:  # a checker refuses names that do not exist
+    __getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)

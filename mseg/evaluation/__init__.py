@@ -57,7 +57,8 @@ _OTHERS = ("codabench", "contingency", "metrics", "results", "statistics")
 
 __all__ = [*_PUBLIC, "classification_error"]  # noqa: PLE0604
 
-__getattr__, __dir__ = lazy(__name__, _PUBLIC, {name: name for name in (*_MODULES, *_OTHERS)})
+if not TYPE_CHECKING:  # a checker refuses names that do not exist
+    __getattr__, __dir__ = lazy(__name__, _PUBLIC, {name: name for name in (*_MODULES, *_OTHERS)})
 
 
 def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
