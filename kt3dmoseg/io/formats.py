@@ -48,6 +48,8 @@ CLIP_SUFFIXES = tuple(f.suffix for f in FORMATS)
 # five whole numbers of either byte order: type, rows, columns, 0 or 1, length of its name.
 _FOREIGN = (
     (rb"\Z", "an empty file", _FIX),
+    (rb"\0{128}", "zeros, as an unfinished copy has them", _FIX),
+    (rb"\x1f\x8b|BZh|\xfd7zXZ|7z\xbc|Rar!|\x28\xb5\x2f\xfd", "a compressed file", "unpack it"),
     (rb"\x80[\2-\5]", "a pickle", "pickles run code when read; save the arrays with numpy.savez"),
     (rb"version https://git-lfs", "a Git LFS pointer", "fetch the file that it stands for: git lfs pull"),
     (rb"(?i)\s*<(!doctype|html)", "a web page", "fetch the file itself, not the page about it"),
@@ -141,7 +143,7 @@ def recognise(file: Path) -> Format:
     for format in FORMATS:
         if re.match(format.head, head) and not (matlab and format.name == "dat"):
             return format
-    found, fix = f"a file that starts with {head[:8]!r}", _FIX
+    found, fix = f"a file that starts with {head[:8]!r}", ""
     if all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in head):
         word = re.search(rb"\S*[^\d\s+.eE-]\S*", head)
         found = f"a text file with {word[0].decode()!r}" if word else "a text file"
@@ -206,7 +208,9 @@ def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
     if not own and not below:
         near = clip_files(root.resolve().parent) or _clips_below(root, 2 * _LEVELS)
         expected, found = f"clips ({', '.join(CLIP_SUFFIXES)})", f"none, nor in folders up to {_LEVELS} below"
-        fix = f"give {near[0].parent}, which has {near[0].name}" if near else ""
+        home = Path(os.path.commonpath([file.parent for file in near])) if near else root
+        home = near[0].parent if near and home == root else home
+        fix = f"give {home}, which has {near[0].relative_to(home)}" if near else ""
         raise InputFileError(f"{root}", expected=expected, found=found, fix=fix)
     out: dict[str, Path] = {}
     for file in own or below:

@@ -140,8 +140,11 @@ def _points(
         fix = f"permute its last two dimensions: there are {last} {labels}"
         raise fields.error(name, f"3 x {last} points x {n} frames", f"3 x {n} x {last}", fix)
     visible = fields.flags(mask, (n, last)) if mask in fields else np.ones((n, last), dtype=np.bool_)
-    if not (np.isfinite(y[:2, visible]).all() and (y[2, visible] == 1).all()):
-        raise fields.error(name, "finite (x, y, 1) where visible", "another value")
+    bad = visible & ~(np.isfinite(y[:2]).all(axis=0) & (y[2] == 1))
+    if bad.any():
+        raise fields.error(
+            name, "finite (x, y, 1) where visible", "({:g}, {:g}, {:g})".format(*y[:, bad].T[0])
+        )
     return np.where(visible[..., None], np.moveaxis(y[:2], 0, -1), np.nan), visible
 
 

@@ -39,6 +39,8 @@ def read_npz(
     with SafeZip(path, _LIMITS, where) as archive:
         for file, size in archive.sizes.items():
             name = file.removesuffix(".npy")
+            if name == file:
+                raise FileFormatError(where, expected="arrays (.npy)", found=file, fix="unpack the archive")
             with archive.open(file) as stream:
                 out[name] = read_npy(stream, size, f"{where}: {name}", rows if name in shapes else None)
     return out

@@ -17,7 +17,7 @@ from kt3dmoseg.annotate.model import BUILT
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io.images import decode_indices, void_ids
-from kt3dmoseg.matching import is_hidden, match_frames, several
+from kt3dmoseg.matching import match_frames, several
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
 BACKGROUND = 1
@@ -68,13 +68,17 @@ def _masks_of(names: Sequence[str], masks: Path) -> dict[str, list[Path]]:
     below = {name: _masks_in(masks / name) or here for name in names}
     if not any(below.values()):
         expected = f"masks (.png) there, or in {masks / names[0]}"
-        raise InputFileError(f"{masks}", expected=expected, found="none")
+        there = next(filter(None, (_inside(folder) for folder in (masks / names[0], masks))), [])
+        raise InputFileError(f"{masks}", expected=expected, found=several(there) or "none")
     return below
 
 
+def _inside(folder: Path) -> list[str]:
+    return [path.name for path in listed(folder)] if folder.is_dir() else []
+
+
 def _masks_in(folder: Path) -> list[Path]:
-    files = sorted(folder.iterdir()) if folder.is_dir() else []
-    return [file for file in files if file.suffix.lower() == ".png" and not is_hidden(file.name)]
+    return [folder / name for name in _inside(folder) if name.lower().endswith(".png")]
 
 
 def label_clip(

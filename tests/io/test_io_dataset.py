@@ -96,7 +96,7 @@ def test_below_the_clips_or_at_an_archive_the_message_says_where_they_are(benchm
     deep.mkdir(parents=True)
     benchmarks.rename(deep / "all")
     with pytest.raises(
-        InputFileError, match=r"give .*/a/b/c/all/Hopkins155/1R2RC, which has 1R2RC_truth\.mat"
+        InputFileError, match=r"give .*/a/b/c/all, which has Hopkins155/1R2RC/1R2RC_truth\.mat"
     ):
         dataset_paths(benchmarks.parent)
     (deep / "all").rename(benchmarks)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import gzip
 import os
 import struct
 import subprocess
 import sys
+import zipfile
 
 import cv2
 import h5py
@@ -234,6 +236,13 @@ def test_older_and_newer_mat_files_texts_and_pages_are_named(tmp_path):
     refused(path, "a web page; fetch the file itself")
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\n")
     refused(path, "a Git LFS pointer; .*git lfs pull")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
+    refused(path, r"starts with b'\\x89PNG")
+    path.write_bytes(gzip.compress(bytes(200)))
+    refused(path, "a compressed file; unpack it")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a/clip.mat", b"x")
+    refused(path, r"found a/clip\.mat; unpack the archive")
 
 
 def refused(path, message):
@@ -245,6 +254,9 @@ def refused(path, message):
 def test_only_damage_is_answered_with_fetch_it_again(tmp_path):
     (tmp_path / "clip.h5").write_bytes(b"")
     with pytest.raises(FileFormatError, match="an empty file; is the file complete"):
+        load(tmp_path / "clip.h5")
+    (tmp_path / "clip.h5").write_bytes(bytes(3000))
+    with pytest.raises(FileFormatError, match=r"zeros, .*; is the file complete"):
         load(tmp_path / "clip.h5")
     (tmp_path / "tracks.dat").write_text("track x y")
     refused(tmp_path / "tracks.dat", "a text file with 'track'")
