@@ -283,6 +283,34 @@ def test_an_import_that_was_left_does_not_come_back_over_what_is_drawn_meanwhile
     assert len(page.objects()) == 1
 
 
+def test_what_somebody_saves_while_an_import_is_under_review_is_kept(reviewer, equipped, tmp_path):
+    held = []
+    reviewer.tab.route("**/annotation", lambda route: held.append(route))
+    (tmp_path / "file.json").write_text("{}")
+    reviewer.draw()
+    reviewer.until("labeller.state.saving.kind === 'busy'")
+    key = {"frame": 0, "visibility": "visible", "polygons": [[[5, 5], [30, 5], [30, 30]]]}
+    bus = {"id": 1, "name": "bus", "kind": "bus", "motion": 1, "note": "", "key_frames": [key]}
+    plan = {"lines": ["1 object"], "skipped": [], "doubts": []}
+    reviewer.tab.route("**/import/coco*", lambda route: route.fulfill(json={"objects": [bus], "plan": plan}))
+    reviewer.press("Control+e")
+    reviewer.tab.get_by_role("row", name="COCO").locator("input").set_input_files(tmp_path / "file.json")
+    reviewer.shows("dialog li", "1 object")
+    theirs = {"objects": [bus | {"id": 9, "name": "theirs", "motion": 4}], "revision": 1}
+    equipped.notes.mkdir()
+    (equipped.notes / "one.json").write_text(json.dumps(reviewer.value("labeller.state.doc") | theirs))
+    reviewer.tab.unroute("**/annotation")
+    for route in held:
+        route.continue_()
+    reviewer.until("labeller.state.doc.objects.length === 2")
+    button(reviewer, "Add to what is drawn").click()
+    reviewer.shows("dialog li", "what is drawn has changed")
+    button(reviewer, "Add to what is drawn").click()
+    reviewer.until("labeller.state.doc.objects.length === 3")
+    assert sorted(item["name"] for item in reviewer.objects()) == ["bus", "object 1", "theirs"]
+    reviewer.saved()
+
+
 def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, equipped):
     walker = [[200, 20], [230, 20], [230, 60], [200, 60]]
     theirs = load_annotation(equipped.notes.parent / "other" / "one.json")

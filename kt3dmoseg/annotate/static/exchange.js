@@ -153,9 +153,13 @@ function read(format, file, choices = {}) {
     (message) => inform("Not imported", message, again));
 }
 
-function decide({ objects, plan }, again) {
+/** Ask what becomes of an import; what was drawn or saved since is asked about again. */
+function decide(found, again, more = []) {
   const { doc } = state;
-  const settled = (text, change, className) => button(text, () => (close(), editLast(change())), className);
+  const { objects, plan } = found;
+  const afresh = () => decide(found, again, ["what is drawn has changed meanwhile: choose again"]);
+  const settled = (text, change, className) =>
+    button(text, () => (doc === state.doc ? (close(), editLast(change())) : afresh()), className);
   const used = nextMotion(doc) - 1;
   const ownMotion = (item) => ({ ...item, motion: item.motion >= 1 ? item.motion + used : item.motion });
   const add = () => objects.map(ownMotion).reduce(addObject, doc);
@@ -165,7 +169,7 @@ function decide({ objects, plan }, again) {
     ? [settled("Add to what is drawn", add, "primary"), settled(`Replace what is drawn (${drawn})`, replace)]
     : [settled("Import", replace, "primary")];
   open(plan.doubts.length ? "Import: please check" : "Import",
-    element("ul", { className: "scroll" }, plan.lines.map((text) => element("li", {}, text))), again,
+    element("ul", { className: "scroll" }, [...more, ...plan.lines].map((text) => element("li", {}, text))), again,
     row(...choose, button("Cancel", close), faint("One edit: Ctrl+Z undoes it.")));
 }
 
