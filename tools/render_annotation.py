@@ -19,12 +19,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from overlay import Box, contact_sheets, draw_view
 
 from kt3dmoseg import flow, io
 from kt3dmoseg.annotate import Annotation, FlowMotion, ImageMotion, Region, TrackMotion, propagate
 from kt3dmoseg.annotate.geometry import bounds
 from kt3dmoseg.annotate.model import AnnotatedObject, load_annotation
-from kt3dmoseg.annotate.overlay import Box, contact_sheets, draw_view
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.io.images import frame_paths, read_frame

@@ -129,16 +129,6 @@ def report_html(
     clips = [checked[0].clips[name] for name in order]
     pictures = _pictures(clips, Path(frames)) if frames is not None else {}
     sections = [_section(checked, scores, n, pictures.get(n, [])) for n in order] if overlays else []
-    published = []  # per group of the benchmark, the mean error among the published means, best first
-    for group, names in first.groups():
-        parts = {method: parts.get(group.name) for method, parts in first.benchmark.published.items()}
-        rows = [(known["mean"] / 100, method, "") for method, known in parts.items() if known]
-        if names and rows:
-            own = [
-                (each.summary("error", names).mean, f"{name} (this submission)", "own")
-                for _, name, each in methods
-            ]
-            published.append((group.title, sorted([*own, *rows])))
     return render(
         "report.html",
         all_scores=scores,
@@ -149,7 +139,6 @@ def report_html(
         comparison=comparison,
         errors={name: errors[name] for name in order},
         prevalence={name: first.of(name).prevalence for name in order},
-        published=published,
         sections=sections,
         axes=_by_track_axis(sections),
         axis_titles={axis.name: [axis.title, *axis.titles, "not known"] for axis in AXES},

@@ -18,12 +18,12 @@ import pytest
 from annotation_scenes import drawn_by_hand, write_clip
 from hypothesis import given
 from hypothesis import strategies as st
+from overlay import draw_view
 from sklearn.metrics import cohen_kappa_score
 
 from kt3dmoseg import cli, io
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, load_annotation, save_revision
 from kt3dmoseg.annotate.agreement import agree, compare, overlaps
-from kt3dmoseg.annotate.overlay import draw_view
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.draw.palette import motion_colour
 from kt3dmoseg.errors import InvalidValueError
