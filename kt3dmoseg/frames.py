@@ -46,6 +46,7 @@ class FrameInfo:
     description: dict[str, Any]
     timestamps: FloatArray | None = None
     camera: Camera | None = None
+    names: Sequence[str] = ()  # of the files of the frames, where each has one
     notes: tuple[str, ...] = ()  # what a person should know of them
 
 
@@ -113,8 +114,8 @@ class FrameFolder:
         """Check names and numbers and hash the files."""
         paths = self.paths()
         ends = {"first": paths[0].name, "last": paths[-1].name, "count": len(paths)}
-        description = {"kind": "frames", **ends, "sha256": sha256_files(paths)}
-        return FrameInfo(self.numbers(), description | self.cut.describe())
+        description = {"kind": "frames", **ends, "sha256": sha256_files(paths)} | self.cut.describe()
+        return FrameInfo(self.numbers(), description, names=[path.name for path in paths])
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames, all of one size."""
@@ -126,8 +127,16 @@ class FrameFolder:
 
     def paths(self) -> list[Path]:
         """List the files of the frames."""
-        paths = {frame_number(path): path for path in frame_paths(self.folder)}
-        return [paths[number] for number in self.cut.of(list(paths), self.where)]
+        paths = images.numbered_pictures(self.folder)
+        if self.cut.first is None or len(paths) < 2:  # of a part, there may be gaps elsewhere
+            frame_paths(self.folder)
+        numbers = self.cut.of(list(paths), self.where)
+        if lacking := [number for number in numbers if number not in paths]:
+            found, fix = f"no frame {several(lacking)}", "add the missing frames, or take a part without them"
+            raise InputFileError(
+                self.where, expected=f"frames {numbers[0]}-{numbers[-1]}", found=found, fix=fix
+            )
+        return [paths[number] for number in numbers]
 
 
 @dataclass(frozen=True)
@@ -157,6 +166,10 @@ class VideoFile:
             notes += [f"frames are {gaps.min():.0f} to {gaps.max():.0f} ms apart; their times are kept"]
         described = description | self.cut.describe()
         return FrameInfo(numbers, described, times[np.array(numbers)], notes=tuple(notes))
+
+    def paths(self) -> list[Path]:
+        """List the file."""
+        return [self.file]
 
     def numbers(self) -> Sequence[int]:
         """Numbers of the frames; the video is decoded to count them."""
@@ -204,7 +217,8 @@ class KittiClip:
         scale = np.diag((*(np.array(self.cut.size or calibrated) / calibrated), 1.0))
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # pixels count from the centre of the first
         K = drive.K if self.cut.size is None else np.linalg.inv(half) @ scale @ half @ drive.K
-        return FrameInfo(numbers, description, times, Camera(f"image_{drive.camera:02d}", K))
+        camera, names = Camera(f"image_{drive.camera:02d}", K), [path.name for path in paths]
+        return FrameInfo(numbers, description, times, camera, names)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames; of the colour cameras 2 and 3 their luma."""
@@ -486,41 +500,33 @@ def frame_folder(clip: Clip, root: PathLike) -> Path | None:
 def frames_of(clip: Clip, root: PathLike) -> list[ByteArray]:
     """Read the frames of a clip, (H, W) uint8 each: as many as it has, and of its size.
 
-    `frame_folder` finds them below `root`, or `root` is their folder. Of pictures in colour the luma
+    `frame_folder` finds them below `root`, or `root` is their folder or video. Of pictures in colour the luma
     is taken, of a KITTI drive the frames of the clip's numbers. Those of another clip are refused.
     """
-    folder, size = frame_folder(clip, root) or Path(root), clip.dense.image_size
-    if folder.is_file():
-        return _frames_of_video(clip, VideoFile(folder))
-    paths = _paths_of(clip, folder)
-    if len(paths) != clip.n_frames:
+    source = _source_of(clip, frame_folder(clip, root) or Path(root))
+    frames = list(source.frames("luma"))
+    found, width, height = len(frames), *reversed(frames[0].shape if frames else (0, 0))
+    if found != clip.n_frames:
         expected = f"the {clip.n_frames} frames of {clip.name}"
-        raise InputFileError(f"{folder}", expected=expected, found=f"{len(paths)}")
-    frames = list(_cut_of(clip).resized(read_frames(paths, "luma")))
-    height, width = frames[0].shape
-    if size not in (None, (width, height)):
+        raise InputFileError(source.where, expected=expected, found=f"{found}")
+    if (size := clip.dense.image_size) not in (None, (width, height)):
         expected = "frames of {}x{} px, as in {}".format(*size, clip.name)
-        raise InputFileError(f"{folder}", expected=expected, found=f"{width}x{height}")
-    check_frames(clip.provenance, clip.name, paths)
+        raise InputFileError(source.where, expected=expected, found=f"{width}x{height}")
+    check_frames(clip.provenance, clip.name, source.paths())
     return frames
 
 
-def _cut_of(clip: Clip) -> Cut:
-    """Return how the frames of a built or tracked clip were cut, as far as reading them needs it."""
-    cut, numbers = recorded_source(clip.provenance).get("cut", {}), clip.frame_numbers.tolist()
-    step = numbers[1] - numbers[0] if len(numbers) > 1 else 1
-    return Cut(numbers[0], numbers[-1], step, tuple(cut["size"]) if "size" in cut else None)
-
-
-def _frames_of_video(clip: Clip, video: VideoFile) -> list[ByteArray]:
-    source = recorded_source(clip.provenance)
-    frames = list(replace(video, cut=_cut_of(clip)).frames("luma"))
-    same = source.get("sha256") in (None, sha256_file(video.file)) if source.get("kind") == "video" else True
-    if len(frames) != clip.n_frames or not same:
-        found = f"{len(frames)} frames" if same else "another video (by its sha256)"
-        expected = f"the video of the {clip.n_frames} frames of {clip.name}"
-        raise InputFileError(f"{video.file}", expected=expected, found=found)
-    return frames
+def _source_of(clip: Clip, path: Path) -> FrameFolder | VideoFile:
+    """Return a video or folder as the source of a clip, cut as the clip was built or tracked."""
+    recorded, numbers = recorded_source(clip.provenance), clip.frame_numbers.tolist()
+    cut, step = recorded.get("cut", {}), numbers[1] - numbers[0] if len(numbers) > 1 else 1
+    size = tuple(cut["size"]) if "size" in cut else None
+    part = Cut(numbers[0], numbers[-1], step, size)
+    if path.is_file():
+        return VideoFile(path, part)
+    partly = cut or recorded.get("kind") == "kitti"
+    there = partly and path.is_dir() and {*numbers} <= {*images.numbered_pictures(path)}
+    return FrameFolder(path, part if there else Cut(size=size))
 
 
 def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]) -> None:
@@ -528,8 +534,9 @@ def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]
     source, tracked = recorded_source(provenance), provenance.get("frames")
     wanted: object = None
     found: object = None
-    if source.get("kind") in ("frames", "kitti"):
-        wanted, found = source.get("sha256"), sha256_files(paths)
+    video = paths[0].suffix.lower() in images.VIDEO_SUFFIXES
+    if source.get("kind") in ("frames", "kitti") or (video and source):
+        wanted, found = source.get("sha256"), sha256_file(paths[0]) if video else sha256_files(paths)
     elif isinstance(tracked, Mapping):  # of `track`, by name
         wanted = [str(tracked[name]) for name in sorted(tracked, key=frame_number)]
         found = [sha256_file(path) for path in paths]
@@ -549,17 +556,6 @@ def recorded_source(provenance: Mapping[str, Any], kind: str = "") -> Mapping[st
     """Return the recorded source of a built clip, if it is of this kind."""
     source = recorded_inputs(provenance).get("source", provenance.get("source"))
     return source if isinstance(source, Mapping) and kind in ("", source.get("kind")) else {}
-
-
-def _paths_of(clip: Clip, folder: Path) -> list[Path]:
-    """List a folder's numbered pictures, or of a KITTI drive those that the clip was built from."""
-    if (
-        recorded_source(clip.provenance, "kitti") or "cut" in recorded_source(clip.provenance)
-    ) and folder.is_dir():
-        pictures, numbers = images.numbered_pictures(folder), clip.frame_numbers.tolist()
-        if set(numbers) <= set(pictures):
-            return [pictures[number] for number in numbers]
-    return frame_paths(folder)
 
 
 @dataclass(frozen=True)
@@ -661,6 +657,6 @@ def _frames_of_file(name: str, file: Path, given: Path, frames: PathLike | None)
     if folder := next(filter(has_pictures, below if frames is None else below + roots), None):
         return frame_paths(folder)
     if frames is not None and (drive := frame_folder(clip := load(file), frames)):
-        return _paths_of(clip, drive)
+        return _source_of(clip, drive).paths()
     expected, fix = f"a folder of pictures {' or '.join(map(str, below))}", "give their folder, frames=FOLDER"
     raise InputFileError(f"frames of {name}", expected=expected, found="none", fix=fix)

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 notes = group("annotations", "Import, export, check and compare the annotations of clips.")
 
-_MAX_FILE = 128 << 20
 _SAME_OBJECT = 0.5
 _SHOWN = {"agreement": ".2%", "both": ".2%", "kappa": ".3f"}
 _CLIPS = "A folder of frames, a clip file, or a folder with one of these per clip."
@@ -161,7 +160,7 @@ def import_annotations(
         raise InputFileError(f"{root}", expected="a file or folder", found="nothing")
 
     def work(clip: _Clip) -> ClipReport | None:
-        if (content := _content(root, clip.name, suffix)) is None:
+        if (content := annotate.formats.content_of(root, clip.name, suffix)) is None:
             return None
         current = clip.current()
         plan = annotate.formats.plan(format, content, current, clip.names, choices)
@@ -366,16 +365,3 @@ def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) 
         if dense is not None:
             dense = dataclasses.replace(dense, image_size=size)
         yield _Clip(source.name, [frame.name for frame in source.frames], size, source.annotation, dense)
-
-
-def _content(source: Path, clip: str, suffix: str) -> bytes | None:
-    """Return what a source has of a clip: itself, a file or a folder of that name; None when nothing."""
-    from kt3dmoseg.files import listed, read_bytes, zip_bytes
-
-    for file in (source, source / f"{clip}{suffix}", source / f"{clip}.zip"):
-        if file.is_file():
-            return read_bytes(file, _MAX_FILE)
-    folder = source / clip
-    if not folder.is_dir():
-        return None
-    return zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in listed(folder) if file.is_file()})

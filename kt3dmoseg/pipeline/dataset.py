@@ -350,7 +350,8 @@ class _Job:
             labels: Labels | None = source.label(dense)
             provenance["attributes"] = dict(source.measure())
         else:
-            labels = label_clip(source.name, self.files, dense, numbers, settings.shift)
+            names = self.info.names or [f"{number:06d}.png" for number in numbers]
+            labels = label_clip(source.name, self.files, dense, names, settings.shift)
         info, (rows, chosen) = self.info, self._evaluated(labels, len(dense))
         return Clip(
             source.name, dense, rows, chosen, np.array(numbers), info.timestamps, info.camera, provenance

@@ -85,10 +85,10 @@ def label_clip(
     name: str,
     files: Mapping[str, Sequence[Path]],
     dense: Trajectories,
-    numbers: Sequence[int],
+    frames: Sequence[str],
     shift: int | None = None,
 ) -> Labels | None:
-    """Label a clip's trajectories by what `find_labels` found; `numbers` are those of its frames."""
+    """Label a clip's trajectories by what `find_labels` found; `frames` names the files of its frames."""
     if annotation := files.get("annotation"):
         found = load_annotation(annotation[0])
         if found.clip != name:
@@ -96,15 +96,15 @@ def label_clip(
             raise InputFileError(where, expected=repr(name), found=repr(found.clip), fix=fix)
         return label_tracks(dense, found)
     masks = files.get("masks")
-    return label_by_masks(dense, by_frame(masks, numbers, name, shift)) if masks else None
+    return label_by_masks(dense, by_frame(masks, frames, name, shift)) if masks else None
 
 
 def by_frame(
-    paths: Sequence[Path], numbers: Sequence[int], clip: str, shift: int | None = None
+    paths: Sequence[Path], frames: Sequence[str], clip: str, shift: int | None = None
 ) -> dict[int, Path]:
-    """Match masks to frames by number; refuse those that belong to no frame unless every frame has one."""
+    """Match masks to frames as imports do; refuse those of no frame unless every frame has one."""
     names = {path.name: path for path in paths}
-    match = match_frames(names, [f"{number}.png" for number in numbers], shift=shift)
+    match = match_frames(names, frames, shift=shift)
     if match.doubt or not match.frames:
         found = match.doubt or several(names)
         raise InputFileError(f"masks of {clip}", expected=match.expected, found=found, fix=match.fix)

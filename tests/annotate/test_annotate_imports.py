@@ -420,9 +420,10 @@ def test_a_circle_is_an_outline():
 # Masks
 
 
-def mask(k, value=1, dtype=np.uint8, size=(W, H), blank=0):
+def mask(k, value=1, dtype=np.uint8, size=(W, H), blank=0, scale=1):
     picture = np.full((size[1], size[0]), blank, dtype)
     picture[80:160, 60 + 5 * k : 160 + 5 * k] = value
+    picture = np.kron(picture, np.ones((scale, scale), dtype))
     return cv2.imencode(".png", picture)[1].tobytes()
 
 
@@ -433,6 +434,7 @@ def masks(frames=range(F), name="{:06d}.png", first=0, **options):
 RIGHT_MASKS = {
     "all": (masks(), NAMES),
     "two frames": (masks((0, 7)), NAMES),
+    "another size": (masks(scale=2), NAMES),
     "one frame": (masks((3,)), NAMES),
     "255": (masks(value=255), NAMES),
     "255 in two frames": (masks((0, 7), value=255), NAMES),
@@ -464,6 +466,16 @@ RIGHT_MASKS = {
 def test_masks_give_right_labels(case, tracks):
     content, names = RIGHT_MASKS[case]
     check_labels(formats.load("davis").parse(content, LIKE, names), tracks)
+
+
+def test_mots_masks_of_another_size_are_scaled(tracks):
+    png = masks(value=1001, dtype=np.uint16, scale=3)
+    twice = [cv2.imdecode(np.frombuffer(mask(k, scale=2), np.uint8), cv2.IMREAD_UNCHANGED) for k in range(F)]
+    text = "".join(f"{k} 1001 1 {2 * H} {2 * W} {encode_rle(m > 0)}\n" for k, m in enumerate(twice))
+    for name, content in (("mots_png", png), ("mots_txt", text.encode())):
+        plan = formats.plan(name, content, LIKE, NAMES)
+        assert "scaled to 320x240" in " ".join(plan.notes)
+        check_labels(plan.annotation, tracks)
 
 
 def test_mots_numbers_are_those_of_the_frames(tracks):

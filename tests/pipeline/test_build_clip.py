@@ -262,13 +262,19 @@ def test_an_absurd_range_takes_no_memory(tmp_path):
         build_clip(source)
 
 
+def named(numbers):
+    return [f"{number:06d}.png" for number in numbers]
+
+
 def test_masks_are_matched_by_number_else_from_zero(tmp_path):
     paths = sorted(write_masks(tmp_path / "m", first=0).iterdir())
-    assert by_frame(paths, list(range(FRAMES)), "c")[2] == paths[2]
-    assert by_frame(paths[2:4], list(range(FRAMES)), "c") == {2: paths[2], 3: paths[3]}
-    assert by_frame(paths, list(range(100, 100 + FRAMES)), "c")[2] == paths[2]
-    with pytest.raises(InputFileError, match=r"masks of c: .*100\.png to 109\.png.*a shift of 100 begins"):
-        by_frame(paths, list(range(100, 110)), "c")
+    assert by_frame(paths, named(range(FRAMES)), "c")[2] == paths[2]
+    assert by_frame(paths[2:4], named(range(FRAMES)), "c") == {2: paths[2], 3: paths[3]}
+    assert by_frame(paths, named(range(100, 100 + FRAMES)), "c")[2] == paths[2]
+    with pytest.raises(
+        InputFileError, match=r"masks of c: .*000100\.png to 000109\.png.*a shift of 100 begins"
+    ):
+        by_frame(paths, named(range(100, 110)), "c")
 
 
 def test_masks_that_may_be_of_other_frames_are_refused(tmp_path):
@@ -279,7 +285,7 @@ def test_masks_that_may_be_of_other_frames_are_refused(tmp_path):
         (paths[:-1], range(1, 1 + FRAMES)),
     ]:
         with pytest.raises(InputFileError, match=r"masks of c: .*found 0+\.png"):
-            by_frame(given, list(numbers), "c")
+            by_frame(given, named(numbers), "c")
 
 
 def test_masks_are_shifted_on_request_and_their_names_count(folder, tmp_path):
@@ -300,7 +306,7 @@ def test_masks_are_shifted_on_request_and_their_names_count(folder, tmp_path):
 
 def test_masks_of_more_frames_than_the_clip_has(tmp_path):
     paths = sorted(write_masks(tmp_path / "m", first=0).iterdir())
-    assert by_frame(paths, [2, 3], "c") == {0: paths[2], 1: paths[3]}
+    assert by_frame(paths, named([2, 3]), "c") == {0: paths[2], 1: paths[3]}
 
 
 def test_255_alone_is_an_object_and_with_others_void(tmp_path):

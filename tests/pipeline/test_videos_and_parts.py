@@ -55,7 +55,7 @@ def test_track_build_and_show_take_a_video_and_keep_its_times(video, tmp_path, c
     np.testing.assert_allclose(built.timestamps, np.arange(2, 9) / 10, atol=1e-6)
     assert len(show(tmp_path / "a.h5", video, output=tmp_path / "shown")) == 7
     other = write_video(tmp_path / "other.mp4", seed=1)
-    with pytest.raises(InputFileError, match="found another video"):
+    with pytest.raises(InputFileError, match="found pictures with other contents"):
         show(tmp_path / "a.h5", other, output=tmp_path / "shown")
     assert "warning" not in capsys.readouterr().err
 

@@ -7,10 +7,12 @@ as an `AnnotationFormat` has.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Choices, Import
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
+from kt3dmoseg.files import listed, read_bytes, zip_bytes
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import Trajectories
 
@@ -26,6 +28,7 @@ FORMATS = Registry(
     },
     group="kt3dmoseg.annotation_formats",
 )
+_MAX_FILE = 128 << 20
 
 
 def load(name: str) -> AnnotationFormat:
@@ -59,6 +62,17 @@ def plan(
     found = Import(like, names, choices)
     found.annotation = chosen.parse(content, found.like, names)  # of a third party
     return found
+
+
+def content_of(source: Path, clip: str, suffix: str) -> bytes | None:
+    """Return what a path has of a clip: itself, a file or a folder (zipped) of that name, or None."""
+    for file in (source, source / f"{clip}{suffix}", source / f"{clip}.zip"):
+        if file.is_file():
+            return read_bytes(file, _MAX_FILE)
+    folder = source / clip
+    if not folder.is_dir():
+        return None
+    return zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in listed(folder) if file.is_file()})
 
 
 def regions(annotation: Annotation, trajectories: Trajectories | None = None) -> dict[int, list[Region]]:

@@ -19,11 +19,8 @@ from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Key, Re
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, REJECT, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.types import BoolArray
 
 _IDENTITIES = ("track_id", "instance_id", "object_id")
-# A mask may be of a larger picture, by this factor.
-_MOST_PIXELS = 16
 
 
 def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
@@ -123,24 +120,15 @@ def _outlines(shape: Mapping[str, Any], image: Mapping[str, Any], file: str, int
     if not found:
         expected = "polygons or run lengths"
         raise InvalidValueError("segmentation", expected=expected, found="a box only" * ("bbox" in shape))
-    stated = image.get("width"), image.get("height")
-    scale = into.scale(stated, file)
     if isinstance(found, list):
+        scale = into.scale((image.get("width"), image.get("height")), file)
         if any(not isinstance(p, list) or len(p) % 2 or any(isinstance(v, list) for v in p) for p in found):
             expected = "[[x, y, x, y, ...], ...]"
             raise InvalidValueError("segmentation", expected=expected, found=f"{found!r:.40}")
         return [into.outline(zip(p[::2], p[1::2], strict=True), scale) for p in found]
     height, width = (int(side) for side in found["size"])
-    if (width, height) != stated:
-        into.check_shape((height, width), "segmentation.size")
-    columns, rows = into.like.image_size
-    if width * height > _MOST_PIXELS * columns * rows:
-        raise InvalidValueError("segmentation.size", expected="a smaller mask", found=f"{width}x{height}")
+    into.check_shape(height, width, "segmentation.size")
     counts = found["counts"]
     runs = [int(run) for run in counts] if isinstance(counts, list) else str(counts)
     into.count("pixels in masks", width * height // 8)  # decoding is cheap
-    mask: BoolArray = decode_rle(runs, height, width, "segmentation")
-    if (width, height) != (columns, rows):
-        resized = cv2.resize(mask.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST_EXACT)
-        mask = resized.astype(np.bool_)
-    return outlines_of(mask, into)
+    return outlines_of(into.fit(decode_rle(runs, height, width, "segmentation"), "segmentation"), into)

@@ -12,7 +12,9 @@ from math import isfinite
 from pathlib import PurePosixPath
 from typing import Any, TypeAlias
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.annotate.model import (
     KINDS,
@@ -49,6 +51,8 @@ _MOST = {"corners": 500_000, "pixels in masks": 100_000_000, "files": _LIMITS.fi
 _MAX_SIDE = 10**9
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01
+# A mask may be of a larger picture, by this factor.
+_MOST_PIXELS = 16
 _BEYOND = 2.0
 # Where a file states its size, an outline may go on beyond the border by this share.
 _FAR = 0.1
@@ -236,7 +240,10 @@ class Import:
         if size is None:
             self._sized = False
             self.note(f"the file does not say the size of its pictures; taken as {width}x{height}")
-        across, down = size or (width, height)
+        return self._factors(size or (width, height), where)
+
+    def _factors(self, size: tuple[int, int], where: str) -> tuple[float, float]:
+        (across, down), (width, height) = size, self.like.image_size
         if abs(across * height / (down * width) - 1) > _SAME_SHAPE:
             expected = f"pictures of {width}x{height}, or the same in another scale"
             raise FileFormatError(where, expected=expected, found=f"{across}x{down}")
@@ -251,12 +258,23 @@ class Import:
         self.count("corners", max(20, len(moved)))
         return tuple(map(tuple, moved.tolist()))
 
-    def check_shape(self, shape: tuple[int, ...], where: str) -> None:
-        """Raise FileFormatError for a mask (H, W) of another size than the clip's frames."""
-        width, height = self.like.image_size
-        if shape != (height, width):
-            found = "x".join(map(str, reversed(shape)))
-            raise FileFormatError(where, expected=f"a mask of {width}x{height} pixels", found=found)
+    def check_shape(self, height: int, width: int, where: str) -> None:
+        """Raise FileFormatError for a mask that is not of the clip's size, nor that in another scale."""
+        columns, rows = self.like.image_size
+        if not 0 < width * height <= _MOST_PIXELS * columns * rows:
+            expected = f"at most {_MOST_PIXELS} times the pixels of {columns}x{rows}"
+            raise FileFormatError(where, expected=expected, found=f"{width}x{height}")
+        self._factors((width, height), where)
+
+    def fit(self, mask: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+        """Return a mask of ids (H, W) at the size of the clip's frames; errors as of `check_shape`."""
+        height, width = mask.shape
+        self.check_shape(height, width, where)
+        if mask.shape[::-1] == self.like.image_size:
+            return mask
+        nearest = cv2.INTER_NEAREST_EXACT
+        sized = cv2.resize(mask.astype(np.uint16), self.like.image_size, interpolation=nearest)
+        return np.asarray(sized).astype(mask.dtype)
 
     def unzip(self, content: bytes, suffix: str, what: str) -> Iterator[tuple[int, str, bytes]]:
         """Give frame, name and content of the files of a zip archive with a file per frame."""

@@ -282,25 +282,24 @@ def _read_mots_png(content: bytes, into: Import) -> None:
 def _read_mots_text(content: bytes, into: Import) -> None:
     lines = content.decode("utf-8-sig", "replace").splitlines()
     into.count("lines", len(lines), MAX_OBJECTS * into.like.n_frames)
-    width, height = into.like.image_size
-    found: list[tuple[str, str, int, str]] = []
+    found: list[tuple[str, tuple[int, int, int, int], str]] = []
     for number, line in enumerate(lines, start=1):
         with into.skipping(f"line {number}"):
             if match := _MOTS_LINE.fullmatch(line.strip()):
-                frame, value, *sides, text = match.groups()
-                into.check_shape(tuple(map(int, sides)), "size")
-                found.append((f"line {number}", str(int(frame)), int(value), text))
+                frame, identity, height, width = map(int, match.groups()[:-1])
+                into.check_shape(height, width, "size")
+                found.append((f"line {number}", (frame, identity, height, width), match[5]))
             elif line.strip():
                 expected = "frame id class height width rle"
                 raise FileFormatError("", expected=expected, found=repr(line[:60]))
-    frames = into.match(dict.fromkeys(frame for _, frame, *_ in found), "MOTS text")
+    frames = into.match(dict.fromkeys(str(numbers[0]) for _, numbers, _ in found), "MOTS text")
     into.annotated |= set(range(into.like.n_frames))
-    for where, frame, identity, text in found:
+    for where, (frame, identity, height, width), text in found:
         with into.skipping(where):
-            if frame in frames:
-                into.count("pixels in masks", width * height // 8)  # decoding is cheap
-                if outlines := outlines_of(decode_rle(text, height, width, "rle"), into):
-                    into.object(identity).add(frames[frame], outlines)
+            if str(frame) in frames:
+                into.count("pixels in masks", height * width // 8)  # decoding is cheap
+                if outlines := outlines_of(into.fit(decode_rle(text, height, width, "rle"), "size"), into):
+                    into.object(identity).add(frames[str(frame)], outlines)
     _name_mots(into)
 
 
@@ -317,7 +316,7 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> list[
         if depth > bits:
             expected = f"an indexed or gray PNG of {bits} bits"
             raise FileFormatError(f"{what}: {file}", expected=expected, found=f"{depth} bits")
-        into.check_shape(image.shape, f"{what}: {file}")
+        image = into.fit(image, f"{what}: {file}")
         into.annotated.add(frame)
         used |= {int(image.min())}
         for value, box in enumerate(ndimage.find_objects(image), start=1):

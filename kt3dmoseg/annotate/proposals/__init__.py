@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.formats import load
+from kt3dmoseg.annotate.formats import content_of, load
 from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
 from kt3dmoseg.annotate.formats.masks import polygons_of
 from kt3dmoseg.annotate.geometry import arrays, size
@@ -27,7 +27,6 @@ from kt3dmoseg.annotate.model import (
     load_annotation,
 )
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import listed, read_bytes, zip_bytes
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import FloatArray, Labels, Trajectories
 
@@ -41,7 +40,6 @@ PROPOSERS = Registry(
     },
     group="kt3dmoseg.proposers",
 )
-_MAX_FILE = 64 << 20
 # Seeds lie 8 pixels apart where there is texture; smooth parts of a car leave gaps of some 30 pixels.
 _REACH = 16
 _SHRINK = 13
@@ -95,14 +93,13 @@ def propose_masks(request: Request) -> list[AnnotatedObject]:
     """Read ``<masks>/<clip>/*.png`` (DAVIS or MOTS) or ``<masks>/<clip>.txt`` (MOTS), as an import does."""
     if request.masks is None:
         raise InputFileError("masks", found="no folder of masks", fix="start with masks=FOLDER")
-    text, folder = request.masks / f"{request.clip}.txt", request.masks / request.clip
+    text = request.masks / f"{request.clip}.txt"
     empty, names = request.annotation.emptied(), [frame.name for frame in request.frames]
+    content = content_of(text if text.is_file() else request.masks, request.clip, ".zip")
+    if content is None:
+        raise InputFileError(f"{request.masks / request.clip}", expected="masks, *.png", found="none")
     if text.is_file():
-        return list(load("mots_txt").parse(read_bytes(text, _MAX_FILE), empty, names).objects)
-    files = [path for path in (listed(folder) if folder.is_dir() else []) if path.suffix == ".png"]
-    if not files:
-        raise InputFileError(f"{folder}", expected="masks, *.png", found="none")
-    content = zip_bytes({file.name: read_bytes(file, _MAX_FILE) for file in files})
+        return list(load("mots_txt").parse(content, empty, names).objects)
     try:
         return list(load("davis").parse(content, empty, names).objects)
     except FileFormatError as error:
