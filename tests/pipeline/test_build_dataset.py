@@ -212,7 +212,7 @@ def test_what_is_wrong_for_all_clips_is_reported_once_before_the_first(
     ("folder", "words"),
     [
         ("", "expected one folder of masks per clip, as {masks}/a, found masks, and 3 clips"),
-        ("d", "expected masks (.png) there, or in {masks}/a, found none"),
+        ("d", "expected masks (.png) there, or in {masks}/a, found d"),
     ],
 )
 def test_masks_belong_to_a_clip_by_name(folder, words, frames, tmp_path, capsys):
