@@ -52,6 +52,14 @@ class BenchmarkResult:
     provenance: Provenance | None = None  # of the clips
     number: Literal["given", "found"] = "given"  # whether the methods were given the number of motions
 
+    def __repr__(self) -> str:
+        rows = ", ".join(each.title for each in self.configurations)
+        have = self.protocol.coverage(self.clips)
+        return f"BenchmarkResult({rows} on {self.protocol.title}, {have}, {count(len(self.seeds), 'seed')})"
+
+    def _repr_html_(self) -> str:
+        return self.summary().html()
+
     @property
     def clips(self) -> list[str]:
         """Names of the clips, in order."""

@@ -84,9 +84,9 @@ class Task:
 
 def run(
     benchmark: str = "kt3dmoseg",
-    methods: Iterable[str | Configuration] = ("subset",),
+    methods: str | Iterable[str | Configuration] = "subset",
     *,
-    data: Sequence[str | os.PathLike[str]] = (),
+    data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     seeds: int | Sequence[int] = 1,
     parameters: Mapping[str, Any] | None = None,
     number: Literal["given", "found"] = "given",
@@ -104,9 +104,9 @@ def run(
     ----------
     benchmark : str
         Name of a protocol, see `mseg.evaluation.list_protocols`.
-    methods : iterable of str or Configuration
+    methods : str, or iterable of str or Configuration
         What to run.
-    data : sequence of paths
+    data : path or sequence of paths
         Folders of clips; default: see `mseg.benchmark.find_clips`.
     seeds : int or sequence of int
         Number of seeds, counted from 0, or the seeds.
@@ -301,7 +301,7 @@ def _check_success(where: str, reasons: Sequence[str], n_runs: int) -> None:
 
 
 def find_clips(
-    protocol: Protocol, data: Sequence[str | os.PathLike[str]] = ()
+    protocol: Protocol, data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = ()
 ) -> tuple[dict[str, Path], list[str]]:
     """Find the clips of a benchmark.
 
@@ -309,7 +309,7 @@ def find_clips(
     ----------
     protocol : Protocol
         The benchmark.
-    data : sequence of paths
+    data : path or sequence of paths
         Folders of clips; of clips of one name the first counts. By default the folder that the
         protocol names (and for MTPV62 that of Hopkins155) in ``$KT3DMOSEG_DATA``, or else in
         ``../shared/data``.
@@ -326,7 +326,8 @@ def find_clips(
     InputFileError
         When a folder is missing or none of its clips belongs to the benchmark.
     """
-    folders = [Path(folder) for folder in data] or _default_folders(protocol)
+    given = [data] if isinstance(data, (str, os.PathLike)) else data
+    folders = [Path(folder) for folder in given] or _default_folders(protocol)
     found: dict[str, Path] = {}
     for folder in folders:
         found = {**dataset_paths(folder), **found}

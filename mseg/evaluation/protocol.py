@@ -128,7 +128,8 @@ class Protocol:
 
     def coverage(self, clips: Iterable[str]) -> str:
         """Describe how much of the benchmark is at hand: ``"14 of 22 clips"`` or ``"all 22 clips"``."""
-        return f"{share(sum(self.holds(name) for name in clips), self.n_clips)} clips"
+        present = sum(self.holds(name) for name in clips)
+        return f"{share(present, self.n_clips)} clips" if self.n_clips > 1 else count(present, "clip")
 
 
 def count(number: int, noun: str) -> str:

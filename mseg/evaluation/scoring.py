@@ -98,6 +98,11 @@ class ScoreTable:
     provenance: Provenance = _UNKNOWN
     problems: tuple[Problem, ...] = ()  # what was wrong but did not prevent scoring
 
+    def __repr__(self) -> str:
+        where = f"{self.benchmark.title}, {self.benchmark.coverage(self.names)}"
+        seeds = count(len(self.seeds), "seed")
+        return f"ScoreTable({self.meta.method} on {where}, {seeds}: error {100 * self.error:.2f} %)"
+
     def __str__(self) -> str:
         """One line per metric, the mean over clips and seeds."""
         width = max(map(len, self.metrics))

@@ -29,8 +29,10 @@ def test_bare_arrays_and_what_holds_labels():
         table["recal"]
 
 
-def test_printed_scores_are_one_line_per_metric():
-    lines = str(mseg.score(truth=[1, 1, 2, 2], pred=[1, 1, 1, 2])).splitlines()
+def test_printed_scores_are_one_line_per_metric_and_shown_ones_a_line():
+    table = mseg.score(truth=[1, 1, 2, 2], pred=[1, 1, 1, 2])
+    assert repr(table) == "ScoreTable(labels on clips of no benchmark, 1 clip, 1 seed: error 25.00 %)"
+    lines = str(table).splitlines()
     assert lines[0] == "mean over 1 clip and 1 seed"
     assert lines[1].split() == ["error", "0.2500"]
 

@@ -48,10 +48,12 @@ def data(make_clip, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def serial(data):
-    return run("kt3dmoseg", ["affine", "subset"], data=[data], seeds=2)
+    return run("kt3dmoseg", ["affine", "subset"], data=data, seeds=2)
 
 
 def test_scores_and_coverage(serial):
+    assert repr(serial) == "BenchmarkResult(affine, subset on KT3DMoSeg, 3 of 22 clips, 2 seeds)"
+    assert "published Subset" in serial._repr_html_()
     assert serial.errors.shape == (2, 3, 2)
     assert serial.mean("subset") == serial.errors[1].mean()
     text = serial.summary().text()
