@@ -176,6 +176,20 @@ def test_cvat_gives_right_labels(case, tracks):
     check_labels(formats.load("cvat").parse(RIGHT_CVAT[case], LIKE, NAMES), tracks)
 
 
+@pytest.mark.parametrize("end", [7, None])
+def test_key_frames_that_a_subsampled_clip_has_not_are_not_lost(end, tracks):
+    """The clip is every second frame of the video; the object turns in frame 5, and leaves in frame 7."""
+    last, keys = end or 15, (0, 5, 15)
+    shapes = [shape(j, outline(j / 2), key=int(j in keys)) for j in range(last + (not end))]
+    shapes += [shape(end, outline(3), outside=1)] * bool(end)
+    names = [f"{2 * k:06d}.png" for k in range(F)]
+    plan = formats.plan("cvat", cvat(track(0, *shapes), meta=task(size=16)), LIKE, names)
+    (item,) = plan.annotation.objects
+    found = [(key.frame, key.visibility) for key in item.key_frames]
+    assert found == [(k, "visible") for k in range(4 if end else F)] + [(4, "outside")] * bool(end)
+    assert item.key_frames[3].polygons[0][0] == (74.5, 79.5)
+
+
 REFUSED_CVAT = {
     "other proportions": (cvat(track(0, *ENDS), meta=task(pictures=(640, 360))), "640x360"),
     "frames that the clip has not": (cvat(track(0, *LONG)), "40, 47"),

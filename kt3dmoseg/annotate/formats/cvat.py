@@ -188,8 +188,10 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
     scale = into.scale(task.pictures, _WHAT)
     ends: dict[tuple[Kind, int], dict[Key, int]] = {}
     for (where, track), shapes in zip(tracks.items(), numbered, strict=True):
-        placed = [(frames[n], shape) for n, shape in shapes if n in frames]
-        keys = [pair for pair in placed if pair[1].get("keyframe", "1") == "1"] or placed
+        placed = _placed(shapes, frames, into.like.n_frames)
+        keys = [pair for pair in placed if _is_key(pair[1])]
+        if not keys or len(keys) < sum(_is_key(shape) for _, shape in shapes):
+            keys = placed  # a key frame that the clip has not: what lies between counts
         drawn: dict[int, Drawn] = {}
         if len(last := dict(keys)) < len(keys):
             into.skip(f"{where}: of several shapes in one frame, all but the last")
@@ -205,6 +207,27 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
             item = into.object(key, described(label, {**fields, "name": name}))
             for frame, (visibility, polygons) in drawn.items():
                 item.add(frame, polygons, visibility)
+
+
+def _placed(
+    shapes: Sequence[tuple[int, ET.Element]], frames: Mapping[int, int], total: int
+) -> list[tuple[int, ET.Element]]:
+    """Give shapes their frames; where a track ends between two frames, it is outside in the second."""
+    placed: list[tuple[int, ET.Element]] = []
+    for number, shape in sorted(shapes, key=lambda pair: pair[0]):
+        if number in frames:
+            placed.append((frames[number], shape))
+        elif placed and placed[-1][0] + 1 < total and _is_set(shape, "outside"):
+            placed.append((placed[-1][0] + 1, shape))
+    return placed
+
+
+def _is_key(shape: ET.Element) -> bool:
+    return _is_set(shape, "keyframe", "1")
+
+
+def _is_set(shape: ET.Element, flag: str, default: str = "0") -> bool:
+    return shape.get(flag, default).lower() in ("1", "true")
 
 
 def _numbered(where: str, track: ET.Element, into: Import) -> list[tuple[int, ET.Element]]:
@@ -318,14 +341,13 @@ def _fields(shape: ET.Element) -> dict[str, str]:
 
 def _shape(shape: ET.Element, scale: tuple[float, float], into: Import) -> Drawn:
     """Visibility and outlines of a shape."""
-    outside, occluded = (shape.get(flag, "0").lower() in ("1", "true") for flag in ("outside", "occluded"))
-    if outside:
+    if _is_set(shape, "outside"):
         return "outside", []
     if shape.tag not in _OUTLINES:
         raise InvalidValueError("", expected="polygons, masks or ellipses", found=f"a {shape.tag[:40]}")
     hidden = shape.get("points") == _NOWHERE
     polygons = [] if hidden else _OUTLINES[shape.tag](shape, scale, into)
-    return "occluded" if occluded else "visible", polygons
+    return "occluded" if _is_set(shape, "occluded") else "visible", polygons
 
 
 def _polygon(shape: ET.Element, scale: tuple[float, float], into: Import) -> list[Polygon]:
