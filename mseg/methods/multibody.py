@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.cluster.hierarchy import linkage
@@ -67,6 +67,8 @@ _RESTARTS = 50
 _SAME = 0.9
 _SMALLEST = 6
 _SWEEPS = 10
+# Least fall of the cost that counts as one.
+_GAIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,14 @@ class _Body:
     own: float
 
 
+class _Choice(NamedTuple):
+    """Some bodies (M,), the one (A,) that each atom follows, and what they cost without the price."""
+
+    cost: float = np.inf
+    bodies: IntArray = np.empty(0, dtype=np.int64)
+    group: IntArray = np.empty(0, dtype=np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class _Grouping:
     """Labels (N,), 0..M-1, their cost, and residuals (N,) in standard deviations of the bodies' noise."""
@@ -185,13 +195,13 @@ class _Scene:
         self._measure_noise(bodies)
         grown = self._distinct([self._explained(body) for body in bodies], sets)
         bodies += self._bodies(grown)
-        choices = self._choose(bodies, most, price)
-        groups = [group == k for chosen, group in choices.values() for k in range(len(chosen))]
+        choices = self._choose(bodies, most)
+        groups = [choice.group == k for choice in choices.values() for k in range(len(choice.bodies))]
         bodies += self._bodies(self._distinct(groups, []))
-        choices = self._choose(bodies, most, price)
+        choices = self._choose(bodies, most)
         return {
-            number: self._refine([bodies[b] for b in chosen], group, price)
-            for number, (chosen, group) in choices.items()
+            number: self._refine([bodies[b] for b in choice.bodies], choice.group, price)
+            for number, choice in sorted(choices.items())
         }
 
     def _unions(self) -> list[BoolArray]:
@@ -269,40 +279,51 @@ class _Scene:
         residual = np.log1p(square / (_UNEXPLAINED**2 * scale))
         return self.weight * (residual + _NOISIER * np.log(scale / self.noise**2))
 
-    def _choose(self, bodies: list[_Body], most: int, price: float) -> dict[int, tuple[IntArray, IntArray]]:
-        """Choose M bodies and the one (A,) that each atom follows, for each M: add the best, then swap."""
+    def _choose(self, bodies: list[_Body], most: int) -> dict[int, _Choice]:
+        """Choose M bodies and the one that each atom follows, for each M.
+
+        Choices of M start from those of M - 1 with one body more and from those of M + 1 with one less, and
+        swap bodies, up and down until none gets better.
+        """
         table = self._costs(bodies) @ self.member.T
-
-        def values(sets: IntArray) -> tuple[FloatArray, IntArray]:
-            """Costs of many choices (C, M), infinite where a body has no atom, and their groups (C, A)."""
-            group = table[sets].argmin(axis=1)
-            data = np.take_along_axis(table[sets], group[:, None], axis=1)[:, 0].sum(axis=1)
-            cut = (self.atom_edges * (group[:, :, None] != group[:, None])).sum(axis=(1, 2)) / 2
-            idle = (group[:, None] != np.arange(sets.shape[1])[:, None]).all(axis=2).any(axis=1)
-            return np.where(idle, np.inf, data + cut + price * sets.shape[1]), group
-
         every = np.arange(len(bodies))[:, None]
-        chosen = np.empty(0, dtype=np.int64)
-        choices: dict[int, tuple[IntArray, IntArray]] = {}
-        for number in range(1, min(most, len(bodies), len(self.member)) + 1):
-            options = np.concatenate([np.tile(chosen, (len(bodies), 1)), every], axis=1)
-            cost, group = values(options)
+        best: dict[int, _Choice] = {}
+
+        def improve(options: IntArray) -> bool:
+            found = self._swap(table, options)
+            if found.cost >= best.get(len(found.bodies), _Choice()).cost - _GAIN:
+                return False
+            best[len(found.bodies)] = found
+            return True
+
+        better, top = improve(every), min(most, len(bodies), len(self.member))
+        while better:
+            better = False
+            for known in range(1, top):
+                if known in best:
+                    more = np.tile(best[known].bodies, (len(bodies), 1))
+                    better |= improve(np.concatenate([more, every], axis=1))
+            for known in range(top, 1, -1):
+                if known in best:
+                    better |= improve(np.stack([np.delete(best[known].bodies, k) for k in range(known)]))
+        return best
+
+    def _swap(self, table: FloatArray, options: IntArray) -> _Choice:
+        """Swap bodies, one at a time, from the best of choices (C, M) on."""
+        number, found = options.shape[1], _Choice()
+        while True:
+            group = table[options].argmin(axis=1)
+            data = np.take_along_axis(table[options], group[:, None], axis=1)[:, 0].sum(axis=1)
+            cut = (self.atom_edges * (group[:, :, None] != group[:, None])).sum(axis=(1, 2)) / 2
+            idle = (group[:, None] != np.arange(number)[:, None]).all(axis=2).any(axis=1)
+            cost = np.where(idle, np.inf, data + cut)
             at = int(cost.argmin())
-            if not np.isfinite(cost[at]):
-                break
-            chosen, value = options[at], cost[at]
-            choices[number] = chosen, group[at]
-            while number > 1:
-                options = np.tile(chosen, (number, len(bodies), 1))
-                options[np.arange(number), :, np.arange(number)] = every[:, 0]
-                options = options.reshape(-1, number)
-                cost, group = values(options)
-                at = int(cost.argmin())
-                if cost[at] >= value - 1e-9:
-                    break
-                chosen, value = options[at], cost[at]
-                choices[number] = chosen, group[at]
-        return choices
+            if cost[at] >= found.cost - _GAIN:
+                return found
+            found = _Choice(float(cost[at]), options[at], group[at])
+            options = np.tile(found.bodies, (number, len(table), 1))
+            options[np.arange(number), :, np.arange(number)] = np.arange(len(table))
+            options = options.reshape(-1, number)
 
     def _refine(self, bodies: list[_Body], group: IntArray, price: float) -> _Grouping:
         """Let single trajectories change their motion (iterated conditional modes)."""
