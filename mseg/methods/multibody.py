@@ -171,12 +171,15 @@ class _Scene:
         self.image = image.swapaxes(0, 1)
         self.freedom = np.maximum(2 * visible.sum(axis=1) - 3, 1)
         self.weight = np.minimum(points.lengths / _USUAL_LENGTH, _HEAVIEST)
-        self.edges, self.rng = edges, rng
+        # Where a trajectory is short, its graph's edges tell as little as its residuals.
+        ends = edges.tocoo()
+        lighter = np.minimum(self.weight[ends.row], self.weight[ends.col])
+        self.edges, self.rng = csr_array((ends.data * lighter, (ends.row, ends.col)), edges.shape), rng
         _, self.atom = np.unique(atoms, return_inverse=True)
         self.member = self.atom == np.arange(self.atom.max() + 1)[:, None]
         self.size = (self.member & (visible.sum(axis=1) > 1)).sum(axis=1)
         indicator = self.member.astype(np.float64)
-        self.atom_edges = indicator @ (edges @ indicator.T)
+        self.atom_edges = indicator @ (self.edges @ indicator.T)
         self.focal, self.noise = 1.0, _NOISE
 
     def groupings(self, most: int, price: float) -> dict[int, _Grouping]:
