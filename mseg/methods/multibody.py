@@ -15,7 +15,7 @@ The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price 
 body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals. (0.28 and
 not 1/2: what a lens or a tracker gets wrong is alike in neighbours, so there are fewer witnesses.) w_i grows
 with the length of the trajectory; the cut is the weight of edges between motions in the mean of the views'
-graphs, each with unit degrees.
+graphs, each with unit degrees, times the lesser w of both ends.
 """
 
 from __future__ import annotations

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 import mseg
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.evaluation import classification_error
+from mseg.methods.multibody import _Body, _Scene
 
 SIZE = (1242, 375)
 FOCAL = 720.0
@@ -55,6 +57,19 @@ def test_number_and_motions_are_found(name):
     result = mseg.segment(clip, "multibody")
     assert result.report["n_motions"] == clip.n_motions
     assert classification_error(clip.labels.label, result.labels) <= 0.02
+
+
+def test_two_bodies_are_found_that_no_single_swap_leads_to():
+    atoms = np.repeat(np.arange(4), 6)
+    points = Trajectories(np.zeros((24, 10, 2)), np.ones((24, 10), dtype=np.bool_), image_size=SIZE)
+    scene = _Scene(points, csr_array((24, 24)), atoms, np.random.default_rng(0))
+    scene.noise = 1.0
+    # Body 0 explains all a little, 1 and 2 a half each, 3 what lies between; from 0 one comes to 0 and 3.
+    costs = np.array([[1, 1, 1, 1], [0.1, 0.1, 9, 9], [9, 9, 0.1, 0.1], [9, 0, 0, 9]])
+    bodies = [_Body(9 * np.expm1(row[atoms]), 1.0) for row in costs]
+    choices = scene._choose(bodies, 3)
+    assert sorted(choices[2].bodies) == [1, 2]
+    assert choices[2].group.tolist() in ([0, 0, 1, 1], [1, 1, 0, 0])
 
 
 def test_the_number_is_that_asked_for():
