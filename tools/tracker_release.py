@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 from tracker_truth import alive_after, starts
 
+from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.flow import Flow
 from kt3dmoseg.tracking import track
 from kt3dmoseg.types import Clip, Trajectories
@@ -18,6 +20,7 @@ from kt3dmoseg.types import Clip, Trajectories
 AFTER = (1, 5, 10)
 FAST = 20.0
 MIN_LENGTH = 5
+NEAR = 2.0  # pixels
 NO_STOPS = {"consistency_floor": float("inf"), "boundary_floor": float("inf"), "appearance": 0}
 
 
@@ -32,6 +35,7 @@ class Release:
     later: np.ndarray = field(default_factory=lambda: np.zeros(3, int))
     count: np.ndarray = field(default_factory=lambda: np.zeros(2, int))  # ours, released
     frames: np.ndarray = field(default_factory=lambda: np.zeros(2, int))
+    matched: np.ndarray = field(default_factory=lambda: np.zeros(2, int))  # released ones compared, all
 
     def add(self, other: Release) -> None:
         """Pool another clip's comparison with this one."""
@@ -39,7 +43,7 @@ class Release:
             self.error[k] += other.error[k]
         self.moving += other.moving
         self.fast += other.fast
-        for name in ("first", "later", "count", "frames"):
+        for name in ("first", "later", "count", "frames", "matched"):
             getattr(self, name).__iadd__(getattr(other, name))
 
     def figures(self) -> dict[str, float]:
@@ -52,6 +56,7 @@ class Release:
         return out | {
             "moving": share_within(self.moving),
             "fast": share_within(self.fast),
+            "matched": self.matched[0] / self.matched[1],
             "first recall": self.first[0] / self.first[2],
             "first precision": self.first[0] / self.first[1],
             "later recall": self.later[0] / max(1, self.later[2]),
@@ -69,15 +74,43 @@ def share_within(parts: list[np.ndarray]) -> float:
 def compare(clip: Clip, frames: Path, flow: Flow, cache: str | None, options: Mapping[str, Any]) -> Release:
     """Compare one clip with its release; `options` are the tracker's."""
     dense = clip.dense.select(clip.dense.lengths > 0)
+    with tempfile.TemporaryDirectory() as temporary:
+        followed = track(frames, flow, starts(dense), cache=cache or temporary, **{**options, **NO_STOPS})
+        ours = track(frames, flow, cache=cache or temporary, **options)
+    return _compared(clip, np.arange(len(dense)), followed.xy, ours)
+
+
+def compare_tracks(clip: Clip, theirs: Trajectories) -> Release:
+    """Compare the trajectories of any tracker with the release.
+
+    They start elsewhere: of the released ones count those that have one of theirs within `NEAR` pixels of
+    their start, in that frame. The nearest is moved there; what it is off from then on is compared.
+    """
+    dense = clip.dense.select(clip.dense.lengths > 0)
+    seeds, rows, paths = starts(dense), [], []
+    for frame in np.unique(seeds[:, 2].astype(int)):
+        here = np.flatnonzero(seeds[:, 2] == frame)
+        known, places = theirs.at(frame)
+        if len(known):
+            apart, nearest = cKDTree(places).query(seeds[here, :2])
+            rows.append(here[apart <= NEAR])
+            moved = theirs.xy[known[nearest]] - (places[nearest] - seeds[here, :2])[:, None]
+            paths.append(moved[apart <= NEAR])
+    if not rows:
+        raise InputFileError(clip.name, expected=f"tracks within {NEAR:g} px of released ones", found="none")
+    order = np.argsort(np.concatenate(rows))
+    return _compared(clip, np.concatenate(rows)[order], np.concatenate(paths)[order], theirs)
+
+
+def _compared(clip: Clip, rows: np.ndarray, followed: np.ndarray, ours: Trajectories) -> Release:
+    """Compare paths (n, F, 2) with rows of the release's visible tracks, and all tracks by their starts."""
     label = np.zeros(len(clip.dense), int)
     label[clip.evaluated] = clip.labels.label
-    label = label[clip.dense.lengths > 0]
-    seeds = starts(dense)
-    with tempfile.TemporaryDirectory() as temporary:
-        followed = track(frames, flow, seeds, cache=cache or temporary, **{**options, **NO_STOPS})
-        ours = track(frames, flow, cache=cache or temporary, **options)
-    out = Release()
-    gap = np.linalg.norm(followed.xy - dense.xy, axis=2)
+    seen = clip.dense.lengths > 0
+    dense, label = clip.dense.select(seen).select(rows), label[seen][rows]
+    seeds, out = starts(dense), Release()
+    out.matched += (len(rows), seen.sum())
+    gap = np.linalg.norm(followed - dense.xy, axis=2)
     for k in AFTER:
         rows, at = alive_after(dense, k)
         error = np.nan_to_num(gap[rows, at], nan=np.inf)
@@ -87,12 +120,13 @@ def compare(clip: Clip, frames: Path, flow: Flow, cache: str | None, options: Ma
             step = np.linalg.norm(dense.xy[rows, first + 1] - dense.xy[rows, first], axis=1)
             out.moving.append(error[(label[rows] > 0) & (label[rows] != clip.labels.background)])
             out.fast.append(error[step > FAST])
-    cells = [{tuple(c) for c in np.rint(starts(t)).astype(int).tolist()} for t in (ours, long_enough(dense))]
+    released = long_enough(clip.dense)
+    cells = [{tuple(c) for c in np.rint(starts(t)).astype(int).tolist()} for t in (ours, released)]
     for mine, when in ((out.first, lambda c: c[2] == 0), (out.later, lambda c: c[2] > 0)):
         a, b = ({c for c in some if when(c)} for some in cells)
         mine += (len(a & b), len(a), len(b))
-    out.count += (len(ours), len(long_enough(dense)))
-    out.frames += (ours.lengths.sum(), long_enough(dense).lengths.sum())
+    out.count += (len(ours), len(released))
+    out.frames += (ours.lengths.sum(), released.lengths.sum())
     return out
 
 
@@ -109,7 +143,7 @@ def row(name: str, r: Release) -> list[str]:
         *within,
         *(f"{share:.3f} ({sum(map(len, parts))})" for share, parts in counted),
         f"{f['first recall']:.3f} / {f['first precision']:.3f}",
-        *(f"{f[what]:.3f}" for what in ("later recall", "number", "mean length")),
+        *(f"{f[what]:.3f}" for what in ("later recall", "number", "mean length", "matched")),
     ]
     return ["-" if cell.startswith("nan") else cell for cell in cells]
 
@@ -123,4 +157,5 @@ HEAD = [
     "later cells: recall",
     "number",
     "mean length",
+    "compared",
 ]

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _ANNOTATIONS = Path("annotations")
 _FAILED = 2
 
-FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the optical flow; may be repeated.")]
+FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the flow or tracker; may be repeated.")]
 FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields here.")]
 Workers = Annotated[Whole | None, Parameter(help="Processes (default: one per core).")]
 Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
@@ -235,6 +235,7 @@ def track(
     *,
     output: Annotated[File, Parameter(alias="-o", help="File to write.")],
     flow: Annotated[Name, Parameter(help="Optical flow.")] = "dis",
+    tracker: Annotated[Name, Parameter(help="Point tracker instead: cotracker, tapir.")] = "",
     parameter: FlowParameters = (),
     cache: FlowCache = None,
     colour: Annotated[
@@ -256,9 +257,10 @@ def track(
     from kt3dmoseg.io import save
     from kt3dmoseg.io.formats import written_as
     from kt3dmoseg.options import parse_assignments
-    from kt3dmoseg.tracking import track_clip
+    from kt3dmoseg.tracking import create_tracker, track_clip
 
-    backend = create(flow, **parse_assignments(parameter))
+    given = parse_assignments(parameter)
+    options |= {"tracker": create_tracker(tracker, **given)} if tracker else {"flow": create(flow, **given)}
     written_as(output)
     check_target(output)
     check_writable(output.parent)
@@ -266,7 +268,7 @@ def track(
     for note in source.inspect().notes:
         _warn(f"{frames}: {note}")
     with progress_bar("frame") as progress:
-        clip = track_clip(source, backend, colour=colour, cache=cache, progress=progress, **options)
+        clip = track_clip(source, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)
     print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,17 +72,27 @@ WRITTEN = tuple(dict.fromkeys(layout.name for layout in LAYOUTS if layout.name !
 def read(path: str | os.PathLike[str]) -> Clip:
     """Read a clip, or the tracks of a tracker; see `kt3dmoseg.io.load` for the errors."""
     fields = Fields(f"{os.fspath(path)}: ", npz.read_npz(path, {"video", "images_jpeg_bytes"}))
-    names = set(fields)
-    if names >= NEEDED:
+    if set(fields) >= NEEDED:
         return clip_from(fields)
+    layout = _layout(fields, os.fspath(path))
+    tracks = _tapvid(fields, path) if layout.name == "tap-vid" else _pixels(layout, fields)
+    return foreign_clip(path, layout.name, tracks)
+
+
+def tracks_from(arrays: Mapping[str, npt.NDArray[Any]], where: str) -> Trajectories:
+    """Return the trajectories of arrays in a layout of pixels, by their names; `where` begins messages."""
+    fields = Fields(f"{where}: ", arrays)
+    return _pixels(_layout(fields, where), fields)
+
+
+def _layout(fields: Fields, where: str) -> Layout:
     for layout in LAYOUTS:
-        if names >= {layout.tracks, layout.seen, *layout.others}:
-            tracks = _tapvid(fields, path) if layout.name == "tap-vid" else _pixels(layout, fields)
-            return foreign_clip(path, layout.name, tracks)
+        if set(fields) >= {layout.tracks, layout.seen, *layout.others}:
+            return layout
     raise FileFormatError(
-        os.fspath(path),
+        where,
         expected=f"the arrays {', '.join(sorted(NEEDED))} of a clip",
-        found=", ".join(sorted(names)) or "none",
+        found=", ".join(sorted(fields)) or "none",
         fix=f"the arrays of {', '.join(dict.fromkeys(layout.name for layout in LAYOUTS))} are read too",
     )
 

@@ -20,6 +20,7 @@ from kt3dmoseg.io import load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import clip_files
 from kt3dmoseg.io.point_tracks import check_on_pictures
+from kt3dmoseg.tracking.point_trackers import kept_inside
 from kt3dmoseg.types import ByteArray, Trajectories
 
 _APART = 4  # frames between the two pictures that the tracks are compared with
@@ -78,14 +79,4 @@ def read_tracks(
         check_on_pictures("tracks", given, pictures[[0, -1]].astype(np.float64), len(pictures) - 1)
     except InvalidValueError as error:
         raise FileFormatError(f"{path}: {error}") from None
-    with np.errstate(invalid="ignore"):
-        inside = ((given.xy >= -0.5) & (given.xy <= (width - 0.5, height - 0.5))).all(axis=2)
-    visible = given.visible & inside
-    kept = visible.sum(axis=1) >= min_length
-    xy = np.where(visible[..., None], given.xy, np.nan)[kept]
-    tracks = Trajectories(xy, visible[kept], given.track_id[kept], (width, height))
-    left_out = {
-        "points outside of the image": int((given.visible & ~inside).sum()),
-        "tracks too short": int((~kept).sum()),
-    }
-    return tracks, {what: n for what, n in left_out.items() if n}
+    return kept_inside(given, (width, height), min_length)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Iterable, Iterator, Sized
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.flow import Flow, check_frame, flow_pair
+from kt3dmoseg.flow import Flow, backend_identity, check_frame, flow_pair
 from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.frames import FrameSource, one_source
 from kt3dmoseg.io.images import Colour, read_frame
@@ -26,10 +26,12 @@ from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking.appearance import Appearance
 from kt3dmoseg.tracking.linking import inside, new_seeds, step
 from kt3dmoseg.tracking.options import TrackOptions
+from kt3dmoseg.tracking.point_trackers import PointTracker, create_tracker, follow
 from kt3dmoseg.types import (
     BoolArray,
     ByteArray,
     Clip,
+    Float32Array,
     FloatArray,
     IntArray,
     Labels,
@@ -46,6 +48,7 @@ def track(
     flow: str | Flow = "dis",
     seeds: npt.ArrayLike | None = None,
     *,
+    tracker: str | PointTracker = "",
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401
@@ -70,6 +73,9 @@ def track(
     seeds : (S, 3) array-like, optional
         x, y, frame: track exactly these points instead of seeding the grid. Row k of the result is
         seed k; nothing is dropped.
+    tracker : str or PointTracker, optional
+        Follows the points instead of optical flow (`kt3dmoseg.tracking.point_trackers`); of the options it
+        takes those of starts and `min_length`. The frames are all in memory.
     cache : path-like, optional
         Folder in which flow fields are kept and looked up by content.
     progress : callable, optional
@@ -90,20 +96,33 @@ def track(
         For an unknown flow or option.
     """
     settings = from_mapping(TrackOptions, options, where="track")
-    backend = create_flow(flow) if isinstance(flow, str) else flow
     items = one_source(frames).frames("refuse") if isinstance(frames, (str, os.PathLike)) else frames
     _check_axes(frames)
     total, report = len(items) if isinstance(items, Sized) else None, progress or (lambda done, total: None)
-    chosen = None if seeds is None else _checked(seeds)
+    chosen = _checked(seeds)
+    if tracker:
+        return _follow(tracker, list(_gray_frames(items)), chosen, settings, report)
+    backend = create_flow(flow) if isinstance(flow, str) else flow
+    pairs = partial(flow_pair, backend, folder=cache)
+    return _linked(_gray_frames(items), pairs, chosen, settings, lambda done: report(done, total))
+
+
+def _linked(
+    frames: Iterable[ByteArray],
+    flows: Callable[[ByteArray, ByteArray], tuple[Float32Array, Float32Array]],
+    chosen: FloatArray | None,
+    settings: TrackOptions,
+    report: Callable[[int], None],
+) -> Trajectories:
     looks = Appearance(settings) if settings.appearance or settings.anchor else None
     ids, xy, count = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), 0
     seen: list[tuple[IntArray, FloatArray]] = []
     before: ByteArray | None = None
-    for frame in _gray_frames(items):
+    for frame in frames:
         if looks:
             looks.look_at(frame)
         if before is not None:
-            forward, backward = flow_pair(backend, before, frame, cache)
+            forward, backward = flows(before, frame)
             target, alive = step(xy, forward, backward, settings)
             if looks:
                 target, alive = looks.follow(forward, xy, target, alive)
@@ -119,12 +138,24 @@ def track(
         ids, xy = np.concatenate([ids, rows]), np.concatenate([xy, new])
         seen.append((ids, xy))
         before = frame
-        report(len(seen), total)
+        report(len(seen))
     if chosen is not None:
-        late = chosen[:, 2] >= len(seen)
-        _reject(chosen, late, f"a frame number below {len(seen)}, the number of frames")
+        _reject_late(chosen, len(seen))
     least = settings.min_length if chosen is None else 0
     return RunTrajectories(seen, count, least, (frame.shape[1], frame.shape[0]))
+
+
+def _follow(
+    tracker: str | PointTracker,
+    frames: list[ByteArray],
+    seeds: FloatArray | None,
+    settings: TrackOptions,
+    report: Progress,
+) -> Trajectories:
+    if seeds is not None:
+        _reject_late(seeds, len(frames))
+        _reject_outside(seeds, np.ones(len(seeds), dtype=np.bool_), frames[0].shape)
+    return follow(create_tracker(tracker), frames, seeds, settings, report)
 
 
 def _check_axes(frames: Frames) -> None:
@@ -139,6 +170,7 @@ def track_clip(
     frames: str | os.PathLike[str] | FrameSource,
     flow: str | Flow = "dis",
     *,
+    tracker: str | PointTracker = "",
     colour: Colour = "refuse",
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
@@ -153,7 +185,7 @@ def track_clip(
         `kt3dmoseg.frames.choose_sources` gives; the clip takes its name.
     colour : {"refuse", "luma"}
         What to do with frames in colour, see `kt3dmoseg.io.images.read_frame`; of videos the luma is taken.
-    flow, cache, progress, **options
+    flow, tracker, cache, progress, **options
         As in `kt3dmoseg.track`.
 
     Returns
@@ -169,13 +201,19 @@ def track_clip(
         As `kt3dmoseg.track`, and for several clips.
     """
     settings = from_mapping(TrackOptions, options, where="track")
-    backend = create_flow(flow) if isinstance(flow, str) else flow
+    if tracker:
+        chosen: dict[str, Any] = {"tracker": create_tracker(tracker)}
+        about: dict[str, Any] = {"tracker": backend_identity(chosen["tracker"])}
+    else:
+        backend = create_flow(flow) if isinstance(flow, str) else flow
+        chosen, about = {"flow": backend, "cache": cache}, {"flow": type(backend).__name__}
+        about["flow_options"] = dataclasses.asdict(backend) if dataclasses.is_dataclass(backend) else {}
     source = one_source(frames) if isinstance(frames, (str, os.PathLike)) else frames
     info = source.inspect()
     total = None if info.numbers is None else len(info.numbers)
     report = None if progress is None else lambda done, _: progress(done, total)
     shown = dataclasses.asdict(settings)
-    dense = track(source.frames(colour), backend, cache=cache, progress=report, **shown)
+    dense = track(source.frames(colour), progress=report, **chosen, **shown)
     return Clip(
         name=source.name,
         dense=dense,
@@ -186,8 +224,7 @@ def track_clip(
         camera=info.camera,
         provenance={
             "source": info.description,
-            "flow": type(backend).__name__,
-            "flow_options": dataclasses.asdict(backend) if dataclasses.is_dataclass(backend) else {},
+            **about,
             "track_options": shown,
             "versions": {"kt3dmoseg": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
         },
@@ -208,7 +245,9 @@ def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterato
         raise InvalidValueError("frames", expected="at least 2 frames", found=str(number))
 
 
-def _checked(seeds: npt.ArrayLike) -> FloatArray:
+def _checked(seeds: npt.ArrayLike | None) -> FloatArray | None:
+    if seeds is None:
+        return None
     out = np.asarray(seeds, dtype=np.float64)
     if out.ndim != 2 or out.shape[1] != 3:
         raise InvalidValueError("seeds", expected="shape (S, 3): x, y, frame", found=f"{out.shape}")
@@ -217,10 +256,17 @@ def _checked(seeds: npt.ArrayLike) -> FloatArray:
     return out
 
 
+def _reject_outside(seeds: FloatArray, some: BoolArray, shape: tuple[int, ...]) -> None:
+    _reject(seeds, some & ~inside(seeds[:, :2], shape), f"a point in the {shape[1]}x{shape[0]} frame")
+
+
+def _reject_late(seeds: FloatArray, count: int) -> None:
+    _reject(seeds, seeds[:, 2] >= count, f"a frame number below {count}, the number of frames")
+
+
 def _starting(seeds: FloatArray, number: int, shape: tuple[int, ...]) -> tuple[IntArray, FloatArray]:
     now = seeds[:, 2] == number
-    outside = now & ~inside(seeds[:, :2], shape)
-    _reject(seeds, outside, f"a point in the {shape[1]}x{shape[0]} frame")
+    _reject_outside(seeds, now, shape)
     return np.flatnonzero(now), seeds[now, :2]
 
 

@@ -3,58 +3,24 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fake_torch import Array, Module, install
 
 from kt3dmoseg import flow
 from kt3dmoseg.errors import MissingDependencyError
-from kt3dmoseg.flow import backend_identity, raft
+from kt3dmoseg.flow import backend_identity
 
 
-class Array:
-    """As much of a tensor as the adapter uses, around an array."""
-
-    def __init__(self, array):
-        self.array = array
-
-    def to(self, device):
-        return self
-
-    def __getitem__(self, item):
-        return Array(self.array[item])
-
-    def permute(self, *axes):
-        return Array(self.array.transpose(axes))
-
-    def cpu(self):
-        return self
-
-    def numpy(self):
-        return self.array
-
-
-class Network:
+class Network(Module):
     """Notes its input; the flow is (column, row) of each padded pixel."""
 
     seen = ()
 
     def __init__(self, weights):
-        if weights == "DEFAULT":
-            raise OSError("no route to host\nmore")
-
-    def load_state_dict(self, state):
-        self.state = state
-
-    def eval(self):
-        return self
-
-    def to(self, device):
-        if device == "cuda":
-            raise AssertionError("Torch not compiled with CUDA enabled")
-        return self
+        assert weights is None  # torchvision would download its own
 
     def __call__(self, a, b, num_flow_updates):
         Network.seen = a.array, b.array, num_flow_updates
@@ -65,17 +31,10 @@ class Network:
 
 @pytest.fixture
 def torch(monkeypatch):
-    modules = {name: ModuleType(name) for name in ("torch", "torchvision", "torchvision.models")}
-    modules["torch"].from_numpy = Array
-    modules["torch"].inference_mode = nullcontext
-    modules["torch"].load = lambda path, **_: {"from": path}
-    nets = SimpleNamespace(raft_large=lambda weights: Network(weights), raft_small=None)
-    modules["torchvision.models"].optical_flow = nets
-    for name, module in modules.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    raft._network.cache_clear()
-    yield modules["torch"]
-    raft._network.cache_clear()
+    torch = install(monkeypatch, "torchvision", "torchvision.models")
+    nets = SimpleNamespace(raft_large=Network, raft_small=None)
+    sys.modules["torchvision.models"].optical_flow = nets
+    return torch
 
 
 @pytest.fixture
@@ -92,7 +51,7 @@ def test_a_missing_package_is_named(torch, frames, monkeypatch, package):
 
 def test_missing_weights_are_named(torch, frames):
     with pytest.raises(
-        MissingDependencyError, match=r"weights of torchvision.*no route to host; .*weights=FILE"
+        MissingDependencyError, match=r"raft: weights: .* found none; .*weights=FILE; nothing is downloaded"
     ):
         flow.create("raft")(*frames)
 
@@ -125,7 +84,7 @@ def test_torch_and_torchvision_that_do_not_fit_are_reported(torch, frames, monke
 
     monkeypatch.delitem(sys.modules, "torchvision")
     monkeypatch.setattr(sys, "meta_path", [Unfit(), *sys.meta_path])
-    with pytest.raises(MissingDependencyError, match=r"releases, found RuntimeError: operator .*nms"):
+    with pytest.raises(MissingDependencyError, match=r"torchvision, found RuntimeError: operator .*nms"):
         flow.create("raft")(*frames)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kt3dmoseg.synthetic import SceneOptions, make_scene
-from kt3dmoseg.types import Trajectories
+from kt3dmoseg.types import Clip, Labels, Trajectories
 
 TOOLS = Path(__file__).parents[2] / "tools"
 
@@ -41,6 +41,23 @@ def test_errors_against_the_truth_are_those_that_were_made(tool):
     far = truth.compare(scene, moved(exact, (0, -35))).figures()
     assert far["< 1 px"] == 0
     assert far["slid"] > 0
+
+
+def test_tracks_of_others_are_compared_from_the_starts_that_they_come_near(tool):
+    release = tool("release")
+    cells = np.stack(np.divmod(np.arange(60), 10), axis=1) * 16.0
+    xy = cells[:, None] + np.arange(12)[:, None] * (2.0, 0.5)
+    visible = np.ones((60, 12), bool)
+    visible[30:, :3] = False
+    xy[~visible] = np.nan
+    clip = Clip("a", Trajectories(xy, visible), np.arange(60), Labels(np.ones(60, int), 1))
+    begin = visible.argmax(axis=1)
+    off = np.where(np.arange(12)[:, None] > begin[:, None, None], (0.3, 0.4), 0)  # from its start on
+    theirs = Trajectories((xy + off + (1.0, -1.0))[::-1][:45], visible[::-1][:45])
+    found = release.compare_tracks(clip, theirs)
+    assert found.matched.tolist() == [45, 60]
+    assert found.figures()["5: median"] == pytest.approx(0.5)
+    assert found.figures()["number"] == pytest.approx(45 / 60)
 
 
 def test_aims_name_the_tracks_that_reach_them(tool):
