@@ -476,7 +476,7 @@ def benchmark(
     """Run methods on every clip of a benchmark that is found, over several seeds, and print the tables.
 
     Outcomes are kept in a folder (--cache), so that a re-run, or one with more methods or seeds, runs
-    only what is new. What is missing of the benchmark is listed; the published rows are for all of it.
+    only what is new. What is missing of the benchmark is listed; the printed rows are for all of it.
     Exit code 1 when every run failed.
     """
     from kt3dmoseg.files import write_text

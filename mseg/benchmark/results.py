@@ -125,7 +125,7 @@ class BenchmarkResult:
     def _notes(self) -> list[str]:
         notes = []
         if len(self.clips) < self.protocol.n_clips:
-            notes.append("A part of the benchmark; published rows are for the whole of it.")
+            notes.append("A part of the benchmark: the printed figures are for all of it.")
         for group in self.protocol.groups:
             missing = group.n_clips - len(self.protocol.clips_of(group, self.motions))
             absent = [name for name in group.clips if name not in self.motions]

@@ -117,7 +117,7 @@ def error_table(
             cells += [_mean(values[clips]), _median(values[clips])] if clips else [ABSENT, ABSENT]
         rows.append([*cells, *(column[i] for column in more.values())])
     for method in dict.fromkeys(filter(None, published)):
-        cells = [f"published {method} (all {protocol.n_clips})"]
+        cells = [f"printed {method} (all {protocol.n_clips})"]
         for group, _ in groups:
             known = protocol.published[method].get(group.name, {})
             cells += [f"{known[key]:.2f}" if key in known else ABSENT for key in ("mean", "median")]
@@ -211,12 +211,10 @@ def headline(*tables: ScoreTable) -> ResultsTable:
     more = f" ({parts})" if len(protocol.groups) > 1 else ""
     notes = [f"Scored: {protocol.coverage(first.names)}{more}."]
     if len(first.names) < protocol.n_clips:
-        notes.append("A part of the benchmark: the published figures are for all of it.")
+        notes.append("A part of the benchmark: the printed figures are for all of it.")
     version, wanted = first.provenance.dataset_version, protocol.published_dataset_version
     if protocol.published and wanted and version != wanted:
-        notes.append(
-            f"Data version {version!r}; published figures are for version {wanted!r}: not comparable."
-        )
+        notes.append(f"Data version {version!r}; printed figures are for version {wanted!r}: not comparable.")
     named = dict(zip(unique_names(tables), tables, strict=True))
     for name, table in named.items():
         of = f"{name}: " if len(tables) > 1 else ""

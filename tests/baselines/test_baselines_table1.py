@@ -67,7 +67,7 @@ def test_published_rows_follow_ours():
     result = BenchmarkResult(
         protocol, (Configuration("tlinkage"),), {"arm": 2}, (0,), np.zeros(shape), np.ones(shape)
     )
-    assert [row[0] for row in result.summary().rows] == ["tlinkage", "published T-Linkage (all 155)"]
+    assert [row[0] for row in result.summary().rows] == ["tlinkage", "printed T-Linkage (all 155)"]
 
 
 @pytest.mark.data

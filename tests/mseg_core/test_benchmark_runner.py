@@ -53,13 +53,13 @@ def serial(data):
 
 def test_scores_and_coverage(serial):
     assert repr(serial) == "BenchmarkResult(affine, subset on KT3DMoSeg, 3 of 22 clips, 2 seeds)"
-    assert "published Subset" in serial._repr_html_()
+    assert "printed Subset" in serial._repr_html_()
     assert serial.errors.shape == (2, 3, 2)
     assert serial.mean("subset") == serial.errors[1].mean()
     text = serial.summary().text()
     assert "KT3DMoSeg, 3 of 22 clips, 2 seeds" in text
     assert "all clips (3 of 22): mean" in text
-    assert "published Subset" in text
+    assert "printed Subset" in text
     assert "19 of 22 clips are missing" in text
     assert "mean of 3 of 22" in serial.per_clip().text()
 
