@@ -294,13 +294,13 @@ def _mistake(error: cyclopts.CycloptsError) -> str:
         return _unknown_option(error)
     if isinstance(error, cyclopts.UnusedCliTokensError):
         return f"unexpected argument {(error.unused_tokens or ['?'])[0]!r}"
-    if isinstance(error, cyclopts.MissingArgumentError) and error.argument is not None:
+    names = sorted(error.argument.names, key=len) or [error.argument.name] if error.argument else []
+    if isinstance(error, cyclopts.MissingArgumentError) and names:
         if error.keyword:
             return f"argument {error.keyword}: expected a value"
-        names = sorted(error.argument.names, key=len) or [error.argument.name]
         return f"the following arguments are required: {'/'.join(names)}"
     if isinstance(error, cyclopts.CoercionError) and error.token is not None:
-        source, flag = error.token.source, error.token.keyword
+        source, flag = error.token.source, error.token.keyword or "/".join(names)
         where = f"argument {flag}" if source == "cli" else f"{source}: {flag}"
         choices = ", ".join(map(str, typing.get_args(error.target_type)))
         noun = f"one of {choices}" if choices else "a number"

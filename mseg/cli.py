@@ -385,7 +385,7 @@ def rank(*, benchmark: Only = "", db: Board = _BOARD, json: Json = False) -> Non
     Scores on different data are never ranked together.
     """
     boards = _open(db).boards(benchmark)
-    values = [dataclasses.asdict(board) for board in boards]
+    values = [board.as_dict() for board in boards]
     tables = [board.table().text() for board in boards]
     print(json_.dumps(values, indent=1) if json else "\n\n".join(tables))
 

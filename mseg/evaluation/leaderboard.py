@@ -18,14 +18,16 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import check_target, write_text
+from kt3dmoseg.io.predictions import first_few
 from mseg.evaluation.protocol import list_protocols, load_protocol, share
-from mseg.evaluation.results import ResultsTable
+from mseg.evaluation.results import ResultsTable, method_notes
 from mseg.evaluation.scoring import ScoreTable, from_json, to_json
 from mseg.evaluation.site import DataRows, Row, site_html
 
 _WAIT_SECONDS = 60.0
+_LARGEST, _LONGEST = 128 << 20, 16 << 20  # bytes of the file, of the scores of one entry
 # The first also when a column is missing, or holds a text that is not UTF-8.
-_DAMAGE = (sqlite3.SQLITE_ERROR, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+_DAMAGE = (sqlite3.SQLITE_ERROR, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_TOOBIG)
 # What makes two submissions the same.
 _SAME = ("benchmark", "dataset_sha256", "submission_sha256", "toolkit_version")
 _TYPES = {"str": "TEXT NOT NULL", "int": "INTEGER NOT NULL", "float": "REAL NOT NULL"}
@@ -57,11 +59,6 @@ class Entry:
     claimed: int  # 1: read from a file of scores, not computed here
 
     @property
-    def shown(self) -> float:
-        """The mean as tables print it, in per cent, by which entries are ranked."""
-        return round(100 * self.mean, 2)
-
-    @property
     def scored(self) -> str:
         """Where the scores come from, for tables."""
         return "claimed" if self.claimed else "here"
@@ -79,19 +76,34 @@ _UPDATE = (*(f"ALTER TABLE entries ADD COLUMN {column}" for column in _CLAIMED),
 class Board:
     """Entries that may be compared: one benchmark, one and the same data."""
 
-    title: str  # the benchmark
-    about: str  # how much of it, and which data
-    ranked: list[tuple[int | None, Entry]]  # best first; entries with failed or missing clips last, with None
+    rows: DataRows  # best first; entries with failed or missing clips last
+    ranked: list[tuple[int | None, Entry]]  # the same, and ranks; None without one
+    notes: list[str]  # what the methods report
+
+    @property
+    def title(self) -> str:
+        """The benchmark."""
+        return self.rows.title
+
+    @property
+    def about(self) -> str:
+        """How much of the benchmark, and which data."""
+        return self.rows.about
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the board as JSON values."""
+        ranked = [(rank, asdict(entry)) for rank, entry in self.ranked]
+        return {"title": self.title, "about": self.about, "ranked": ranked}
 
     def table(self) -> ResultsTable:
         """Lay the board out."""
         rows = []
-        for rank, e in self.ranked:
-            errors = [f"{e.shown:.2f}", f"{100 * e.median:.2f}"]
-            facts = [str(e.seeds), str(e.failed or ""), e.scored, e.added[:10], e.submission_sha256[:8]]
-            rows.append([str(rank or "-"), e.method, *errors, *facts])
-        columns = ["rank", "method", "mean", "median", "seeds", "failed", "scored", "added", "submission"]
-        return ResultsTable(f"{self.title}: {self.about}", columns, rows)
+        for (rank, row, _), (_, e) in zip(self.rows.ranked, self.ranked, strict=True):
+            errors = [f"{row.shown:.2f}", f"{100 * row.summary.median:.2f}"]
+            facts = [str(e.seeds), str(e.failed or ""), e.scored, row.number]
+            rows.append([str(rank or "-"), e.method, *errors, *facts, e.added[:10], e.submission_sha256[:8]])
+        columns = ["rank", "method", "mean", "median", "seeds", "failed", "scored", "motions", "added"]
+        return ResultsTable(f"{self.title}: {self.about}", [*columns, "submission"], rows, self.notes)
 
 
 class Leaderboard:
@@ -118,7 +130,10 @@ class Leaderboard:
             fix = "'mseg leaderboard add' makes it"
             raise InputFileError(f"{path}", expected="a leaderboard", found="no such file", fix=fix)
         check_target(self.path)
-        new = not self.path.exists() or (create and not self.path.stat().st_size)
+        size = self.path.stat().st_size if self.path.exists() else 0
+        if size > _LARGEST:
+            raise FileFormatError(f"{path}", expected=f"at most {_LARGEST} bytes", found=f"{size}")
+        new = not self.path.exists() or (create and not size)
         with self._open(write=new):
             pass
 
@@ -132,7 +147,7 @@ class Leaderboard:
         take the place of entry `replace`. InvalidValueError when an entry of the same submission, or for
         claimed ones of the same data, contradicts them; InputFileError when there is none to replace.
         """
-        row = _row(scores, claimed=claimed)
+        row = _columns(scores, claimed=claimed)
         with self._open(write=True) as (connection, kept):
             same = next((e for e in kept if all(getattr(e, name) == row[name] for name in _SAME)), None)
             if replace is not None and replace not in [e.id for e in kept]:
@@ -192,11 +207,16 @@ class Leaderboard:
         return InputFileError(f"{self.path}", expected=f"entry {number}", found="none of that number")
 
     def boards(self, benchmark: str = "") -> list[Board]:
-        """Rank what is comparable, of one benchmark or of all; fuller data first."""
-        wanted = [e for e in self.entries() if benchmark in ("", e.benchmark)]
+        """Rank what is comparable, of one benchmark or of all; fuller data first.
+
+        Methods that found the number of motions are ranked apart, after those that were given it.
+        """
+        with self._open() as (_, kept):
+            wanted = [e for e in kept if benchmark in ("", e.benchmark)]
+            tables = {e: from_json(kept[e], f"{self.path}: entry {e.id}") for e in wanted}
         wanted.sort(key=lambda e: (e.benchmark, -e.clips, e.dataset_sha256))
         keyed = groupby(wanted, key=lambda e: (e.benchmark, e.dataset_sha256))
-        return [_board(list(each)) for _, each in keyed]
+        return [_board({e: tables[e] for e in each}) for _, each in keyed]
 
     def listing(self) -> ResultsTable:
         """Lay out `entries`, with their provenance."""
@@ -217,6 +237,7 @@ class Leaderboard:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
             address = f"{self.path.absolute().as_uri()}?mode={'rwc' if write else 'ro'}"
             connection = sqlite3.connect(address, timeout=_WAIT_SECONDS, isolation_level=None, uri=True)
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
             connection.execute("BEGIN IMMEDIATE" if write else "BEGIN")
             yield connection, _kept(connection, self.path, write=write)
             connection.execute("COMMIT")
@@ -227,13 +248,15 @@ class Leaderboard:
             if isinstance(error, KT3DMoSegError):
                 raise
             fix = "check the permissions of the folder and the space on the disk"
+            if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+                fix = "another process writes to it: try again when that has ended"
             raise InputFileError(f"{self.path}: cannot write or read", found=str(error), fix=fix) from None
         finally:
             if connection is not None:
                 connection.close()
 
 
-def _row(scores: ScoreTable, *, claimed: bool) -> dict[str, Any]:
+def _columns(scores: ScoreTable, *, claimed: bool) -> dict[str, Any]:
     summary = scores.summary()
     row: dict[str, Any] = {
         "added": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -253,7 +276,7 @@ def _row(scores: ScoreTable, *, claimed: bool) -> dict[str, Any]:
 
 
 def _checksum(values: Iterable[object]) -> str:
-    return hashlib.sha256(json.dumps(list(values)).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(list(values), default=str).encode()).hexdigest()
 
 
 def _damaged(path: Path, what: str) -> FileFormatError:
@@ -269,9 +292,10 @@ def _kept(connection: sqlite3.Connection, path: Path, *, write: bool) -> dict[En
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     tables = {r[0] for r in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     new = write and not version and not tables
-    if not new and (version not in (1, 2) or "entries" not in tables):
-        found = f"version {version} of {path.name}"
-        raise FileFormatError(f"{path}", expected="a leaderboard of version 2", found=found)
+    if not new and "entries" not in tables:
+        raise _damaged(path, "it has no table of entries")
+    if not new and version not in (1, 2):
+        raise FileFormatError(f"{path}", expected="a leaderboard of version 2", found=f"version {version}")
     if (state := connection.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise _damaged(path, state)
     if write:
@@ -292,7 +316,7 @@ def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str =
     boards = board.boards(benchmark)
     suffix = Path(path).suffix.lower()
     if suffix in (".html", ".htm"):
-        write_text(path, site_html([_rows(board, each) for each in boards], notes=[_NOTE]))
+        write_text(path, site_html([each.rows for each in boards], notes=[_NOTE]))
     elif suffix == ".md":
         tables = [board.table().markdown() for board in boards]
         write_text(path, "\n\n".join(["# Leaderboard", *tables, _NOTE]) + "\n")
@@ -300,42 +324,35 @@ def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str =
         raise InvalidValueError(os.fspath(path), expected="a file ending in .html or .md", found=repr(suffix))
 
 
-def _rows(board: Leaderboard, ranked: Board) -> DataRows:
-    """Rows of the page; those of fewer clips than the others are marked."""
-    scores = [(entry, board.scores(entry.id)) for _, entry in ranked.ranked]
-    _, fullest = max(scores, key=lambda each: (not each[0].claimed, len(each[1].names)))
-    rows = [
-        Row(
-            entry.method,
-            table.matrix(),
-            number="given" if table.meta.n_motions_given else "found",
-            kind="claimed" if entry.claimed else "baseline" if table.meta.baseline else "measured",
-            supervised=table.meta.supervised,
-            authors=", ".join(table.meta.authors),
-            link=table.meta.link,
-            failed=entry.failed,
-            complete=table.names == fullest.names,
-            right=float(np.mean([clip.n_found == clip.n_motions for clip in table.clips])),
-            seconds=table.meta.seconds,
-            facts={"added": entry.added[:10], "submission": entry.submission_sha256[:8]}
-            | dict(table.meta.parameters),
-        )
-        for entry, table in scores
-    ]
-    return DataRows(ranked.title, ranked.about, fullest.benchmark, fullest.motions, rows)
-
-
-def _board(entries: list[Entry]) -> Board:
-    """Rank entries of one benchmark and one data set: mean error, failures last and without a rank."""
-    first = entries[0]
+def _board(tables: Mapping[Entry, ScoreTable]) -> Board:
+    """Rank entries of one benchmark and one data set; those of fewer clips than the others have no rank."""
+    first = next(iter(tables))
     known = first.benchmark in list_protocols()
-    name = load_protocol(first.benchmark).title if known else "Clips of no benchmark"
+    title = load_protocol(first.benchmark).title if known else "Clips of no benchmark"
     part = "" if first.clips == first.clips_in_full else ", a part"
     amount = f"{share(first.clips, first.clips_in_full)} clips{part}"
     about = f"{amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"
-    own = [e for e in entries if not e.claimed] or entries
-    full = max(e.clips for e in own)
-    ordered = sorted(entries, key=lambda e: (e.failed > 0 or e.clips != full, e.shown, e.id))
-    shown = [e.shown for e in ordered]  # of equal ones, all have the rank of the first
-    ranked = [(None if e.failed or e.clips != full else 1 + shown.index(e.shown), e) for e in ordered]
-    return Board(name, about, ranked)
+    fullest = tables[max(tables, key=lambda e: (not e.claimed, e.clips))]
+    entries = {_row(e, table, complete=table.names == fullest.names): e for e, table in tables.items()}
+    rows = DataRows(title, about, fullest.benchmark, fullest.motions, [*entries])
+    ranked = [(rank, entries[row]) for rank, row, _ in rows.ranked]
+    notes = [f"{e.method}: {first_few(each, 1)}" for _, e in ranked if (each := method_notes(tables[e]))]
+    return Board(rows, ranked, notes)
+
+
+def _row(entry: Entry, table: ScoreTable, *, complete: bool) -> Row:
+    facts = {"added": entry.added[:10], "submission": entry.submission_sha256[:8]}
+    return Row(
+        entry.method,
+        table.matrix(),
+        number="given" if table.meta.n_motions_given else "found",
+        kind="claimed" if entry.claimed else "baseline" if table.meta.baseline else "measured",
+        supervised=table.meta.supervised,
+        authors=", ".join(table.meta.authors),
+        link=table.meta.link,
+        failed=entry.failed,
+        complete=complete,
+        right=float(np.mean([clip.n_found == clip.n_motions for clip in table.clips])),
+        seconds=table.meta.seconds,
+        facts=facts | {"notes": " ".join(method_notes(table))} | dict(table.meta.parameters),
+    )

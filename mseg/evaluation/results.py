@@ -218,7 +218,7 @@ def headline(*tables: ScoreTable) -> ResultsTable:
     named = dict(zip(unique_names(tables), tables, strict=True))
     for name, table in named.items():
         of = f"{name}: " if len(tables) > 1 else ""
-        notes += [of + note for note in (_spread_note(table), *_method_notes(table), *failure_notes(table))]
+        notes += [of + note for note in (_spread_note(table), *method_notes(table), *failure_notes(table))]
     title, rows = f"{protocol.title}: {_ERROR}", {name: table.matrix() for name, table in named.items()}
     return error_table(title, protocol, first.motions, rows, protocol.published, notes=notes)
 
@@ -234,7 +234,7 @@ def _spread_note(scores: ScoreTable) -> str:
     )
 
 
-def _method_notes(scores: ScoreTable) -> list[str]:
+def method_notes(scores: ScoreTable) -> list[str]:
     """Note what the method reports, and where it found another number of groups than it was given."""
     meta, notes = scores.meta, []
     if meta.baseline:

@@ -18,6 +18,7 @@ import numpy as np
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes
+from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.io.predictions import (
     SUFFIXES,
     Problem,
@@ -491,6 +492,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         meta: SubmissionMeta
         provenance: Provenance
         clips: list[ClipScore] = Field(min_length=1)
+        problems: list[Problem] = []
         # What follows from the others; None claims nothing.
         seeds: Any = None
         coverage: Any = None
@@ -500,7 +502,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
     expected = "scores that 'mseg score' wrote as JSON"
     read = read_model(Scores, content, where, expected)
     protocol = load_protocol(read.benchmark) if read.benchmark in list_protocols() else None
-    table = ScoreTable(tuple(read.clips), read.meta, protocol, read.provenance)
+    table = ScoreTable(tuple(read.clips), read.meta, protocol, read.provenance, tuple(read.problems))
     wrong = next(_impossible(table, dict(read)), "")
     if wrong:
         raise FileFormatError(where, expected=expected, found=f"what cannot be true, {wrong:.200}")
@@ -527,8 +529,13 @@ def _impossible(table: ScoreTable, claimed: Mapping[str, Any]) -> Iterator[str]:
         return
     for clip in table.clips:
         where = f"clip {clip.clip} in seed {clip.seed}: "
-        if not clip.values.keys() >= METRICS.keys():
-            yield f"{where}values without a metric"
+        if not METRICS.keys() <= clip.values.keys() == set(table.metrics) <= all_metrics().keys():
+            yield f"{where}values of the metrics {', '.join(clip.values)}"
+            return
+        try:
+            check_name(clip.clip, "clip")
+        except InvalidValueError as error:
+            yield str(error)
             return
         yield from _differences(asdict(clip), _corrected(clip, table.of(clip.clip)), where)
     yield from _impossible_source(table, claimed["benchmark"])

@@ -80,7 +80,7 @@ class Row:
 class DataRows:
     """Rows on one dataset."""
 
-    key: str  # benchmark/version
+    title: str  # of the benchmark, or benchmark/version
     about: str  # how much of it, and which data
     protocol: Protocol
     motions: Mapping[str, int]  # clips, and their true numbers of motions

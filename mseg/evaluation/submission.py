@@ -66,15 +66,19 @@ _PLACE = re.compile(rf"(?:seed-(\d{{1,18}})/)?([^/]+)((?i:{'|'.join(map(re.escap
 _PASSED_OVER = re.compile(r"(?i:(?:readme|licen)[^.]*(?:\.txt|\.md)?)")
 _LITTER = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _TEXT_LIMIT = 2000
+_CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f]")  # terminals act on it
 _EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
 _MOST = f"{LIMITS.files} files of at most {MAX_FILE_BYTES >> 20} MiB, {LIMITS.total_bytes >> 20} MiB together"
 _FIX_LARGE = "only meta.toml and prediction files belong here, with one label per evaluated trajectory"
 _FIX_ZIP = "make it with: cd my-submission && zip -r ../my-submission.zip ."
 
 
-def _are_texts(value: object) -> bool:
+def _are_texts(value: object, also: str = "") -> bool:
+    """Whether these are texts without control characters other than some."""
     texts = value if isinstance(value, list) else [None]
-    return len(texts) <= _TEXT_LIMIT and all(isinstance(t, str) and len(t) <= _TEXT_LIMIT for t in texts)
+    return len(texts) <= _TEXT_LIMIT and all(
+        isinstance(t, str) and len(t) <= _TEXT_LIMIT and {*_CONTROL.findall(t)} <= {*also} for t in texts
+    )
 
 
 @dataclass(frozen=True)
@@ -100,11 +104,14 @@ class SubmissionMeta:
 
 # Of each type of a field of meta.toml, and of each field, what its value must be, in words and as a check.
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    "str": ("a text", lambda v: _are_texts([v])),
+    "str": ("a text of one line", lambda v: _are_texts([v])),
     "bool": ("true or false", lambda v: isinstance(v, bool)),
     "float": ("seconds >= 0", lambda v: type(v) in (int, float) and 0 <= v <= sys.float_info.max),
     "tuple[str, ...]": ('a list of names, ["A. Author"]', _are_texts),
-    "Mapping[str, str]": ("a table of texts", lambda v: isinstance(v, dict) and _are_texts([*v.values()])),
+    "Mapping[str, str]": (
+        "a table of texts",
+        lambda v: isinstance(v, dict) and _are_texts([*v]) and _are_texts([*v.values()], "\t\n"),
+    ),
 }
 _FIELDS = {each.name: _KINDS[str(each.type)] for each in fields(SubmissionMeta)} | {
     "format_version": (f"{FORMAT_VERSION}", lambda v: type(v) is int and v == FORMAT_VERSION),
@@ -135,9 +142,11 @@ def looks_like_submission(path: Path) -> bool:
 
 
 def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
-    """Write ``meta.toml``; returns its path."""
+    """Write ``meta.toml``; returns its path. InvalidValueError for a value that could not be read back."""
     path = Path(folder) / META
     values = asdict(meta)
+    for name in wrong_fields(values):
+        raise InvalidValueError(f"meta.{name}", expected=_FIELDS[name][0], found=f"{values[name]!r:.80}")
     lines = [f"format_version = {FORMAT_VERSION}"]
     lines += [f"{key} = {_toml(value)}" for key, value in values.items() if not isinstance(value, dict)]
     for key, value in values.items():

@@ -220,13 +220,25 @@ def test_the_page_ranks_as_the_table_where_a_claim_is_of_other_clips(board, tmp_
 def test_equal_to_two_decimals_is_equal_in_rank(board, tmp_path):
     for i, mean in enumerate((0.10001, 0.1, 0.2)):
         table = score([1, 1, 2, 2, 2], [1, 1, 2, 2, 2])
-        source = Provenance("v", "data", str(i), "1")
+        source = Provenance("v", "0" * 64, str(i) * 64, "1")
         board.add(replace(table, provenance=source, clips=(shifted(table.clips[0], mean),)))
     assert [rank for rank, _ in board.boards()[0].ranked] == [1, 1, 3]
 
 
 def shifted(clip, error):
-    return replace(clip, values={**clip.values, "error": error})
+    return replace(clip, n=100_000, values={**clip.values, "error": error})
+
+
+def test_methods_that_found_the_number_are_ranked_apart_and_notes_are_shown(board, tmp_path):
+    board.add(scored(tmp_path, "given", 3))
+    meta = SubmissionMeta("finder", n_motions_given=False, notes={"example_two": "it did not converge"})
+    board.add(score_submission(perfect(tmp_path / "f", meta=meta), CLIPS))
+    [only] = board.boards()
+    assert [(rank, e.method) for rank, e in only.ranked] == [(1, "given"), (1, "finder")]
+    note = "The method reports on example_two: it did not converge."
+    assert f"finder: {note}" in only.table().text()
+    export(board, tmp_path / "b.html")
+    assert note in (tmp_path / "b.html").read_text()
 
 
 def test_entries_are_replaced_and_removed(board, tmp_path):
@@ -283,8 +295,21 @@ def another_type(path):
     connection.close()
 
 
+def too_long(path):
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"UPDATE entries SET sha256 = '', scores = zeroblob({17 << 20})")
+    connection.close()
+
+
+def no_table(path):
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE entries")
+    connection.close()
+
+
 @pytest.mark.parametrize(
-    "damage", [truncated, zeroed, headless, another_number, another_type, no_text, no_column]
+    "damage",
+    [truncated, zeroed, too_long, no_table, headless, another_number, another_type, no_text, no_column],
 )
 def test_a_damaged_leaderboard_is_called_damaged(board, tmp_path, damage):
     board.add(scored(tmp_path, "one", 2))
@@ -307,7 +332,7 @@ def test_reading_writes_nothing_and_waits_for_no_writer(board, tmp_path, monkeyp
     with closing(sqlite3.connect(board.path, isolation_level=None)) as writer:
         writer.execute("BEGIN IMMEDIATE")
         assert Leaderboard(board.path, create=False).boards()[0].ranked[0][1].method == "one"
-        with pytest.raises(InputFileError, match="locked"):
+        with pytest.raises(InputFileError, match="locked; another process"):
             board.remove(1)
 
 
@@ -348,6 +373,11 @@ def claims():
         "infinite": value(nmi=float("inf")),
         "text": value(error="0.1"),
         "missing metric": lambda s: s["clips"][0]["values"].pop("nmi"),
+        "unknown metric": value(foo=0.5),
+        "clip's name of two lines": first(clip="a\nb"),
+        "clip's name that leads elsewhere": first(clip="../a"),
+        "control characters": lambda s: s["meta"].update(method="a\x1b[31m"),
+        "two lines": lambda s: s["meta"].update(authors=["a\nb"]),
         "other error than of whole trajectories": value(error=0.01),
         "count error": value(count_error=3.0),
         "groups found": first(n_found=7),

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from evaluation_helpers import CLIPS, META, NAMES, perfect, truth, zip_folder
@@ -51,7 +53,7 @@ def test_same_predictions_same_bytes_and_a_zip_hashes_as_its_folder(tmp_path):
 
 def test_meta_survives(tmp_path):
     meta = SubmissionMeta(
-        'Quote " back\\slash\nline \U0001f600',
+        'Quote " back\\slash \U0001f600',
         ("A", "B"),
         benchmark="kt3dmoseg",
         n_motions_given=False,
@@ -61,12 +63,15 @@ def test_meta_survives(tmp_path):
         outliers=True,
         baseline=True,
         fingerprints={"c d": "00"},
-        parameters={"alpha": "8"},
+        parameters={"alpha": "8\nlines"},
     )
     write_meta(tmp_path, meta)
     read = read_submission(tmp_path)
     assert read.meta == meta
     assert [p.code for p in read.problems] == ["no-predictions"]
+    for name, value in {"method": "a\x1b[31m", "authors": ("a\nb",), "seconds": -1.0, "link": None}.items():
+        with pytest.raises(InvalidValueError, match=rf"meta\.{name}: expected"):
+            write_meta(tmp_path, replace(meta, **{name: value}))
 
 
 def test_order_of_rows_is_free(tmp_path):

@@ -90,7 +90,11 @@ def add(*names: str, db: Annotated[app.File, Parameter(alias="-d")] = "things") 
     print("kept", *names, db)
 
 
-TABLE = {"hello": f"{__name__}:hello", "things": f"{__name__}:things"}
+def pick(number: app.Positive, /) -> None:
+    """Pick one."""
+
+
+TABLE = {"hello": f"{__name__}:hello", "pick": f"{__name__}:pick", "things": f"{__name__}:things"}
 
 
 @pytest.fixture
@@ -175,6 +179,7 @@ def test_a_preset_is_its_values_and_single_options_win(flags, alpha, rounds, cal
         (["hello", "x", "--share", "half"], "argument --share: expected a number, found 'half'"),
         (["hello", "x", "--count"], "argument --count: expected a value"),
         (["hello", "x", "--kind", "c"], "argument --kind: expected one of a, b, found 'c'"),
+        (["pick", "two"], "argument NUMBER: expected a whole number >= 1, found 'two'"),
         (["hello", "x", "more"], "unexpected argument 'more'"),
         (["hello"], "the following arguments are required: NAME"),
         (["things", "add", "--bd", "x"], "unknown option '--bd'; did you mean '--db'?"),
