@@ -142,11 +142,9 @@ def looks_like_submission(path: Path) -> bool:
 
 
 def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
-    """Write ``meta.toml``; returns its path. InvalidValueError for a value that could not be read back."""
+    """Write ``meta.toml``; returns its path."""
     path = Path(folder) / META
     values = asdict(meta)
-    for name in wrong_fields(values):
-        raise InvalidValueError(f"meta.{name}", expected=_FIELDS[name][0], found=f"{values[name]!r:.80}")
     lines = [f"format_version = {FORMAT_VERSION}"]
     lines += [f"{key} = {_toml(value)}" for key, value in values.items() if not isinstance(value, dict)]
     for key, value in values.items():
@@ -244,6 +242,8 @@ def write_submission(
     """
     if not isinstance(meta, SubmissionMeta):
         raise InvalidValueError("meta", expected="a SubmissionMeta", found=type(meta).__name__)
+    for name in wrong_fields(asdict(meta)):
+        raise InvalidValueError(f"meta.{name}", expected=_FIELDS[name][0], found=f"{vars(meta)[name]!r:.80}")
     check_writable(folder)
     by_name = clips_by_name(clips)
     labels: dict[tuple[int | None, str], IntArray] = {}

@@ -71,7 +71,7 @@ def test_meta_survives(tmp_path):
     assert [p.code for p in read.problems] == ["no-predictions"]
     for name, value in {"method": "a\x1b[31m", "authors": ("a\nb",), "seconds": -1.0, "link": None}.items():
         with pytest.raises(InvalidValueError, match=rf"meta\.{name}: expected"):
-            write_meta(tmp_path, replace(meta, **{name: value}))
+            write_submission(tmp_path, CLIPS.values(), truth(), replace(meta, **{name: value}))
 
 
 def test_order_of_rows_is_free(tmp_path):
