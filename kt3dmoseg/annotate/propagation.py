@@ -11,15 +11,17 @@ correspondences takes the straight step between the two key frames, else the ste
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, Protocol, TypeAlias
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, signed_distance, size
-from kt3dmoseg.annotate.model import Annotation, KeyFrame, Visibility
+from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, KeyFrame, Motion, Visibility
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
@@ -42,6 +44,11 @@ _OTHERWISE = 3.0
 _MAJORITY = 0.6
 _LARGE_ERROR = 1.0
 _JUMP = 1.2
+_SCENE = (BACKGROUND, REJECT)
+# Two to three seeds of the tracker beside a region, in pixels.
+_AROUND = 20.0
+# Deeper than this, in pixels, a vote of `label_tracks` weighs fully.
+_CLAIM = 2.0
 _TINY = 1e-12
 
 
@@ -79,8 +86,16 @@ def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict
     dict of int to list of Region
         Object id to its regions, one per frame of the clip.
     """
-    frames = annotation.n_frames
-    return {item.id: propagate_keys(item.key_frames, frames, motion) for item in annotation.objects}
+    out = {}
+    for item in annotation.objects:
+        carried = follows(item.motion, motion) if isinstance(motion, TrackMotion) else motion
+        out[item.id] = propagate_keys(item.key_frames, annotation.n_frames, carried)
+    return out
+
+
+def follows(number: Motion, tracks: TrackMotion) -> TrackMotion:
+    """Return what carries a motion: static and rejected objects lacking any go with those around."""
+    return replace(tracks, around=_AROUND) if number in _SCENE else tracks
 
 
 def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion | None) -> list[Region]:
@@ -109,6 +124,40 @@ def weak_frames(regions: Sequence[Region], motion: ImageMotion) -> list[str]:
     return out
 
 
+def overlaps(
+    annotation: Annotation, regions: Mapping[int, Sequence[Region]], weak: Mapping[int, Sequence[str]]
+) -> dict[int, list[str]]:
+    """Return `weak` (see `weak_frames`), and where another motion before it overlaps an object, which does.
+
+    Only places count that lie deeper than 2 px in both, and behind no static or rejected region.
+    """
+    out = {number: list(reasons) for number, reasons in weak.items()}
+    moving = [item for item in annotation.objects if item.motion not in _SCENE]
+    front = [regions[item.id] for item in annotation.objects if item.motion in _SCENE]
+    for one, other in combinations(moving, 2):
+        for frame in range(annotation.n_frames if one.motion != other.motion else 0):
+            a, b = regions[one.id][frame], regions[other.id][frame]
+            covers = [polygon for item in front for polygon in item[frame].polygons]
+            if a.visibility == b.visibility == "visible" and _common(a.polygons, b.polygons, covers):
+                out[other.id][frame] = f"overlaps {one.name}"
+    return out
+
+
+def _common(a: Sequence[FloatArray], b: Sequence[FloatArray], covers: Sequence[FloatArray]) -> bool:
+    """Whether two regions share a place more than 2 px deep that nothing covers."""
+    if not (a and b):
+        return False
+    low = np.floor(np.maximum(bounds(a)[:2], bounds(b)[:2])) - 1
+    width, height = (np.ceil(np.minimum(bounds(a)[2:], bounds(b)[2:])) - low + 2).astype(int)
+    if min(width, height) < 2 * _CLAIM:
+        return False
+    shared, cover = (np.zeros((height, width), np.uint8) for _ in range(2))
+    for polygons, mask, value in ((a, shared, 1), (b, cover, 1), (covers, cover, 0)):
+        for polygon in polygons:
+            cv2.fillPoly(mask, [np.rint(polygon - low).astype(np.int32)], value)
+    return bool(cv2.distanceTransform(cv2.bitwise_and(shared, cover), cv2.DIST_L2, 3).max() > _CLAIM)
+
+
 def _doubt(before: Region, here: Region, matches: Callable[..., Any], i: int, j: int) -> str:
     if not before.polygons:
         return "nothing to follow"
@@ -135,14 +184,25 @@ class ImageMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TrackMotion:
-    """The image motion of the trajectories inside the region."""
+    """The image motion of the trajectories inside the region.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        Of the clip.
+    around : float
+        With fewer than 4 of them inside, those up to so many pixels outside count too.
+    """
 
     trajectories: Trajectories
+    around: float = 0.0
 
     def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
         """Trajectories inside the region in frame `i` that are visible in `j`; see `ImageMotion`."""
         _, x1, x2 = self.trajectories.pair(i, j)
         kept = signed_distance(x1, region, reach=0.0) >= 0
+        if kept.sum() < _ENOUGH and self.around:
+            kept = signed_distance(x1, region, reach=self.around) >= -self.around
         return x1[kept], x2[kept]
 
 
@@ -255,6 +315,8 @@ def _carry(
     """Polygons of the frames from `key` to `stop`, in that order; straight steps lead to `target`."""
     # What hides an occluded object is not the object: its motion must not carry the region along.
     image = motion if key.visibility == "visible" else None
+    if target is not None and isinstance(image, TrackMotion):
+        image = replace(image, around=0.0)  # a straight step to the next key frame is better known
     chain = [arrays(key.polygons)]
     direction = 1 if stop >= key.frame else -1
     last = np.eye(2, 3)

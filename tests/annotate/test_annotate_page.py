@@ -197,3 +197,39 @@ def test_an_import_adds_to_what_is_drawn_or_replaces_it(page, tmp_path):
     page.until("labeller.state.doc.objects.length === 1")
     page.press("Control+z")
     page.until("labeller.state.doc.objects.length === 2")
+
+
+def test_occluded_and_outside_leave_no_stray_key_frames(page):
+    page.draw()
+    page.until("labeller.state.regions?.[1]")
+    for key in "eo":
+        page.press("ArrowRight", "ArrowRight", key, key)
+        assert [k["frame"] for k in page.objects()[0]["key_frames"]] == [0]
+    page.press("e", "ArrowRight")
+    page.tab.get_by_role("button", name="outside", exact=True).click()
+    assert [k["frame"] for k in page.objects()[0]["key_frames"]] == [0, 4]
+
+
+def test_what_two_motions_claim_is_in_doubt_and_what_is_in_front_is_not(page):
+    page.draw()
+    page.tab.get_by_label("Kind").select_option("pedestrian")
+    page.draw([(x + 30, y + 10) for x, y in CORNERS])
+    assert [item["kind"] for item in page.objects()] == ["pedestrian"] * 2
+    page.until("labeller.state.weak?.[2]?.every((why) => why === 'overlaps object 1')")
+    x, y = (round(at - page.box("#regions")[axis]) for at, axis in zip(page.at((105, 90)), "xy", strict=True))
+    place = f"document.getElementById('regions').getContext('2d').getImageData({x}, {y}, 20, 20).data"
+    hatched = f"[...{place}].some((blue, k, all) => k % 4 === 2 && blue > 200 && all[k + 1] > 200)"
+    page.until(hatched)
+    page.press("0")
+    page.until(f"!labeller.state.weak[2][0] && !{hatched}")
+    page.press("Shift+Digit1")
+    page.until("labeller.state.selected === 1")
+
+
+def test_points_near_the_border_are_on_it(page):
+    page.draw([(1, 60), (60, 60), (60, 110), (-4, 110)])
+    width, height = page.value("labeller.state.clip.image_size")
+    polygon = page.objects()[0]["key_frames"][0]["polygons"][0]
+    assert [x for x, _ in polygon] == [-0.5, pytest.approx(60, abs=1), pytest.approx(60, abs=1), -0.5]
+    page.drag((60, 110), (width - 2, height + 3))
+    assert page.objects()[0]["key_frames"][0]["polygons"][0][2] == [width - 0.5, height - 0.5]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,6 +114,20 @@ def test_too_few_trajectories_fall_back_to_the_line():
     drawn = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(4, polygons=(at(4),)))
     middle = propagate(drawn, TrackMotion(few))[1][2].polygons[0]
     assert np.allclose(middle, SQUARE + (path(0) + path(4)) / 2)
+
+
+def test_static_and_rejected_objects_without_trajectories_follow_those_around():
+    ring = tracks()
+    away = np.abs(ring.xy[:, 0] - 50).max(axis=1)
+    ring = ring.select(np.flatnonzero((away > 3) & (away < 9)))  # of those that move, and none inside
+    (drawn,) = annotation(KeyFrame(0, polygons=(((48, 48), (52, 48), (52, 52), (48, 52)),))).objects
+    ends = {}
+    for motion in (0, "reject", 1):
+        item = Annotation("c", (150, 120), FRAMES, (replace(drawn, motion=motion),))
+        ends[motion] = propagate(item, TrackMotion(ring))[1][4].polygons[0].mean(axis=0) - 50
+    assert np.abs(ends[0] - path(4)).max() < 1.0
+    assert np.allclose(ends[0], ends["reject"])
+    assert np.allclose(ends[1], 0)
 
 
 def test_visibility_holds_until_the_next_key_frame():

@@ -22,12 +22,21 @@ from kt3dmoseg.annotate.model import (
     Annotation,
     Clicks,
     KeyFrame,
+    Motion,
     Polygon,
     load_annotation,
     save_revision,
 )
 from kt3dmoseg.annotate.one_click import outline_clicks
-from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate, propagate_keys, weak_frames
+from kt3dmoseg.annotate.propagation import (
+    Region,
+    TrackMotion,
+    follows,
+    overlaps,
+    propagate,
+    propagate_keys,
+    weak_frames,
+)
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog, file_version
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
@@ -129,11 +138,12 @@ class ClipSession:
 
     def regions(self, annotation: Annotation) -> dict[int, list[Region]]:
         """Return every object's region in every frame; computed only for objects that were edited."""
-        return {item.id: self._carried(item.key_frames) for item in annotation.objects}
+        return {item.id: self._carried(item.key_frames, item.motion) for item in annotation.objects}
 
     def weak(self, annotation: Annotation) -> dict[int, list[str]]:
-        """Return why each object's region is in doubt in each frame; see `weak_frames`."""
-        return {item.id: self._doubted(item.key_frames) for item in annotation.objects}
+        """Return why each object's region is in doubt in each frame; see `overlaps` and `weak_frames`."""
+        weak = {item.id: self._doubted(item.key_frames, item.motion) for item in annotation.objects}
+        return overlaps(annotation, self.regions(annotation), weak)
 
     @cached_property
     def moving(self) -> IntArray | None:
@@ -242,17 +252,19 @@ class ClipSession:
             regions = propagate(annotation, motion)
             labelled = label_tracks_detailed(tracks, annotation, regions=regions)
             weak = {number: weak_frames(of_object, motion) for number, of_object in regions.items()}
+            weak = overlaps(annotation, regions, weak)
         return out | {"counts": labelled.counts(), "weak": sum(map(bool, chain(*weak.values())))}
 
     def _label(self, annotation: Annotation) -> LabelledTracks:
         tracks = self.trajectories(wait=True)
         return label_tracks_detailed(tracks, annotation, regions=self.regions(annotation))
 
-    def _carry(self, keys: tuple[KeyFrame, ...]) -> list[Region]:
-        return propagate_keys(keys, len(self.source.frames), TrackMotion(self.trajectories(wait=True)))
+    def _carry(self, keys: tuple[KeyFrame, ...], number: Motion) -> list[Region]:
+        motion = follows(number, TrackMotion(self.trajectories(wait=True)))
+        return propagate_keys(keys, len(self.source.frames), motion)
 
-    def _doubt(self, keys: tuple[KeyFrame, ...]) -> list[str]:
-        return weak_frames(self._carried(keys), TrackMotion(self.trajectories(wait=True)))
+    def _doubt(self, keys: tuple[KeyFrame, ...], number: Motion) -> list[str]:
+        return weak_frames(self._carried(keys, number), TrackMotion(self.trajectories(wait=True)))
 
     def _work(self) -> None:
         frames, total = (read_frame(path, "luma") for path in self.source.frames), len(self.source.frames)

@@ -135,6 +135,9 @@ export function cycleObject(by) {
   return select(nextOf(objects, objects.indexOf(selectedObject()), by).id);
 }
 
+/** Select the n-th object of the list, from 1. */
+export const selectNth = (n) => select(state.doc.objects[n - 1]?.id ?? state.selected);
+
 export const objectUnder = (point) => state.doc.objects.findLast((item) => {
   if (state.unseen.has(item.id) || state.locked.has(item.id)) return false;
   const { visibility, polygons } = regionOf(item, state.frame);
@@ -179,8 +182,13 @@ export const setVisibility = withObject((item, visibility) => {
   else draw(visibility === "outside" ? [] : polygons, visibility);
 });
 
-export const toggleVisibility = withObject((_, wanted) =>
-  setVisibility(regionHere().visibility === wanted ? "visible" : wanted));
+export const toggleVisibility = withObject((item, wanted) => {
+  if (regionHere().visibility !== wanted) return setVisibility(wanted);
+  // A key that only says so goes again, where the object is seen without it.
+  const key_frames = item.key_frames.filter((key) => key.frame !== state.frame);
+  const before = key_frames.findLast((key) => key.frame < state.frame) ?? key_frames[0];
+  return before?.visibility === "visible" ? update(item, { key_frames }) : setVisibility("visible");
+});
 
 /** The object enters in this frame: drawn here, outside in the frame before. */
 export const enterHere = withObject(() => {

@@ -6,21 +6,24 @@ export const keyAt = (item, frame) => item.key_frames.find((key) => key.frame ==
 export const nextMotion = ({ objects, marks }) =>
   Math.max(0, ...[...objects, ...(marks ?? [])].map((item) => item.motion).filter(Number.isInteger)) + 1;
 
-/** Add an object under the next free id; what is not given is a car with the next free motion. */
+/** Add an object under the next free id; what is not given is of the last one's kind with the next free motion. */
 export function addObject(doc, values) {
   const id = Math.max(0, ...doc.objects.map((item) => item.id)) + 1;
   // In the server's order of fields: documents are compared as text.
-  const item = { id, name: `object ${id}`, kind: "car", motion: nextMotion(doc) };
+  const item = { id, name: `object ${id}`, kind: doc.objects.at(-1)?.kind ?? "car", motion: nextMotion(doc) };
   return { ...doc, objects: [...doc.objects, { ...item, ...values, id }] };
 }
 
 export const changeObject = (doc, id, fields) =>
   ({ ...doc, objects: doc.objects.map((item) => (item.id === id ? { ...item, ...fields } : item)) });
 
-/** Draw an object in one frame, or make it occluded or outside from there on. */
+/** Draw an object in one frame, or make it occluded or outside from there on; no key says again that it is outside. */
 export function setKey(doc, id, frame, polygons, visibility = "visible") {
   const others = objectOf(doc, id).key_frames.filter((key) => key.frame !== frame);
-  const key_frames = [...others, { frame, visibility, polygons }].sort((a, b) => a.frame - b.frame);
+  const sorted = [...others, { frame, visibility, polygons }].sort((a, b) => a.frame - b.frame);
+  const seen = sorted.findIndex((key) => key.visibility !== "outside");
+  const away = (k) => sorted[k]?.visibility === "outside";
+  const key_frames = sorted.filter((_, k) => !away(k) || (k < seen ? k === seen - 1 : !away(k - 1)));
   return changeObject(doc, id, { key_frames });
 }
 

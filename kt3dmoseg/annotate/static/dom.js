@@ -71,6 +71,14 @@ export function begin(canvas) {
   return context;
 }
 
+/** Slanted lines, for what is in doubt. */
+export function hatch(context, strokeStyle) {
+  const tile = new OffscreenCanvas(5, 5).getContext("2d");
+  Object.assign(tile, { strokeStyle, lineWidth: 1.2 });
+  tile.stroke(new Path2D("M-1 6L6 -1M-1 1L1 -1M4 6L6 4"));
+  return context.createPattern(tile.canvas, "repeat");
+}
+
 const dialog = byId("dialog");
 
 /** The item of a list after the one at an index, or before it; at no index (-1) the first or the last. */

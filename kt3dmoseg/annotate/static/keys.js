@@ -56,6 +56,8 @@ export const KEYS = {
     key("p", "P", "outline another part of it", () => actions.redraw("part")),
     key("] a", "]", "next object (or A)", () => actions.cycleObject(1)),
     key("[ Shift+A", "[", "previous object (or Shift+A)", () => actions.cycleObject(-1)),
+    key("Shift+1 Shift+2 Shift+3 Shift+4 Shift+5 Shift+6 Shift+7 Shift+8 Shift+9", "Shift+1 – 9",
+      "first to ninth object of the list", (name) => actions.selectNth(Number(name.at(-1)))),
     key("c", "C", "copy to the next frame by motion", actions.copyToNext),
     key("o", "O", "occluded from here on", () => actions.toggleVisibility("occluded")),
     key("e", "E", "leaves: outside from here on", () => actions.toggleVisibility("outside")),
@@ -85,7 +87,7 @@ export const KEYS = {
     key("y", "Y", "colour by label, by length, none",
       () => view.cycle("colouring", ["label", "length", "none"], "Colour of trajectories: ")),
     key("u", "U", "only unlabelled and conflicts", () => view.cycle("problems", ON_OFF)),
-    key("g", "G", "go to the next of them", nextProblem),
+    key("g", "G", "go to the next of them, of the selected object if it has any", () => nextProblem(selectedObject()?.motion)),
     key("Shift+U", "Shift+U", "go to what leaves the scene's motion, without an object", nextUnexplained),
     key("Shift+W", "Shift+W", "go to the next weak frame (hatched)", actions.nextWeak),
     key("h", "H", "hide the regions", () => view.cycle("hidden", ON_OFF)),
@@ -137,6 +139,10 @@ export function press(name) {
 
 function nameOf(event) {
   const pressed = event.key === " " ? "Space" : event.key;
+  // What Shift makes of a digit depends on the keyboard.
+  if (event.shiftKey && /^Digit[1-9]$/.test(event.code) && /[^\d]/.test(pressed) && !TABLE.has(pressed)) {
+    return `Shift+${event.code.at(-1)}`;
+  }
   // Of other signs, Shift is part of the sign.
   const shifted = event.shiftKey && (pressed.length > 1 || /[+\p{L}]/u.test(pressed));
   const letter = pressed.length > 1 ? pressed : shifted ? pressed.toUpperCase() : pressed.toLowerCase();

@@ -73,8 +73,8 @@ function show() {
     const [found, property] = field(name);
     found[property] = state[name];
   }
-  const { hidden, problems, ...kept } = Object.fromEntries(names.map((name) => [name, state[name]]));
-  localStorage.setItem("look", JSON.stringify(kept)); // but nothing is left out when the page opens again
+  const { hidden, problems, brightness, contrast, ...kept } = Object.fromEntries(names.map((name) => [name, state[name]]));
+  localStorage.setItem("look", JSON.stringify(kept)); // but nothing is left out, or too bright, in another clip
 }
 
 // Numbers that are shown and may be typed

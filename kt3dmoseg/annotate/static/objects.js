@@ -5,6 +5,7 @@ import {
   BACKGROUND, PROBLEM, REJECTED, button, byId, chip, colourOfMotion, element, faint, fill, meaningOf, signOf,
 } from "./dom.js";
 import { on, regionOf, select, selectedObject, set, state, toggleObject } from "./state.js";
+import { nextProblem, problems } from "./tracks.js";
 import { fitObject } from "./view.js";
 
 const FIRST_STEPS = [
@@ -97,7 +98,10 @@ function counts() {
   ];
   const cells = rows.flatMap(([name, colour, count]) =>
     [chip(" ", colour), element("span", {}, name), element("span", { className: "n" }, String(count))]);
-  return [head(`${labels.label.length} trajectories`), element("div", { className: "counts" }, cells)];
+  const open = doc.objects.filter(({ motion }, k) => doc.objects.findIndex((o) => o.motion === motion) === k)
+    .map(({ name, motion }) => [name, motion, problems(motion).length]).filter(([, , count]) => count)
+    .map(([name, motion, count]) => button(`${count} unlabelled at ${name}`, () => nextProblem(motion), "link"));
+  return [head(`${labels.label.length} trajectories`), element("div", { className: "counts" }, cells), ...open];
 }
 
 list.onscroll = () => set({ scrolled: list.scrollTop });

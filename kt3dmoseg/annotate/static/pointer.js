@@ -23,6 +23,15 @@ export function at(event) {
   return { screen, point: toImage(screen) };
 }
 
+/** A point near the border of the frame, or outside, is on it. */
+function snapped(point) {
+  const reach = REACH / state.view.scale;
+  return point.map((value, axis) => {
+    const last = state.clip.image_size[axis] - 0.5;
+    return value < reach - 0.5 ? -0.5 : value > last - reach ? last : value;
+  });
+}
+
 function down(event) {
   if (!state.view || event.target.closest(".strip")) return;
   set({ keyboard: false, cross: null });
@@ -46,10 +55,10 @@ function grab(point, screen) {
   const vertex = nearestVertex(point, polygons, reach);
   if (vertex) {
     set({ vertex });
-    return reshaping(vertex, (to) => splice(polygons, vertex, 1, to));
+    return reshaping(vertex, (to) => splice(polygons, vertex, 1, snapped(to)));
   }
   const edge = nearestEdge(point, polygons, reach * 0.7);
-  if (edge) return reshaping(edge, (to) => splice(polygons, edge, 0, to));
+  if (edge) return reshaping(edge, (to) => splice(polygons, edge, 0, snapped(to)));
   const under = state.hidden ? null : actions.objectUnder(point);
   if (!under || under !== item) return panning(screen, () => select(under?.id ?? null));
   set({ vertex: null });
@@ -88,17 +97,17 @@ function drawing(from, start) {
       if (distance(screen, from) < FREEHAND) return;
       if (!moved) {
         set({ pending: { ...state.pending, freehand: true } });
-        actions.addPoint(start);
+        actions.addPoint(snapped(start));
       }
       moved = true;
       from = screen;
-      actions.addPoint(point);
+      actions.addPoint(snapped(point));
     },
     up(point) {
       const { points } = state.pending;
       const closing = points.length >= 3 && distance(toScreen(points[0]), toScreen(point)) < REACH;
       if (moved ? points.length > 8 : closing) actions.finish();
-      else if (!moved) actions.addPoint(point);
+      else if (!moved) actions.addPoint(snapped(point));
     },
   };
 }

@@ -2,7 +2,7 @@
 
 import { clicksHere, editableRegion } from "./actions.js";
 import { boundsOf } from "./annotation.js";
-import { begin, byId, colourOfMotion, signOf } from "./dom.js";
+import { PROBLEM, begin, byId, colourOfMotion, hatch, signOf } from "./dom.js";
 import { on, regionOf, state } from "./state.js";
 import { toScreen } from "./view.js";
 
@@ -18,7 +18,9 @@ export function drawRegions() {
   if (!doc || !view) return;
   const frame = state.flickered ?? state.frame;
   if (!state.hidden) {
-    doc.objects.filter((item) => !state.unseen.has(item.id)).forEach((item) => drawObject(item, frame));
+    const shown = doc.objects.filter((item) => !state.unseen.has(item.id)).map((item) => ({ item, ...regionOf(item, frame) }));
+    shown.forEach((one) => drawObject(one, frame, shown));
+    drawOverlaps(shown);
     const marks = (doc.marks ?? []).filter((mark) => mark.frame === frame);
     marks.forEach((mark) => outline(mark.polygon, colourOfMotion(mark.motion), [2, 3]));
     state.proposals?.forEach((item) => drawProposal(item, frame));
@@ -31,21 +33,56 @@ export function drawRegions() {
   if (cross) drawCross(toScreen(cross));
 }
 
-function drawObject(item, frame) {
-  const { visibility, polygons, key } = regionOf(item, frame);
+function drawObject({ item, visibility, polygons, key }, frame, shown) {
   if (visibility === "outside") return;
   const chosen = item.id === state.selected;
   const colour = colourOfMotion(item.motion);
-  const dash = visibility === "occluded" ? [6, 5] : key ? [] : [10, 3];
+  const hidden = visibility === "occluded";
+  context.save();
+  if (!chosen) cutOut(item, shown);
   for (const polygon of polygons) {
-    const path = outline(polygon, colour, dash, chosen ? 2.5 : 1.5);
-    context.globalAlpha = state.opacity * (chosen ? 0.16 : item.id === state.hovered ? 0.14 : 0.07);
+    const path = outline(polygon, colour, hidden ? [1.5, 6] : key ? [] : [10, 3], chosen ? 2.5 : 1.5);
+    context.save();
+    if (chosen) cutOut(item, shown); // its outline can be dragged behind what is in front
+    context.globalAlpha = state.opacity * (hidden ? 0 : chosen ? 0.16 : item.id === state.hovered ? 0.14 : 0.07);
     context.fillStyle = colour;
     context.fill(path);
-    context.globalAlpha = 1;
+    context.restore();
   }
+  context.restore();
   if (chosen && !state.pending && !state.locked.has(item.id)) drawHandles(editableRegion(item, frame), colour);
-  drawName(`${signOf(item.motion)} ${item.name}`, polygons, colour, chosen);
+  drawName(`${signOf(item.motion)} ${item.name}${hidden ? " (occluded)" : ""}`, polygons, colour, chosen);
+}
+
+/** As the labels have it, static things are in front of what moves, and rejected ones in front of all. */
+const layer = ({ motion }) => (motion === "reject" ? 2 : motion ? 0 : 1);
+const seen = ({ visibility }) => visibility === "visible";
+
+/** Draw nothing more where something is in front of an object. */
+function cutOut(item, shown) {
+  for (const { polygons } of shown.filter((other) => seen(other) && layer(other.item) > layer(item))) {
+    for (const polygon of polygons) {
+      const path = pathOf(polygon);
+      path.rect(0, 0, canvas.clientWidth, canvas.clientHeight);
+      context.clip(path, "evenodd");
+    }
+  }
+}
+
+/** Hatch what two motions both claim: no trajectory there gets a label. */
+function drawOverlaps(shown) {
+  const moving = shown.filter((one) => seen(one) && !layer(one.item));
+  context.fillStyle = hatch(context, PROBLEM);
+  moving.forEach(({ item, polygons }, k) => moving.slice(0, k).forEach((other) => {
+    if (other.item.motion === item.motion) return;
+    for (const polygon of polygons) {
+      context.save();
+      cutOut(item, shown);
+      context.clip(pathOf(polygon));
+      other.polygons.forEach((theirs) => context.fill(pathOf(theirs)));
+      context.restore();
+    }
+  }));
 }
 
 function drawProposal(item, frame) {

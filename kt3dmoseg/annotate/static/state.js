@@ -9,6 +9,7 @@ const FRESH = {
   computing: "loading", proposals: null, review: null, compared: null, dragging: null,
   span: null, flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [],
   unseen: new Set(), locked: new Set(),
+  brightness: 1, contrast: 1, // of the pictures of this clip
 };
 
 // How things are shown, unless somebody wishes otherwise, which this browser keeps.

@@ -3,7 +3,7 @@
 
 import { moveKey, weakFrames } from "./actions.js";
 import { clamp, keyAt } from "./annotation.js";
-import { begin, byId, colourOfMotion, element, fill } from "./dom.js";
+import { begin, byId, colourOfMotion, element, fill, hatch } from "./dom.js";
 import { edit, now, on, preview, regionOf, select, set, state } from "./state.js";
 import { goTo } from "./view.js";
 
@@ -48,7 +48,7 @@ function drawTimeline() {
   if (!state.doc) return;
   begin(canvas);
   const { color, backgroundColor, outlineColor, caretColor } = getComputedStyle(canvas);
-  colours = { ink: color, ground: backgroundColor, faint: outlineColor, accent: caretColor, doubt: hatch(color) };
+  colours = { ink: color, ground: backgroundColor, faint: outlineColor, accent: caretColor, doubt: hatch(context, color) };
   const { from, column } = span();
   bar(colours.accent, 0.25, (state.frame - from) * column, 0, Math.max(2, column), canvas.clientHeight);
   state.doc.objects.forEach((item, k) => drawRow(item, ROW + k * ROW - state.scrolled));
@@ -92,14 +92,6 @@ function drawMap() {
   bar(colours.ink, 1, (state.frame + 0.5) * pixels - 1, 0, 2, MAP);
 }
 
-/** Slanted lines, for what is in doubt. */
-function hatch(strokeStyle) {
-  const tile = new OffscreenCanvas(5, 5).getContext("2d");
-  Object.assign(tile, { strokeStyle, lineWidth: 1.2 });
-  tile.stroke(new Path2D("M-1 6L6 -1M-1 1L1 -1M4 6L6 4"));
-  return context.createPattern(tile.canvas, "repeat");
-}
-
 function drawRow(item, top) {
   if (top < 0 || top > canvas.clientHeight) return;
   const { from, count, column } = span();
@@ -108,9 +100,9 @@ function drawRow(item, top) {
   for (let frame = Math.floor(from); frame < Math.min(state.clip.n_frames, from + count); frame++) {
     const { visibility, key } = regionOf(item, frame);
     const [left, middle] = [(frame - from) * column, top + ROW / 2];
-    const alpha = { visible: 0.7, occluded: 0.3, outside: 0 }[visibility];
-    bar(colours.faint, alpha, left, middle - 4, column + 0.5, 8);
-    bar(colour, alpha, left, middle - 3, column + 0.5, 6);
+    const half = { visible: 3, occluded: 0.5, outside: -1 }[visibility];
+    bar(colours.faint, 0.7, left, middle - half - 1, column + 0.5, 2 * half + 2);
+    if (half > 0) bar(colour, 0.7, left, middle - half, column + 0.5, 2 * half);
     if (state.weak?.[item.id]?.[frame]) bar(colours.doubt, 0.7, left, top + 3, column, ROW - 6);
     if (key) drawKey(left + column / 2, middle, visibility === "visible", colour);
   }

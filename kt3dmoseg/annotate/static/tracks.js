@@ -100,10 +100,17 @@ export function visitNext(kind, places, nothing, visit, at = ((last[kind] ?? -1)
   return notify(visit(places[at], `${at + 1} of ${places.length}`));
 }
 
-export function nextProblem() {
-  const reason = state.labels?.reason ?? [];
-  const problems = [...reason.keys()].filter((row) => [2, 3].includes(reason[row]));
-  visitNext("problem", problems, "No trajectory is unlabelled or in conflict", (row, which) => {
+/** Rows of the trajectories without a label, of those that a motion claims as well, or of all. */
+export function problems(motion) {
+  const { reason, claimed } = state.labels ?? { reason: [] };
+  const open = [...reason.keys()].filter((row) => [2, 3].includes(reason[row]));
+  return motion === undefined ? open : open.filter((row) => claimed[row] === motion);
+}
+
+export function nextProblem(motion) {
+  const { reason } = state.labels ?? {};
+  const own = problems(motion);
+  visitNext("problem", own.length ? own : problems(), "No trajectory is unlabelled or in conflict", (row, which) => {
     showTrack(row);
     const why = reason[row] === 3 ? "in conflict" : "too short to label";
     return `trajectory ${row} is ${why} (${which}); lasso it with Q`;
