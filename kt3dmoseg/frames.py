@@ -91,6 +91,7 @@ class Cut:
 
 
 _ALL = Cut()
+_WHOLE: dict[str, Any] = {"frames": "", "step": 1, "size": "", "catalogs": ()}
 
 
 @dataclass(frozen=True)
@@ -541,9 +542,10 @@ def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]
         wanted = [str(tracked[name]) for name in sorted(tracked, key=frame_number)]
         found = [sha256_file(path) for path in paths]
     if wanted not in (None, found):
-        expected, fix = f"the frames that {clip} was made from", "give the folder that the clip was made from"
+        expected, fix = f"the frames that {clip} was made from", "give those that the clip was made from"
         found = "pictures with other contents (by their sha256)"
-        raise InputFileError(f"{paths[0].parent}", expected=expected, found=found, fix=fix)
+        where = paths[0] if video else paths[0].parent
+        raise InputFileError(f"{where}", expected=expected, found=found, fix=fix)
 
 
 def recorded_inputs(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -584,50 +586,39 @@ def find_clips(
     Of a KITTI raw root they are the clips of `catalogs`, or of its ``located.toml``. The `frames` of clip
     files are in a folder with one per clip, the folder itself, or the KITTI raw root of the build; by default
     next to the files, or in ``frames`` next to their folder. `tracks` adds more. Of frames and videos
-    `range_`, `step` and `size` take a part, as `take` does.
+    `range_`, `step` and `size` take a part, as `take` does. Folders without pictures are passed over.
     """
-    given = Path(path)
-    video = given.suffix.lower() in images.VIDEO_SUFFIXES and given.is_file()
-    if catalogs or range_ or step != 1 or size or video or any(given.glob(_DRIVE_FOLDERS)):
-        sources = choose_sources(given, catalogs=catalogs, frames=range_, step=step, size=size)
-        return _clips_of_sources(sources, Path(annotations), tracks)
-    folders, files = {given.resolve().name: given}, clip_paths(given)
-    if not is_clip(given):
-        inside = listed(given) if given.is_dir() else []
-        folders = {folder.name: folder for folder in inside if has_pictures(folder)}
-    files = _with_tracks(files, tracks, list(folders))
-    if not folders and not files:
+    given, notes = Path(path), Path(annotations)
+    inside = listed(given) if given.is_dir() else [given]
+    videos = [file for file in inside if file.suffix.lower() in images.VIDEO_SUFFIXES and file.is_file()]
+    files = {} if given in videos else clip_paths(given)
+    part: dict[str, Any] = {"frames": range_, "step": step, "size": size, "catalogs": tuple(catalogs)}
+    shots = videos and not files  # next to clip files lie pictures of them
+    sources: list[FrameSource] = []
+    if part != _WHOLE or shots or any(given.glob(_DRIVE_FOLDERS)) or any(map(has_pictures, (given, *inside))):
+        found = choose_sources(given, **part)
+        sources = [s for s in found if not isinstance(s, FrameFolder) or has_pictures(s.folder)]
+    names = sorted(source.name for source in sources)
+    if tracks is not None:
+        files = clip_paths(Path(tracks)) | files
+        if names and not files.keys() & {*names}:
+            wanted, others = ", ".join(names[:3]), ", ".join(list(files)[:3]) or "none"
+            raise InputFileError(f"{tracks}", expected=f"tracks of {wanted}", found=others)
+    if not names and not files:
         expected = "a folder of frames, a clip file, or a folder of such"
         raise InputFileError(f"{given}", expected=expected, found="none of them")
-    out = {}
-    for name in sorted(folders or files):
-        known = folders.get(name)
-        paths = frame_paths(known) if known else _frames_of_file(name, files[name], given, frames)
-        out[name] = ClipFiles(name, tuple(paths), files.get(name), Path(annotations, f"{name}.json"))
-    return out
+    shown = {source.name: _stored(source, notes) for source in sources}
+    shown = shown or {name: _frames_of_file(name, file, given, frames) for name, file in files.items()}
+    return {
+        name: ClipFiles(name, tuple(paths), files.get(name), notes / f"{name}.json")
+        for name, paths in sorted(shown.items())
+    }
 
 
-def _with_tracks(files: dict[str, Path], tracks: PathLike | None, names: Sequence[str]) -> dict[str, Path]:
-    """Add the files of a folder of trajectories; refuse one that has those of none of the clips."""
-    if tracks is None:
-        return files
-    files = clip_paths(Path(tracks)) | files
-    if names and not files.keys() & {*names}:
-        expected, found = f"tracks of {', '.join(names[:3])}", ", ".join(list(files)[:3]) or "none"
-        raise InputFileError(f"{tracks}", expected=expected, found=found)
-    return files
-
-
-def _clips_of_sources(
-    sources: Sequence[FrameSource], notes: Path, tracks: PathLike | None
-) -> dict[str, ClipFiles]:
-    known, out = _with_tracks({}, tracks, [source.name for source in sources]), {}
-    for source in sorted(sources, key=lambda source: source.name):
-        stored = isinstance(source, FrameFolder | KittiClip) and source.cut.size is None
-        paths = source.paths() if stored else _extracted(source, notes)  # type: ignore[attr-defined]
-        files = tuple(paths), known.get(source.name), notes / f"{source.name}.json"
-        out[source.name] = ClipFiles(source.name, *files)
-    return out
+def _stored(source: FrameSource, notes: Path) -> list[Path]:
+    """List the pictures of a source's frames; of a video, or in another size, they are written once."""
+    stored = isinstance(source, FrameFolder | KittiClip) and source.cut.size is None
+    return source.paths() if stored else _extracted(source, notes)  # type: ignore[attr-defined]
 
 
 def _extracted(source: FrameSource, folder: Path) -> list[Path]:

@@ -91,9 +91,8 @@ def label_clip(
     """Label a clip's trajectories by what `find_labels` found; `frames` names the files of its frames."""
     if annotation := files.get("annotation"):
         found = load_annotation(annotation[0])
-        if found.clip != name:
-            where, fix = f"{annotation[0]}: clip", "annotations are of one clip each"
-            raise InputFileError(where, expected=repr(name), found=repr(found.clip), fix=fix)
+        size = dense.image_size or found.image_size
+        found.expect(f"{annotation[0]}: ", clip=name, n_frames=dense.n_frames, image_size=size)
         return label_tracks(dense, found)
     masks = files.get("masks")
     return label_by_masks(dense, by_frame(masks, frames, name, shift)) if masks else None

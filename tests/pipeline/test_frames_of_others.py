@@ -218,6 +218,16 @@ def test_annotations_of_no_clip_are_refused(frames, tmp_path, capsys):
     assert "warning: clip: nothing is labelled as car 1, car 2\n" in capsys.readouterr().err
 
 
+def test_an_annotation_of_another_size_or_length_is_refused_by_its_file(frames, tmp_path, capsys):
+    path = tmp_path / "annotations" / "clip.json"
+    for field, size, count in (("image_size", (WIDTH, 2 * HEIGHT), FRAMES), ("n_frames", (WIDTH, HEIGHT), 3)):
+        path.parent.mkdir(exist_ok=True)
+        save_annotation(path, Annotation("clip", size, count))
+        for command in (("build", frames, "-o", tmp_path / "out"), ("label", frames, "--no-browser")):
+            assert run(*command, "--annotations", path.parent) == 2
+            assert f"{path}: {field}: expected" in capsys.readouterr().err
+
+
 def test_clips_without_an_annotation_among_others_are_listed(frames, tmp_path, capsys, monkeypatch):
     write_clip(frames / "other", 1)
     annotate(tmp_path / "annotations" / "clip.json")

@@ -114,10 +114,8 @@ def propose_built(request: Request) -> list[AnnotatedObject]:
         fix = "build the clip with propose=True"
         raise InputFileError(f"{request.built}", expected="proposals", found="no such file", fix=fix)
     found, like = load_annotation(request.built, PROPOSALS), request.annotation
-    for name in ("clip", "image_size", "n_frames"):
-        if (stated := getattr(found, name)) != (wanted := getattr(like, name)):
-            raise FileFormatError(f"{request.built}: {name}", expected=repr(wanted), found=repr(stated))
-    return list(found.objects)
+    wanted = {name: getattr(like, name) for name in ("clip", "image_size", "n_frames")}
+    return list(found.expect(f"{request.built}: ", **wanted).objects)
 
 
 def objects_from_labels(

@@ -18,6 +18,7 @@ from kt3dmoseg import io
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
 from kt3dmoseg.annotate.model import (
     BUILT,
+    FORMAT,
     PROPOSALS,
     Annotation,
     Clicks,
@@ -111,12 +112,16 @@ class ClipSession:
         """Read the annotation file, which must be of this clip; an empty annotation when there is none."""
         if not self.source.annotation.exists():
             return Annotation(self.source.name, self.image_size, len(self.source.frames))
-        return self.checked(load_annotation(self.source.annotation))
+        return self.load(self.source.annotation)
 
-    def checked(self, annotation: Annotation) -> Annotation:
+    def load(self, path: Path, form: str = FORMAT) -> Annotation:
+        """Read an annotation, which must be of this clip; errors name the file."""
+        return self.checked(load_annotation(path, form), f"{path}: ")
+
+    def checked(self, annotation: Annotation, where: str = "") -> Annotation:
         """Return the annotation; InvalidValueError, which names the field, when it is of another clip."""
         name, frames = self.source.name, len(self.source.frames)
-        return annotation.expect(clip=name, image_size=self.image_size, n_frames=frames)
+        return annotation.expect(where, clip=name, image_size=self.image_size, n_frames=frames)
 
     def trajectories(self, *, wait: bool = False) -> Trajectories:
         """Return the trajectories, or raise NotTrackedError; the first call starts the work."""
@@ -158,7 +163,7 @@ class ClipSession:
         """Group (N,) of each trajectory by the proposals that a build made, 1 = scene; None without any."""
         if not self.built.exists():
             return None
-        built = self.checked(load_annotation(self.built, PROPOSALS))
+        built = self.load(self.built, PROPOSALS)
         return label_tracks_detailed(self.trajectories(wait=True), built).labels.label
 
     def outline(self, asked: Clicks) -> list[Polygon]:

@@ -215,7 +215,7 @@ class Routes:
         given = _given(session, body)
         if self.other is None:
             raise HTTPException(404, "start with compare=FOLDER to compare two annotators")
-        theirs = session.checked(model.load_annotation(self.other / f"{session.source.name}.json"))
+        theirs = session.load(self.other / f"{session.source.name}.json")
         regions = session.regions(given), session.regions(theirs)
         labels = session.labelled(given).labels.label, session.labelled(theirs).labels.label
         found = compare((given, theirs), regions, labels).to_json("you", "the other")
