@@ -68,6 +68,9 @@ def test_tracks_that_do_not_fit_the_frames_are_refused(scene, tmp_path):
     sized = Trajectories(tracks.xy, tracks.visible, image_size=(200, 100))
     with pytest.raises(FileFormatError, match="tracks in 96x64 px, as the frames, found"):
         build_clip(frames, tracks=_write(tmp_path / "a.npz", sized, "tap-vid"))
+    back = Trajectories(tracks.xy[:, ::-1], tracks.visible[:, ::-1])
+    with pytest.raises(FileFormatError, match="in pixels of 96x64, found points that follow them no better"):
+        build_clip(frames, tracks=_write(tmp_path / "a.npz", back))
     later = np.arange(11, 11 + FRAMES)  # as many frames, but others
     clip = Clip("a", tracks, np.arange(len(tracks)), Labels(np.zeros(len(tracks), int)), later)
     save(clip, tmp_path / "a.h5")
