@@ -25,7 +25,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -202,9 +202,13 @@ def parse_all(paths: Iterable[Path]) -> Iterator[tuple[Path, dict[str, Entry], l
         yield path, clips, problems
 
 
-def select(clips: Mapping[str, Entry], names: Iterable[str] = ()) -> list[Entry]:
-    """Return the clips of these names, all when none is given; UnknownNameError, with the nearest name."""
-    wanted = list(dict.fromkeys(names)) or list(clips)
+def choose(names: Iterable[str], *paths: str | os.PathLike[str]) -> list[Entry]:
+    """Return the clips of these names; without names all of the users' catalogs, else of the built-in one.
+
+    UnknownNameError, with the nearest name, for an unknown one; errors of files as `load`.
+    """
+    clips = load(*paths)
+    wanted = list(dict.fromkeys(names)) or list(load(*paths, built_in=False) if paths else clips)
     for name in wanted:
         if name not in clips:
             raise unknown_name("clip", name, clips)

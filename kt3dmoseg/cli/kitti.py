@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from kt3dmoseg.app import Catalogs, File, Folder, Url, flags, group
 from kt3dmoseg.kitti.options import LocateOptions, PullOptions
 
-Clips = Annotated[str, Parameter(help="Clips of the catalog (default: all).")]
+Clips = Annotated[str, Parameter(help="Names (default: all of --catalog, else the 22).")]
 Root = Annotated[Folder, Parameter(alias=("-o", "--root"))]
 
 

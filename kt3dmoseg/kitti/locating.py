@@ -60,7 +60,7 @@ def locate(
     root : path
         The folder that `pull` fills; what was found is kept in it.
     clips : iterable of str
-        Names of clips; all of the catalog by default.
+        Names of clips; by default all of `catalogs`, without these of the built-in catalog.
     catalogs : iterable of path
         Users' catalogs in addition to the built-in one.
     traffic : Traffic, optional
@@ -82,7 +82,7 @@ def locate(
         with what was found already written.
     """
     chosen = from_mapping(LocateOptions, options)
-    wanted = catalog.select(catalog.load(*catalogs), clips)
+    wanted = catalog.choose(clips, *catalogs)
     target = TargetFolder(Path(root))
     found: dict[str, Entry] = {}
     failures: dict[str, KT3DMoSegError] = {}

@@ -91,7 +91,7 @@ def pull(
     root : path
         Target folder; becomes, or already is, a KITTI raw root.
     clips : iterable of str
-        Names of clips; all of the catalog by default.
+        Names of clips; by default all of `catalogs`, without these of the built-in catalog.
     catalogs : iterable of path
         Users' catalogs in addition to the built-in one.
     traffic : Traffic, optional
@@ -113,7 +113,7 @@ def pull(
     """
     chosen = from_mapping(PullOptions, options)
     names = list(clips)
-    wanted = catalog.select(catalog.load(*catalogs), names)
+    wanted = catalog.choose(names, *catalogs)
     target = TargetFolder(Path(root), frozen=chosen.dry_run)
     if chosen.verify:
         return _verify(target, wanted if names else [], report)

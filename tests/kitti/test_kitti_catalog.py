@@ -126,12 +126,11 @@ def test_name_of_the_built_in_catalog_is_taken(tmp_path: Path) -> None:
 
 
 def test_selecting_keeps_the_order_asked_for() -> None:
-    table = catalog.load()
     names = ["Seq071_Clip01", "Seq005_Clip01"]
-    assert [entry.name for entry in catalog.select(table, names)] == names
-    assert len(catalog.select(table)) == 22
+    assert [entry.name for entry in catalog.choose(names)] == names
+    assert len(catalog.choose([])) == 22
     with pytest.raises(UnknownNameError, match="did you mean 'Seq028_clip03'"):
-        catalog.select(table, ["Seq028_Clip03_"])
+        catalog.choose(["Seq028_Clip03_"])
 
 
 def test_command_adds_lists_and_checks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import kitti_drives as drives
 import pytest
-from kitti_world import CALIB, HIDDEN, SYNC, TRACKLETS, World
+from kitti_world import CALIB, HIDDEN, QUICK, SYNC, TRACKLETS, World
 
 from kt3dmoseg import cli
 from kt3dmoseg.errors import InputFileError, InvalidValueError, UnknownNameError
-from kt3dmoseg.kitti import RawDrive
+from kt3dmoseg.kitti import RawDrive, pull
 
 FOLDER = f"{drives.DATE}/{drives.NAME}_sync"
 
@@ -66,6 +66,12 @@ def test_second_clip_of_the_drive_reads_no_directory_again(world: World) -> None
     world.server.reset()
     assert world.pull("Hidden", "Next").fetched == 4  # frames 17, 18 and their packets
     assert len(world.server.requests) == 2
+
+
+def test_without_names_all_clips_of_the_given_catalog_are_pulled_and_no_others(world: World) -> None:
+    given = {"mirror": world.server.url, "catalogs": [world.catalog], "report": world.lines.append}
+    assert pull(world.root, **given, **QUICK).fetched == 18
+    world.check()
 
 
 def test_damaged_and_lost_files_are_replaced_and_only_those(world: World) -> None:
