@@ -81,15 +81,6 @@ class LabelledTracks:
         """Rows of the trajectories with that outcome, ascending."""
         return np.flatnonzero(self.reason == REASONS.index(reason))
 
-    @property
-    def claimed(self) -> list[Motion]:
-        """Motion (or "reject") with most votes of each trajectory, the background left out; 0 without any."""
-        best = np.argmax(self.votes[:, 1:], axis=1) + 1
-        return [
-            self.candidates[k] if votes[k] > 0 else BACKGROUND
-            for k, votes in zip(best, self.votes, strict=True)
-        ]
-
     def counts(self) -> dict[str, int]:
         """Return the number of trajectories per outcome."""
         return {name: int((self.reason == k).sum()) for k, name in enumerate(REASONS)}

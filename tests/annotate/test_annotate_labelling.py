@@ -77,7 +77,6 @@ def test_a_trajectory_that_changes_sides_is_a_conflict():
     assert result.labels.label.tolist() == [0]
     assert result.rows("conflict").tolist() == [0]
     assert result.counts()["conflict"] == 1
-    assert result.claimed == [1]
 
 
 def test_too_little_evidence_is_listed_as_short():

@@ -220,7 +220,10 @@ def test_what_two_motions_claim_is_in_doubt_and_what_is_in_front_is_not(page):
     place = f"document.getElementById('regions').getContext('2d').getImageData({x}, {y}, 20, 20).data"
     hatched = f"[...{place}].some((blue, k, all) => k % 4 === 2 && blue > 200 && all[k + 1] > 200)"
     page.until(hatched)
-    page.press("0")
+    page.press("Escape")
+    page.tab.get_by_role("button", name="unlabelled at object 1").click()
+    page.until("/in conflict .1 of/.test(labeller.state.hint)")
+    page.press("Shift+Digit2", "0")
     page.until(f"!labeller.state.weak[2][0] && !{hatched}")
     page.press("Shift+Digit1")
     page.until("labeller.state.selected === 1")

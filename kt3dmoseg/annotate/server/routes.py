@@ -199,9 +199,7 @@ class Routes:
         labels = labelled.labels.label.tolist()
         per_label = {str(label): count for label, count in sorted(Counter(labels).items())}
         counts = labelled.counts() | {"motions": per_label}
-        return {"label": labels, "reason": labelled.reason.tolist(), "counts": counts} | {
-            "claimed": labelled.claimed
-        }
+        return {"label": labels, "reason": labelled.reason.tolist(), "counts": counts}
 
     def _propose(self, request: Request, session: ClipSession, body: bytes) -> Answer:
         given, tracks = _given(session, body), session.trajectories(wait=True)

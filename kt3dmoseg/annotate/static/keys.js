@@ -87,7 +87,7 @@ export const KEYS = {
     key("y", "Y", "colour by label, by length, none",
       () => view.cycle("colouring", ["label", "length", "none"], "Colour of trajectories: ")),
     key("u", "U", "only unlabelled and conflicts", () => view.cycle("problems", ON_OFF)),
-    key("g", "G", "go to the next of them, of the selected object if it has any", () => nextProblem(selectedObject()?.motion)),
+    key("g", "G", "go to the next of them, of the selected object if it has any", () => nextProblem(state.selected)),
     key("Shift+U", "Shift+U", "go to what leaves the scene's motion, without an object", nextUnexplained),
     key("Shift+W", "Shift+W", "go to the next weak frame (hatched)", actions.nextWeak),
     key("h", "H", "hide the regions", () => view.cycle("hidden", ON_OFF)),

@@ -98,9 +98,9 @@ function counts() {
   ];
   const cells = rows.flatMap(([name, colour, count]) =>
     [chip(" ", colour), element("span", {}, name), element("span", { className: "n" }, String(count))]);
-  const open = doc.objects.filter(({ motion }, k) => doc.objects.findIndex((o) => o.motion === motion) === k)
-    .map(({ name, motion }) => [name, motion, problems(motion).length]).filter(([, , count]) => count)
-    .map(([name, motion, count]) => button(`${count} unlabelled at ${name}`, () => nextProblem(motion), "link"));
+  const found = problems();
+  const open = doc.objects.filter(({ id }) => found.has(id)).map(({ id, name }) =>
+    button(`${found.get(id).length} unlabelled at ${name}`, () => nextProblem(id)));
   return [head(`${labels.label.length} trajectories`), element("div", { className: "counts" }, cells), ...open];
 }
 

@@ -1,11 +1,11 @@
 // The trajectories: fetched, labelled by the server, drawn on a layer of their own, so that dragging a region
 // does not draw them again.
 
-import { clamp } from "./annotation.js";
+import { clamp, inside } from "./annotation.js";
 import { ask, request } from "./saving.js";
 import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
-import { now, on, notify, set, state } from "./state.js";
-import { goTo, showPoint, toScreen } from "./view.js";
+import { now, on, notify, regionOf, set, state } from "./state.js";
+import { goTo, showPoint } from "./view.js";
 
 const SOON = 40;
 const POLL = 400;
@@ -100,17 +100,23 @@ export function visitNext(kind, places, nothing, visit, at = ((last[kind] ?? -1)
   return notify(visit(places[at], `${at + 1} of ${places.length}`));
 }
 
-/** Rows of the trajectories without a label, of those that a motion claims as well, or of all. */
-export function problems(motion) {
-  const { reason, claimed } = state.labels ?? { reason: [] };
-  const open = [...reason.keys()].filter((row) => [2, 3].includes(reason[row]));
-  return motion === undefined ? open : open.filter((row) => claimed[row] === motion);
+/** Rows of the trajectories without a label, by the id of the object in whose region each is most; 0 in none. */
+export function problems() {
+  const { reason } = state.labels ?? { reason: [] };
+  return Map.groupBy([...reason.keys()].filter((row) => [2, 3].includes(reason[row])), holder);
 }
 
-export function nextProblem(motion) {
+function holder(row) {
+  const held = state.doc.objects.map((item) => framesOf(row).filter((frame) =>
+    regionOf(item, frame).polygons.some((polygon) => inside(position(row, frame), polygon))).length);
+  const most = Math.max(0, ...held);
+  return most && state.doc.objects[held.indexOf(most)].id;
+}
+
+export function nextProblem(id) {
   const { reason } = state.labels ?? {};
-  const own = problems(motion);
-  visitNext("problem", own.length ? own : problems(), "No trajectory is unlabelled or in conflict", (row, which) => {
+  const found = problems();
+  visitNext("problem", found.get(id) ?? [...found.values()].flat(), "No trajectory is unlabelled or in conflict", (row, which) => {
     showTrack(row);
     const why = reason[row] === 3 ? "in conflict" : "too short to label";
     return `trajectory ${row} is ${why} (${which}); lasso it with Q`;
@@ -145,37 +151,49 @@ function group() {
     : colourOfTrack(labels?.label[row] ?? 1, labels?.reason[row] ?? 0)));
 }
 
+// The paths of what was drawn last: panning only shifts them.
+let made = {};
+
 export function drawTracks() {
   const context = begin(canvas);
   const { tracks, view, colouring, flickered, lassoed } = state;
   if (!tracks || !view || colouring === "none") return;
   const frame = flickered ?? state.frame;
   const size = clamp(view.scale * 1.2, 2, 5);
-  const squares = (chosen, width, colour) => {
-    const path = new Path2D();
-    for (const row of chosen) {
-      const point = position(row, frame);
-      if (!point) continue;
-      const [x, y] = toScreen(point);
-      path.rect(x - width / 2, y - width / 2, width, width);
-    }
-    context.fillStyle = colour;
-    context.fill(path);
-  };
+  if (made.frame !== frame || made.groups !== groups || made.view.scale !== view.scale) made = { frame, groups, view };
+  context.translate((made.view.x - view.x) * view.scale, (made.view.y - view.y) * view.scale);
   for (const [colour, chosen] of groups) {
     if (state.problems && colour !== PROBLEM) continue;
     const width = size + (colour === PROBLEM ? LARGER : 0);
     if (state.trails) {
       context.globalAlpha = 0.55;
       context.strokeStyle = colour;
-      context.stroke(trails(chosen, frame));
+      context.stroke(made[`trails${colour}`] ??= trails(chosen, frame));
       context.globalAlpha = 1;
     }
     // Dark around each, to be seen on a bright ground.
-    squares(chosen, width + 1.4, "#0b0d1090");
-    squares(chosen, width, colour);
+    for (const [side, fill] of [[width + 1.4, "#0b0d1090"], [width, colour]]) {
+      context.fillStyle = fill;
+      context.fill(made[side + colour] ??= squares(chosen, frame, side));
+    }
   }
-  if (lassoed?.frame === frame) squares(lassoed.rows, size + 2, "#ffffff");
+  context.fillStyle = "#ffffff";
+  if (lassoed?.frame === frame) context.fill(squares(lassoed.rows, frame, size + 2));
+}
+
+/** Where a trajectory is on the screen, in the view for which the paths are made. */
+function placeOf(row, frame) {
+  const point = position(row, frame);
+  return point && [0, 1].map((axis) => (point[axis] - made.view["xy"[axis]]) * made.view.scale);
+}
+
+function squares(chosen, frame, side) {
+  const path = new Path2D();
+  for (const row of chosen) {
+    const [x, y] = placeOf(row, frame) ?? [];
+    if (x !== undefined) path.rect(x - side / 2, y - side / 2, side, side);
+  }
+  return path;
 }
 
 function trails(chosen, frame) {
@@ -184,9 +202,9 @@ function trails(chosen, frame) {
     if (!position(row, frame)) continue;
     let step = "moveTo";
     for (let k = Math.max(0, frame - TRAIL); k <= frame; k++) {
-      const point = position(row, k);
+      const point = placeOf(row, k);
       if (!point) continue;
-      path[step](...toScreen(point));
+      path[step](...point);
       step = "lineTo";
     }
   }
