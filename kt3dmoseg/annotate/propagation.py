@@ -13,14 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, Protocol, TypeAlias
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, signed_distance, size
+from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, resample, signed_distance, size
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, KeyFrame, Motion, Visibility
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
 
@@ -86,20 +85,16 @@ def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict
     dict of int to list of Region
         Object id to its regions, one per frame of the clip.
     """
-    out = {}
-    for item in annotation.objects:
-        carried = follows(item.motion, motion) if isinstance(motion, TrackMotion) else motion
-        out[item.id] = propagate_keys(item.key_frames, annotation.n_frames, carried)
-    return out
+    frames, objects = annotation.n_frames, annotation.objects
+    return {item.id: propagate_keys(item.key_frames, frames, motion, item.motion) for item in objects}
 
 
-def follows(number: Motion, tracks: TrackMotion) -> TrackMotion:
-    """Return what carries a motion: static and rejected objects lacking any go with those around."""
-    return replace(tracks, around=_AROUND) if number in _SCENE else tracks
-
-
-def propagate_keys(keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion | None) -> list[Region]:
-    """Return the region in every frame of an object with these key frames; see `propagate`."""
+def propagate_keys(
+    keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion | None, number: Motion = 1
+) -> list[Region]:
+    """Return the region in every frame of an object of a motion with these key frames; see `propagate`."""
+    if number in _SCENE and isinstance(motion, TrackMotion):
+        motion = replace(motion, around=_AROUND)
     before = _carry(keys[0], 0, None, motion)[1:]
     regions = [Region(keys[0].visibility, tuple(polygons)) for polygons in reversed(before)]
     for key, after in zip(keys, (*keys[1:], None), strict=True):
@@ -127,35 +122,21 @@ def weak_frames(regions: Sequence[Region], motion: ImageMotion) -> list[str]:
 def overlaps(
     annotation: Annotation, regions: Mapping[int, Sequence[Region]], weak: Mapping[int, Sequence[str]]
 ) -> dict[int, list[str]]:
-    """Return `weak` (see `weak_frames`), and where another motion before it overlaps an object, which does.
-
-    Only places count that lie deeper than 2 px in both, and behind no static or rejected region.
-    """
+    """Return `weak` (`weak_frames`), and where an object overlaps another motion, with nothing in front."""
     out = {number: list(reasons) for number, reasons in weak.items()}
     moving = [item for item in annotation.objects if item.motion not in _SCENE]
     front = [regions[item.id] for item in annotation.objects if item.motion in _SCENE]
-    for one, other in combinations(moving, 2):
-        for frame in range(annotation.n_frames if one.motion != other.motion else 0):
-            a, b = regions[one.id][frame], regions[other.id][frame]
-            covers = [polygon for item in front for polygon in item[frame].polygons]
-            if a.visibility == b.visibility == "visible" and _common(a.polygons, b.polygons, covers):
-                out[other.id][frame] = f"overlaps {one.name}"
+    pairs = [pair for pair in combinations(moving, 2) if pair[0].motion != pair[1].motion]
+    for (one, other), frame in product(pairs, range(annotation.n_frames)):
+        a, b = regions[one.id][frame], regions[other.id][frame]
+        covers = [polygon for item in front for polygon in item[frame].polygons]
+        if a.visibility == b.visibility == "visible" and any(
+            ((signed_distance(edge, theirs, 0.0) > _CLAIM) & (signed_distance(edge, covers, 0.0) < 0)).any()
+            for own, theirs in ((a.polygons, b.polygons), (b.polygons, a.polygons))
+            for edge in (resample(polygon, 72) for polygon in own)
+        ):
+            out[other.id][frame] = f"overlaps {one.name}"
     return out
-
-
-def _common(a: Sequence[FloatArray], b: Sequence[FloatArray], covers: Sequence[FloatArray]) -> bool:
-    """Whether two regions share a place more than 2 px deep that nothing covers."""
-    if not (a and b):
-        return False
-    low = np.floor(np.maximum(bounds(a)[:2], bounds(b)[:2])) - 1
-    width, height = (np.ceil(np.minimum(bounds(a)[2:], bounds(b)[2:])) - low + 2).astype(int)
-    if min(width, height) < 2 * _CLAIM:
-        return False
-    shared, cover = (np.zeros((height, width), np.uint8) for _ in range(2))
-    for polygons, mask, value in ((a, shared, 1), (b, cover, 1), (covers, cover, 0)):
-        for polygon in polygons:
-            cv2.fillPoly(mask, [np.rint(polygon - low).astype(np.int32)], value)
-    return bool(cv2.distanceTransform(cv2.bitwise_and(shared, cover), cv2.DIST_L2, 3).max() > _CLAIM)
 
 
 def _doubt(before: Region, here: Region, matches: Callable[..., Any], i: int, j: int) -> str:
@@ -184,15 +165,7 @@ class ImageMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TrackMotion:
-    """The image motion of the trajectories inside the region.
-
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Of the clip.
-    around : float
-        With fewer than 4 of them inside, those up to so many pixels outside count too.
-    """
+    """The image motion of the trajectories inside the region; if these are few, also `around` it (pixels)."""
 
     trajectories: Trajectories
     around: float = 0.0
@@ -315,8 +288,8 @@ def _carry(
     """Polygons of the frames from `key` to `stop`, in that order; straight steps lead to `target`."""
     # What hides an occluded object is not the object: its motion must not carry the region along.
     image = motion if key.visibility == "visible" else None
-    if target is not None and isinstance(image, TrackMotion):
-        image = replace(image, around=0.0)  # a straight step to the next key frame is better known
+    if target is not None and isinstance(image, TrackMotion):  # the straight step to it is better known
+        image = replace(image, around=0.0)
     chain = [arrays(key.polygons)]
     direction = 1 if stop >= key.frame else -1
     last = np.eye(2, 3)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from kt3dmoseg import io
+from kt3dmoseg.annotate import propagation
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
 from kt3dmoseg.annotate.model import (
     BUILT,
@@ -29,15 +30,7 @@ from kt3dmoseg.annotate.model import (
     save_revision,
 )
 from kt3dmoseg.annotate.one_click import outline_clicks
-from kt3dmoseg.annotate.propagation import (
-    Region,
-    TrackMotion,
-    follows,
-    overlaps,
-    propagate,
-    propagate_keys,
-    weak_frames,
-)
+from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog, file_version
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
@@ -148,7 +141,7 @@ class ClipSession:
     def weak(self, annotation: Annotation) -> dict[int, list[str]]:
         """Return why each object's region is in doubt in each frame; see `overlaps` and `weak_frames`."""
         weak = {item.id: self._doubted(item.key_frames, item.motion) for item in annotation.objects}
-        return overlaps(annotation, self.regions(annotation), weak)
+        return propagation.overlaps(annotation, self.regions(annotation), weak)
 
     @cached_property
     def moving(self) -> IntArray | None:
@@ -256,8 +249,10 @@ class ClipSession:
             motion = TrackMotion(tracks)
             regions = propagate(annotation, motion)
             labelled = label_tracks_detailed(tracks, annotation, regions=regions)
-            weak = {number: weak_frames(of_object, motion) for number, of_object in regions.items()}
-            weak = overlaps(annotation, regions, weak)
+            weak = {
+                number: propagation.weak_frames(of_object, motion) for number, of_object in regions.items()
+            }
+            weak = propagation.overlaps(annotation, regions, weak)
         return out | {"counts": labelled.counts(), "weak": sum(map(bool, chain(*weak.values())))}
 
     def _label(self, annotation: Annotation) -> LabelledTracks:
@@ -265,11 +260,11 @@ class ClipSession:
         return label_tracks_detailed(tracks, annotation, regions=self.regions(annotation))
 
     def _carry(self, keys: tuple[KeyFrame, ...], number: Motion) -> list[Region]:
-        motion = follows(number, TrackMotion(self.trajectories(wait=True)))
-        return propagate_keys(keys, len(self.source.frames), motion)
+        tracks = TrackMotion(self.trajectories(wait=True))
+        return propagation.propagate_keys(keys, len(self.source.frames), tracks, number)
 
     def _doubt(self, keys: tuple[KeyFrame, ...], number: Motion) -> list[str]:
-        return weak_frames(self._carried(keys, number), TrackMotion(self.trajectories(wait=True)))
+        return propagation.weak_frames(self._carried(keys, number), TrackMotion(self.trajectories(wait=True)))
 
     def _work(self) -> None:
         frames, total = (read_frame(path, "luma") for path in self.source.frames), len(self.source.frames)

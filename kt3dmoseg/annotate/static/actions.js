@@ -184,10 +184,10 @@ export const setVisibility = withObject((item, visibility) => {
 
 export const toggleVisibility = withObject((item, wanted) => {
   if (regionHere().visibility !== wanted) return setVisibility(wanted);
-  // A key that only says so goes again, where the object is seen without it.
+  // The key that says so goes again, where the object is seen without it.
   const key_frames = item.key_frames.filter((key) => key.frame !== state.frame);
-  const before = key_frames.findLast((key) => key.frame < state.frame) ?? key_frames[0];
-  return before?.visibility === "visible" ? update(item, { key_frames }) : setVisibility("visible");
+  const seen = key_frames.length && regionOf({ key_frames }, state.frame, null).visibility === "visible";
+  return seen ? update(item, { key_frames }) : setVisibility("visible");
 });
 
 /** The object enters in this frame: drawn here, outside in the frame before. */

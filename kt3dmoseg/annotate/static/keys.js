@@ -140,9 +140,8 @@ export function press(name) {
 function nameOf(event) {
   const pressed = event.key === " " ? "Space" : event.key;
   // What Shift makes of a digit depends on the keyboard.
-  if (event.shiftKey && /^Digit[1-9]$/.test(event.code) && /[^\d]/.test(pressed) && !TABLE.has(pressed)) {
-    return `Shift+${event.code.at(-1)}`;
-  }
+  const digit = event.shiftKey && /^Digit[1-9]$/.test(event.code) && !/\d/.test(pressed) && !TABLE.has(pressed);
+  if (digit) return `Shift+${event.code.at(-1)}`;
   // Of other signs, Shift is part of the sign.
   const shifted = event.shiftKey && (pressed.length > 1 || /[+\p{L}]/u.test(pressed));
   const letter = pressed.length > 1 ? pressed : shifted ? pressed.toUpperCase() : pressed.toLowerCase();

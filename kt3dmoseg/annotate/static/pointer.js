@@ -24,13 +24,10 @@ export function at(event) {
 }
 
 /** A point near the border of the frame, or outside, is on it. */
-function snapped(point) {
-  const reach = REACH / state.view.scale;
-  return point.map((value, axis) => {
-    const last = state.clip.image_size[axis] - 0.5;
-    return value < reach - 0.5 ? -0.5 : value > last - reach ? last : value;
-  });
-}
+const snapped = (point) => point.map((value, axis) => {
+  const [reach, last] = [REACH / state.view.scale, state.clip.image_size[axis] - 0.5];
+  return value < reach - 0.5 ? -0.5 : value > last - reach ? last : value;
+});
 
 function down(event) {
   if (!state.view || event.target.closest(".strip")) return;

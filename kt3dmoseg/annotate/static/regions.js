@@ -33,55 +33,51 @@ export function drawRegions() {
   if (cross) drawCross(toScreen(cross));
 }
 
-function drawObject({ item, visibility, polygons, key }, frame, shown) {
+function drawObject(one, frame, shown) {
+  const { item, visibility, polygons, key } = one;
   if (visibility === "outside") return;
   const chosen = item.id === state.selected;
   const colour = colourOfMotion(item.motion);
   const hidden = visibility === "occluded";
   context.save();
-  if (!chosen) cutOut(item, shown);
+  cutOut(one, shown);
   for (const polygon of polygons) {
     const path = outline(polygon, colour, hidden ? [1.5, 6] : key ? [] : [10, 3], chosen ? 2.5 : 1.5);
-    context.save();
-    if (chosen) cutOut(item, shown); // its outline can be dragged behind what is in front
     context.globalAlpha = state.opacity * (hidden ? 0 : chosen ? 0.16 : item.id === state.hovered ? 0.14 : 0.07);
     context.fillStyle = colour;
     context.fill(path);
-    context.restore();
+    context.globalAlpha = 1;
   }
   context.restore();
   if (chosen && !state.pending && !state.locked.has(item.id)) drawHandles(editableRegion(item, frame), colour);
   drawName(`${signOf(item.motion)} ${item.name}${hidden ? " (occluded)" : ""}`, polygons, colour, chosen);
 }
 
-/** As the labels have it, static things are in front of what moves, and rejected ones in front of all. */
-const layer = ({ motion }) => (motion === "reject" ? 2 : motion ? 0 : 1);
-const seen = ({ visibility }) => visibility === "visible";
+/** The layer of an object that is seen: static things are in front of what moves, rejected ones in front of all. */
+const layer = ({ visibility, item: { motion } }) =>
+  (visibility !== "visible" ? -1 : motion === "reject" ? 2 : motion ? 0 : 1);
 
 /** Draw nothing more where something is in front of an object. */
-function cutOut(item, shown) {
-  for (const { polygons } of shown.filter((other) => seen(other) && layer(other.item) > layer(item))) {
-    for (const polygon of polygons) {
-      const path = pathOf(polygon);
-      path.rect(0, 0, canvas.clientWidth, canvas.clientHeight);
-      context.clip(path, "evenodd");
-    }
+function cutOut(one, shown) {
+  const front = shown.filter((other) => layer(other) > Math.max(0, layer(one)));
+  for (const polygon of front.flatMap(({ polygons }) => polygons)) {
+    const path = pathOf(polygon);
+    path.rect(0, 0, canvas.clientWidth, canvas.clientHeight);
+    context.clip(path, "evenodd");
   }
 }
 
 /** Hatch what two motions both claim: no trajectory there gets a label. */
 function drawOverlaps(shown) {
-  const moving = shown.filter((one) => seen(one) && !layer(one.item));
+  const moving = shown.filter((one) => layer(one) === 0);
   context.fillStyle = hatch(context, PROBLEM);
-  moving.forEach(({ item, polygons }, k) => moving.slice(0, k).forEach((other) => {
-    if (other.item.motion === item.motion) return;
-    for (const polygon of polygons) {
-      context.save();
-      cutOut(item, shown);
-      context.clip(pathOf(polygon));
-      other.polygons.forEach((theirs) => context.fill(pathOf(theirs)));
-      context.restore();
-    }
+  moving.forEach((one, k) => one.polygons.forEach((polygon) => {
+    context.save();
+    cutOut(one, shown);
+    context.clip(pathOf(polygon));
+    const others = moving.slice(0, k).filter(({ item }) => item.motion !== one.item.motion);
+    for (const theirs of others.flatMap(({ polygons }) => polygons)) context.fill(pathOf(theirs));
+    context.restore();
   }));
 }
 

@@ -103,8 +103,11 @@ export function visitNext(kind, places, nothing, visit, at = ((last[kind] ?? -1)
 /** Rows of the trajectories without a label, by the id of the object in whose region each is most; 0 in none. */
 export function problems() {
   const { reason } = state.labels ?? { reason: [] };
-  return Map.groupBy([...reason.keys()].filter((row) => [2, 3].includes(reason[row])), holder);
+  return found ??= Map.groupBy([...reason.keys()].filter((row) => [2, 3].includes(reason[row])), holder);
 }
+
+let found = null;
+now(["labels"], () => (found = null));
 
 function holder(row) {
   const held = state.doc.objects.map((item) => framesOf(row).filter((frame) =>
@@ -115,8 +118,8 @@ function holder(row) {
 
 export function nextProblem(id) {
   const { reason } = state.labels ?? {};
-  const found = problems();
-  visitNext("problem", found.get(id) ?? [...found.values()].flat(), "No trajectory is unlabelled or in conflict", (row, which) => {
+  const places = problems().get(id) ?? [...problems().values()].flat();
+  visitNext("problem", places, "No trajectory is unlabelled or in conflict", (row, which) => {
     showTrack(row);
     const why = reason[row] === 3 ? "in conflict" : "too short to label";
     return `trajectory ${row} is ${why} (${which}); lasso it with Q`;
@@ -151,17 +154,17 @@ function group() {
     : colourOfTrack(labels?.label[row] ?? 1, labels?.reason[row] ?? 0)));
 }
 
-// The paths of what was drawn last: panning only shifts them.
-let made = {};
+let made = {}; // the paths of what was drawn last: panning only shifts them
 
 export function drawTracks() {
   const context = begin(canvas);
   const { tracks, view, colouring, flickered, lassoed } = state;
   if (!tracks || !view || colouring === "none") return;
   const frame = flickered ?? state.frame;
-  const size = clamp(view.scale * 1.2, 2, 5);
-  if (made.frame !== frame || made.groups !== groups || made.view.scale !== view.scale) made = { frame, groups, view };
-  context.translate((made.view.x - view.x) * view.scale, (made.view.y - view.y) * view.scale);
+  const { scale } = view;
+  const size = clamp(scale * 1.2, 2, 5);
+  if (made.frame !== frame || made.groups !== groups || made.scale !== scale) made = { frame, groups, scale };
+  context.translate(-view.x * scale, -view.y * scale);
   for (const [colour, chosen] of groups) {
     if (state.problems && colour !== PROBLEM) continue;
     const width = size + (colour === PROBLEM ? LARGER : 0);
@@ -181,17 +184,13 @@ export function drawTracks() {
   if (lassoed?.frame === frame) context.fill(squares(lassoed.rows, frame, size + 2));
 }
 
-/** Where a trajectory is on the screen, in the view for which the paths are made. */
-function placeOf(row, frame) {
-  const point = position(row, frame);
-  return point && [0, 1].map((axis) => (point[axis] - made.view["xy"[axis]]) * made.view.scale);
-}
+const placeOf = (row, frame) => position(row, frame)?.map((value) => value * state.view.scale);
 
 function squares(chosen, frame, side) {
   const path = new Path2D();
   for (const row of chosen) {
-    const [x, y] = placeOf(row, frame) ?? [];
-    if (x !== undefined) path.rect(x - side / 2, y - side / 2, side, side);
+    const point = placeOf(row, frame);
+    if (point) path.rect(point[0] - side / 2, point[1] - side / 2, side, side);
   }
   return path;
 }
@@ -199,14 +198,8 @@ function squares(chosen, frame, side) {
 function trails(chosen, frame) {
   const path = new Path2D();
   for (const row of chosen) {
-    if (!position(row, frame)) continue;
-    let step = "moveTo";
-    for (let k = Math.max(0, frame - TRAIL); k <= frame; k++) {
-      const point = placeOf(row, k);
-      if (!point) continue;
-      path[step](...point);
-      step = "lineTo";
-    }
+    const points = position(row, frame) ? range(frame + 1).slice(-TRAIL - 1).map((k) => placeOf(row, k)) : [];
+    points.filter(Boolean).forEach((point, k) => path[k ? "lineTo" : "moveTo"](...point));
   }
   return path;
 }
