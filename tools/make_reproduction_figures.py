@@ -34,7 +34,13 @@ def main() -> None:
     folder = parser.parse_args().output
     folder.mkdir(parents=True, exist_ok=True)
     mpl.rcParams.update(
-        {"svg.hashsalt": "mseg", "font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+        {
+            "svg.hashsalt": "mseg",
+            "svg.fonttype": "none",
+            "font.size": 9,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+        }
     )
     for name, figure in {"per_clip": per_clip_figure(), "planar_slices": planar_slices_figure()}.items():
         figure.savefig(folder / f"{name}.svg", bbox_inches="tight", metadata={"Date": None})

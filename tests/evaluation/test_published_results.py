@@ -95,6 +95,14 @@ def test_the_pages_show_the_figures_of_the_files(tool):
         assert path.read_text() == text, f"{path.name}: run python tools/make_tables.py"
 
 
+def test_the_figure_of_the_docs_shows_the_means_of_the_files():
+    figure = (ROOT / "docs" / "figures" / "per_clip.svg").read_text()
+    shown = re.findall(r">(\w+), mean ([\d.]+)<", figure)
+    means = {r.title: r.errors.mean() for r in RESULTS["kt3dmoseg", "2018"] if r.n_motions == "given"}
+    assert len(shown) == 4, "run python tools/make_reproduction_figures.py"
+    assert all(mean == f"{100 * means[name]:.2f}" for name, mean in shown)
+
+
 def test_the_table_of_all_methods_has_both_numbers_of_motions(tool):
     [row] = [row for row in tool.methods(RESULTS["kt3dmoseg", "2018"]).rows if row[0] == "`multibody`"]
     way = {each.n_motions: each for each in RESULTS["kt3dmoseg", "2018"] if each.title == "multibody"}
