@@ -8,9 +8,9 @@ names: so every convention of a tracker stands in that one table.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -27,31 +27,13 @@ from kt3dmoseg.types import ByteArray, Float32Array, FloatArray, Trajectories
 ALGORITHM_VERSION = 1
 """Raised when an adapter asks its tracker for something else."""
 
-TRACKERS = Registry(
-    "tracker",
-    {name: f"{__name__}:{target}" for name, target in (("cotracker", "CoTracker"), ("tapir", "Tapir"))},
-    group="kt3dmoseg.trackers",
-)
+_TABLE = {"cotracker": f"{__name__}:CoTracker", "tapir": f"{__name__}:Tapir"}
+TRACKERS = Registry("tracker", _TABLE, group="kt3dmoseg.trackers")
 _EVERY = 5  # frames from one start of new trajectories to the next
 _APART = 4  # frames between the two pictures that the tracks are compared with
-_USED: tuple[str, ...] = (
-    "spacing",
-    "offset",
-    "coverage",
-    "presmoothing",
-    "integration",
-    "structure",
-    "min_length",
-)
-_USED += ("border_gain", "border_decay")
+_OURS = "consistency", "boundary", "anchor", "patch", "appearance"  # as options begin that others do not take
 
-
-class PointTracker(Protocol):
-    """A tracker of points; a frozen dataclass of its parameters."""
-
-    def __call__(self, frames: ByteArray, queries: FloatArray) -> Mapping[str, npt.NDArray[Any]]:
-        """Follow queries (Q, 3), x, y, frame, through frames (F, H, W); arrays of `point_tracks.LAYOUTS`."""
-        ...
+PointTracker: TypeAlias = Callable[[ByteArray, FloatArray], Mapping[str, npt.NDArray[Any]]]
 
 
 def create_tracker(name: str | PointTracker, **parameters: Any) -> PointTracker:  # noqa: ANN401
@@ -150,48 +132,38 @@ def follow(
         For options of our own tracker, and results that are of other points or follow the frames only when
         read in another way.
     """
-    own = [f.name for f in fields(options) if f.name not in _USED and getattr(options, f.name) != f.default]
+    own = [
+        f.name for f in fields(options) if f.name.startswith(_OURS) and getattr(options, f.name) != f.default
+    ]
     if own:
-        expected = f"only options of starts and lengths with a tracker: {', '.join(_USED)}"
+        expected = "only options of starts and of the least length with a tracker"
         raise InvalidValueError("track", expected=expected, found=", ".join(own))
-    pictures, found = (
-        np.stack(frames),
-        _none(len(frames)),
-    )
+    pictures, size = np.stack(frames), (frames[0].shape[1], frames[0].shape[0])
+    xy, visible = np.zeros((0, len(frames), 2)), np.zeros((0, len(frames)), dtype=np.bool_)
     starts = [0] if seeds is not None else range(0, max(1, len(frames) - options.min_length + 1), _EVERY)
     for start in starts:
         queries = seeds
         if queries is None:
-            new = new_seeds(frames[start], found.at(start)[1], options)
+            new = new_seeds(frames[start], xy[visible[:, start], start], options)
             queries = np.column_stack([new, np.full(len(new), start)])
         if len(queries):
-            found = _joined(found, _followed(tracker, pictures, queries))
+            more = _followed(tracker, pictures, queries)
+            xy, visible = np.concatenate([xy, more.xy]), np.concatenate([visible, more.visible])
         report(start + 1, len(frames))
-    height, width = pictures.shape[1:]
-    last = min(_APART, len(frames) - 1)
+    found, last = Trajectories(xy, visible), min(_APART, len(frames) - 1)
     check_on_pictures("tracks", found, pictures[[0, last]].astype(np.float64), last)
-    kept = kept_inside(found, (width, height), options.min_length if seeds is None else 0)[0]
-    return Trajectories(kept.xy, kept.visible, None, (width, height))  # type: ignore[arg-type]  # ids from 0
+    kept = kept_inside(found, size, options.min_length if seeds is None else 0)[0]
+    return replace(kept, track_id=np.arange(len(kept)))
 
 
 def _followed(tracker: PointTracker, pictures: ByteArray, queries: FloatArray) -> Trajectories:
-    where = f"tracker {type(tracker).__name__}"
-    tracks = tracks_from(dict(tracker(pictures, queries)), where)
-    if tracks.visible.shape != (len(queries), len(pictures)):
-        expected, found = (
-            f"{n} tracks over {f} frames" for n, f in ((len(queries), len(pictures)), tracks.visible.shape)
-        )
+    where, wanted = f"tracker {type(tracker).__name__}", (len(queries), len(pictures))
+    tracks = tracks_from(tracker(pictures, queries), where)
+    if tracks.visible.shape != wanted:
+        expected, found = ("{} tracks over {} frames".format(*n) for n in (wanted, tracks.visible.shape))
         raise InvalidValueError(where, expected=expected, found=found)
     visible = tracks.visible & (np.arange(len(pictures)) >= queries[:, 2:])
     return Trajectories(np.where(visible[..., None], tracks.xy, np.nan), visible)
-
-
-def _none(count: int) -> Trajectories:
-    return Trajectories(np.zeros((0, count, 2)), np.zeros((0, count), dtype=np.bool_))
-
-
-def _joined(one: Trajectories, other: Trajectories) -> Trajectories:
-    return Trajectories(np.concatenate([one.xy, other.xy]), np.concatenate([one.visible, other.visible]))
 
 
 def kept_inside(

@@ -6,9 +6,10 @@ They are kept in memory proportional to their points; those to evaluate are chos
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sized
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -31,7 +32,6 @@ from kt3dmoseg.types import (
     BoolArray,
     ByteArray,
     Clip,
-    Float32Array,
     FloatArray,
     IntArray,
     Labels,
@@ -101,28 +101,19 @@ def track(
     total, report = len(items) if isinstance(items, Sized) else None, progress or (lambda done, total: None)
     chosen = _checked(seeds)
     if tracker:
-        return _follow(tracker, list(_gray_frames(items)), chosen, settings, report)
+        pictures = list(_gray_frames(items))
+        _reject_beyond(chosen, len(pictures), pictures[0].shape)
+        return follow(create_tracker(tracker), pictures, chosen, settings, report)
     backend = create_flow(flow) if isinstance(flow, str) else flow
-    pairs = partial(flow_pair, backend, folder=cache)
-    return _linked(_gray_frames(items), pairs, chosen, settings, lambda done: report(done, total))
-
-
-def _linked(
-    frames: Iterable[ByteArray],
-    flows: Callable[[ByteArray, ByteArray], tuple[Float32Array, Float32Array]],
-    chosen: FloatArray | None,
-    settings: TrackOptions,
-    report: Callable[[int], None],
-) -> Trajectories:
     looks = Appearance(settings) if settings.appearance or settings.anchor else None
     ids, xy, count = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), 0
     seen: list[tuple[IntArray, FloatArray]] = []
     before: ByteArray | None = None
-    for frame in frames:
+    for frame in _gray_frames(items):
         if looks:
             looks.look_at(frame)
         if before is not None:
-            forward, backward = flows(before, frame)
+            forward, backward = flow_pair(backend, before, frame, cache)
             target, alive = step(xy, forward, backward, settings)
             if looks:
                 target, alive = looks.follow(forward, xy, target, alive)
@@ -138,24 +129,10 @@ def _linked(
         ids, xy = np.concatenate([ids, rows]), np.concatenate([xy, new])
         seen.append((ids, xy))
         before = frame
-        report(len(seen))
-    if chosen is not None:
-        _reject_late(chosen, len(seen))
+        report(len(seen), total)
+    _reject_beyond(chosen, len(seen), frame.shape)
     least = settings.min_length if chosen is None else 0
     return RunTrajectories(seen, count, least, (frame.shape[1], frame.shape[0]))
-
-
-def _follow(
-    tracker: str | PointTracker,
-    frames: list[ByteArray],
-    seeds: FloatArray | None,
-    settings: TrackOptions,
-    report: Progress,
-) -> Trajectories:
-    if seeds is not None:
-        _reject_late(seeds, len(frames))
-        _reject_outside(seeds, np.ones(len(seeds), dtype=np.bool_), frames[0].shape)
-    return follow(create_tracker(tracker), frames, seeds, settings, report)
 
 
 def _check_axes(frames: Frames) -> None:
@@ -256,18 +233,17 @@ def _checked(seeds: npt.ArrayLike | None) -> FloatArray | None:
     return out
 
 
-def _reject_outside(seeds: FloatArray, some: BoolArray, shape: tuple[int, ...]) -> None:
-    _reject(seeds, some & ~inside(seeds[:, :2], shape), f"a point in the {shape[1]}x{shape[0]} frame")
-
-
-def _reject_late(seeds: FloatArray, count: int) -> None:
-    _reject(seeds, seeds[:, 2] >= count, f"a frame number below {count}, the number of frames")
-
-
 def _starting(seeds: FloatArray, number: int, shape: tuple[int, ...]) -> tuple[IntArray, FloatArray]:
+    _reject_beyond(seeds, math.inf, shape)
     now = seeds[:, 2] == number
-    _reject_outside(seeds, now, shape)
     return np.flatnonzero(now), seeds[now, :2]
+
+
+def _reject_beyond(seeds: FloatArray | None, count: float, shape: tuple[int, ...]) -> None:
+    if seeds is not None:
+        outside = ~inside(seeds[:, :2], shape)
+        _reject(seeds, outside, f"a point in the {shape[1]}x{shape[0]} frame")
+        _reject(seeds, seeds[:, 2] >= count, f"a frame number below {count}, the number of frames")
 
 
 def _reject(seeds: FloatArray, bad: BoolArray, expected: str) -> None:
