@@ -1,10 +1,10 @@
-"""How well `kt3dmoseg choose` measures the three principles: windows of synthetic drives, whose geometry is known.
+"""How well `kt3dmoseg choose` measures the three principles, on synthetic drives, whose geometry is known.
 
 Usage: python tools/choose_truth.py [--size 414x126] [--frames 100] [--movers mseg]
 
-Three drives differ in speed and traffic. Of every window the measures from pictures alone (no GPS/IMU, no
-tracklets) are ranked against the exact ones: metres between the first and the last camera; depth and clutter as
-`kt3dmoseg.choosing.windows` defines them, by exact depths and exact tracks of a grid on the static scene;
+The drives differ in speed and traffic. Of every window the measures from pictures alone (no GPS/IMU, no
+tracklets) are ranked against the exact ones: metres between the first and the last camera; depth and clutter
+as `kt3dmoseg.choosing.windows` defines them, by exact depths and exact tracks of a grid on the static scene;
 vehicles with 8 points of the grid for 5 frames. Prints Spearman's rank correlations.
 """
 
@@ -55,12 +55,12 @@ def main() -> None:
     rows = [[n, f"{spearmanr(a, b).statistic:.2f}"] for n, a, b in zip(names, ours.T, theirs.T, strict=True)]
     print(text_table(rows, ("measure", "Spearman")))
     half = [set(np.argsort(values)[len(values) // 2 :]) for values in (ours[:, -1], theirs[:, -1])]
+    both = len(half[0] & half[1]) / len(half[1])
     print(
-        f"{len(found)} windows; of the true upper half {len(half[0] & half[1]) / len(half[1]):.0%} are in ours"
+        f"{len(found)} windows; of the upper half by the exact score {both:.0%} are in the upper half by ours"
     )
-    print(
-        f"motions: right in {np.mean(ours[:, 3] == theirs[:, 3]):.0%}, more {np.mean(ours[:, 3] > theirs[:, 3]):.0%}"
-    )
+    same, more = (ours[:, 3] == theirs[:, 3]).mean(), (ours[:, 3] > theirs[:, 3]).mean()
+    print(f"motions: as many in {same:.0%}, more in {more:.0%}")
 
 
 def measured(folder: Path, count: int, movers: str) -> list[Window]:
@@ -74,9 +74,8 @@ def measured(folder: Path, count: int, movers: str) -> list[Window]:
 def truth_of_frame(scene: Scene, frame: int) -> tuple[float, float, np.ndarray]:
     """Depth and clutter from a frame on, and the vehicles seen at the grid's points, (objects,) counts."""
     width, height = scene.image_size
-    x, y = (
-        v.ravel() for v in np.meshgrid(np.arange(4, width - 4, _SPACING), np.arange(4, height - 4, _SPACING))
-    )
+    grid = (np.arange(4, side - 4, _SPACING) for side in (width, height))
+    x, y = (values.ravel() for values in np.meshgrid(*grid))
     ids, later = scene.ids(frame)[y, x], min(frame + _GAP, scene.n_frames - 1)
     near, far = np.quantile(1 / scene.depth(frame)[y, x][ids == 1], (0.95, 0.05))
     tracks = scene.trajectories(np.stack([x, y, np.full(len(x), frame)], axis=1).astype(float)[ids == 1])
