@@ -17,6 +17,7 @@ from cyclopts import Parameter
 from kt3dmoseg import annotate
 from kt3dmoseg.app import Flag, Name, Whole, group
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.matching import several
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate import Annotation, LabelledTracks, Region
@@ -145,7 +146,7 @@ def import_annotations(
     Returns
     -------
     list of ClipReport
-        Of every clip for which the source has something.
+        Of every clip for which the source has something, and of the source what it lacks or has in addition.
 
     Raises
     ------
@@ -159,8 +160,12 @@ def import_annotations(
     if not root.exists():
         raise InputFileError(f"{root}", expected="a file or folder", found="nothing")
 
+    there: dict[str, bool] = {}
+
     def work(clip: _Clip) -> ClipReport | None:
-        if (content := annotate.formats.content_of(root, clip.name, suffix)) is None:
+        content = annotate.formats.content_of(root, clip.name, suffix)
+        there[clip.name] = content is not None
+        if content is None:
             return None
         current = clip.current()
         plan = annotate.formats.plan(format, content, current, clip.names, choices)
@@ -179,7 +184,9 @@ def import_annotations(
         done = f"wrote {clip.annotation}, revision {saved.revision}"
         return ClipReport(clip.name, ok=True, lines=(*plan.lines(), done))
 
-    return _for_each(_clips(clips, annotations), work, report, root, "a file or folder")
+    reports = _for_each(_clips(clips, annotations), work, report, root, "a file or folder")
+    _report_rest(reports, root, there, report)
+    return reports
 
 
 @notes.command(name="export")
@@ -343,8 +350,28 @@ def _for_each(
             out.append(done)
             report(done)
     if not out:
-        raise InputFileError(f"{searched}", expected=f"{wanted} named as a clip", found="none")
+        found = several(_inside(Path(searched))) or "none"
+        raise InputFileError(f"{searched}", expected=f"{wanted} named as a clip", found=found)
     return out
+
+
+def _report_rest(
+    reports: Reports, source: Path, there: Mapping[str, bool], report: Callable[[ClipReport], object]
+) -> None:
+    """Report of which clips a source has nothing, and what it has of none."""
+    rest = {
+        "it has nothing of": [clip for clip, found in there.items() if not found],
+        "left out, of no clip:": [name for name in _inside(source) if Path(name).stem not in there],
+    }
+    if lines := tuple(f"{words} {several(names)}" for words, names in rest.items() if names):
+        reports.append(ClipReport(f"{source}", ok=True, lines=lines))
+        report(reports[-1])
+
+
+def _inside(path: Path) -> list[str]:
+    from kt3dmoseg.files import listed
+
+    return [inner.name for inner in listed(path)] if path.is_dir() else []
 
 
 def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) -> Iterator[_Clip]:

@@ -54,6 +54,15 @@ def test_masks_of_many_clips_become_their_annotations(data, capsys):
         assert found.revision == 1
 
 
+def test_what_a_source_lacks_and_has_in_addition_is_reported(data, capsys):
+    (data / "masks" / "two").rename(data / "masks" / "Two")
+    assert load(data) == 0
+    assert "it has nothing of two\n  left out, of no clip: Two\n" in capsys.readouterr().out
+    (data / "masks" / "one.zip").unlink()
+    assert load(data, "--replace") == 2
+    assert "expected a file or folder named as a clip, found Two" in capsys.readouterr().err
+
+
 def test_clip_files_need_no_frames(data):
     assert load(data, "--shift", "-1", clips="tracks") == 0  # without frames they are numbered from 0
     assert len(load_annotation(data / "notes" / "one.json").objects[0].key_frames) == 6

@@ -306,7 +306,8 @@ def _frames_of_task(numbers: Sequence[int], task: _Task, into: Import) -> dict[i
     if task.size == total:
         inside = {n: (n - first) // step for n in numbers if n in range(first, last + 1, step)}
         if inside and (first or step > 1):
-            into.note(f"frame {first} of the task is frame 0 of the clip, every {step}. is the next")
+            steps = f", each next one {step} later" * (step > 1)
+            into.note(f"frame {first} of the task is frame 0 of the clip{steps}")
         return inside or same  # some versions count within the task
     if last < total:
         if task.size:
