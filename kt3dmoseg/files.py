@@ -46,6 +46,7 @@ _TOML_STRINGS = re.compile(
     rb"|'[^'\n]*'?|#[^\n]*",
     re.DOTALL,
 )
+_LONG_NUMBER = re.compile(rb"[0-9A-Fa-f_]{300}")  # hexadecimal, too, which the parser does not limit
 _LONG_KEY = re.compile(rb"(?<![\w-])[\w-]++(?:[ \t]*\.[ \t]*[\w-]++){%d}" % _DEPTH)
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket"}
 _REMEDIES = {
@@ -179,13 +180,29 @@ def read_bytes(path: PathLike, limit: int) -> bytes:
     return content
 
 
-def parse_json(content: bytes | str, where: str, limit: int = JSON_BYTES) -> Any:  # noqa: ANN401  # JSON
+def parse_json(
+    content: bytes | str, where: str, limit: int = JSON_BYTES, *, values: int = 0, members: int = 0
+) -> Any:  # noqa: ANN401  # JSON
     """Parse JSON in UTF-8 of at most `limit` bytes and 64 levels; FileFormatError, which begins with `where`.
 
-    NaN and Infinity, which are not JSON, and whole numbers of more than 300 digits are refused.
+    NaN and Infinity, which are not JSON, whole numbers of more than 300 digits and keys that an object has
+    twice are refused; so are, where given, more `values` in all or more `members` of an object.
     """
-    load = partial(json.loads, parse_int=_integer, parse_constant=_refuse_constant)
+    marks = sum(map(content.count, (b",", b"[", b"{"))) if values and isinstance(content, bytes) else 0
+    if marks > values:
+        raise FileFormatError(where, expected=f"at most {values} values", found=str(marks))
+    pairs = partial(_object, most=members or limit)
+    load = partial(json.loads, parse_int=_integer, parse_constant=_refuse_constant, object_pairs_hook=pairs)
     return _parse(load, _JSON_STRINGS, "JSON", content, where, limit)
+
+
+def _object(pairs: list[tuple[str, Any]], most: int) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(pairs) > most:
+        raise ValueError(f"an object of {len(pairs)} members, more than {most}")
+    if len(made) < len(pairs):
+        raise ValueError(f"the key {next(k for k, v in pairs if made[k] is not v)!r:.60} twice")
+    return made
 
 
 def parse_toml(content: bytes | str, where: str, limit: int = TOML_BYTES) -> dict[str, Any]:
@@ -214,6 +231,8 @@ def _parse(
     if np.cumsum(steps, dtype=np.int32).max(initial=0) > _DEPTH or _LONG_KEY.search(bare):
         expected, found = f"{kind} of at most {_DEPTH} levels", "more levels inside each other"
         raise FileFormatError(where, expected=expected, found=found)
+    if kind == "TOML" and _LONG_NUMBER.search(bare):
+        raise FileFormatError(where, expected="numbers of less than 300 digits", found="a longer one")
     try:
         return load(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:

@@ -35,7 +35,7 @@ _PACKAGES = {
     "scipy": ">=1.12",
     "h5py": ">=3.10",
     "pandas": ">=2.1",
-    "pydantic": ">=2.7",
+    "pydantic": ">=2.8",
     "jinja2": ">=3.1",
 }
 _COLUMNS = ("error", "error_median", "adjusted_rand", "nmi", "f_measure", "iou", "moving_f", "failed")

@@ -77,6 +77,7 @@ class Prediction:
     file: str = ""
     clip: str = ""
     problems: list[Problem] = field(default_factory=list)
+    most: int = MAX_ROWS  # rows
 
     def bad(self, code: str, expected: str, found: str, fix: str) -> None:
         """Add a problem."""
@@ -100,8 +101,8 @@ class Prediction:
             self.bad("not-a-number", f"integers in '{name}'", f"values of type {dtype}", "write integers")
         elif len(shape) != 1:
             self.bad("transposed", f"'{name}' of shape (n,)", f"shape {shape}", "flatten it: labels.ravel()")
-        elif shape[0] > MAX_ROWS:
-            self.bad("too-large", f"at most {MAX_ROWS} values in '{name}'", f"{shape[0]}", _FIX_ROWS)
+        elif shape[0] > self.most:
+            self.bad("too-large", f"at most {self.most} values in '{name}'", f"{shape[0]}", _FIX_ROWS)
         elif rows not in (None, shape[0]):
             self.bad("ragged", f"as many labels as tracks ({rows})", f"{shape[0]}", _FIX_ARRAYS)
         elif not shape[0]:
@@ -237,9 +238,9 @@ def _index(values: Any) -> Any | None:  # noqa: ANN401  # of pandas
     return None if plain else index
 
 
-def parse_prediction(content: bytes, file: str, clip: str) -> Prediction:
+def parse_prediction(content: bytes, file: str, clip: str, most: int = MAX_ROWS) -> Prediction:
     """Read a prediction file of a clip, listing everything that is wrong; the ending chooses the format."""
-    out = Prediction(file=file, clip=clip)
+    out = Prediction(file=file, clip=clip, most=most)
     kind, parse = _PARSERS[Path(file).suffix.lower()]
     foreign = () if parse is _csv else (Exception,)  # an error of our own parser is a bug, and must show
     try:
@@ -329,8 +330,8 @@ def _csv(content: bytes, out: Prediction) -> None:
     order ``label,track`` are accepted.
     """
     n_cells = sum(map(content.count, (b"\n", b"\r", b",")))
-    if n_cells > 4 * MAX_ROWS:  # checked first: every cell becomes an object
-        return out.bad("too-large", f"at most {MAX_ROWS} rows", f"{n_cells} cells", _FIX_ROWS)
+    if n_cells > 4 * out.most:  # checked first: every cell becomes an object
+        return out.bad("too-large", f"at most {out.most} rows", f"{n_cells} cells", _FIX_ROWS)
     try:
         lines = io.StringIO(content.decode("utf-8-sig"), newline=None)
     except UnicodeDecodeError:

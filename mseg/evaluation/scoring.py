@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import parse_json, read_bytes
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.io.predictions import (
     SUFFIXES,
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 FORMAT = "mseg-scores"
 VERSION = 1
-_MAX_JSON = 16 << 20
+_MAX_JSON, _MAX_VALUES, _MAX_MEMBERS = 16 << 20, 1_000_000, 5_000
 
 
 @dataclass(frozen=True)
@@ -483,7 +483,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
     Its figures are claims: those of the clips must be possible, and everything else must be what follows from
     them.
     """
-    from pydantic import BaseModel, Field
+    from pydantic import BaseModel, FailFast, Field
 
     class Scores(BaseModel, arbitrary_types_allowed=True, allow_inf_nan=False):
         format: Literal["mseg-scores"]
@@ -491,7 +491,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         benchmark: str
         meta: SubmissionMeta
         provenance: Provenance
-        clips: list[ClipScore] = Field(min_length=1)
+        clips: Annotated[list[ClipScore], FailFast()] = Field(min_length=1)
         problems: list[Problem] = []
         # What follows from the others; None claims nothing.
         seeds: Any = None
@@ -513,6 +513,8 @@ def read_model(model: type[ModelT], content: str | bytes, where: str, expected: 
     """Read JSON strictly as a pydantic model; FileFormatError names the first field that is wrong."""
     from pydantic import ValidationError
 
+    # Whatever is wrong takes memory: it is bounded first.
+    parse_json(content, where, _MAX_JSON, values=_MAX_VALUES, members=_MAX_MEMBERS)
     try:
         return model.model_validate_json(content, strict=True)
     except ValidationError as error:

@@ -41,6 +41,7 @@ from kt3dmoseg.files import (
 from kt3dmoseg.io.npz import write_npz
 from kt3dmoseg.io.predictions import (
     MAX_FILE_BYTES,
+    MAX_ROWS,
     SUFFIXES,
     Prediction,
     Problem,
@@ -66,6 +67,7 @@ _PLACE = re.compile(rf"(?:seed-(\d{{1,18}})/)?([^/]+)((?i:{'|'.join(map(re.escap
 _PASSED_OVER = re.compile(r"(?i:(?:readme|licen)[^.]*(?:\.txt|\.md)?)")
 _LITTER = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _TEXT_LIMIT = 2000
+_MOST_FIELDS = 100  # each that is wrong is named
 _CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f]")  # terminals act on it
 _EXAMPLE = "see docs/submit.md, or let 'mseg example-submission' write one"
 _MOST = f"{LIMITS.files} files of at most {MAX_FILE_BYTES >> 20} MiB, {LIMITS.total_bytes >> 20} MiB together"
@@ -363,8 +365,10 @@ class Submission:
         self.problems.append(Problem(code, file, "", expected, found, fix))
 
 
-def read_submission(path: str | os.PathLike[str]) -> Submission:
+def read_submission(path: str | os.PathLike[str], *, most: int = MAX_ROWS) -> Submission:
     """Read a submission from a folder or a zip, in memory; what is wrong with it is listed, not raised.
+
+    A file of predictions has `most` rows at most.
 
     Raises
     ------
@@ -392,7 +396,7 @@ def read_submission(path: str | os.PathLike[str]) -> Submission:
             continue
         digest.update(f"{name}\0{len(content)}\0".encode() + content)
         if place is not None:
-            _add_file(prefix + name, place, content, out)
+            _add_file(prefix + name, place, content, out, most)
         else:
             out.meta, problems = parse_meta(content)
             out.problems += problems
@@ -408,7 +412,9 @@ def _files_of_folder(root: Path, out: Submission) -> tuple[list[str], Callable[[
         name, status = path.relative_to(root).as_posix(), path.lstat()
         if _ignored(name) or stat.S_ISDIR(status.st_mode):
             continue
-        if stat.S_ISLNK(status.st_mode):
+        if not name.isprintable():
+            out.bad("unsafe-path", ascii(name), "a name in UTF-8", "other bytes", "rename the file")
+        elif stat.S_ISLNK(status.st_mode):
             out.bad("symlink", name, "a plain file", "a symbolic link", "put the file itself there (cp -L)")
         elif not stat.S_ISREG(status.st_mode):
             out.bad("special-file", name, "a plain file", "a device or pipe", "remove it")
@@ -464,7 +470,7 @@ def _report_stray(name: str, out: Submission) -> None:
         out.bad("unknown-file", name, expected, found, fix)
 
 
-def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission) -> None:
+def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission, most: int) -> None:
     key = int(place[1] or 0), place[2]
     if key in out.files:
         found, fix = f"also {out.files[key]}", "keep one of them"
@@ -474,7 +480,7 @@ def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission) 
         reason = " ".join(content.decode("utf-8", "replace").split())[:300]
         out.failures[key] = reason or "no reason given"
     else:
-        out.predictions[key] = parse_prediction(content, name, key[1])
+        out.predictions[key] = parse_prediction(content, name, key[1], most)
         out.problems += out.predictions[key].problems
     return None
 
@@ -495,7 +501,7 @@ def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
         problems.append(Problem("meta-field", META, "", expected, found[:80], fix))
 
     try:
-        raw = parse_toml(content, META)
+        raw = _few_fields(parse_toml(content, META))
     except FileFormatError as error:
         problem = Problem("meta-syntax", META, "", error.expected, error.found[:160], _EXAMPLE)
         return SubmissionMeta("unnamed"), [problem]
@@ -514,6 +520,12 @@ def parse_meta(content: bytes) -> tuple[SubmissionMeta, list[Problem]]:
             bad(f"{name} = {_FIELDS[name][0]}", "nothing")
     values.pop("format_version", None)
     return SubmissionMeta(**{**values, "authors": tuple(values["authors"])}), problems
+
+
+def _few_fields(raw: dict[str, Any]) -> dict[str, Any]:
+    if len(raw) > _MOST_FIELDS:
+        raise FileFormatError(META, expected=f"at most {_MOST_FIELDS} fields", found=f"{len(raw)}")
+    return raw
 
 
 def wrong_fields(meta: Mapping[str, Any]) -> list[str]:

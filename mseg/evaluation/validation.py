@@ -28,6 +28,7 @@ from mseg.evaluation.submission import (
 # With these a submission is invalid but can be scored: a missing clip counts as fully wrong, a clip
 # with one label as what it is. Anything else forbids scoring.
 _SCORABLE = frozenset({"missing-clip", "one-label"})
+_MORE_ROWS = 10_000  # than four per trajectory of the largest clip: too many to look at
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +108,9 @@ def validate_submission(
     UnknownNameError
         When there is no such benchmark.
     """
-    read = submission if isinstance(submission, Submission) else read_submission(submission)
     given = load_clips(data)
+    most = _MORE_ROWS + 4 * max((len(clip.dense) for clip in given.values()), default=0)
+    read = submission if isinstance(submission, Submission) else read_submission(submission, most=most)
     protocol = choose_protocol(benchmark or read.meta.benchmark, given)
     clips = {name: clip for name, clip in given.items() if protocol.holds(name) and clip.n_motions}
     out = Validation(read, protocol, clips, problems=list(read.problems))
@@ -116,9 +118,10 @@ def validate_submission(
         expected, found = f"labelled clips of {protocol.title}", first_few(list(given)) or "none"
         fix = "give the data that the submission is for, or name another benchmark"
         out.problems.append(Problem("no-data", expected=expected, found=found, fix=fix))
+    files = {clip: file for (_, clip), file in sorted(read.files.items(), reverse=True)}
     for name in read.clips:
         if name not in clips:
-            _check_extra(name, given, out)
+            _check_extra(name, files[name], given, out)
     for seed, name in itertools.product(read.seeds, clips):
         if (seed, name) not in read.files:
             folder = f"seed-{seed}" if len(read.seeds) > 1 else ""
@@ -179,10 +182,9 @@ def _label_problems(label: IntArray, clip: Clip, file: str, meta: SubmissionMeta
         yield Problem("too-many-groups", file, clip.name, "a few groups", found, fix)
 
 
-def _check_extra(name: str, given: Mapping[str, Clip], out: Validation) -> None:
+def _check_extra(name: str, file: str, given: Mapping[str, Clip], out: Validation) -> None:
     """Report whether a predicted clip that is not scored is a mistake."""
     protocol = out.protocol
-    file = next(file for (_, clip), file in out.submission.files.items() if clip == name)
     if name in given or protocol.holds(name):
         reason = "it never counts" if name in protocol.exclude else "no labels for it in the data here"
         out.notes.append(Problem("not-scored", file, name, found=reason))

@@ -194,20 +194,75 @@ assert problems and all("\\n" not in str(p) and len(str(p)) < 600 for p in probl
 
 @pytest.mark.parametrize("kind", CELLS)
 def test_a_hostile_table_is_refused_in_one_line_within_bounds(tmp_path, kind):
-    """The bounds are the harness's: 300 MB of memory and 3 s of processor time kill the process."""
     (tmp_path / "a.csv").write_bytes(CELLS[kind])
+    refused_within_bounds(BOUNDED, tmp_path / "a.csv")
+
+
+def refused_within_bounds(script, path):
+    """The bounds are the harness's: 300 MB of memory and 3 s of processor time kill the process."""
 
     def limit():
         resource.setrlimit(resource.RLIMIT_CPU, (3, 4))
 
     done = subprocess.run(
-        [sys.executable, "-c", BOUNDED + PEAK, str(tmp_path / "a.csv")],
+        [sys.executable, "-c", script + PEAK, str(path)],
         preexec_fn=limit,
         capture_output=True,
         text=True,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr
+
+
+def members(value):
+    return b"{" + b",".join(b'"%x":%b' % (i, value) for i in range(300_000)) + b"}"
+
+
+SCORES = b'{"format":"mseg-scores","version":1,"benchmark":"custom","clips":['
+FILES = {
+    "clips of scores": ("s.json", SCORES + b"{}," * 3_000_000 + b"{}]}"),
+    "values of scores": ("s.json", SCORES + b'{"values":' + members(b'""') + b"}]}"),
+    "values of results": ("kt3dmoseg/2018/r.json", b'{"clips":' + members(b"{}") + b"}"),
+    "tables": ("meta.toml", b"".join(b"[a%d]\n" % i for i in range(150_000))),
+    "hexadecimal": ("meta.toml", b"seconds = 0x" + b"f" * 1_000_000),
+}
+READ = """
+import pathlib, sys
+from kt3dmoseg.errors import KT3DMoSegError
+from mseg.benchmark.publishing import read_result
+from mseg.evaluation.scoring import load_scores
+from mseg.evaluation.submission import parse_meta
+path = pathlib.Path(sys.argv[1])
+try:
+    if path.suffix == ".toml":
+        [problem] = parse_meta(path.read_bytes())[1]
+        raise KT3DMoSegError(str(problem))
+    (load_scores if path.name == "s.json" else read_result)(path)
+    raise SystemExit("it was read")
+except KT3DMoSegError as error:
+    assert "\\n" not in str(error) and len(str(error)) < 600, error
+"""
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_files_with_more_than_fits_are_refused_in_one_line_within_bounds(tmp_path, kind):
+    name, content = FILES[kind]
+    path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    refused_within_bounds(READ, path)
+
+
+def test_a_folder_of_many_files_and_of_other_names_is_read_within_bounds(tmp_path):
+    folder = perfect(tmp_path / "s")
+    (folder / os.fsdecode(b"\xff.csv")).write_bytes(b"")
+    for k in range(5000):
+        (folder / f"x{k}.csv").write_bytes(b"")
+    (folder / "y.csv").write_bytes(b"track,label\n" + b"1,1\n" * 150_000)
+    found = validate_submission(folder, CLIPS).problems
+    assert [p.file for p in found if p.code == "unsafe-path"] == ["'\\udcff.csv'"]
+    assert [p.file for p in found if p.code == "too-large"] == ["y.csv"]
+    assert len(found) == 2 * 5000 + 3
 
 
 PEAK = """
