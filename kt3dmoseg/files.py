@@ -14,6 +14,7 @@ import struct
 import tempfile
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -201,7 +202,8 @@ def _object(pairs: list[tuple[str, Any]], most: int) -> dict[str, Any]:
     if len(pairs) > most:
         raise ValueError(f"an object of {len(pairs)} members, more than {most}")
     if len(made) < len(pairs):
-        raise ValueError(f"the key {next(k for k, v in pairs if made[k] is not v)!r:.60} twice")
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {twice!r:.60} twice")
     return made
 
 
