@@ -87,7 +87,7 @@ function counts() {
   const head = (text) => element("h2", {}, text);
   if (!labels) return [head("Trajectories"), faint(tracks ? "labelling…" : "not there yet")];
   const { motions, rejected, short, conflict } = labels.counts;
-  const names = new Map(doc.objects.map((item) => [item.motion, item.name]));
+  const names = new Map(doc.objects.toReversed().map((item) => [item.motion, item.name]));
   const numbers = Object.keys(motions).map((label) => label - 1).filter((motion) => motion >= 1);
   const rows = [
     ["background (label 1)", BACKGROUND, motions[1] ?? 0],
