@@ -1,6 +1,6 @@
 """KITTI raw on disk: a day's calibration, and a drive read by frame number.
 
-pykitti parses calibration and GPS/IMU packets here. What it does by position in a sorted list, cuts to
+pykitti parses GPS/IMU packets here. What it does by position in a sorted list, cuts to
 microseconds or takes from another sensor's clock is read directly: frames and packets by their number,
 the camera's own timestamps to the nanosecond.
 """
@@ -141,11 +141,13 @@ class Calibration:
         return motion
 
     def _matrix(self, name: str, key: str, shape: tuple[int, ...]) -> FloatArray:
-        from pykitti.utils import read_calib_file
-
-        path = self.folder / name
-        with _reading(path, "lines 'key: numbers'"):  # pykitti splits every line at its first colon
-            values = np.asarray(read_calib_file(path).get(key, []), dtype=np.float64)
+        path, values = self.folder / name, np.zeros(0)
+        with _reading(path, "lines 'key: numbers'"):
+            for line in filter(str.strip, path.read_text(encoding="utf-8", errors="replace").splitlines()):
+                found, colon, numbers = line.partition(":")
+                if not colon:
+                    raise ValueError(repr(line[:60]))
+                values = np.array(numbers.split(), dtype=np.float64) if found == key else values
         if values.size != np.prod(shape) or not np.isfinite(values).all():
             expected, found = f"{np.prod(shape)} numbers", f"{values.tolist()}"
             raise FileFormatError(f"{path}: {key}", expected=expected, found=found)

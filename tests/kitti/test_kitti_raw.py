@@ -140,10 +140,20 @@ def test_camera_offset_keeps_all_of_the_projection_matrix(root: Path) -> None:
     np.testing.assert_allclose(drive.K @ (drive.T_cam_velo @ point)[:3], expected)
 
 
-@pytest.mark.parametrize("damage", ["", "K: 1 2 3\n", "P_rect_00: 1 2 3\n", "no colon here\n", "\n"])
-def test_damaged_calibration_is_one_error(root: Path, drive: RawDrive, damage: str) -> None:
+@pytest.mark.parametrize(
+    ("damage", "found"),
+    [
+        ("", r"\[\]"),
+        ("K: 1 2 3\n", r"\[\]"),
+        ("P_rect_00: 1 2 3\n", r"\[1\.0, 2\.0, 3\.0\]"),
+        ("no colon here\n", "'no colon here'"),
+        ("P_rect_00: 1 2,5 3\n", "'2,5'"),
+        ("\n", r"\[\]"),
+    ],
+)
+def test_damaged_calibration_is_one_error(root: Path, drive: RawDrive, damage: str, found: str) -> None:
     (root / drives.DATE / "calib_cam_to_cam.txt").write_text(damage)
-    with pytest.raises(FileFormatError, match="calib_cam_to_cam"):
+    with pytest.raises(FileFormatError, match=f"calib_cam_to_cam.*found .*{found}"):
         _ = drive.K
 
 
