@@ -111,6 +111,7 @@ RANGE = "<start_frame>40</start_frame><stop_frame>47</stop_frame>"
 STEP = "<start_frame>0</start_frame><stop_frame>39</stop_frame><frame_filter>step=5</frame_filter>"
 EVERY_OTHER = "<start_frame>0</start_frame><stop_frame>7</stop_frame><frame_filter>step=2</frame_filter>"
 SEGMENT = "<start_frame>2</start_frame><stop_frame>6</stop_frame>"
+ID = '<attribute name="track_id">7</attribute>'
 LONG = [shape(40, outline(0)), shape(47, outline(7))]
 RIGHT_CVAT = {
     "a track": cvat(track(0, *ENDS)),
@@ -166,6 +167,10 @@ RIGHT_CVAT = {
         track(0, shape(0, outline(0)), shape(2, outline(2), outside=1)),
         track(1, shape(2, outline(2)), shape(5, outline(5), outside=1)),
         track(2, shape(5, outline(5)), shape(7, outline(7))),
+    ),
+    "comes back with its id": cvat(
+        track(0, shape(0, outline(0), more=ID), shape(2, outline(2), outside=1, more=ID)),
+        track(1, shape(3, outline(3), more=ID), shape(7, outline(7), more=ID)),
     ),
     "no key frame": cvat(track(0, *[shape(k, outline(k), key=0) for k in range(F)])),
 }

@@ -15,12 +15,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Key, Regions, identity_in, unpacked
+from kt3dmoseg.annotate.formats.foreign import (
+    OF_TRACKS,
+    AnnotationFormat,
+    Import,
+    Key,
+    Regions,
+    identity_in,
+    unpacked,
+)
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, REJECT, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-
-_IDENTITIES = ("track_id", "instance_id", "object_id")
 
 
 def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
@@ -81,7 +87,7 @@ def _read(content: bytes, into: Import) -> None:
             if (file := files[identity]) in frames:
                 label = kinds.get(_identity({"category_id": 0} | shape, "category_id"), "other")
                 polygons = _outlines(shape, images[identity], file, into)
-                given = {key: shape[key] for key in _IDENTITIES if shape.get(key) is not None}
+                given = {key: shape[key] for key in OF_TRACKS if shape.get(key) is not None}
                 fields = (shape.get("attributes") or {}) | given
                 if crowds and shape.get("iscrowd") and identity_in(fields)[0] is None:
                     into.note("crowds are rejected: no trajectory in them is labelled")

@@ -19,6 +19,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from kt3dmoseg.annotate.formats.foreign import (
+    OF_TRACKS,
     AnnotationFormat,
     Import,
     Key,
@@ -182,11 +183,19 @@ def _own(tasks: Sequence[_Task], into: Import) -> _Task:
     return own[0]
 
 
+@dataclass(frozen=True)
+class _Known:
+    """Of the tracks so far: which objects end in a frame, and where; which have an id, and when."""
+
+    ends: dict[tuple[Kind, int], dict[Key, int]]
+    named: dict[tuple[Kind, Key], tuple[Key, set[int]]]
+
+
 def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) -> None:
     numbered = [_numbered(where, track, into) for where, track in tracks.items()]
     frames = _frames(sorted({n for shapes in numbered for n, _ in shapes}), task, into)
     scale = into.scale(task.pictures, _WHAT)
-    ends: dict[tuple[Kind, int], dict[Key, int]] = {}
+    known = _Known({}, {})
     for (where, track), shapes in zip(tracks.items(), numbered, strict=True):
         placed = _placed(shapes, frames, into.like.n_frames)
         keys = [pair for pair in placed if _is_key(pair[1])]
@@ -200,7 +209,7 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
                 drawn[frame] = _shape(shape, scale, into)
         if drawn:
             label, fields = track.get("label", ""), _fields(placed[0][1])
-            key = _key(where, kind_of(label), fields, drawn, ends, into)
+            key = _key(where, kind_of(label), fields, drawn, known, into)
             name = fields.get("name") or f"{label or 'object'} {len(into.found) + 1}"
             if min(frame for frame, _ in placed) > 0 and key not in into.found:
                 drawn.setdefault(0, ("outside", []))
@@ -245,7 +254,7 @@ def _key(
     kind: Kind,
     fields: Mapping[str, str],
     drawn: Mapping[int, Drawn],
-    ends: dict[tuple[Kind, int], dict[Key, int]],
+    known: _Known,
     into: Import,
 ) -> Key:
     """Return the object of a track: as stated, that which ends where and when it begins, or a new one."""
@@ -255,7 +264,16 @@ def _key(
     into.note("ids are the tracks")
     into.count("tracks", 1, 2 * MAX_OBJECTS)
     begin, end = min(drawn), max(drawn)
-    ended, place = ends.get((kind, begin), {}), _place(drawn[begin][1], into.like)
+    stated, source = identity_in(fields, OF_TRACKS)
+    if stated is not None:
+        other, taken = known.named.setdefault((kind, stated), (where, set()))
+        span = {*range(begin, end if drawn[end][0] == "outside" else into.like.n_frames)}
+        apart = taken.isdisjoint(span)
+        taken |= span
+        if apart and other != where:
+            into.note(f"{where} has the {source} of {other}: one object")
+            return other
+    ended, place = known.ends.get((kind, begin), {}), _place(drawn[begin][1], into.like)
     alike = (
         other
         for other, left in ended.items()
@@ -267,7 +285,7 @@ def _key(
         into.note(f"{where} goes on where {key} ends: one object")
     shown = [polygons for _, polygons in drawn.values() if polygons]
     if shown and drawn[end][0] == "outside":
-        ends.setdefault((kind, end), {})[key] = _place(shown[-1], into.like)
+        known.ends.setdefault((kind, end), {})[key] = _place(shown[-1], into.like)
     return key
 
 

@@ -59,7 +59,8 @@ _FAR = 0.1
 _MOST_SKIPS = 50
 _ELLIPSE = 64
 _SYNONYMS = {"person": "pedestrian", "people": "pedestrian", "bicycle": "cyclist", "motorbike": "motorcycle"}
-_IDENTITIES = ("track_id", "instance_id", "object_id", "object", "instance", "track", "id", "group_id")
+OF_TRACKS = ("track_id", "instance_id", "object_id")
+_IDENTITIES = (*OF_TRACKS, "object", "instance", "track", "id", "group_id")
 # In one frame an object is hidden where a part of it is, and outside where all are.
 _RANKS: tuple[Visibility, ...] = ("outside", "visible", "occluded")
 
