@@ -19,11 +19,8 @@ from kt3dmoseg.frames import recorded_source
 from kt3dmoseg.io import load
 from kt3dmoseg.io.fields import clip_name
 from kt3dmoseg.io.formats import clip_files
-from kt3dmoseg.io.point_tracks import check_on_pictures
-from kt3dmoseg.tracking.point_trackers import kept_inside
+from kt3dmoseg.tracking.point_trackers import APART, fitted
 from kt3dmoseg.types import ByteArray, Trajectories
-
-_APART = 4  # frames between the two pictures that the tracks are compared with
 
 
 def find_tracks(names: Sequence[str], tracks: PathLike) -> list[Path | None]:
@@ -62,7 +59,7 @@ def read_tracks(
     """
     clip = load(path)
     given, stated = clip.dense, clip.frame_numbers.tolist()
-    pictures = np.stack(list(islice(frames, _APART + 1)))
+    pictures = np.stack(list(islice(frames, APART + 1)))
     count = len(numbers) if numbers is not None else len(pictures) + sum(1 for _ in frames)
     height, width = pictures.shape[1:]
     fix = "give the tracks of all frames of the clip, and of no others"
@@ -76,7 +73,6 @@ def read_tracks(
         expected = f"tracks in {width}x{height} px, as the frames"
         raise FileFormatError(f"{path}", expected=expected, found=f"{given.image_size}")
     try:
-        check_on_pictures("tracks", given, pictures[[0, -1]].astype(np.float64), len(pictures) - 1)
+        return fitted(given, pictures, min_length)
     except InvalidValueError as error:
         raise FileFormatError(f"{path}: {error}") from None
-    return kept_inside(given, (width, height), min_length)

@@ -30,7 +30,7 @@ ALGORITHM_VERSION = 1
 _TABLE = {"cotracker": f"{__name__}:CoTracker", "tapir": f"{__name__}:Tapir"}
 TRACKERS = Registry("tracker", _TABLE, group="kt3dmoseg.trackers")
 _EVERY = 5  # frames from one start of new trajectories to the next
-_APART = 4  # frames between the two pictures that the tracks are compared with
+APART = 4  # frames between the two pictures that the tracks are compared with
 _OURS = "consistency", "boundary", "anchor", "patch", "appearance"  # as options begin that others do not take
 
 PointTracker: TypeAlias = Callable[[ByteArray, FloatArray], Mapping[str, npt.NDArray[Any]]]
@@ -138,7 +138,7 @@ def follow(
     if own:
         expected = "only options of starts and of the least length with a tracker"
         raise InvalidValueError("track", expected=expected, found=", ".join(own))
-    pictures, size = np.stack(frames), (frames[0].shape[1], frames[0].shape[0])
+    pictures = np.stack(frames)
     xy, visible = np.zeros((0, len(frames), 2)), np.zeros((0, len(frames)), dtype=np.bool_)
     starts = [0] if seeds is not None else range(0, max(1, len(frames) - options.min_length + 1), _EVERY)
     for start in starts:
@@ -150,9 +150,8 @@ def follow(
             more = _followed(tracker, pictures, queries)
             xy, visible = np.concatenate([xy, more.xy]), np.concatenate([visible, more.visible])
         report(start + 1, len(frames))
-    found, last = Trajectories(xy, visible), min(_APART, len(frames) - 1)
-    check_on_pictures("tracks", found, pictures[[0, last]].astype(np.float64), last)
-    kept = kept_inside(found, size, options.min_length if seeds is None else 0)[0]
+    least = options.min_length if seeds is None else 0
+    kept = fitted(Trajectories(xy, visible), pictures[: APART + 1], least)[0]
     return replace(kept, track_id=np.arange(len(kept)))
 
 
@@ -166,16 +165,20 @@ def _followed(tracker: PointTracker, pictures: ByteArray, queries: FloatArray) -
     return Trajectories(np.where(visible[..., None], tracks.xy, np.nan), visible)
 
 
-def kept_inside(
-    tracks: Trajectories, image_size: tuple[int, int], min_length: int
-) -> tuple[Trajectories, dict[str, int]]:
-    """Leave out points outside of the image, then tracks visible in fewer frames; how many, in words."""
+def fitted(tracks: Trajectories, pictures: ByteArray, min_length: int) -> tuple[Trajectories, dict[str, int]]:
+    """Leave out points outside of the image, then tracks visible in fewer frames; how many, in words.
+
+    `pictures` are the first frames, up to `APART` after the first; InvalidValueError when the tracks follow
+    them only with x and y exchanged, or scaled.
+    """
+    check_on_pictures("tracks", tracks, pictures[[0, -1]].astype(np.float64), len(pictures) - 1)
+    shape = pictures.shape[1:]
     with np.errstate(invalid="ignore"):
-        within = inside(tracks.xy.reshape(-1, 2), image_size[::-1]).reshape(tracks.visible.shape)
+        within = inside(tracks.xy.reshape(-1, 2), shape).reshape(tracks.visible.shape)
     visible = tracks.visible & within
     kept = visible.sum(axis=1) >= min_length
     xy = np.where(visible[..., None], tracks.xy, np.nan)[kept]
     left_out = {"points outside of the image": int((tracks.visible & ~within).sum())}
     left_out["tracks too short"] = int((~kept).sum())
-    found = Trajectories(xy, visible[kept], tracks.track_id[kept], image_size)
+    found = Trajectories(xy, visible[kept], tracks.track_id[kept], (shape[1], shape[0]))
     return found, {what: count for what, count in left_out.items() if count}
