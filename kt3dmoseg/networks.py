@@ -47,11 +47,8 @@ def network(adapter: TorchNetwork) -> tuple[Any, Any]:
             import_module(package)
     except Exception as error:  # of two releases that do not fit: RuntimeError, OSError, ...
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
-        found, expected = (
-            f"no {missing}" if missing else _first_sentence(error),
-            " and ".join(adapter.packages),
-        )
-        fix = adapter.install
+        found = f"no {missing}" if missing else _first_sentence(error)
+        expected, fix = " and ".join(adapter.packages), adapter.install
         raise MissingDependencyError(adapter.called, expected=expected, found=found, fix=fix) from error
     where, fix = f"{adapter.called}: weights", "give --parameter weights=FILE; nothing is downloaded"
     if not adapter.weights:

@@ -8,7 +8,7 @@ names: so every convention of a tracker stands in that one table.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.point_tracks import check_on_pictures, tracks_from
 from kt3dmoseg.networks import TorchNetwork, network
-from kt3dmoseg.options import from_mapping, option
+from kt3dmoseg.options import from_mapping, option, option_names
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.tracking.linking import inside, new_seeds
 from kt3dmoseg.tracking.options import TrackOptions
@@ -132,9 +132,8 @@ def follow(
         For options of our own tracker, and results that are of other points or follow the frames only when
         read in another way.
     """
-    own = [
-        f.name for f in fields(options) if f.name.startswith(_OURS) and getattr(options, f.name) != f.default
-    ]
+    own = [name for name in option_names(TrackOptions) if name.startswith(_OURS)]
+    own = [name for name in own if getattr(options, name) != getattr(TrackOptions, name)]
     if own:
         expected = "only options of starts and of the least length with a tracker"
         raise InvalidValueError("track", expected=expected, found=", ".join(own))

@@ -58,7 +58,10 @@ def _independent(x1: FloatArray, x2: FloatArray) -> BoolArray:
     moved = np.hypot(*(x2 - x1).T)
     if np.median(moved) < _AT_REST:  # a camera at rest has no epipolar geometry
         return np.asarray(moved > _TOLERANCE)
-    fundamental, _ = cv2.findFundamentalMat(x1, x2, cv2.USAC_MAGSAC, 0.5, 0.999, 2000)
+    try:
+        fundamental, _ = cv2.findFundamentalMat(x1, x2, cv2.USAC_MAGSAC, 0.5, 0.999, 2000)
+    except cv2.error:  # an assertion of OpenCV 5 where no sample gives a model
+        fundamental = None
     if fundamental is None or np.shape(fundamental) != (3, 3):
         return np.zeros(len(x1), dtype=np.bool_)
     matrix = np.asarray(fundamental, dtype=np.float64)
