@@ -53,6 +53,7 @@ MAX_POLYGONS = 200
 MAX_POINTS = 5_000
 MAX_SIDE = 100_000
 MAX_CLICKS = 100
+LEAST_BOX = 3
 _MAX_BYTES = 32 << 20
 _MAX_VALUES = 3_000_000
 _OTHERS = {"segmentations": "YouTube-VIS", "result": "JSON of Label Studio"}
@@ -86,6 +87,8 @@ Motion: TypeAlias = Annotated[
 ]
 Coordinate: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_SIDE, le=MAX_SIDE, allow_inf_nan=False)]
 Point: TypeAlias = tuple[Coordinate, Coordinate]
+Box: TypeAlias = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+"""Left, top, right and bottom in pixels."""
 Click: TypeAlias = tuple[Coordinate, Coordinate, Annotated[bool, Field(strict=True)]]
 """x and y in pixels, and whether it adds or takes away."""
 Polygon: TypeAlias = Annotated[
@@ -204,15 +207,47 @@ class Clicks:
     frame : int
         0-based index in the clip.
     clicks : sequence of (x, y, adds)
-        In pixels, and whether it adds to the outline or takes away; the first adds.
+        In pixels, and whether it adds to the outline or takes away; without a box, the first adds.
+    box : (left, top, right, bottom), optional
+        Around what moves, in pixels, at least 3 wide and high.
     """
 
     frame: _Frame
-    clicks: Annotated[tuple[Click, ...], Field(min_length=1, max_length=MAX_CLICKS), FailFast()]
+    clicks: Annotated[tuple[Click, ...], Field(max_length=MAX_CLICKS), FailFast()]
+    box: Box | None = None
 
     def __post_init__(self) -> None:
-        if not self.clicks[0][2]:
+        if self.box is not None:
+            left, top, right, bottom = self.box
+            if right - left < LEAST_BOX or bottom - top < LEAST_BOX:
+                expected = f"left, top, right and bottom, {LEAST_BOX} pixels apart"
+                raise InvalidValueError("box", expected=expected, found=repr(self.box))
+        elif not self.clicks:
+            raise InvalidValueError("clicks", expected="one, or a box", found="none")
+        elif not self.clicks[0][2]:
             raise InvalidValueError("clicks[0][2]", expected="true: the first click adds", found="false")
+
+
+@_checked
+class Stroke:
+    """A stroke of a round brush on an outline.
+
+    Parameters
+    ----------
+    polygons : sequence of polygons
+        The outline before, in pixels.
+    stroke : sequence of (x, y)
+        Where the middle of the brush was, in pixels.
+    radius : float
+        Of the brush, in pixels.
+    adds : bool
+        Whether it adds to the outline or takes away.
+    """
+
+    polygons: Annotated[tuple[Polygon, ...], Field(max_length=MAX_POLYGONS), FailFast()]
+    stroke: Annotated[tuple[Point, ...], Field(min_length=1, max_length=MAX_POINTS), FailFast()]
+    radius: Annotated[float, Field(strict=True, ge=0.5, le=200)]
+    adds: Annotated[bool, Field(strict=True)]
 
 
 @_checked
@@ -417,6 +452,12 @@ def clicks_from(data: object) -> Clicks:
         return _CLICKS.validate_python(data)
 
 
+def stroke_from(data: object) -> Stroke:
+    """Build a stroke of the brush from parsed JSON; raises InvalidValueError, which names the field."""
+    with _errors_of_this_package():
+        return _STROKE.validate_python(data)
+
+
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of annotation files, which annotations/SCHEMA.json holds."""
     schema = _ANNOTATION.json_schema()
@@ -450,6 +491,7 @@ def _moved(
 _REQUIRED = ["format", "version", *(field.name for field in fields(Annotation) if field.name != "marks")]
 _ANNOTATION = TypeAdapter(Annotation)
 _CLICKS = TypeAdapter(Clicks)
+_STROKE = TypeAdapter(Stroke)
 _POLYGON: TypeAdapter[Polygon] = TypeAdapter(Polygon)
 _MODELS = {"objects": AnnotatedObject, "key_frames": KeyFrame, "marks": Mark}
 _EXPECTED = {

@@ -1,12 +1,13 @@
-"""Clicks on a moving thing become its outline.
+"""A box around a moving thing, or clicks on it, become its outline.
 
-1. **Trajectories.** Those nearest to a click that move alike are its seeds. Where motions were found before
-   (`groups`), those of the seeds' group that chains of neighbours join to them belong to it, too; else the
-   seeds grow by what follows their common affine motion, over up to four frames back and forth.
-2. **Pixels.** A pixel speaks for the object where the frames before and after, moved by the object's motion,
-   fit better than moved by that of the scene around it. Near the trajectories that speaks for it as well. A
-   random walker (Grady, "Multilabel random walks using prior models", CVPR 2005) spreads this up to edges of
-   the image; GrabCut (Rother et al. 2004) then cuts a narrow band around the outline.
+1. **Trajectories.** In a box, those that follow the affine motion of its middle rather than the scene around
+   it. For a click, those nearest to it that move alike are seeds. Where motions were found before (`groups`),
+   those of the seeds' group that chains of neighbours join to them belong to it, too; else the seeds grow by
+   what follows their common affine motion, over up to four frames back and forth. Their bounds are the box.
+2. **Pixels.** What speaks for the object: the middle of the box, the hull of the trajectories, and that the
+   frames before and after, moved by the object's motion, fit better than moved by that of the scene around
+   it; the weights are those of a logistic regression. A random walker (Grady, "Multilabel random walks using
+   prior models", CVPR 2005) spreads this up to edges of the image.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
-from kt3dmoseg.annotate.formats.masks import polygons_of
-from kt3dmoseg.annotate.model import Click, Polygon
+from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
+from kt3dmoseg.annotate.geometry import arrays
+from kt3dmoseg.annotate.model import Box, Click, Polygon, Stroke
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
-Box: TypeAlias = tuple[int, int, int, int]
 Frames: TypeAlias = Callable[[int], ByteArray]
 """The gray frame (H, W) of an index."""
 
@@ -42,18 +43,21 @@ _MOSTLY = 0.6
 _MOST_GROWN = 0.12
 _AROUND, _BESIDE = 9, 5
 _STIFF = 200.0
-# The picture around the trajectories that is looked at: pixels and a share of their extent; at most so many.
-_MARGIN, _MARGIN_SHARE, _MOST_PIXELS = 24, 0.15, 15_000
-# Evidence: frames back and forth, gray levels that convince, and those that count at most.
-_PAIRS, _CONVINCING, _MOST_GRAY = (1, 2, 3), 4.0, 60.0
-# Prior by distance to the closed trajectories: for the object up to NEAR pixels, against it from FAR on.
-_CLOSING, _NEAR, _FAR = 16, 7.0, 34.0
-_PRIOR, _EVIDENCE, _ON_TRACK, _CERTAIN = 0.12, 0.05, 0.3, 3.0
-_PULL, _PULL_SHARE = 0.1, 0.03
-_ITERATIONS = 80
-_BAND, _SHOWN_EVIDENCE = 4, 25
-_TAKEN = 20.0
+# In a box: its middle, in half its sides; how much that is trusted where motions hardly differ; the fewest
+# trajectories; what convinces: pixels, and a share of the difference of the motions.
+_INNER, _TRUST, _ENOUGH, _OFF_BOXED, _OF_BOXED = 0.7, 0.35, 3, 0.4, 0.25
+# Pixels around a click's trajectories, and the view around a box: pixels and a share; at most so many pixels.
+_MARGIN, _BESIDE_BOX, _BESIDE_SHARE, _MOST_PIXELS = 7.0, 8.0, 0.2, 15_000
+# Evidence: frames back and forth, gray levels that convince, and those that count at most, of squares.
+_PAIRS, _CONVINCING, _MOST_GRAY, _SQUARE = (1, 2, 3), 4.0, 60.0, 7
+# Logarithm of the odds of the object: in the middle, less towards the sides and the upper corners; evidence;
+# inside the trajectories' hull, up to a share of the box's size from its edge.
+_MIDDLE, _SIDES, _TAPER, _EVIDENCE, _HULL, _HULL_SHARE, _NEAR = 2.1, 3.2, 1.0, 1.0, 0.5, 0.12, 4.0
+# Strength of the odds beside the picture's edges; a click: its strength and reach, in shares of the box.
+_STRENGTH, _MOST_ODDS, _CERTAIN, _PULL, _PULL_SHARE = 0.05, 6.0, 3.0, 0.13, 0.1
+_SMOOTH, _LEAK, _ITERATIONS = 0.5, 0.01, 80
 _TOLERANCE = 0.7
+_FINE = 3  # of the brush: cells per pixel
 _LEAST = 0.1  # parts smaller than this share of the largest are specks
 
 
@@ -161,19 +165,36 @@ def grown(steps: Steps, seeds: BoolArray) -> BoolArray:
     return seeds if own <= 1 and member.mean() > _MOST_GROWN else member
 
 
-def members_of(steps: Steps, clicks: Sequence[Click]) -> BoolArray:
-    """Return the trajectories that the clicks choose, (n,)."""
+def boxed(steps: Steps, box: Box) -> BoolArray:
+    """Return the trajectories in a box that move as its middle does rather than as the scene around, (n,)."""
+    centre, half = np.add(box[:2], box[2:]) / 2, np.subtract(box[2:], box[:2]) / 2
+    off_centre = np.abs(steps.xy - centre) / half
+    radius, inside = np.linalg.norm(off_centre, axis=1), off_centre.max(axis=1) < 1
+    member = radius < _INNER
+    member = member if member.sum() >= _ENOUGH else inside
+    scene = steps.around(~inside, steps.step, _AROUND)
+    scene_off = np.linalg.norm(steps.step - scene, axis=2)
+    for _ in range(_ROUNDS // 2):
+        if member.sum() < _ENOUGH or inside.all():
+            break
+        fit = steps.followed(member)
+        off = np.linalg.norm(steps.step - fit, axis=2)
+        apart = _OFF_BOXED + _OF_BOXED * np.linalg.norm(fit - scene, axis=2)
+        votes = np.clip((scene_off - off) / apart, -1, 1)
+        known = np.maximum(np.isfinite(votes).sum(axis=0), 1)
+        member = inside & (np.nansum(votes, axis=0) / known + _TRUST * np.clip(1 - radius**2, -1, 1) > 0)
+    return np.asarray(member if member.sum() >= _ENOUGH else inside)
+
+
+def box_around(steps: Steps, added: FloatArray) -> FloatArray:
+    """Return the corners (2, 2) of what moves with clicked places (C, 2)."""
     chosen = np.zeros(len(steps.rows), dtype=np.bool_)
-    for x, y, adds in clicks:
-        if not adds:
-            far = np.hypot(*(steps.xy - (x, y)).T)
-            kept = [np.hypot(*(steps.xy - click[:2]).T) for click in clicks if click[2]]
-            chosen = chosen & ~((far < _TAKEN) & (far < np.min(kept, axis=0, initial=np.inf)))
-            continue
+    for x, y in added:
         seeds = seeds_at(steps, x, y)
         # In the scene's group a second click cannot know how far it goes.
         chosen = chosen | (grown(steps, seeds) if not chosen.any() or steps.own_group(seeds) > 1 else seeds)
-    return chosen
+    points = np.concatenate([steps.xy[chosen], added])
+    return np.array([points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN])
 
 
 def outline_clicks(
@@ -181,9 +202,10 @@ def outline_clicks(
     tracks: Trajectories,
     frame: int,
     clicks: Sequence[Click],
+    box: Box | None = None,
     groups: Sequence[IntArray] = (),
 ) -> list[Polygon]:
-    """Outline what moves with the clicked places of a frame.
+    """Outline what moves in a box, or with the clicked places of a frame.
 
     Parameters
     ----------
@@ -194,28 +216,46 @@ def outline_clicks(
     frame : int
         Where it was clicked.
     clicks : sequence of (x, y, adds)
-        In pixels; the first adds.
+        In pixels; without a box the first adds.
+    box : (left, top, right, bottom), optional
+        Around the object, in pixels.
     groups : sequence of (N,) int64
-        Motions of the trajectories, 1 = scene, the most trusted first; those of the first are taken by which
-        the clicked place moves by itself.
+        Motions of the trajectories, 1 = scene, the most trusted first; without a box, those of the first are
+        taken by which the clicked place moves by itself.
 
     Returns
     -------
     list of polygons
-        Empty where nothing is left, or fewer than six trajectories are seen.
+        Empty where nothing is left; without a box, where fewer than six trajectories are seen.
     """
-    candidates: list[IntArray | None] = [*groups] or [None]
-    for known in candidates:
-        steps = Steps(tracks, frame, known)
-        if len(steps.rows) < _SEEDS or not len(steps.gaps):
-            return []
-        if steps.own_group(seeds_at(steps, *clicks[0][:2])) > 1:
-            break
-    member = members_of(steps, clicks)
-    if not member.any():
+    added = np.array([click[:2] for click in clicks if click[2]]).reshape(-1, 2)
+    steps, corners = Steps(tracks, frame, None), added
+    if box is not None:
+        corners = np.array([box[:2], box[2:], *added])
+    elif len(steps.rows) < _SEEDS or not len(steps.gaps):
         return []
-    points = np.array([*steps.xy[member], *[click[:2] for click in clicks if click[2]]])
-    return _outlined(_cut(frames, steps, member, frame, points, clicks))
+    else:
+        for known in groups:
+            grouped = Steps(tracks, frame, known)
+            if grouped.own_group(seeds_at(grouped, *added[0])) > 1:
+                steps = grouped
+                break
+        corners = box_around(steps, added)
+    last = np.array(frames(frame).shape[::-1]) - 1
+    low, high = np.clip([corners.min(axis=0), corners.max(axis=0)], 0, last).tolist()
+    return _outlined(_cut(frames, steps, boxed(steps, (*low, *high)), frame, (*low, *high), clicks))
+
+
+def painted(stroke: Stroke, image_size: tuple[int, int]) -> list[Polygon]:
+    """Return the outline after a stroke of the brush; accurate to a third of a pixel."""
+    fine = [(polygon + 0.5) * _FINE - 0.5 for polygon in arrays(stroke.polygons)]
+    mask = mask_of(fine, (image_size[0] * _FINE, image_size[1] * _FINE))
+    line = np.rint((np.array(stroke.stroke) + 0.5) * _FINE - 0.5).astype(np.int32)
+    free = cv2.polylines(np.ones(mask.shape, dtype=np.uint8), [np.concatenate([line, line[-1:]])], False, 0)
+    disc = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) < stroke.radius * _FINE
+    mask = mask | disc if stroke.adds else mask & ~disc
+    found = polygons_of(mask, tolerance=0.4 * _FINE)
+    return [tuple(((x + 0.5) / _FINE - 0.5, (y + 0.5) / _FINE - 0.5) for x, y in p) for p in found]
 
 
 def _outlined(mask: BoolArray) -> list[Polygon]:
@@ -230,44 +270,41 @@ def _cut(
     steps: Steps,
     member: BoolArray,
     frame: int,
-    points: FloatArray,
+    box: Box,
     clicks: Sequence[Click],
 ) -> BoolArray:
-    """Mask (H, W) of what moves with the members, around the points (P, 2)."""
+    """Mask (H, W) of what is in the box and moves with the members."""
     height, width = frames(frame).shape
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = _MARGIN + _MARGIN_SHARE * (high - low).max()
-    left, top = np.maximum(low - margin, 0).astype(int).tolist()
-    right, bottom = np.minimum(high + margin + 1, (width, height)).astype(int).tolist()
-    out = np.zeros((height, width), dtype=np.bool_)
-    if right - left < 3 or bottom - top < 3:
-        return out
-    box = (left, top, right, bottom)
-    view = _View(box)
-    here, evidence = _evidence(frames, steps, member, frame, view)
-    scene = ~member & (steps.groups == 1)
-    far = cv2.distanceTransform(1 - view.closed(points), cv2.DIST_L2, 5) / view.scale
-    prior = _PRIOR * np.clip((_NEAR - far) / (_FAR - _NEAR), -1, 1)
-    field = _EVIDENCE * evidence + prior
-    field = np.where(far > _FAR, np.minimum(field, -_PRIOR), field)
-    field += _ON_TRACK * (view.discs(steps.xy[member], 2.5) - view.discs(steps.xy[scene], 2.0))
-    reach = _PULL_SHARE * np.hypot(right - left, bottom - top) + 4
-    for k, (x, y, adds) in enumerate(clicks):
+    out, view = np.zeros((height, width), dtype=np.bool_), _View(box, (width, height))
+    here = cv2.remap(frames(frame), view.x, view.y, cv2.INTER_LINEAR).astype(np.float32)
+    sides, size = np.subtract(box[2:], box[:2]) / 2 + 0.5, np.sqrt((box[2] - box[0]) * (box[3] - box[1]))
+    u, v = (view.x - (box[0] + box[2]) / 2) / sides[0], (view.y - (box[1] + box[3]) / 2) / sides[1]
+    odds = _MIDDLE - _SIDES * (u**4 + v**4) + _TAPER * u**2 * v
+    odds += _HULL * np.clip(view.depth(steps.xy[member]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
+    if member.any() and len(steps.gaps):
+        odds += _EVIDENCE * _evidence(frames, steps, member, frame, view, here)
+    field = _STRENGTH * np.clip(odds, -_MOST_ODDS, _MOST_ODDS)
+    reach = _PULL_SHARE * size + 2
+    for x, y, adds in clicks:
         sign = 1.0 if adds else -1.0
-        if k:
-            field += sign * _PULL * np.exp(-((view.x - x) ** 2 + (view.y - y) ** 2) / (2 * reach**2))
-        field = np.where(view.discs(np.array([(x, y)]), 4.0) > 0, sign * _CERTAIN, field)
-    soft = _walk(here, field)
-    inner = cv2.resize(_in_band(here, evidence, soft, view.scale), (right - left, bottom - top))
-    out[top:bottom, left:right] = inner > 0
+        field += sign * _PULL * np.exp(-((view.x - x) ** 2 + (view.y - y) ** 2) / (2 * reach**2))
+    for x, y, adds in clicks:
+        field = np.where(view.disc(x, y), _CERTAIN if adds else -_CERTAIN, field)
+    left, top, right, bottom = view.box
+    soft = cv2.resize(_walk(here, field), (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
+    out[top:bottom, left:right] = soft > 0
     return out
 
 
 class _View:
-    """A box of the image at a scale at which it has few enough pixels."""
+    """What is in and around a box of the image, at a scale at which it has few enough pixels."""
 
-    def __init__(self, box: Box) -> None:
-        left, top, right, bottom = self.box = box
+    def __init__(self, box: Box, image_size: tuple[int, int]) -> None:
+        low, high = np.array(box[:2]), np.array(box[2:])
+        beside = _BESIDE_BOX + _BESIDE_SHARE * (high - low)
+        left, top = np.maximum(low - beside, 0).astype(int).tolist()
+        right, bottom = np.minimum(high + beside + 1, image_size).astype(int).tolist()
+        self.box = left, top, right, bottom
         self.scale = min(1.0, float(np.sqrt(_MOST_PIXELS / ((right - left) * (bottom - top)))))
         self.width = max(2, round((right - left) * self.scale))
         self.height = max(2, round((bottom - top) * self.scale))
@@ -275,28 +312,24 @@ class _View:
         ys = (np.arange(self.height) + 0.5) / self.scale - 0.5 + top
         self.x, self.y = (grid.astype(np.float32) for grid in np.meshgrid(xs, ys))
 
-    def discs(self, xy: FloatArray, radius: float) -> Float32Array:
-        """Paint discs at points, 0 or 1."""
-        out = np.zeros((self.height, self.width), dtype=np.float32)
-        for x, y in np.rint((xy - self.box[:2] + 0.5) * self.scale - 0.5).astype(int).tolist():
-            cv2.circle(out, (x, y), max(1, round(radius * self.scale)), 1.0, -1)
-        return out
+    def disc(self, x: float, y: float) -> BoolArray:
+        """Whether a pixel is the clicked one, or near it."""
+        return np.asarray(np.hypot(self.x - x, self.y - y) <= max(3.0, 0.8 / self.scale))
 
-    def closed(self, points: FloatArray) -> ByteArray:
-        """Paint the points and the gaps between them, 0 or 1."""
-        reach = _CLOSING * self.scale
-        pad = int(reach) + 2
-        dots = np.pad(self.discs(points, 1).astype(np.uint8), pad)
-        wide = (cv2.distanceTransform(1 - dots, cv2.DIST_L2, 5) <= reach).astype(np.uint8)
-        inner = (cv2.distanceTransform(wide, cv2.DIST_L2, 5) >= reach - 1) | (dots > 0)
-        return inner[pad:-pad, pad:-pad].astype(np.uint8)
+    def depth(self, points: FloatArray) -> Float32Array:
+        """How deep a pixel is in the convex hull of points, in pixels of the image; negative outside."""
+        hull = np.zeros((self.height + 2, self.width + 2), dtype=np.uint8)
+        if len(points):
+            corners = cv2.convexHull(points.astype(np.float32))[:, 0]
+            cv2.fillPoly(hull, [np.rint((corners - self.box[:2] + 0.5) * self.scale + 0.5).astype(int)], 1)
+        deep, off = (cv2.distanceTransform(part, cv2.DIST_L2, 5) for part in (hull, 1 - hull))
+        return np.asarray((deep - off)[1:-1, 1:-1] / self.scale, dtype=np.float32)
 
 
 def _evidence(
-    frames: Frames, steps: Steps, member: BoolArray, frame: int, view: _View
-) -> tuple[Float32Array, Float32Array]:
-    """Show the view, and per pixel, -1 to 1, how much better the members' motion explains it."""
-    here = cv2.remap(frames(frame), view.x, view.y, cv2.INTER_LINEAR).astype(np.float32)
+    frames: Frames, steps: Steps, member: BoolArray, frame: int, view: _View, here: Float32Array
+) -> Float32Array:
+    """Show per pixel of the view, -1 to 1, how much better the members' motion explains it."""
     centre, model = steps.affine(member)
     flat = np.stack([view.x - centre[0], view.y - centre[1], np.ones_like(view.x)], axis=-1)
     background = _background(steps, ~member & (steps.groups == 1), view)
@@ -311,7 +344,7 @@ def _evidence(
         if errors:  # what is hidden before or after is seen on the other side
             own, scene = (np.min(side, axis=0) for side in zip(*errors, strict=True))
             total += np.clip((scene - own) / _CONVINCING, -1, 1)
-    return here, np.asarray(total / len(_PAIRS), dtype=np.float32)
+    return np.asarray(total / len(_PAIRS), dtype=np.float32)
 
 
 def _background(steps: Steps, scene: BoolArray, view: _View) -> Float32Array:
@@ -333,16 +366,16 @@ def _misfit(here: Float32Array, other: ByteArray, view: _View, move: Float32Arra
     moved = cv2.remap(other, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
     seen = (x > 0) & (x < other.shape[1]) & (y > 0) & (y < other.shape[0])
     error = np.where(seen, np.minimum(np.abs(moved - here), _MOST_GRAY), _MOST_GRAY).astype(np.float32)
-    return np.asarray(cv2.boxFilter(error, -1, (5, 5)), dtype=np.float32)
+    return np.asarray(cv2.boxFilter(error, -1, (_SQUARE, _SQUARE)), dtype=np.float32)
 
 
 def _walk(here: Float32Array, field: FloatArray) -> Float32Array:
     """Spread a field to where the picture has no edge: the random walker's system, by conjugate gradients."""
-    smooth = cv2.GaussianBlur(here, (0, 0), 0.8)
+    smooth = cv2.GaussianBlur(here, (0, 0), _SMOOTH)
     dx, dy = np.diff(smooth, axis=1) ** 2, np.diff(smooth, axis=0) ** 2
     soft = max(float(dx.mean() + dy.mean()) / 2, 1.0)
-    right = np.pad(np.exp(-dx / soft) + 0.01, ((0, 0), (0, 1))).ravel()[:-1]
-    below = (np.exp(-dy / soft) + 0.01).ravel()
+    right = np.pad(np.exp(-dx / soft) + _LEAK, ((0, 0), (0, 1))).ravel()[:-1]
+    below = (np.exp(-dy / soft) + _LEAK).ravel()
     width, own = here.shape[1], np.abs(field).ravel() + 1e-4
     wish = np.sign(field).ravel()
     bands: Any = [right, right, below, below]
@@ -352,24 +385,6 @@ def _walk(here: Float32Array, field: FloatArray) -> Float32Array:
     preconditioner = diags_array(1 / diagonal)
     spread, _ = cg(system, own * wish, wish, rtol=1e-2, maxiter=_ITERATIONS, M=preconditioner)
     return np.asarray(spread.reshape(here.shape), dtype=np.float32)
-
-
-def _in_band(here: Float32Array, evidence: Float32Array, soft: Float32Array, scale: float) -> Float32Array:
-    """Cut again, by gray level, within a few pixels of the outline; positive inside."""
-    inner = (soft > 0).astype(np.uint8)
-    if not 0 < inner.sum() < inner.size:
-        return soft
-    deep, off = (cv2.distanceTransform(part, cv2.DIST_L2, 5) / scale for part in (inner, 1 - inner))
-    sure = np.where(deep > _BAND, cv2.GC_FGD, np.where(off > _BAND, cv2.GC_BGD, cv2.GC_PR_BGD + inner))
-    if not (sure == cv2.GC_FGD).any() or not (sure == cv2.GC_BGD).any():
-        return soft
-    gray = np.clip(here, 0, 255).astype(np.uint8)
-    shown = np.clip(128 + _SHOWN_EVIDENCE * evidence, 0, 255).astype(np.uint8)
-    cut, models = sure.astype(np.uint8), (np.zeros((1, 65)), np.zeros((1, 65)))
-    picture = cv2.merge([gray, shown, cv2.GaussianBlur(gray, (0, 0), 3)])
-    cv2.setRNGSeed(0)
-    cv2.grabCut(picture, cut, (0, 0, 0, 0), *models, 1, cv2.GC_INIT_WITH_MASK)
-    return np.where(cut & 1, 1.0, -1.0).astype(np.float32)
 
 
 def _median(values: FloatArray, axis: int) -> FloatArray:

@@ -11,7 +11,9 @@ from test_annotate_server import page as server_page  # noqa: F401  # a fixture
 from kt3dmoseg import io
 from kt3dmoseg.annotate.formats.masks import mask_of
 from kt3dmoseg.annotate.geometry import arrays
-from kt3dmoseg.annotate.one_click import outline_clicks
+from kt3dmoseg.annotate.model import Stroke
+from kt3dmoseg.annotate.one_click import outline_clicks, painted
+from kt3dmoseg.types import Trajectories
 
 SIZE = (320, 200)
 
@@ -24,19 +26,39 @@ def overlap(polygons, frame):
     return (found & exact).sum() / (found | exact).sum(), found
 
 
-@pytest.mark.parametrize("grouped", [False, True])
-def test_a_click_outlines_what_moves_and_another_takes_a_part_away(tmp_path, grouped):
+@pytest.mark.parametrize("given", ["click", "groups", "box"])
+def test_a_click_or_box_outlines_what_moves_and_another_click_takes_a_part_away(tmp_path, given):
     moving = write_clip(tmp_path, "one")
     tracks = io.load(tmp_path / "tracks" / "one.npz").dense
     frames = [cv2.imread(str(path), 0) for path in sorted((tmp_path / "frames" / "one").iterdir())]
-    groups = [np.where(moving, 2, 1)] if grouped else []
-    clicks = [(112.0, 100.0, True)]
-    iou, _ = overlap(outline_clicks(frames.__getitem__, tracks, 3, clicks, groups), 3)
+    groups = [np.where(moving, 2, 1)] if given == "groups" else []
+    box = (70, 68, 154, 132) if given == "box" else None
+    clicks = [] if box else [(112.0, 100.0, True)]
+    iou, _ = overlap(outline_clicks(frames.__getitem__, tracks, 3, clicks, box, groups), 3)
     assert iou > 0.85
     clicks.append((80.0, 100.0, False))
-    iou, found = overlap(outline_clicks(frames.__getitem__, tracks, 3, clicks, groups), 3)
+    iou, found = overlap(outline_clicks(frames.__getitem__, tracks, 3, clicks, box, groups), 3)
     assert iou > 0.6
     assert (found[100, 80], found[100, 112]) == (False, True)
+
+
+def test_a_box_is_outlined_without_trajectories():
+    tracks = Trajectories(np.zeros((0, 1, 2)), np.zeros((0, 1), bool), image_size=SIZE)
+    frame = np.full(SIZE[::-1], 40, np.uint8)
+    frame[70:130, 60:140] = 200
+    iou, _ = overlap(outline_clicks(lambda _: frame, tracks, 0, [], (58, 68, 142, 132)), 0)
+    assert iou > 0.8
+
+
+def test_the_brush_adds_a_disc_along_a_line_and_takes_it_away():
+    square = ((10, 10), (50, 10), (50, 50), (10, 50))
+    before = mask_of(arrays([square]), SIZE)
+    added = painted(Stroke((square,), ((60, 30), (80, 30)), 12, True), SIZE)
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    disc = np.hypot(x - np.clip(x, 60, 80), y - 30) < 12
+    assert np.count_nonzero(mask_of(arrays(added), SIZE) != (before | disc)) < 30
+    left = painted(Stroke(tuple(added), ((60, 30), (80, 30)), 12, False), SIZE)
+    assert np.count_nonzero(mask_of(arrays(left), SIZE) != (before & ~disc)) < 30
 
 
 GOOD = [100, 100, True]
@@ -54,6 +76,8 @@ GOOD = [100, 100, True]
         ({"frame": 0, "clicks": [[100, 100, False]]}, "clicks[0][2]"),
         ({"frame": 0, "clicks": [GOOD, [100, 100, 1]]}, "clicks[1][2]"),
         ({"frame": 0, "clicks": [GOOD, [320, 100, True]]}, "clicks[1]"),
+        ({"frame": 0, "clicks": [], "box": [10, 10, 12, 40]}, "box"),
+        ({"frame": 0, "clicks": [], "box": [10, 10, 320, 40]}, "box"),
     ],
 )
 def test_clicks_that_are_none_are_refused_with_the_field(server_page, body, field):  # noqa: F811
@@ -86,3 +110,24 @@ def test_clicks_make_an_outline_and_undo_takes_them_back(page):
     page.until("labeller.state.selected === null && labeller.state.tool === 'click'")
     page.press("Escape", "Control+z")
     assert page.objects() == []
+
+
+@pytest.mark.browser
+def test_a_box_makes_an_outline_and_the_brush_changes_it_by_mouse_and_by_keys(page):
+    page.press("Shift+O")
+    page.drag((57, 67), (143, 133))
+    page.until("labeller.state.doc.objects.length === 1")
+    (first,) = page.objects()
+    assert overlap(first["key_frames"][0]["polygons"], 0)[0] > 0.85
+    page.press("Shift+P")
+    page.drag((100, 100), (100, 160))
+    page.until("labeller.state.done.length === 2")
+    assert overlap(page.objects()[0]["key_frames"][0]["polygons"], 0)[1][160, 100]
+    page.press("Shift+X", "ArrowDown", "i")
+    page.value("labeller.state.cross = [100, 155]")
+    page.press("Enter")
+    page.until("labeller.state.done.length === 3")
+    found = overlap(page.objects()[0]["key_frames"][0]["polygons"], 0)[1]
+    assert (found[155, 100], found[140, 100]) == (False, True)
+    page.press("Control+z", "Control+z")
+    assert page.objects() == [first]

@@ -165,13 +165,17 @@ class ClipSession:
         if asked.frame >= len(frames):
             expected = f"a whole number in 0..{len(frames) - 1}"
             raise InvalidValueError("frame", expected=expected, found=str(asked.frame))
-        for k, (x, y, _) in enumerate(asked.clicks):
+        places = [(f"clicks[{k}]", *click[:2]) for k, click in enumerate(asked.clicks)]
+        places += [("box", *corner) for corner in (asked.box[:2], asked.box[2:])] if asked.box else []
+        for field, x, y in places:
             if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
                 expected = f"a place in the {width}x{height} px of the frame"
-                raise InvalidValueError(f"clicks[{k}]", expected=expected, found=f"({x:g}, {y:g})")
+                raise InvalidValueError(field, expected=expected, found=f"({x:g}, {y:g})")
         tracks = self.trajectories()
         groups = [known for known in (self.proposed, self.moving) if known is not None]
-        return outline_clicks(lambda k: _gray(frames[k]), tracks, asked.frame, asked.clicks, groups)
+        return outline_clicks(
+            lambda k: _gray(frames[k]), tracks, asked.frame, asked.clicks, asked.box, groups
+        )
 
     def work(self) -> dict[str, Any]:
         """Return the last ``state`` set, with its ``by``, ``time`` and ``revision``, and ``assigned``.

@@ -26,6 +26,7 @@ from kt3dmoseg.annotate import formats, model, proposals
 from kt3dmoseg.annotate.agreement import compare
 from kt3dmoseg.annotate.formats.foreign import Choices
 from kt3dmoseg.annotate.model import KINDS, Annotation
+from kt3dmoseg.annotate.one_click import painted
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES
 from kt3dmoseg.annotate.server.clip_session import ClipSession, NotTrackedError
@@ -90,7 +91,10 @@ class Routes:
             self._route("GET", "/annotation", self._annotation),  # as saved, its revision as ETag
             self._route("PUT", "/annotation", self._save),  # If-Match: the revision that was edited
             self._route("POST", "/regions", self._regions, quick),  # in each frame, and why in doubt
-            self._route("POST", "/outline", self._outline, quick),  # {"frame", "clicks": [[x, y, adds], ...]}
+            self._route(
+                "POST", "/outline", self._outline, quick
+            ),  # {"frame", "clicks": [[x, y, adds], ...], "box"}
+            self._route("POST", "/paint", self._paint, quick),  # {"polygons", "stroke", "radius", "adds"}
             self._route("POST", "/labels", self._labels, quick),
             self._route("POST", "/proposals/{proposer}", self._propose, slow),
             self._route("POST", "/compare", self._compare, quick),  # with the other annotator's
@@ -191,6 +195,11 @@ class Routes:
         with model.within("body"):
             asked = model.clicks_from(model.parse_document(body, "body"))
             return {"polygons": session.outline(asked)}
+
+    def _paint(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+        with model.within("body"):
+            stroke = model.stroke_from(model.parse_document(body, "body"))
+        return {"polygons": painted(stroke, session.image_size)}
 
     def _labels(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         given = _given(session, body)

@@ -44,7 +44,7 @@ export function setTool(tool, mode = "object") {
   if (tool === "click") select(null);
 }
 
-export const redraw = withObject((_, mode) => setTool("draw", mode));
+export const redraw = withObject((_, mode, tool = "draw") => setTool(tool, mode));
 
 /** End the outline being drawn: a new object, the region of one, or a lasso. */
 export function finish() {
@@ -82,6 +82,7 @@ export const takeBackPoint = () => setPoints(state.pending.points.slice(0, -1));
 export function enter() {
   const { tool, pending, cross } = state;
   if (!pending) return cross && select(objectUnder(cross)?.id ?? null);
+  if (tool === "brush") return cross && paint([cross], pending.mode === "add");
   const last = (tool === "click" ? clicksHere() : pending.points).at(-1);
   const further = cross && !(last && distance(last, cross) < 0.5);
   if (tool === "click") return further ? click(cross, true) : select(null);
@@ -95,36 +96,63 @@ export function escape() {
   return set({ [first]: null, ...(first === "review" ? { proposals: null } : {}) });
 }
 
-// Outlines by clicks. The clicks that made an outline are kept with it: undo takes both back.
+// Outlines by clicks. What was asked for an outline, clicks and a box, is kept with it: undo takes both back.
 
-const clicksOf = new WeakMap();
-const clicksAt = (frame) => clicksOf.get(keyAt(selectedObject() ?? { key_frames: [] }, frame)?.polygons) ?? [];
-export const clicksHere = () => clicksAt(state.frame);
+const askedOf = new WeakMap();
+const askedAt = (frame) => askedOf.get(keyAt(selectedObject() ?? { key_frames: [] }, frame)?.polygons);
+export const clicksHere = () => askedAt(state.frame)?.clicks ?? [];
 
 let turn = Promise.resolve();
 
-/** Outline what moves with a point: the selected object, else a new one. Further clicks add to the outline or take
- *  away; one after the other, however fast they come. */
-export function click(point, adds) {
+/** Do what asks the server; one after the other, however fast they come. */
+function inTurn(action) {
   const { clip, frame } = state;
-  turn = turn.then(() => attempt(() => clip === state.clip && outline(frame, point, adds)));
+  turn = turn.then(() => attempt(() => clip === state.clip && action(frame)));
   return turn;
 }
 
-async function outline(frame, point, adds) {
+/** Outline what moves with a point, or in a box: the selected object, else a new one. Further clicks add to the
+ *  outline or take away. */
+export const click = (point, adds) => inTurn((frame) => {
+  const { clicks = [], box = null } = askedAt(frame) ?? {};
+  return outline({ frame, box, clicks: [...clicks, [...point, adds]] });
+});
+
+export const outlineBox = (box) => inTurn((frame) => outline({ frame, box, clicks: [] }));
+
+async function outline(asked) {
   const item = selectedObject();
   if (item && !editable()) return undefined;
   if (!state.tracks) return notify("The trajectories are not there yet");
-  const clicks = [...clicksAt(frame), [...point, adds]];
-  if (!clicks[0][2]) return notify("Click on what moves first; then Alt+click takes away");
+  const { frame, box, clicks } = asked;
+  if (!box && !clicks[0][2]) return notify("Click on what moves first; then Alt+click takes away");
   const { doc } = state;
-  const answer = await ask(state.clip.name, "outline", { frame, clicks });
+  const answer = await ask(state.clip.name, "outline", asked);
   if (doc !== state.doc) return notify("Edited meanwhile: click again");
   if (!answer.polygons.length) return notify("No outline there: click on what moves, where trajectories are");
   const polygons = answer.polygons.map(rounded);
-  clicksOf.set(polygons, clicks);
+  askedOf.set(polygons, asked);
   if (item) return edit(setKey(doc, item.id, frame, polygons));
   return editLast(addObject(doc, { key_frames: [{ frame, visibility: "visible", polygons }] }));
+}
+
+// Brush and eraser
+
+/** Add to the outline what a disc covers along a line, or take it away. */
+export const paint = (stroke, adds) => inTurn(async (frame) => {
+  const item = editable();
+  if (!item) return;
+  const { doc, brush } = state;
+  const { polygons } = editableRegion(item, frame);
+  const answer = await ask(state.clip.name, "paint", { polygons, stroke, radius: brush, adds });
+  if (doc !== state.doc) notify("Edited meanwhile: paint again");
+  else if (!answer.polygons.length) notify("Nothing would be left; Delete takes the object out of this frame");
+  else edit(setKey(doc, item.id, frame, answer.polygons.map(rounded)));
+});
+
+export function resizeBrush(factor) {
+  set({ brush: clamp(Math.round(state.brush * factor * 2) / 2, 1, 100) });
+  notify(`Brush: ${2 * state.brush} pixels wide`);
 }
 
 // Objects

@@ -51,7 +51,11 @@ export const KEYS = {
   ],
   "Objects": [
     key("n", "N", "outline a new object", () => actions.setTool("draw")),
-    key("Shift+O", "Shift+O", "outline what moves with a click (Alt: take away)", () => actions.setTool("click")),
+    key("Shift+O", "Shift+O", "outline what moves: click, or drag a box (Alt: take away)",
+      () => actions.setTool("click")),
+    key("Shift+P Shift+X", "Shift+P X", "brush, eraser (Alt: the other)",
+      (name) => actions.redraw(name === "Shift+P" ? "add" : "erase", "brush")),
+    key("ArrowUp ArrowDown", "↑ ↓", "larger brush, smaller", (name) => actions.resizeBrush(name === "ArrowUp" ? 1.25 : 0.8)),
     key("r", "R", "outline it again in this frame", () => actions.redraw("region")),
     key("p", "P", "outline another part of it", () => actions.redraw("part")),
     key("] a", "]", "next object (or A)", () => actions.cycleObject(1)),

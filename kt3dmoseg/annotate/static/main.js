@@ -19,8 +19,10 @@ const TITLE = { object: "a new object", region: "the object again in this frame"
 function instruction({ pending, tool }) {
   if (!pending) return "";
   if (tool === "click") {
-    return "Click on what moves; a further click adds, Alt+click takes away; Enter: the next object, Esc leaves";
+    return "Click on what moves, or drag a box around it; a further click adds, Alt+click takes away; "
+      + "Enter: the next object, Esc leaves";
   }
+  if (tool === "brush") return "Drag to paint, with Alt to erase (or the other way); ↑ and ↓ change the size; Esc leaves";
   if (tool === "lasso") return "Draw around trajectories; Esc cancels";
   return `Outline ${TITLE[pending.mode]}: click points or draw freehand; Enter or the first point closes, `
     + "Backspace takes one back, Esc cancels";
@@ -46,7 +48,7 @@ on(["tool", "playing", "flickered", "done", "undone", "clip"], () => {
 });
 
 const tools = document.querySelectorAll("[data-tool]");
-for (const b of tools) b.onclick = () => state.doc && setTool(b.dataset.tool);
+for (const b of tools) if (!b.dataset.key) b.onclick = () => state.doc && setTool(b.dataset.tool);
 byId("clips").onclick = () => attempt(clips);
 
 // How things are shown: the form behind "View"

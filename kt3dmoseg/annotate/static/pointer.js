@@ -38,7 +38,8 @@ function down(event) {
   const { screen, point } = at(event);
   if (event.button === 2) return; // the menu, or removing a point
   if (event.button === 1) drag = panning(screen);
-  else if (state.tool === "click") drag = panning(screen, () => actions.click(point, !event.altKey));
+  else if (state.tool === "click") drag = boxing(screen, point, !event.altKey);
+  else if (state.tool === "brush") drag = painting(point, (state.pending.mode === "add") !== event.altKey);
   else drag = state.pending ? drawing(screen, point) : grab(point, screen);
 }
 
@@ -83,6 +84,42 @@ function panning(from, click = () => select(null)) {
       from = screen;
     },
     up: () => moved || click(),
+  };
+}
+
+/** A click, or a box around what moves. */
+function boxing(from, start, adds) {
+  let box = null;
+  return {
+    move(screen, to) {
+      if (!box && distance(screen, from) < FREEHAND) return;
+      const { clip: { image_size: [width, height] } } = state;
+      const [xs, ys] = [[0, width - 1], [1, height - 1]].map(([axis, last]) =>
+        [start[axis], to[axis]].map((place) => clamp(place, 0, last)).sort((a, b) => a - b));
+      box = [xs[0], ys[0], xs[1], ys[1]];
+      const points = [[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]].map(([x, y]) => [xs[x], ys[y]]);
+      set({ pending: { ...state.pending, points, freehand: true } });
+    },
+    up() {
+      set({ pending: { ...state.pending, points: [], freehand: false } });
+      if (box) actions.outlineBox(box);
+      else actions.click(start, adds);
+    },
+  };
+}
+
+/** Paint with a disc; the line is shown until the outline is there. */
+function painting(start, adds) {
+  const stroke = [start];
+  const show = (points) => set({ pending: { ...state.pending, points, freehand: true } });
+  show(stroke);
+  return {
+    move(_, point) {
+      if (distance(stroke.at(-1), point) < state.brush / 4) return;
+      stroke.push(point);
+      show([...stroke]);
+    },
+    up: () => actions.paint(stroke, adds).then(() => state.tool === "brush" && show([])),
   };
 }
 

@@ -154,6 +154,7 @@ function outline(polygon, colour, dash, width = 1.5) {
 }
 
 function drawPending({ points, freehand }) {
+  if (state.tool === "brush") return drawBrush(points);
   const end = state.cross ?? state.pointer;
   stroke(pathOf(end && !freehand ? [...points, end] : points), WHITE, 1.5);
   points.forEach((point, i) => {
@@ -161,9 +162,24 @@ function drawPending({ points, freehand }) {
   });
 }
 
+/** The line that the brush painted, and its disc where it is. */
+function drawBrush(points) {
+  const radius = state.brush * state.view.scale;
+  context.globalAlpha = 0.4;
+  context.lineCap = "round";
+  if (points.length) stroke(pathOf([...points, points.at(-1)]), WHITE, 2 * radius);
+  context.globalAlpha = 1;
+  const at = state.cross ?? state.pointer;
+  if (!at) return;
+  const disc = new Path2D();
+  disc.arc(...toScreen(at), radius, 0, 2 * Math.PI);
+  stroke(disc, DARK, 3);
+  stroke(disc, WHITE, 1.5);
+}
+
 function drawCross([x, y]) {
   stroke(new Path2D(`M${x - 16} ${y}h12m8 0h12M${x} ${y - 16}v12m0 8v12`), WHITE, 1);
 }
 
 on(["frame", "view", "doc", "regions", "selected", "vertex", "pending", "pointer", "cross", "lassoed", "hidden",
-  "flickered", "hovered", "tool", "unseen", "locked", "opacity", "proposals", "review", "compared"], drawRegions);
+  "flickered", "hovered", "tool", "brush", "unseen", "locked", "opacity", "proposals", "review", "compared"], drawRegions);

@@ -8,7 +8,7 @@ const FRESH = {
   pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null,
   computing: "loading", proposals: null, review: null, compared: null, dragging: null,
   span: null, flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [],
-  unseen: new Set(), locked: new Set(), brightness: 1, contrast: 1,
+  unseen: new Set(), locked: new Set(), brightness: 1, contrast: 1, brush: 8,
 };
 
 // How things are shown, unless somebody wishes otherwise, which this browser keeps.
