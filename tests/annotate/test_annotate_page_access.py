@@ -165,10 +165,10 @@ def test_tab_goes_through_the_page_from_left_to_right_and_down(page):
     assert behind[17:21] == ["note", "Backspace", "Delete", "Shift+Delete"]
     before = []
     page.tab.locator("#stage").focus()
-    for _ in range(17):
+    for _ in range(18):
         page.press("Shift+Tab")
         before.append(focused(page))
-    tools = ["clips", "state", "select", "draw", "click", "lasso", "undo"]
+    tools = ["clips", "state", "select", "draw", "click", "Shift+P", "lasso", "undo"]
     playback = ["ArrowLeft", "frame", "ArrowRight", "play", "flicker"]
     assert before[::-1] == [*tools, *playback, "s", "Ctrl+e", "compare", "View ▾", "?"]
 
