@@ -50,7 +50,7 @@ def network(adapter: TorchNetwork) -> tuple[Any, Any]:
         found = f"no {missing}" if missing else _first_sentence(error)
         expected, fix = " and ".join(adapter.packages), adapter.install
         raise MissingDependencyError(adapter.called, expected=expected, found=found, fix=fix) from error
-    where, fix = f"{adapter.called}: weights", "give --parameter weights=FILE; nothing is downloaded"
+    where, fix = f"{adapter.called}: weights", "give the parameter weights=FILE; nothing is downloaded"
     if not adapter.weights:
         raise MissingDependencyError(where, expected="a file with the network's state", found="none", fix=fix)
     try:
