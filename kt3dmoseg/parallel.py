@@ -29,7 +29,7 @@ from typing import Any, Generic, TypeAlias, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import InputFileError, KT3DMoSegError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import PathLike, atomic_path, sha256_arrays
 
 TaskT = TypeVar("TaskT")
@@ -69,6 +69,8 @@ def run_tasks(
     `workers`; `progress` is called here with what tasks hand to theirs, Dask's apart.
     """
     report = progress or _ignore
+    if not isinstance(workers, int) or workers < 1:
+        raise InvalidValueError("workers", expected="a whole number, at least 1", found=f"{workers!r:.60}")
     if dask:
         yield from _on_cluster(work, tasks, dask, lost)
     elif workers > 1 and len(tasks) > 1:

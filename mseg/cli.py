@@ -479,10 +479,14 @@ def benchmark(
     only what is new. What is missing of the benchmark is listed; the printed rows are for all of it.
     Exit code 1 when every run failed.
     """
-    from kt3dmoseg.files import write_text
+    from kt3dmoseg.files import check_target, check_writable, write_text
     from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import run
 
+    for file in json or ():
+        check_target(file)
+    if publish:
+        check_writable(publish)
     with progress_bar("task", quiet=quiet) as progress:
         result = run(
             benchmark,

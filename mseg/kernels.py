@@ -166,13 +166,6 @@ def count_parts(visible: BoolArray, gap: int) -> int:
     return int(connected_components(block_array([[None, csr_array(pairs)], [csr_array(pairs.T), None]]))[0])
 
 
-def unconnected_parts(trajectories: Trajectories, gap: int) -> list[str]:
-    """Warn of several parts, see `count_parts`."""
-    parts, what = count_parts(trajectories.visible, gap), "pair of frames" if gap else "frame"
-    warning = f"{parts} parts of the trajectories share no {what}: nothing shows which move together"
-    return [warning] if parts > 1 else []
-
-
 def _top_count(n_hypotheses: int, fraction: float) -> int:
     """Count the preferred hypotheses: the fraction rounded half up, at least 1 of any."""
     return min(n_hypotheses, max(1, int(np.floor(fraction * n_hypotheses + 0.5))))

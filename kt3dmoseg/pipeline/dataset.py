@@ -204,8 +204,6 @@ def build_dataset(
     labels = find_labels(names, annotations, masks)
     given = [None] * len(names) if tracks is None else find_tracks(names, tracks)
     tasks = list(zip(sources, labels, given, strict=True))
-    if workers is not None and workers < 1:
-        raise InvalidValueError("workers", expected="at least 1", found=str(workers))
     # Of a system that does not say how many cores this process may use, all.
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -220,9 +218,8 @@ def build_dataset(
         if propose is not None:
             check_writable(Path(propose))
             work = partial(_build_and_propose, settings, folder, force, Path(propose))
-        for _, outcome in run_tasks(
-            work, tasks, lost=lost, workers=workers or cores, dask=dask, progress=progress
-        ):
+        where: Any = {"workers": cores if workers is None else workers, "dask": dask}
+        for _, outcome in run_tasks(work, tasks, lost=lost, progress=progress, **where):
             outcomes.append(outcome)
             if report is not None:
                 report(outcome)

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     ModelT = TypeVar("ModelT", bound=BaseModel)
 
 FORMAT = "mseg-scores"
+_TABLE = "table"  # format of a clip made of tracks and their labels
 VERSION = 1
 _MAX_JSON, _MAX_VALUES, _MAX_MEMBERS = 16 << 20, 1_000_000, 5_000
 
@@ -313,7 +314,7 @@ def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401 
     tracks = Trajectories(
         np.full((n, 1, 2), np.nan), np.zeros((n, 1), dtype=np.bool_), table.columns["track"]
     )
-    return Clip(name, tracks, np.arange(n), Labels(table.columns["label"]))
+    return Clip(name, tracks, np.arange(n), Labels(table.columns["label"]), provenance={"format": _TABLE})
 
 
 def _labels(truth: Clip | Labels) -> Labels:
@@ -327,6 +328,10 @@ def _predicted(value: Any, truth: Clip | Labels, where: str, *, outliers: bool) 
     if isinstance(value, (str, os.PathLike)):
         label = _labels_of(Path(value), truth)
     elif isinstance(truth, Clip):
+        shuffled = truth.provenance.get("format") == _TABLE and np.any(np.diff(truth.dense.track_id) < 0)
+        if shuffled and label_table(value, where) is None:
+            expected = "a table of tracks, as truth is one in no order"
+            raise InvalidValueError(where, expected=expected, found="a vector")
         label = clip_labels(value, truth, where)
     elif label_table(value, where) is not None:
         expected, fix = "a vector, as truth is", "give truth as a clip, or as a table with the same tracks"

@@ -14,7 +14,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.fields import check_axes
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.registry import Registry
-from kt3dmoseg.types import BoolArray, Clip, Labels, Trajectories
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, Labels, Trajectories
 from mseg.errors import SegmentationError
 from mseg.spreading import spread_labels
 from mseg.types import Method, Segmentation
@@ -24,6 +24,8 @@ ALGORITHM_VERSION: int = 6
 
 # Largest number of trajectories that are segmented where all are labelled: kernels grow with its square.
 _MOST = 2000
+# Pixels that tracks of others leave a picture by.
+_BESIDE = 8.0
 
 METHODS = Registry(
     "method",
@@ -149,8 +151,9 @@ def segment(
             found=f"{found}",
             fix="this is a fault of the method",
         )
-    outliers, visible = bool(getattr(chosen, "reject_outliers", False)), hidden.evaluated_trajectories.visible
-    notes = _notes(result, n_motions, outliers=outliers, parts=count_parts(visible, 1))
+    outliers, gap = bool(getattr(chosen, "reject_outliers", False)), getattr(chosen, "gap", 1)
+    parts = count_parts(hidden.evaluated_trajectories.visible, gap if isinstance(gap, int) else 1)
+    notes = _notes(result, n_motions, outliers=outliers, parts=parts)
     report = {**result.report, "notes": notes}
     if rows == "evaluated":
         return Segmentation(result.labels, report)
@@ -185,12 +188,22 @@ def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  #
         clip = value
     else:
         clip = Clip("clip", value, np.arange(len(value)), Labels(np.zeros(len(value), dtype=np.int64)))
-    points, size = clip.dense.xy[clip.dense.visible], clip.dense.image_size
-    if size and points.size and np.abs(points).max() <= 1.5 < min(size) / 16:
-        expected = f"pixels of {size[0]} x {size[1]}"
-        fix = "multiply fractions by width and height, and subtract 0.5"
-        raise InvalidValueError(clip.name, expected=expected, found="all within 1.5", fix=fix)
+    _check_pixels(clip.name, clip.dense.xy[clip.dense.visible], clip.dense.image_size)
     return clip
+
+
+def _check_pixels(name: str, points: FloatArray, size: tuple[int, int] | None) -> None:
+    """Refuse points (n, 2) that cannot be pixels of a picture of that size: thresholds would mean nothing."""
+    if size is None or not points.size:
+        return
+    farthest = float(np.abs(points).max())
+    if farthest <= min(size) / 16:
+        found, fix = f"all within {farthest:.3g}", "multiply fractions by width and height, and subtract 0.5"
+    elif np.median(((points < -_BESIDE) | (points > np.add(size, _BESIDE))).any(axis=1)) == 1:
+        found, fix = f"most points outside, up to {farthest:.4g}", "give the size of the frames tracked"
+    else:
+        return
+    raise InvalidValueError(name, expected=f"pixels of {size[0]} x {size[1]}", found=found, fix=fix)
 
 
 def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  # noqa: ANN401  # checked
@@ -207,8 +220,8 @@ def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  
         raise InvalidValueError("visible", expected="True or False", found=f"values of type {given.dtype}")
     seen: BoolArray = given.astype(np.bool_)
     if seen.shape == xy.shape[:2]:  # else Trajectories raises
-        check_axes("xy", xy, seen)
         xy[~seen] = np.nan
+        check_axes("xy", xy, seen)
     return Trajectories(xy, seen)
 
 

@@ -24,7 +24,6 @@ from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
-from mseg.kernels import unconnected_parts
 from mseg.types import Grouping, Segmentation, required_count
 
 _FEWEST_FRAMES = 2
@@ -85,10 +84,9 @@ def complete_data(
         "trajectories_left_out": int((~used).sum()),
         **filled.convergence.report("completion_"),
     }
-    warnings = unconnected_parts(kept, 0)
     xy = normalised(pixels.T.reshape(len(kept), -1, 2), normalising_matrix(trajectories, clip.camera))
     report = report if gaps or completion == "rpca" else {}
-    return CompleteData(pixels, _unit(kept), trajectory_matrix(xy), used, report | {"warnings": warnings})
+    return CompleteData(pixels, _unit(kept), trajectory_matrix(xy), used, report)
 
 
 def _unit(trajectories: Trajectories) -> float:

@@ -34,7 +34,6 @@ from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.clustering import kmeans
 from mseg.errors import TooFewPointsError
 from mseg.geometry import rigid
-from mseg.kernels import unconnected_parts
 from mseg.methods.paper import KINDS, Subset
 from mseg.types import Segmentation
 
@@ -115,7 +114,6 @@ class MultiBody:
             "focal": scene.focal * scene.width,
             "converged": fusion.converged,
             "trajectories_left_out": int((~used).sum()),
-            "warnings": unconnected_parts(points, gap=1),
         }
         return Segmentation.of_part(labels, used, report)
 

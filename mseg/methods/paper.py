@@ -55,7 +55,6 @@ from mseg.kernels import (
     covisible_frames,
     sample_hypotheses,
     sparsify,
-    unconnected_parts,
     view_kernel,
 )
 from mseg.methods.kernel_cache import current_cache
@@ -132,7 +131,6 @@ class ViewMethod(ABC):
         report |= {"n_motions": counted.number, "trajectories_left_out": int((~used).sum())}
         if n_motions is None:
             report |= {"count_scores": dict(counted.scores), "runners_up": counted.runners_up}
-        report["warnings"] = unconnected_parts(points, self.gap)
         return Segmentation.of_part(labels, used, report)
 
     def views(

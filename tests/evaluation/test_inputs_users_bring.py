@@ -5,6 +5,7 @@ import os
 import resource
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -394,6 +395,11 @@ def test_tables_without_a_clip_are_joined_by_track():
     assert mseg.score(TABLE.set_index("track").label, TABLE.sample(frac=1, random_state=1)).error == 0
     with pytest.raises(InvalidValueError, match="a table of tracks"):
         mseg.score(LABELS, TABLE)
+    for pred in (LABELS, mseg.Segmentation(LABELS)):
+        with pytest.raises(
+            InvalidValueError, match="pred: expected a table of tracks, as truth is one in no"
+        ):
+            mseg.score(TABLE.sample(frac=1, random_state=1), pred)
 
 
 def test_data_and_submission_in_the_wrong_order_are_named(data, tmp_path):
@@ -412,6 +418,11 @@ def test_scores_of_other_labels_are_not_compared():
 
 XY = CLIP.dense.xy
 SEEN = CLIP.dense.visible
+
+
+def scaled(factor):
+    tracks = Trajectories(XY * factor, SEEN, CLIP.dense.track_id, (320, 240))
+    return replace(CLIP, dense=tracks)
 
 
 @pytest.mark.parametrize(
@@ -442,6 +453,8 @@ def test_arrays_are_segmented_as_the_clip_is(given, more):
         (XY, {"visible": np.full(SEEN.shape, 0.5)}, "True or False"),
         (XY, {"visible": np.ones_like(SEEN)}, "finite"),
         (CLIP, {"visible": SEEN}, "nothing with a clip"),
+        (scaled(0.01), {}, "all within"),
+        (scaled(10.0), {}, "most points outside"),
         (CLIP, {"n_motions": 2.5}, "n_motions"),
         (CLIP, {"n_motions": True}, "n_motions"),
         (CLIP, {"n_motions": "2"}, "n_motions"),

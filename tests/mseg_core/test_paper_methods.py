@@ -99,10 +99,10 @@ def test_report_of_a_fusion(make_clip):
 @pytest.mark.parametrize("method", ["affine", "subset", "lrr"])
 def test_parts_that_no_frames_show_together_are_reported(method, make_clip, clip_of):
     xy = np.array(make_clip(points=30, frames=12).dense.xy)
-    assert not mseg.segment(clip_of(xy), method, n_motions=2).report["warnings"]
+    assert not mseg.segment(clip_of(xy), method, n_motions=2).report["notes"]
     xy[:30, :6], xy[30:, 6:] = np.nan, np.nan
-    (note,) = mseg.segment(clip_of(xy), method, n_motions=2).report["warnings"]
-    assert note.startswith("2 parts of the trajectories share no")
+    (note,) = mseg.segment(clip_of(xy), method, n_motions=2).report["notes"]
+    assert note.startswith("2 parts of the clip have no trajectory in common")
 
 
 @pytest.mark.parametrize("view", ["joint", "affine", "homography", "fundamental"])

@@ -398,7 +398,7 @@ def test_two_builds_do_not_share_a_folder(frames, tmp_path):
 
 
 def test_bad_numbers_of_workers(frames, tmp_path):
-    with pytest.raises(InvalidValueError, match="workers: expected at least 1"):
+    with pytest.raises(InvalidValueError, match="workers: expected a whole number, at least 1"):
         build(frames, tmp_path / "out", workers=0)
 
 
