@@ -641,6 +641,13 @@ def test_a_person_decides_about_shift_and_scale(tracks):
     check_labels(plan.annotation, tracks)
     plan = formats.plan("cvat", cvat(track(0, *LONG)), LIKE, NAMES, Choices(shift=-40))
     check_labels(plan.annotation, tracks)
+    later = zipped(**{f"{k + 5:06d}.json": labelme(k) for k in range(F)})  # the imagePath names frame k
+    plan = formats.plan("labelme", later, LIKE, NAMES, Choices(shift=-5))
+    assert not plan.doubts
+    check_labels(plan.annotation, tracks)
+    plan = formats.plan("davis", masks(), LIKE, NAMES, Choices(scale=0.5))
+    assert "not by the factor" in " ".join(plan.notes)
+    check_labels(plan.annotation, tracks)
 
 
 @pytest.mark.parametrize("choices", [{"scale": 0.0}, {"scale": float("nan")}, {"shift": 10**9}])

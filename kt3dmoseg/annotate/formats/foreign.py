@@ -271,6 +271,8 @@ class Import:
         """Return a mask of ids (H, W) at the size of the clip's frames; errors as of `check_shape`."""
         height, width = mask.shape
         self.check_shape(height, width, where)
+        if self.choices.scale is not None:
+            self.note("masks are scaled by their size, not by the factor")
         if mask.shape[::-1] == self.like.image_size:
             return mask
         nearest = cv2.INTER_NEAREST_EXACT

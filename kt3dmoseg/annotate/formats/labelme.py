@@ -73,7 +73,7 @@ def _read_file(data: Any, file: str, frame: int, into: Import) -> None:  # noqa:
         raise FileFormatError(f"LabelMe: {file}", expected=expected, found=found)
     scale = into.scale((data.get("imageWidth"), data.get("imageHeight")), f"LabelMe: {file}")
     named = stem(str(data.get("imagePath") or file))
-    if named != stem(file) and named in map(stem, into.names) and not into.doubts:
+    if named != stem(into.names[frame]) and named in map(stem, into.names) and not into.doubts:
         into.doubts.append(f"{file} is not named as its imagePath, {named}")
     into.annotated.add(frame)
     for k, shape in enumerate(shapes):
