@@ -195,7 +195,7 @@ class ViewMethod(ABC):
         """
         criterion: Criterion = "self_tuning" if self.count == "code_length" else self.count
         if self.count == "code_length":
-            from mseg.methods.code_length import code_lengths  # which imports this module
+            from mseg.methods.multibody import code_lengths  # which imports this module
 
             most = min(_MOST_MOTIONS, len(points))
             groups = {k: self.group(views, k, deepcopy(rng))[0] for k in range(1, most + 1)}
