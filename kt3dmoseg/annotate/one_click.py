@@ -280,8 +280,8 @@ def _cut(
     sides, size = np.subtract(box[2:], box[:2]) / 2 + 0.5, np.sqrt((box[2] - box[0]) * (box[3] - box[1]))
     u, v = (view.x - (box[0] + box[2]) / 2) / sides[0], (view.y - (box[1] + box[3]) / 2) / sides[1]
     odds = _MIDDLE - _SIDES * (u**4 + v**4) + _TAPER * u**2 * v
-    odds += _HULL * np.clip(view.depth(steps.xy[member]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
-    if member.any() and len(steps.gaps):
+    if member.any():
+        odds += _HULL * np.clip(view.depth(steps.xy[member]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
         odds += _EVIDENCE * _evidence(frames, steps, member, frame, view, here)
     field = _STRENGTH * np.clip(odds, -_MOST_ODDS, _MOST_ODDS)
     reach = _PULL_SHARE * size + 2
@@ -319,9 +319,8 @@ class _View:
     def depth(self, points: FloatArray) -> Float32Array:
         """How deep a pixel is in the convex hull of points, in pixels of the image; negative outside."""
         hull = np.zeros((self.height + 2, self.width + 2), dtype=np.uint8)
-        if len(points):
-            corners = cv2.convexHull(points.astype(np.float32))[:, 0]
-            cv2.fillPoly(hull, [np.rint((corners - self.box[:2] + 0.5) * self.scale + 0.5).astype(int)], 1)
+        corners = cv2.convexHull(points.astype(np.float32))[:, 0]
+        cv2.fillPoly(hull, [np.rint((corners - self.box[:2] + 0.5) * self.scale + 0.5).astype(int)], 1)
         deep, off = (cv2.distanceTransform(part, cv2.DIST_L2, 5) for part in (hull, 1 - hull))
         return np.asarray((deep - off)[1:-1, 1:-1] / self.scale, dtype=np.float32)
 

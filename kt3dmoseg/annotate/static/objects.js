@@ -9,7 +9,7 @@ import { nextProblem, problems } from "./tracks.js";
 import { fitObject } from "./view.js";
 
 const FIRST_STEPS = [
-  "N, then click around something that moves; Enter closes the outline. Or S for proposals.",
+  "Shift+O, then drag a box around something that moves; or N, and click around it. Or S for proposals.",
   "1 to 9 gives it its motion.",
   "→ on through the frames: it follows the image. Where it left the edge, drag it back.",
   "E where it leaves, O where it is hidden. ? shows all keys.",
