@@ -53,6 +53,8 @@ _PAIRS, _CONVINCING, _MOST_GRAY, _SQUARE = (1, 2, 3), 4.0, 60.0, 7
 # Logarithm of the odds of the object: in the middle, less towards the sides and the upper corners; evidence;
 # inside the trajectories' hull, up to a share of the box's size from its edge.
 _MIDDLE, _SIDES, _TAPER, _EVIDENCE, _HULL, _HULL_SHARE, _NEAR = 2.1, 3.2, 1.0, 1.0, 0.5, 0.12, 4.0
+# A box this near to the picture's edge goes on beyond it, by a share of its side.
+_AT_EDGE, _BEYOND = 4.0, 0.4
 # Strength of the odds beside the picture's edges; a click: its strength and reach, in shares of the box.
 _STRENGTH, _MOST_ODDS, _CERTAIN, _PULL, _PULL_SHARE = 0.05, 6.0, 3.0, 0.13, 0.1
 _SMOOTH, _LEAK, _ITERATIONS = 0.5, 0.01, 80
@@ -277,8 +279,15 @@ def _cut(
     height, width = frames(frame).shape
     out, view = np.zeros((height, width), dtype=np.bool_), _View(box, (width, height))
     here = cv2.remap(frames(frame), view.x, view.y, cv2.INTER_LINEAR).astype(np.float32)
-    sides, size = np.subtract(box[2:], box[:2]) / 2 + 0.5, np.sqrt((box[2] - box[0]) * (box[3] - box[1]))
-    u, v = (view.x - (box[0] + box[2]) / 2) / sides[0], (view.y - (box[1] + box[3]) / 2) / sides[1]
+    low, high, last = np.array(box[:2]), np.array(box[2:]), np.array([width, height]) - 1
+    size = np.sqrt((high - low).prod())
+    beyond = _BEYOND * (high - low)  # what the picture's edge cuts goes on there
+    low, high = (
+        np.where(low < _AT_EDGE, low - beyond, low),
+        np.where(high > last - _AT_EDGE, high + beyond, high),
+    )
+    centre, half = (low + high) / 2, (high - low + 1) / 2
+    u, v = (view.x - centre[0]) / half[0], (view.y - centre[1]) / half[1]
     odds = _MIDDLE - _SIDES * (u**4 + v**4) + _TAPER * u**2 * v
     if member.any():
         odds += _HULL * np.clip(view.depth(steps.xy[member]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
