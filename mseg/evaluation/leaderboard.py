@@ -31,7 +31,6 @@ _DAMAGE = (sqlite3.SQLITE_ERROR, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, 
 # What makes two submissions the same.
 _SAME = ("benchmark", "dataset_sha256", "submission_sha256", "toolkit_version")
 _TYPES = {"str": "TEXT NOT NULL", "int": "INTEGER NOT NULL", "float": "REAL NOT NULL"}
-_CLAIMED = "claimed INTEGER NOT NULL DEFAULT 1", "sha256 TEXT NOT NULL DEFAULT ''"  # not in version 1
 _NOTE = (
     "Entries with failed or missing clips have no rank and come last; different data are never mixed. "
     "Claimed: read from a file of scores, which were not computed here."
@@ -65,11 +64,9 @@ class Entry:
 
 
 _COLUMNS = [each.name for each in fields(Entry)]
-_TYPED = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:-1]]
-_ALL = ", ".join(["id INTEGER PRIMARY KEY", *_TYPED, *_CLAIMED, "scores TEXT NOT NULL"])
-_VERSION_2 = "PRAGMA user_version = 2"
-_CREATE = (f"CREATE TABLE entries ({_ALL}, UNIQUE ({', '.join(_SAME)}))", _VERSION_2)
-_UPDATE = (*(f"ALTER TABLE entries ADD COLUMN {column}" for column in _CLAIMED), _VERSION_2)
+_TYPED = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:]]
+_ALL = ", ".join(["id INTEGER PRIMARY KEY", *_TYPED, "sha256 TEXT NOT NULL", "scores TEXT NOT NULL"])
+_CREATE = (f"CREATE TABLE entries ({_ALL}, UNIQUE ({', '.join(_SAME)}))", "PRAGMA user_version = 2")
 
 
 @dataclass(frozen=True)
@@ -285,27 +282,26 @@ def _damaged(path: Path, what: str) -> FileFormatError:
 
 
 def _kept(connection: sqlite3.Connection, path: Path, *, write: bool) -> dict[Entry, str]:
-    """Read entries and their scores, oldest first; when writing, make the table or bring it to this version.
+    """Read entries and their scores, oldest first; when writing, make the table of a new file.
 
-    Another or a damaged database is refused. Entries of version 1 are claims, since it does not record it.
+    Another or a damaged database is refused, and version 1, which does not record what is a claim.
     """
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     tables = {r[0] for r in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     new = write and not version and not tables
     if not new and "entries" not in tables:
         raise _damaged(path, "it has no table of entries")
-    if not new and version not in (1, 2):
-        raise FileFormatError(f"{path}", expected="a leaderboard of version 2", found=f"version {version}")
+    if not new and version != 2:
+        found, fix = f"version {version}", "add the submissions to a new file"
+        raise FileFormatError(f"{path}", expected="a leaderboard of version 2", found=found, fix=fix)
     if (state := connection.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise _damaged(path, state)
-    if write:
-        for statement in _CREATE if new else _UPDATE if version == 1 else ():
-            connection.execute(statement)
-    newer = "1, ''" if version == 1 and not write else "claimed, sha256"
+    for statement in _CREATE if new else ():
+        connection.execute(statement)
     kept = {}
-    query = f"SELECT {', '.join(_COLUMNS[:-1])}, {newer}, scores FROM entries ORDER BY id"
+    query = f"SELECT {', '.join(_COLUMNS)}, sha256, scores FROM entries ORDER BY id"
     for *values, sha256, scores in connection.execute(query):
-        if sha256 not in ("", _checksum([*values[1:], scores])):
+        if sha256 != _checksum([*values[1:], scores]):
             raise _damaged(path, f"entry {values[0]} is not what was written")
         kept[Entry(*values)] = scores
     return kept

@@ -518,10 +518,13 @@ def read_model(model: type[ModelT], content: str | bytes, where: str, expected: 
     """Read JSON strictly as a pydantic model; FileFormatError names the first field that is wrong."""
     from pydantic import ValidationError
 
-    # Whatever is wrong takes memory: it is bounded first.
-    parse_json(content, where, _MAX_JSON, values=_MAX_VALUES, members=_MAX_MEMBERS)
     try:
+        # Whatever is wrong takes memory: it is bounded first.
+        parse_json(content, where, _MAX_JSON, values=_MAX_VALUES, members=_MAX_MEMBERS)
         return model.model_validate_json(content, strict=True)
+    except FileFormatError as error:
+        found = f"{error.found:.160} (expected: {error.expected})"
+        raise FileFormatError(where, expected=expected, found=found) from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         found = ": ".join(part for part in (".".join(map(str, first["loc"])), first["msg"]) if part)

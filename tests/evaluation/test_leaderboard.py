@@ -336,20 +336,14 @@ def test_reading_writes_nothing_and_waits_for_no_writer(board, tmp_path, monkeyp
             board.remove(1)
 
 
-def test_entries_of_version_1_are_read_as_claims_and_kept(tmp_path):
-    path = tmp_path / "old.sqlite"
-    new = Leaderboard(tmp_path / "new.sqlite")
-    new.add(scored(tmp_path, "one", 2))
-    with sqlite3.connect(new.path) as connection:
-        connection.execute("ALTER TABLE entries DROP COLUMN claimed")
-        connection.execute("ALTER TABLE entries DROP COLUMN sha256")
-        connection.execute("PRAGMA user_version = 1")
-    connection.close()
-    new.path.rename(path)
-    old = Leaderboard(path, create=False)
-    assert [e.claimed for e in old.entries()] == [1]
-    old.add(scored(tmp_path, "two", 3))
-    assert [(e.method, e.claimed) for e in old.entries()] == [("one", 1), ("two", 0)]
+def test_a_leaderboard_of_another_version_is_refused_with_what_to_do(board, tmp_path):
+    board.add(scored(tmp_path, "one", 2))
+    for version in (1, 3):
+        with sqlite3.connect(board.path) as connection:
+            connection.execute(f"PRAGMA user_version = {version}")
+        connection.close()
+        with pytest.raises(FileFormatError, match=f"found version {version}; add the submissions to a new"):
+            Leaderboard(board.path)
 
 
 def claims():
