@@ -206,7 +206,7 @@ def label(
         if path is not None and not Path(path).exists():
             raise InputFileError(f"--{name} {path}", found="no such file or folder")
     if Path(annotations).exists() and not Path(annotations).is_dir():
-        raise InputFileError(f"--annotations {annotations}", expected="a folder", found="no folder")
+        raise InputFileError(f"annotations: {annotations}", expected="a folder", found="no folder")
 
     def tracker(pictures: Iterator[ByteArray], progress: Callable[[int, int | None], None]) -> Trajectories:
         from kt3dmoseg.tracking import track
