@@ -187,8 +187,10 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (KT3DMoSegError, cyclopts.CycloptsError, ModuleNotFoundError, OSError) as error:
-        print(_failure(program, error), file=sys.stderr)
+        print(" ".join(_failure(program, error).split()), file=sys.stderr)  # a path may hold a line break
         return getattr(error, "exit_code", _USAGE)
+    finally:
+        _RUNNING.clear()
 
 
 def _failure(program: str, error: Exception) -> str:
@@ -203,7 +205,7 @@ def _failure(program: str, error: Exception) -> str:
         return f"{program}: {package} is not installed; pip install 'kt3dmoseg[{_EXTRAS[package]}]'"
     if isinstance(error, OSError) and not isinstance(error, KT3DMoSegError):  # a full disk, no permission
         return f"{program}: {error.filename or 'system'}: {error.strerror or error}"
-    message, where = str(error), getattr(error, "where", "")
+    message, where = str(error), " ".join(getattr(error, "where", "").split())  # as the message has it
     return f"{program}: {_flags_of_running().get(where, where)}{typed(message.removeprefix(where))}"
 
 
@@ -232,7 +234,6 @@ def _flags_of_running() -> dict[str, str]:
 
 
 def _run(app: cyclopts.App, words: list[str]) -> int:
-    _RUNNING.clear()
     words, file = _without_config(words)
     app.config = []
     if file:

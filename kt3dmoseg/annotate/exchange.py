@@ -17,7 +17,6 @@ from cyclopts import Parameter
 from kt3dmoseg import annotate
 from kt3dmoseg.app import Flag, Name, Whole, group
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.matching import several
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate import Annotation, LabelledTracks, Region
@@ -340,6 +339,8 @@ def _for_each(
     searched: AnyPath,
     wanted: str = "<clip>.json",
 ) -> Reports:
+    from kt3dmoseg.matching import several
+
     out = Reports()
     for clip in clips:
         try:
@@ -359,6 +360,8 @@ def _report_rest(
     reports: Reports, source: Path, there: Mapping[str, bool], report: Callable[[ClipReport], object]
 ) -> None:
     """Report of which clips a source has nothing, and what it has of none."""
+    from kt3dmoseg.matching import several
+
     rest = {
         "it has nothing of": [clip for clip, found in there.items() if not found],
         "left out, of no clip:": [name for name in _inside(source) if Path(name).stem not in there],

@@ -22,7 +22,7 @@ from kt3dmoseg.types import Clip
 
 _FREE = 1 << 24
 # A video of TAP-Vid may be large; most of it is not read.
-_LIMITS = ZipLimits(256, 1 << 32, 1 << 40, ratio=1100, free_bytes=_FREE)
+_LIMITS = ZipLimits(256, 1 << 32, 1 << 40, ratio=100, free_bytes=1 << 26)
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _MAX_HEADER = 10_000
 

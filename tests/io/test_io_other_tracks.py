@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+
 import numpy as np
 import pytest
 from io_clips import small_clip
@@ -133,6 +135,13 @@ def test_npz_reads_no_more_than_asked_for(tmp_path):
     assert read["x"].tolist() == [0, 1, 2]
     assert read["y"].shape == (2, 2)
     assert not read["y"].any()
+
+
+def test_an_array_that_unpacks_to_far_more_than_its_file_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tracks.npy", bytes((1 << 26) + 1))
+    with pytest.raises(FileFormatError, match="packed at most 100 to 1"):
+        load(tmp_path / "a.npz")
 
 
 def _write(path, track, label):
