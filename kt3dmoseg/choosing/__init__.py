@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from kt3dmoseg.choosing.windows import Window as Window
     from kt3dmoseg.choosing.windows import measure_windows as measure_windows
 
-ALGORITHM_VERSION = 1
+ALGORITHM_VERSION = 2
 """Raised when the same frames get other measures."""
 
 

@@ -6,8 +6,7 @@ once; of every window in it are measured
 
 * **translation**: metres between the first and last camera (GPS/IMU); without these, pixels of image motion
   that no rotation of the camera explains, of the nearest quarter of the scene, over the window;
-* **depth**: how many times the inverse depth of the static scene doubles between its 5 % and 95 % quantiles.
-  Up to scale it is the image motion without rotation, over the distance to where that is 0 (the epipole);
+* **depth**: how many times the inverse depth of the static scene doubles between its 5 % and 95 % quantiles;
 * **clutter**: share of the static scene that the best homography does not explain, which is 0 for a plane;
 * **motions**: moving objects with `FEWEST` trajectories that live for `LIVES` frames.
 """
@@ -18,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,9 +34,8 @@ FEWEST, LIVES = 8, 5  # trajectories of a motion: as many as a fundamental matri
 _GAP = 4  # frames over which image motion is measured
 _FOCAL = 0.58  # of the width, KITTI's; rotations are removed with it where the camera is not known
 _STILL = 0.25  # pixels a frame; less image motion has no depth
-_OFF = 1.5  # pixels that a point is off the homography
+_OFF, _LINE = 1.5, 0.5  # pixels that a point is off the homography, off its epipolar line
 _POINTS = 24  # static points that a measure needs
-_ROUNDS = 10
 # Where each measure is worth half: metres or pixels, doublings of depth, share, motions.
 _HALF = {"m": 8.0, "px": 60.0, "depth": 3.0, "clutter": 0.4, "motions": 1.0}
 _NONE = 0.25  # what no motion counts as, so that such windows keep an order
@@ -201,40 +200,34 @@ def _pair(
         return None
     x1, x2 = x1[static], x2[static]
     centre = (np.array(tracks.image_size) - 1) / 2
-    motion = without_rotation((x1 - centre) / focal, (x2 - x1) / focal) * focal
-    length = np.hypot(*motion.T)
-    return float(np.quantile(length, 0.75)) / _GAP, _depth(x1, motion, length), _clutter(x1, x2)
-
-
-def without_rotation(x: FloatArray, motion: FloatArray) -> FloatArray:
-    """Take the image motion of a small rotation, (P, 2), out of a motion, both in units of the focal length.
-
-    The rotation is the one that leaves least, in the sum of lengths, by reweighted least squares; its motion
-    is that of Longuet-Higgins and Prazdny (Proc. R. Soc. B 208, 1980).
-    """
-    u, v = x.T
-    one = np.ones(len(x))
-    rows = np.stack([np.stack([u * v, -(one + u * u), v], 1), np.stack([one + v * v, -u * v, -u], 1)], 1)
-    weights = one
-    for _ in range(_ROUNDS):
-        scaled = (rows * weights[:, None, None]).reshape(-1, 3)
-        turn = np.linalg.lstsq(scaled, (motion * weights[:, None]).ravel(), rcond=None)[0]
-        left = motion - rows @ turn
-        weights = 1 / np.sqrt(np.maximum(np.hypot(*left.T), 1e-4))
-    return np.asarray(left)
-
-
-def _depth(x: FloatArray, motion: FloatArray, length: FloatArray) -> float:
-    """How many times inverse depth doubles from its 5 % to its 95 % quantile."""
-    moves = length > _STILL * _GAP
-    if np.count_nonzero(moves) < _POINTS:
-        return 0.0
-    x, motion, length = x[moves], motion[moves], length[moves]
-    normal = motion[:, ::-1] * (1, -1) / length[:, None]  # every line of motion goes through the epipole
-    epipole = np.linalg.lstsq(normal, (normal * x).sum(axis=1), rcond=None)[0]
-    inverse = length / np.maximum(np.hypot(*(x - epipole).T), 1.0)
+    length, inverse = parallax((x1 - centre) / focal, (x2 - centre) / focal, 1 / focal)
     low, high = np.quantile(inverse, (0.05, 0.95))
-    return float(np.log2(high / low))
+    deep = np.count_nonzero(length * focal > _STILL * _GAP) >= _POINTS
+    motion = float(np.quantile(length, 0.75)) * focal / _GAP
+    return motion, float(np.log2(high / low)) if deep else 0.0, _clutter(x1, x2)
+
+
+def parallax(x1: FloatArray, x2: FloatArray, pixel: float) -> tuple[FloatArray, FloatArray]:
+    """Image motion (P,) of points (P, 2) without the camera's rotation, and inverse depths up to scale.
+
+    All in units of the focal length. Inverse depths are of the points on their epipolar lines, and of the
+    least motion that can be told, `_STILL` pixels a frame. Rotation R and direction t of the translation are
+    those of the essential matrix; of its two R the smaller, as cameras do not turn by 90 degrees.
+    With x2' the second view turned back, ``x2' - x1 = (x2' t_z - t_xy) / z`` for a point at depth z.
+    """
+    method, threshold = cv2.USAC_MAGSAC, _LINE * pixel
+    found: Any = cv2.findEssentialMat(x1, x2, 1.0, (0.0, 0.0), method, 0.999, threshold)
+    essential, inliers = found
+    if essential is None or not inliers.any():
+        return np.zeros(len(x1)), np.ones(1)
+    *turns, t = cv2.decomposeEssentialMat(essential)
+    turn = max(turns, key=np.trace)
+    x, y, z = turn.T @ np.vstack([x2.T, np.ones(len(x2))])
+    seen, t = np.column_stack([x / z, y / z]), (turn.T @ t).ravel()
+    length = np.hypot(*(seen - x1).T)
+    away = np.hypot(*(seen * t[2] - t[:2]).T)
+    inverse = np.maximum(length, _STILL * _GAP * pixel) / np.maximum(away, pixel)
+    return length, inverse[inliers.ravel() > 0]
 
 
 def _clutter(x1: FloatArray, x2: FloatArray) -> float:

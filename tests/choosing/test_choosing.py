@@ -12,7 +12,7 @@ import pytest
 
 from kt3dmoseg import catalog
 from kt3dmoseg.choosing import ChooseOptions, Window, choose, measure_windows, ranking, select
-from kt3dmoseg.choosing.windows import windows_of, without_rotation
+from kt3dmoseg.choosing.windows import parallax, windows_of
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.frames import Cut, FrameFolder, choose_sources, find_clips
@@ -159,18 +159,25 @@ def test_a_drive_that_is_on_disk_in_parts_has_windows_in_each(root, tmp_path):
     assert not any(first <= 12 <= last for first, last in spans)
 
 
-def test_rotation_of_the_camera_is_no_translation(rng):
-    x = rng.uniform(-0.6, 0.6, (400, 2))
-    u, v = x.T
-    turn = np.stack(
-        [u * v * 0.01 - (1 + u * u) * 0.03 + v * 0.02, (1 + v * v) * 0.01 - u * v * 0.03 - u * 0.02], 1
-    )
-    assert np.abs(without_rotation(x, turn)).max() < 1e-6
-    forward = x / rng.uniform(5, 40, (400, 1))
-    left = without_rotation(x, turn + forward)
-    assert np.median(np.hypot(*(left - forward).T)) < 0.25 * np.median(
-        np.hypot(*forward.T)
-    )  # of a turn 1.5 times as large
+@pytest.mark.parametrize("translation", [(0.0, 0.0, 1.0), (0.8, 0.1, 0.2), (0.0, 0.0, 0.0)])
+def test_parallax_is_that_of_the_translation_alone(rng, translation):
+    x, pixel = rng.uniform((-0.8, -0.25), (0.8, 0.25), (400, 2)), 1 / 720
+    before = np.column_stack([x, np.ones(400)]) * rng.uniform(5, 40, (400, 1))
+    after = before - translation
+    seen = after @ cv2.Rodrigues(np.array([0.01, 0.04, -0.02]))[0].T
+    x2 = seen[:, :2] / seen[:, 2:] + rng.normal(0, 0.1 * pixel, (400, 2))
+    x2[:60] += rng.uniform(-30, 30, (60, 2)) * pixel  # movers
+    length, inverse = parallax(x, x2, pixel)
+    exact = np.hypot(*(after[:, :2] / after[:, 2:] - x).T)[60:]
+    assert np.quantile(np.abs(length[60:] - exact), 0.9) < 0.7 * pixel + 0.05 * np.median(exact)
+    if any(translation):
+        spread = [np.diff(np.quantile(np.log2(v), (0.05, 0.95))) for v in (inverse, 1 / before[60:, 2])]
+        assert spread[0] == pytest.approx(spread[1], abs=0.25)
+
+
+def test_a_camera_that_stands_still_has_no_parallax(rng):
+    x = rng.uniform(-0.5, 0.5, (50, 2))
+    assert parallax(x, x.copy(), 1 / 720)[0].max() < 1e-3
 
 
 def test_choices_are_apart_and_of_more_than_one_recording():
