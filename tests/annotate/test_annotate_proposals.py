@@ -105,6 +105,19 @@ def test_labels_of_another_package_become_regions(monkeypatch):
     assert mask.mean() < 0.1
 
 
+@pytest.mark.parametrize(("spacing", "found"), [(8, 2), (30, 1)])
+def test_movers_that_one_label_holds_are_proposed_one_by_one(spacing, found):
+    """Where trajectories lie too far apart to tell, the label is one proposal."""
+    xy = np.stack(np.meshgrid(np.arange(0, 400, spacing), np.arange(0, 200, spacing)), axis=-1).reshape(
+        -1, 1, 2
+    )
+    moving = (xy[:, 0, 1] < 100) & (np.abs(xy[:, 0, 0] - 200) > 40)
+    still = Trajectories(np.repeat(xy, FRAMES, axis=1), np.ones((len(xy), FRAMES), bool), image_size=SIZE)
+    labels = Labels(np.where(moving, 2, 1), background=1)
+    items = proposals.objects_from_labels(still, labels, Annotation("clip", SIZE, FRAMES))
+    assert len(items) == found
+
+
 def test_mseg_proposes_as_a_third_party_would():
     trajectories, moving = tracks()
     from mseg.proposals import propose

@@ -26,6 +26,7 @@ from kt3dmoseg.annotate.model import (
     Polygon,
     load_annotation,
 )
+from kt3dmoseg.annotate.proposals.groups import groups
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import FloatArray, Labels, Trajectories
@@ -123,18 +124,22 @@ def objects_from_labels(
 ) -> list[AnnotatedObject]:
     """Outline the trajectories of every label but 0 and the background, by default 1; the largest first.
 
-    Key frames are on every 4th frame and where visibility changes. Labels with fewer than 8 trajectories
-    in every frame are left out.
+    What lies apart is outlined by itself: a method may take several movers for one. Key frames are on every
+    4th frame and where visibility changes. What has fewer than 8 trajectories in every frame is left out.
     """
     objects: list[AnnotatedObject] = []
     motions = [motion for motion in labels.motions.tolist() if motion != (labels.background or 1)]
-    for motion in sorted(motions, key=lambda motion: -int((labels.label == motion).sum())):
-        rows, number = labels.label == motion, len(objects) + 1
-        shown = np.pad(trajectories.visible[rows].sum(axis=0) >= _FEWEST, 1)
+    whole = {motion: np.flatnonzero(labels.label == motion) for motion in motions}
+    parts = [
+        (motion, part) for motion, rows in whole.items() for part in groups(trajectories, rows) or [rows]
+    ]
+    for motion, rows in sorted(parts, key=lambda part: -len(part[1])):
+        seen, number = trajectories.visible[rows], len(objects) + 1
+        shown = np.pad(seen.sum(axis=0) >= _FEWEST, 1)
         item, last = ForeignObject(labels.names.get(motion, f"proposal {number}"), motion=number), -_EVERY
         for frame in np.flatnonzero(shown[1:-1]).tolist():
             if frame - last >= _EVERY or not shown[frame] or not shown[frame + 2]:  # the padded neighbours
-                points = trajectories.xy[rows & trajectories.visible[:, frame], frame]
+                points = trajectories.xy[rows[seen[:, frame]], frame]
                 if polygons := outline(points, like.image_size):
                     item.add(frame, polygons)
                     last = frame

@@ -1,0 +1,51 @@
+"""Trajectories that lie near each other and move alike: what one region may hold."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from kt3dmoseg.types import BoolArray, IntArray, Trajectories
+
+# Trajectories of one object have neighbours on it within this many pixels, and differ in their steps over
+# `_ALIKE_GAP` frames by less than one pixel and this share, in this share of the frames.
+_REACH = 26.0
+_SAME_MOTION = 0.25
+_ALIKE_GAP = 2
+_SHARE = 0.6
+_SMALLEST = 12
+
+
+def groups(tracks: Trajectories, rows: IntArray) -> list[IntArray]:
+    """Part rows into groups of near ones that move alike, the largest first; small groups are left out."""
+    pairs = _neighbours(tracks, rows)
+    alike = pairs[_alike(tracks, pairs)]
+    links = coo_array((np.ones(len(alike)), alike.T), shape=(len(tracks), len(tracks)))
+    group = connected_components(links, directed=False)[1][rows]
+    names, sizes = np.unique(group, return_counts=True)
+    large = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= _SMALLEST]
+    return [rows[group == names[k]] for k in large]
+
+
+def _neighbours(tracks: Trajectories, rows: IntArray) -> IntArray:
+    """Pairs (P, 2) of the rows that come near each other in some frame."""
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for frame in range(tracks.n_frames):
+        here = rows[tracks.visible[rows, frame]]
+        if len(here) > 1:
+            near = cKDTree(tracks.xy[here, frame]).query_pairs(_REACH, output_type="ndarray")
+            found.append(here[near])
+    return np.unique(np.concatenate(found), axis=0)
+
+
+def _alike(tracks: Trajectories, pairs: IntArray) -> BoolArray:
+    """Whether the two of each pair move alike in most of the frames that show both, (P,)."""
+    gap = min(_ALIKE_GAP, tracks.n_frames - 1)
+    step = tracks.xy[:, gap:] - tracks.xy[:, : tracks.n_frames - gap]
+    a, b = step[pairs[:, 0]], step[pairs[:, 1]]
+    apart = np.linalg.norm(a - b, axis=2)
+    with np.errstate(invalid="ignore"):
+        alike = (apart <= 1.0 + _SAME_MOTION * np.linalg.norm(a, axis=2)).sum(axis=1)
+    return np.asarray(alike >= np.maximum(_SHARE * np.isfinite(apart).sum(axis=1), 1))
