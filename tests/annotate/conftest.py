@@ -63,3 +63,4 @@ def page(context, shared):
     made = Page(context, shared.address)
     yield made
     assert made.errors == []
+    made.settle()  # a save on its way would be somebody else's in the next test

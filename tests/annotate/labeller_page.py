@@ -111,6 +111,13 @@ class Page:
     def objects(self):
         return self.value("labeller.state.doc.objects")
 
+    def settle(self):
+        """Wait until no save is on its way, nor will be by itself."""
+        if not self.tab.is_closed():
+            still = "labeller.state.dragging || ['offline', 'failed'].includes(labeller.state.saving.kind)"
+            idle = "labeller.state.saving.kind !== 'busy' && !labeller.saver.pending"
+            self.until(f"!window.labeller?.saver.base || {still} || ({idle})")
+
     def saved(self):
         """Wait until everything is saved; return the revision in view."""
         self.until("labeller.state.saving.kind === 'saved' && !labeller.saver.pending")
