@@ -41,13 +41,13 @@ _OFF, _OFF_A_FRAME, _OF_CONTRAST, _OF_MOTION = 0.5, 0.15, 0.4, 0.06
 _MOSTLY = 0.6
 # What grew to a larger share of all than this, without a group that bounds it, took the scene for the object.
 _MOST_GROWN = 0.12
-_AROUND, _BESIDE = 9, 5
+_AROUND, _NEIGHBOURS = 9, 5
 _STIFF = 200.0
 # In a box: its middle, in half its sides; how much that is trusted where motions hardly differ; the fewest
 # trajectories; what convinces: pixels, and a share of the difference of the motions.
 _INNER, _TRUST, _ENOUGH, _OFF_BOXED, _OF_BOXED = 0.7, 0.35, 3, 0.4, 0.25
 # Pixels around a click's trajectories, and the view around a box: pixels and a share; at most so many pixels.
-_MARGIN, _BESIDE_BOX, _BESIDE_SHARE, _MOST_PIXELS = 7.0, 8.0, 0.2, 15_000
+_MARGIN, _BORDER, _BORDER_SHARE, _MOST_PIXELS = 7.0, 8.0, 0.2, 15_000
 # Evidence: frames back and forth, gray levels that convince, and those that count at most, of squares.
 _PAIRS, _CONVINCING, _MOST_GRAY, _SQUARE = (1, 2, 3), 4.0, 60.0, 7
 # Logarithm of the odds of the object: in the middle, less towards the sides and the upper corners; evidence;
@@ -55,7 +55,7 @@ _PAIRS, _CONVINCING, _MOST_GRAY, _SQUARE = (1, 2, 3), 4.0, 60.0, 7
 _MIDDLE, _SIDES, _TAPER, _EVIDENCE, _HULL, _HULL_SHARE, _NEAR = 2.1, 3.2, 1.0, 1.0, 0.5, 0.12, 4.0
 # A box this near to the picture's edge goes on beyond it, by a share of its side.
 _AT_EDGE, _BEYOND = 4.0, 0.4
-# Strength of the odds beside the picture's edges; a click: its strength and reach, in shares of the box.
+# Strength of the odds next to the picture's edges; a click: its strength and reach, in shares of the box.
 _STRENGTH, _MOST_ODDS, _CERTAIN, _PULL, _PULL_SHARE = 0.05, 6.0, 3.0, 0.13, 0.1
 _SMOOTH, _LEAK, _ITERATIONS = 0.5, 0.01, 80
 _TOLERANCE = 0.7
@@ -95,9 +95,9 @@ class Steps:
         """Return the steps (G, n, 2) of each if it moved as the members do, and as its neighbours."""
         centre, model = self.affine(member)
         steps = np.column_stack([self.xy - centre, np.ones(len(self.xy))]) @ model
-        if member.sum() < _BESIDE:
+        if member.sum() < _NEIGHBOURS:
             return np.asarray(steps)
-        return np.asarray(steps + np.nan_to_num(self.around(member, self.step - steps, _BESIDE)))
+        return np.asarray(steps + np.nan_to_num(self.around(member, self.step - steps, _NEIGHBOURS)))
 
     def around(self, chosen: BoolArray, values: FloatArray, count: int) -> FloatArray:
         """Median (G, n, 2) of the values at those of the nearest that are chosen, without itself."""
@@ -310,9 +310,9 @@ class _View:
 
     def __init__(self, box: Box, image_size: tuple[int, int]) -> None:
         low, high = np.array(box[:2]), np.array(box[2:])
-        beside = _BESIDE_BOX + _BESIDE_SHARE * (high - low)
-        left, top = np.maximum(low - beside, 0).astype(int).tolist()
-        right, bottom = np.minimum(high + beside + 1, image_size).astype(int).tolist()
+        border = _BORDER + _BORDER_SHARE * (high - low)
+        left, top = np.maximum(low - border, 0).astype(int).tolist()
+        right, bottom = np.minimum(high + border + 1, image_size).astype(int).tolist()
         self.box = left, top, right, bottom
         self.scale = min(1.0, float(np.sqrt(_MOST_PIXELS / ((right - left) * (bottom - top)))))
         self.width = max(2, round((right - left) * self.scale))
