@@ -87,6 +87,7 @@ def _row(result: PublishedResult, history: Sequence[Version]) -> Row:
     return Row(
         result.title,
         result.errors,
+        [clip.scored for clip in result.clips.values()],
         number=result.n_motions,
         kind="baseline" if result.method in BASELINES else "measured",
         supervised=result.supervised,

@@ -341,6 +341,7 @@ def _row(entry: Entry, table: ScoreTable, *, complete: bool) -> Row:
     return Row(
         entry.method,
         table.matrix(),
+        [table.of(name).n for name in table.names],
         number="given" if table.meta.n_motions_given else "found",
         kind="claimed" if entry.claimed else "baseline" if table.meta.baseline else "measured",
         supervised=table.meta.supervised,

@@ -33,6 +33,7 @@ class Row:
 
     name: str
     errors: FloatArray  # (clips, seeds), classification errors as fractions
+    scored: Sequence[int] | None = None  # trajectories of each clip; None: the same of all
     number: str = "given"  # of motions: "given" or "found"
     kind: str = "measured"  # "baseline", or "claimed": read from a file of scores
     supervised: bool = False  # trained with labels of other clips
@@ -68,7 +69,7 @@ class Row:
     @cached_property
     def summary(self) -> Summary:
         """Mean, median, interval and spread."""
-        return summarise(self.errors)
+        return summarise(self.errors, self.scored)
 
     def like(self, other: Row) -> bool:
         """Whether the 95 % interval of the paired difference of two rows of the same clips holds 0."""
@@ -129,8 +130,6 @@ def site_html(boards: Sequence[DataRows], *, title: str = "Leaderboard", notes: 
         title=title,
         notes=notes,
         facets={
-            "number": sorted({row.number for row in rows}, reverse=True),
-            "supervised": sorted({"yes" if row.supervised else "no" for row in rows}),
             "kind": sorted({row.kind for row in rows} | {"printed" for b in boards if b.printed}),
         },
         most_seeds=max((row.errors.shape[1] for row in rows), default=1),

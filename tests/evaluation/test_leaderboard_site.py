@@ -98,6 +98,10 @@ def test_what_may_be_as_good_as_the_best():
     ]
 
 
+def test_pooled_means_weigh_clips_by_their_trajectories():
+    assert Row("x", np.array([[0.1], [0.3]]), [100, 300]).summary.pooled == pytest.approx(0.25)
+
+
 def test_earlier_versions_come_from_git(results, tmp_path):
     def git(*arguments):
         subprocess.run(
@@ -251,6 +255,10 @@ def test_filters_ranks_and_links_in_chromium(results, tmp_path, browser):
     assert page.locator("input[name=name]").input_value() == "50% of"
     page.locator("button[type=reset]").click()
     expect(shown).to_have_count(8 + len(load_protocol("kt3dmoseg").published))
+    page.locator("select[name=unit]").select_option("trajectory")
+    assert shown.nth(0).inner_text().split() == ["1", "coreg", "10.00"]
+    expect(page.locator("table.board td.track:visible")).to_have_count(0)
+    page.locator("select[name=unit]").select_option("")
     page.locator("table.board th button", has_text="mean").click()
     assert listed()[0][1] == "keradd"
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

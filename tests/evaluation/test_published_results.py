@@ -30,6 +30,17 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS = read_results(ROOT / "results")
 FILES = sorted((ROOT / "results").glob("*/*/*.json"))
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
+SLOW = {"alc", "lrssc", "consistent"}
+LACKING = {  # alc draws nothing: one seed is all; the six of the paper are there with 3 of 10 seeds
+    ("kt3dmoseg", "2018"): {"alc"},
+    ("kt3dmoseg", "data-479ce0d0"): PAPER | SLOW | {"tpv", "tlinkage", "rpa"},
+    ("hopkins155", "data-f8bdcfbe"): PAPER | SLOW,
+    ("hopkins12", "data-35fe4fa4"): PAPER,
+    ("mtpv62", "data-48df71c7"): PAPER | SLOW,
+    ("synth", "data-5177bd34"): PAPER
+    | SLOW
+    | {"lsa", "gpca", "ssc", "tpv", "lrr", "tlinkage", "s3c", "rsim", "mssc", "ransac", "rpa"},
+}
 SUBSET = Configuration("subset", {"alpha": 8})
 
 
@@ -74,12 +85,13 @@ def test_every_file_is_read():
 
 
 @pytest.mark.parametrize("key", RESULTS, ids="/".join)
-def test_every_dataset_has_the_methods_of_the_paper_with_enough_seeds(key):
-    given = {each.title for each in RESULTS[key] if each.n_motions == "given"}
-    assert given >= PAPER | {"one_motion"}
-    for each in RESULTS[key]:
-        main = each.title in PAPER | {"multibody"} and each.n_motions == "given"
-        assert len(each.seeds) >= (10 if main and key == ("kt3dmoseg", "2018") else 3)
+def test_every_dataset_has_every_method_with_enough_seeds(key, tool):
+    """Rows that must exist; whoever publishes one that was lacking takes it out of LACKING."""
+    seeds = {each.row: len(each.seeds) for each in RESULTS[key]}
+    due = dict.fromkeys([*tool.METHODS_OF_TABLES, "multibody, number found"], 3)
+    due |= dict.fromkeys(PAPER | ({"multibody"} if key == ("kt3dmoseg", "2018") else set()), 10) | {"alc": 1}
+    assert {row for row, least in due.items() if seeds.get(row, 0) < least} == LACKING[key]
+    assert all(n >= due.get(row, 3) for row, n in seeds.items() if row not in LACKING[key])
 
 
 def test_the_release_is_complete_and_agrees_with_the_known_prevalence():
@@ -147,7 +159,8 @@ def test_what_is_published_is_what_was_measured(run, tmp_path, tool):
     table = tool.methods([read])
     assert table.columns == ["method", "number given", "median", "printed, all 22", "seeds", "CPU s"]
     assert table.rows == [["`subset alpha=8`", "35.83 ±43.60", "35.83", "8.08", "2", "0.2"]]
-    assert table.notes == ["subset alpha=8: 1 run failed, fully wrong"]
+    assert table.notes[0] == "subset alpha=8: 1 run failed, fully wrong"
+    assert table.notes[1].startswith("Not run yet: `one_motion`, `affine`")
     clips = tool.clips_of_main([read.model_copy(update={"title": "subset"})])
     assert [row[-1] for row in clips.rows] == ["16.67 ±23.57", "55.00 ±63.64", "35.83 ±43.60", "35.83"]
 

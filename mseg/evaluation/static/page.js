@@ -58,9 +58,15 @@ function filter(form) {
   const rows = all(".facets tbody tr"), hidden = new Set(rows.filter((row) => !fits(row)).map((row) => row.dataset.row));
   all("[data-row]").forEach((each) => { each.hidden = hidden.has(each.dataset.row); });
   all("[data-board]").forEach((board) => { board.hidden = !all(".facets tbody tr:not([hidden])", board).length; });
-  const ranked = rows.filter((row) => row.dataset.group && !row.hidden);
+  const ranked = rows.filter((row) => row.dataset.group && !row.hidden), pooled = Boolean(form.elements.unit?.value);
+  const shown = (row) => Number(row.dataset[pooled ? "pooled" : "shown"]);
+  all("table.board").filter((table) => table.classList.contains("pooled") !== pooled).forEach((table) => {
+    table.classList.toggle("pooled", pooled);
+    const key = ({ dataset: d }) => 400 * (d.kind === "printed") + 200 * (d.number === "found") + 100 * !d.group;
+    table.tBodies[0].append(...[...table.tBodies[0].rows].sort((a, b) => key(a) - key(b) || shown(a) - shown(b)));
+  });
   ranked.forEach((row) => {
-    const better = (other) => other.dataset.group === row.dataset.group && +other.dataset.shown < +row.dataset.shown;
+    const better = (other) => other.dataset.group === row.dataset.group && shown(other) < shown(row);
     const rank = 1 + ranked.filter(better).length;
     row.cells[0].textContent = rank;
     row.classList.toggle("own", rank === 1);
