@@ -18,7 +18,6 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.files import check_target, write_text
-from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation import results
 from mseg.evaluation.axes import AXES
@@ -169,6 +168,8 @@ def _by_track_axis(sections: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]
 
 def _pictures(clips: Sequence[Clip], folder: Path) -> dict[str, list[ByteArray]]:
     """Read the frames of every clip that has some in the folder, (H, W) gray."""
+    from kt3dmoseg.frames import frame_folder, frames_of  # scoring does without OpenCV
+
     found = {clip.name: frames_of(clip, folder) for clip in clips if frame_folder(clip, folder)}
     if not found:
         names = f"a folder of pictures per clip, such as {clips[0].name}"
