@@ -13,8 +13,10 @@ import json
 import os
 import platform
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -28,7 +30,7 @@ from kt3dmoseg.types import FloatArray
 from mseg.benchmark.results import BenchmarkResult
 from mseg.evaluation.protocol import Protocol, count, list_protocols, load_protocol
 from mseg.evaluation.results import published_name
-from mseg.evaluation.scoring import read_model
+from mseg.evaluation.scoring import ScoreTable, read_model
 from mseg.methods import create
 
 SCHEMA = "SCHEMA.json"
@@ -178,41 +180,50 @@ def publish(result: BenchmarkResult, folder: str | os.PathLike[str]) -> list[Pat
 
 def _published(result: BenchmarkResult, m: int) -> PublishedResult:
     """Collect what is published of configuration number `m`."""
-    source, found, configuration = result.provenance, result.found, result.configurations[m]
-    if source is None or found is None:
-        raise InvalidValueError("publish", expected="the result of mseg.benchmark.run", found="no provenance")
+    configuration, table = result.configurations[m], result.tables[m]
     if np.isnan(result.seconds[m]).any():
         where, fix = f"publish {configuration.title}", "run the same command again"
         raise InvalidValueError(where, expected="every run", found="workers that died", fix=fix)
     method: Any = create(configuration.method, **configuration.parameters)
-    failures = [each[1:] for each in result.failures if each[0] == configuration]
-    return PublishedResult(
+    algorithm = algorithm_version(type(method)) or ""
+    return collected(
+        table,
+        result.seconds[m].mean(axis=1),
         title=configuration.title,
         method=configuration.method,
         parameters={name: str(value) for name, value in asdict(method).items()},
-        benchmark=result.protocol.name,
+        n_motions=result.number,
+        versions={"algorithm": algorithm, "numpy": np.__version__, "scipy": scipy.__version__},
+        hardware=f"{platform.machine()}, one core per clip",
+    )
+
+
+def collected(
+    scores: ScoreTable,
+    seconds: Iterable[float],
+    versions: Mapping[str, str] = MappingProxyType({}),
+    **facts: Any,  # noqa: ANN401  # fields of the result
+) -> PublishedResult:
+    """Collect what is published of scores, with the seconds of each clip."""
+    source, clips = scores.provenance, {}
+    for name, each in zip(scores.names, seconds, strict=True):
+        runs = [scores.of(name, seed) for seed in scores.seeds]
+        clips[name] = ClipResult(
+            motions=runs[0].n_motions,
+            scored=runs[0].n,
+            wrong=[round(run.values["error"] * run.n) for run in runs],
+            found=[run.n_found for run in runs],
+            seconds=round(float(each), 2),
+            failures={str(run.seed): run.reason for run in runs if run.reason},
+        )
+    return PublishedResult(
+        benchmark=scores.benchmark.name,
         dataset_version=source.dataset_version or f"data-{source.dataset_sha256[:8]}",
         dataset_sha256=source.dataset_sha256,
-        n_motions=result.number,
-        versions={
-            "kt3dmoseg": source.toolkit_version,
-            "algorithm": algorithm_version(type(method)) or "",
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-        },
-        hardware=f"{platform.machine()}, one core per clip",
-        seeds=list(result.seeds),
-        clips={
-            name: ClipResult(
-                motions=result.motions[name],
-                scored=n,
-                wrong=np.rint(result.errors[m, i] * n).astype(int).tolist(),
-                found=found[m, i].tolist(),
-                seconds=round(float(result.seconds[m, i].mean()), 2),
-                failures={str(seed): reason for clip, seed, reason in failures if clip == name},
-            )
-            for i, (name, n) in enumerate(result.scored.items())
-        },
+        versions={"kt3dmoseg": source.toolkit_version, **versions},
+        seeds=scores.seeds,
+        clips=clips,
+        **facts,
     )
 
 

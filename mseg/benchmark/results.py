@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
+import numpy as np
+
 from kt3dmoseg.io.predictions import first_few
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.types import FloatArray
 from mseg.evaluation import Protocol
 from mseg.evaluation.protocol import count, share
 from mseg.evaluation.results import (
@@ -18,7 +21,7 @@ from mseg.evaluation.results import (
     error_table,
     published_name,
 )
-from mseg.evaluation.scoring import Provenance
+from mseg.evaluation.scoring import ScoreTable
 
 
 @dataclass(frozen=True)
@@ -36,20 +39,13 @@ class Configuration:
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkResult:
-    """Errors and times of M configurations x C clips x S seeds."""
+    """Scores and times of M configurations x C clips x S seeds."""
 
-    protocol: Protocol
     configurations: tuple[Configuration, ...]  # the rows
-    motions: Mapping[str, int]  # clips, in order, and their true numbers of motions
-    seeds: tuple[int, ...]
-    errors: FloatArray  # (M, C, S): classification error, a fraction; 1 where the method failed
+    tables: tuple[ScoreTable, ...]  # their scores; a clip on which a method failed is fully wrong
     seconds: FloatArray  # (M, C, S): CPU seconds
-    failures: tuple[tuple[Configuration, str, int, str], ...] = ()  # configuration, clip, seed and reason
     others: tuple[str, ...] = ()  # clips that lay there and do not belong to the benchmark
-    notes: tuple[tuple[Configuration, str, int, str], ...] = ()  # what `mseg.segment` notes, likewise
-    found: IntArray | None = None  # (M, C, S): predicted groups; 0 where the method failed
-    scored: Mapping[str, int] = field(default_factory=dict)  # clip -> number of labelled trajectories
-    provenance: Provenance | None = None  # of the clips
+    notes: tuple[tuple[Configuration, str, int, str], ...] = ()  # configuration, clip, seed and note
     number: Literal["given", "found"] = "given"  # whether the methods were given the number of motions
 
     def __repr__(self) -> str:
@@ -61,9 +57,35 @@ class BenchmarkResult:
         return self.summary().html()
 
     @property
+    def protocol(self) -> Protocol:
+        """The benchmark."""
+        return self.tables[0].benchmark
+
+    @property
+    def motions(self) -> dict[str, int]:
+        """Clips, in order, and their true numbers of motions."""
+        return self.tables[0].motions
+
+    @property
     def clips(self) -> list[str]:
         """Names of the clips, in order."""
-        return list(self.motions)
+        return self.tables[0].names
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds, in order."""
+        return self.tables[0].seeds
+
+    @cached_property
+    def errors(self) -> FloatArray:
+        """Classification errors (M, C, S), fractions; 1 where the method failed."""
+        return np.array([table.matrix() for table in self.tables])
+
+    @property
+    def failures(self) -> list[tuple[Configuration, str, int, str]]:
+        """Configuration, clip, seed and reason of every run that failed."""
+        rows = zip(self.configurations, self.tables, strict=True)
+        return [(made, run.clip, run.seed, run.reason) for made, table in rows for run in table.failures]
 
     def mean(self, method: str, group: str = "all") -> float:
         """Mean error over clips and seeds, a fraction, of the first configuration of that method."""
@@ -73,7 +95,7 @@ class BenchmarkResult:
 
     def summary(self) -> ResultsTable:
         """One row per configuration: mean, spread over seeds and median of every group, and time."""
-        failed = [str(sum(c == wrong for wrong, *_ in self.failures)) for c in self.configurations]
+        failed = [str(len(table.failures)) for table in self.tables]
         published = [published_name(self.protocol, c.method) for c in self.configurations]
         extra = {"CPU s": self._seconds(), "failed": failed}
         title = self._title("classification error in %")
@@ -102,8 +124,8 @@ class BenchmarkResult:
             "benchmark": self.protocol.name,
             "coverage": self.protocol.coverage(self.clips),
             "number": self.number,
-            "seeds": list(self.seeds),
-            "clips": dict(self.motions),
+            "seeds": self.seeds,
+            "clips": self.motions,
             "methods": [{"method": c.method, "parameters": dict(c.parameters)} for c in self.configurations],
             "errors": self.errors.tolist(),
             "seconds": self.seconds.tolist(),

@@ -28,14 +28,13 @@ from mseg.errors import SegmentationError
 from mseg.evaluation import (
     Protocol,
     SubmissionMeta,
-    classification_error,
     clip_checksum,
     load_protocol,
     write_failure,
     write_meta,
     write_prediction,
 )
-from mseg.evaluation.scoring import provenance_of
+from mseg.evaluation.scoring import ScoreTable, clip_score, provenance_of
 from mseg.evaluation.submission import FAILED, file_of, prediction_files
 from mseg.evaluation.validation import load_clips
 from mseg.methods import check_whole, create, segment
@@ -154,37 +153,25 @@ def run(
     for key, outcome in runs.outcomes(set(outcomes), progress, **where):
         outcomes[key] = outcome
         keep_outcome(store, key, outcome)
-    shape = (len(configurations), len(clips), len(wanted))
-    errors, seconds, found = np.ones(shape), np.full(shape, np.nan), np.zeros(shape, dtype=np.int64)
-    failures, notes = [], []
-    for index, ((m, name, seed), key) in zip(np.ndindex(shape), runs.keys.items(), strict=True):
-        labels, seconds[index], reason, note = outcomes[key]
-        if reason:
-            failures.append((configurations[m], name, seed, reason))
-        else:
-            truth = clips[name].labels.label
-            errors[index] = classification_error(truth, labels)
-            found[index] = Labels(labels[truth > 0]).n_motions
-        if note:
-            notes.append((configurations[m], name, seed, note))
-    reasons = [f"{made.title} on {name}: {reason}" for made, name, _, reason in failures]
-    _check_success(protocol.name, reasons, len(runs.keys))
     checksums = {name: clip_checksum(clip) for name, clip in clips.items()}
-    return BenchmarkResult(
-        protocol,
-        configurations,
-        motions,
-        wanted,
-        errors,
-        seconds,
-        tuple(failures),
-        tuple(others),
-        tuple(notes),
-        found,
-        {name: int((clip.labels.label > 0).sum()) for name, clip in clips.items()},
-        provenance_of(clips, checksums, protocol.version_of(checksums)),
-        number,
+    source = provenance_of(clips, checksums, protocol.version_of(checksums))
+    tables, notes = [], []
+    for m, made in enumerate(configurations):
+        runs_of = {(name, seed): outcomes[runs.keys[m, name, seed]] for name in clips for seed in wanted}
+        scores = (
+            clip_score(name, seed, clips[name].labels, None if out.reason else out.labels, out.reason)
+            for (name, seed), out in runs_of.items()
+        )
+        tables.append(ScoreTable(tuple(scores), SubmissionMeta(made.title), protocol, source))
+        notes += [(made, name, seed, out.notes) for (name, seed), out in runs_of.items() if out.notes]
+    seconds = np.array([outcomes[key].seconds for key in runs.keys.values()])
+    shape = (len(configurations), len(clips), len(wanted))
+    result = BenchmarkResult(
+        configurations, tuple(tables), seconds.reshape(shape), tuple(others), tuple(notes), number
     )
+    reasons = [f"{made.title} on {name}: {reason}" for made, name, _, reason in result.failures]
+    _check_success(protocol.name, reasons, len(runs.keys))
+    return result
 
 
 def predict(

@@ -21,7 +21,7 @@ from kt3dmoseg.files import read_bytes, write_bytes, write_text, zip_bytes
 from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.types import Clip
-from mseg.benchmark.publishing import ClipResult, PublishedResult, read_result, read_results
+from mseg.benchmark.publishing import PublishedResult, collected, read_result, read_results
 from mseg.benchmark.runner import BASELINES, find_clips
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.pages import jpeg
@@ -206,35 +206,20 @@ def submit(
 
 def _scored(scores: ScoreTable) -> PublishedResult:
     """Put the scores of a submission into the form of published results."""
-    meta, source, first = scores.meta, scores.provenance, scores.seeds[0]
+    meta = scores.meta
     if scores.protocol is None or scores.benchmark.name == "custom":
         raise InvalidValueError("submission", expected="clips of a benchmark", found="clips of none")
-    clips = {}
-    for name in scores.names:
-        runs = [scores.of(name, seed) for seed in scores.seeds]
-        clips[name] = ClipResult(
-            motions=scores.of(name, first).n_motions,
-            scored=scores.of(name, first).n,
-            wrong=[round(run.values["error"] * run.n) for run in runs],
-            found=[run.n_found for run in runs],
-            seconds=round(meta.seconds / len(scores.names), 2),
-            failures={str(run.seed): run.reason for run in runs if run.reason},
-        )
-    return PublishedResult(
+    return collected(
+        scores,
+        [meta.seconds / len(scores.names)] * len(scores.names),
         title=meta.method,
         method=meta.method,
         parameters=dict(meta.parameters),
-        benchmark=scores.benchmark.name,
-        dataset_version=source.dataset_version or f"data-{source.dataset_sha256[:8]}",
-        dataset_sha256=source.dataset_sha256,
         n_motions="given" if meta.n_motions_given else "found",
-        versions={"kt3dmoseg": source.toolkit_version},
         hardware=meta.hardware,
         authors=list(meta.authors),
         link=meta.link,
         supervised=meta.supervised,
-        seeds=list(scores.seeds),
-        clips=clips,
     )
 
 

@@ -278,7 +278,7 @@ def score(
         for name, clip in truths.items():
             where = "pred" if len(truths) == 1 else f"pred of {name}"
             predicted = _predicted(run[name], clip, where, outliers=outliers)
-            clips.append(_clip_score(name, seed or 0, _labels(clip), predicted))
+            clips.append(clip_score(name, seed or 0, _labels(clip), predicted))
     protocol = choose_protocol(benchmark, truths) if benchmark else None
     foreign = [name for name in truths if protocol and not protocol.holds(name)]
     if foreign:
@@ -359,7 +359,7 @@ def _labels_of(file: Path, clip: Clip | Labels) -> IntArray:
         raise RejectedSubmissionError(str(error)) from None
 
 
-def _clip_score(
+def clip_score(
     name: str, seed: int, truth: Labels, predicted: IntArray | None, reason: str = ""
 ) -> ClipScore:
     """Compute every metric of one clip and seed; without labels each has its worst value, for a `reason`."""
@@ -399,7 +399,7 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     for seed in checked.submission.seeds or [0]:
         for name, clip in checked.clips.items():
             pred = checked.labels.get((seed, name))
-            clips.append(_clip_score(name, seed, clip.labels, pred, _reason(checked, seed, name)))
+            clips.append(clip_score(name, seed, clip.labels, pred, _reason(checked, seed, name)))
     meta, problems = checked.submission.meta, tuple(checked.problems)
     version = checked.protocol.version_of(checked.checksums) or meta.dataset_version or "unnamed"
     source = provenance_of(checked.clips, checked.checksums, version, checked.submission.sha256)

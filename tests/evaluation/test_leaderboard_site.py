@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmark_result import benchmark_result
 
 import mseg.cli
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, Labels, Trajectories
-from mseg.benchmark import BenchmarkResult, Configuration
+from mseg.benchmark import Configuration
 from mseg.benchmark.publishing import publish, read_results
 from mseg.benchmark.site import check_submissions, submit, write_site
 from mseg.evaluation import SubmissionMeta, load_protocol, write_submission
-from mseg.evaluation.scoring import Provenance
 from mseg.evaluation.site import DataRows, Row
 
 CLIPS = {"Seq005_Clip01": 3, "Seq013_Clip01": 2}
@@ -29,21 +29,13 @@ def results(tmp_path):
     """Errors: coreg and subset alike to two decimals, keradd failed once, all lost by one_motion."""
     names = ("subset", "coreg", "keradd", "one_motion")
     errors = np.array([0.1, 0.10001, 0.02, 0.6])[:, None, None] * np.ones((1, 2, 2))
-    run = BenchmarkResult(
-        load_protocol("kt3dmoseg"),
-        tuple(map(Configuration, names)),
-        CLIPS,
-        (0, 1),
-        errors,
-        np.full((4, 2, 2), 0.1),
-        ((Configuration("keradd"), "Seq013_Clip01", 0, "no <luck>"),),
-        found=np.full((4, 2, 2), 2),
-        scored=dict.fromkeys(CLIPS, 100_000),
-        provenance=Provenance("2018", "a" * 64, "", "0.1.0"),
-    )
+    made, failed = tuple(map(Configuration, names)), {("keradd", "Seq013_Clip01", 0): "no <luck>"}
+    some = {"scored": (100_000, 100_000), "found": np.full((4, 2, 2), 2), "failed": failed}
+    run = benchmark_result("kt3dmoseg", made, CLIPS, errors, **some)
+    half = benchmark_result("kt3dmoseg", made, CLIPS, errors / 2, **some)
     folder = tmp_path / "results"
     publish(run, folder)
-    publish(replace(run, number="found", errors=run.errors / 2), folder)
+    publish(replace(half, number="found"), folder)
     return folder
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from benchmark_result import benchmark_result
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from mseg.benchmark import BenchmarkResult, Configuration
@@ -24,7 +25,6 @@ from mseg.benchmark.publishing import (
 )
 from mseg.cli import main
 from mseg.evaluation import load_protocol
-from mseg.evaluation.scoring import Provenance
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = read_results(ROOT / "results")
@@ -55,17 +55,15 @@ def tool():
 @pytest.fixture
 def run() -> BenchmarkResult:
     """Two methods on two clips with two seeds; the second failed once."""
-    return BenchmarkResult(
-        load_protocol("kt3dmoseg"),
+    return benchmark_result(
+        "kt3dmoseg",
         (Configuration("one_motion"), SUBSET),
         {"Seq005_Clip01": 3, "Seq013_Clip01": 2},
-        (0, 4),
-        np.array([[[0.5, 0.5], [0.2, 0.2]], [[1 / 3, 0.0], [1.0, 0.1]]]),
-        np.full((2, 2, 2), 0.125),
-        ((SUBSET, "Seq013_Clip01", 0, "no reason"),),
-        found=np.array([[[1, 1], [1, 1]], [[3, 3], [0, 2]]]),
-        scored={"Seq005_Clip01": 6, "Seq013_Clip01": 10},
-        provenance=Provenance("2018", "a" * 64, "", "0.1.0"),
+        [[[0.5, 0.5], [0.2, 0.2]], [[1 / 3, 0.0], [1.0, 0.1]]],
+        seeds=(0, 4),
+        scored=(6, 10),
+        found=[[[1, 1], [1, 1]], [[3, 3], [0, 2]]],
+        failed={("subset alpha=8", "Seq013_Clip01", 0): "no reason"},
     )
 
 
@@ -185,13 +183,8 @@ def test_publishing_again_writes_the_same_bytes_and_loses_nothing(run, tmp_path)
     before = path.read_bytes()
     publish(run, tmp_path)
     assert path.read_bytes() == before
-    one = replace(
-        run,
-        seeds=(0,),
-        errors=run.errors[..., :1],
-        seconds=run.seconds[..., :1],
-        found=run.found[..., :1],
-    )
+    tables = tuple(replace(t, clips=tuple(c for c in t.clips if c.seed == 0)) for t in run.tables)
+    one = replace(run, tables=tables, seconds=run.seconds[..., :1])
     with pytest.raises(InvalidValueError, match="4 there only; run all of them, or remove the file"):
         publish(one, tmp_path)
     assert path.read_bytes() == before
