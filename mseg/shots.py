@@ -13,8 +13,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from kt3dmoseg.draw import Painting, draw_frame, label_colour
-from kt3dmoseg.draw.painting import groups
+from kt3dmoseg.draw.painting import Painting, draw_frame, groups
+from kt3dmoseg.draw.palette import label_colour
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.frames import frames_of

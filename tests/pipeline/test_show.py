@@ -12,9 +12,9 @@ import pytest
 from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip
 
 from kt3dmoseg.cli import main
-from kt3dmoseg.draw import PALETTE, UNLABELLED, DrawOptions, label_colour
+from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.draw.painting import by_label, by_length, by_prediction, draw_frame
-from kt3dmoseg.draw.palette import css, css_palette, motion_colour
+from kt3dmoseg.draw.palette import PALETTE, UNLABELLED, css, css_palette, label_colour, motion_colour
 from kt3dmoseg.io import save
 from kt3dmoseg.io.images import write_moving
 from kt3dmoseg.types import Clip, Labels, Trajectories
