@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal, TypeAlias
@@ -40,30 +40,16 @@ class Count:
 
 
 def count_clusters(laplacian: Symmetric, criterion: Criterion, rng: np.random.Generator) -> Count:
-    """Count the clusters of a graph, at least two and at most eight.
+    """Count the clusters of a graph by its normalised Laplacian (N, N), at least two and at most eight.
 
-    Parameters
-    ----------
-    laplacian : (N, N)
-        Normalised Laplacian, array or anything that multiplies (N, b) float64.
-    criterion : {"eigengap", "self_tuning", "vote"}
-        Widest relative gap ``(lambda_{k+1} - lambda_k) / (lambda_k + 0.01)`` of the eigenvalues; the rotation
-        of k eigenvectors that comes nearest to one entry per row; or the majority of eigengap, silhouette,
-        Davies-Bouldin and Calinski-Harabasz on k-means of k eigenvectors, the eigengap deciding a tie.
-    rng : numpy.random.Generator
-        Randomness of k-means and of the points whose silhouette is taken.
-
-    Returns
-    -------
-    Count
-        A graph of fewer than three vertices counts 1.
-
-    References
-    ----------
-    von Luxburg, "A tutorial on spectral clustering", 2007, section 8.3; Zelnik-Manor and Perona, "Self-tuning
-    spectral clustering", NIPS 2004; Rousseeuw, J. Comput. Appl. Math. 1987; Davies and Bouldin, PAMI 1979;
-    Calinski and Harabasz, Communications in Statistics 1974.
+    The criterion is the widest relative gap ``(lambda_{k+1} - lambda_k) / (lambda_k + 0.01)`` of the
+    eigenvalues ("eigengap"); the rotation of k eigenvectors that comes nearest to one entry per row
+    ("self_tuning"); or the majority of eigengap, silhouette, Davies-Bouldin and Calinski-Harabasz on k-means
+    of k eigenvectors, the eigengap deciding a tie ("vote"). A graph of fewer than three vertices counts 1.
     """
+    # von Luxburg, "A tutorial on spectral clustering", 2007, section 8.3; Zelnik-Manor and Perona,
+    # "Self-tuning spectral clustering", NIPS 2004; Rousseeuw, J. Comput. Appl. Math. 1987; Davies and
+    # Bouldin, PAMI 1979; Calinski and Harabasz, Communications in Statistics 1974.
     most = min(MOST_CLUSTERS, laplacian.shape[0] - 1)
     if most < 2:
         return Count(1, {1: 0.0})
@@ -77,18 +63,30 @@ def count_clusters(laplacian: Symmetric, criterion: Criterion, rng: np.random.Ge
         cost = _alignment_costs(vectors[:, :most])
         least = min(cost.values())
         return Count(max(k for k in cost if cost[k] <= least + _EQUAL_COST), {k: -cost[k] for k in cost})
-    embeddings = {k: unit_rows(vectors[:, :k]) for k in numbers}
+    return _vote(vectors, {k: float(gaps[k - 1]) for k in numbers}, rng)
+
+
+def _vote(vectors: FloatArray, gaps: Mapping[int, float], rng: np.random.Generator) -> Count:
+    from sklearn.metrics import calinski_harabasz_score, davies_bouldin_score, silhouette_score  # slow
+
+    embeddings = {k: unit_rows(vectors[:, :k]) for k in gaps}
     labels = {k: kmeans(points, k, rng, n_restarts=_RESTARTS).labels for k, points in embeddings.items()}
     some = rng.permutation(len(vectors))[:_SILHOUETTE_POINTS]
+
+    def index(score: Callable[[FloatArray, IntArray], float], k: int, rows: IntArray | slice) -> float:
+        points, own = embeddings[k][rows], labels[k][rows]
+        return float(score(points, own)) if 1 < len(np.unique(own)) < len(points) else -np.inf
+
+    every = slice(None)
     ballots = [
-        {k: float(gaps[k - 1]) for k in numbers},
-        {k: silhouette(embeddings[k][some], labels[k][some]) for k in numbers},
-        {k: -davies_bouldin(embeddings[k], labels[k]) for k in numbers},
-        {k: calinski_harabasz(embeddings[k], labels[k]) for k in numbers},
+        gaps,
+        {k: index(silhouette_score, k, some) for k in gaps},
+        {k: index(lambda points, own: -davies_bouldin_score(points, own), k, every) for k in gaps},
+        {k: index(calinski_harabasz_score, k, every) for k in gaps},
     ]
     votes = [_best(ballot).number for ballot in ballots]
     # Half a vote for the eigengap decides ties.
-    return _best({k: votes.count(k) + 0.5 * (k == votes[0]) for k in numbers})
+    return _best({k: votes.count(k) + 0.5 * (k == votes[0]) for k in gaps})
 
 
 def _best(scores: Mapping[int, float]) -> Count:
@@ -130,54 +128,3 @@ def _align(points: FloatArray) -> tuple[FloatArray, float]:
         if before - cost < _PROGRESS:
             break
     return points, cost
-
-
-def silhouette(points: FloatArray, labels: IntArray) -> float:
-    """Mean silhouette of points (N, D): (b - a) / max(a, b), a to the own cluster, b to the nearest other."""
-    squares = (points**2).sum(axis=1)
-    distance = np.sqrt(np.maximum(squares[:, None] + squares - 2 * points @ points.T, 0))
-    names, own = np.unique(labels, return_inverse=True)
-    if len(names) < 2:
-        return -1.0
-    inside = (own[:, None] == np.arange(len(names))).astype(np.float64)
-    size = inside.sum(axis=0)
-    sums = distance @ inside
-    rows = np.arange(len(points))
-    a = sums[rows, own] / np.maximum(size[own] - 1, 1)
-    means = sums / size
-    means[rows, own] = np.inf
-    b = means.min(axis=1)
-    widest = np.maximum(a, b)
-    value = np.divide(b - a, widest, out=np.zeros_like(a), where=(widest > 0) & (size[own] > 1))
-    return float(value.mean())
-
-
-def davies_bouldin(points: FloatArray, labels: IntArray) -> float:
-    """Mean over clusters of the largest (s_i + s_j) / d_ij, s the mean distance to the centre."""
-    centres, spread = _centres(points, labels)
-    if len(centres) < 2:
-        return float("inf")
-    apart = np.linalg.norm(centres[:, None] - centres, axis=2)
-    np.fill_diagonal(apart, np.inf)
-    both = spread[:, None] + spread
-    return float(np.divide(both, apart, out=np.full_like(both, np.inf), where=apart > 0).max(axis=1).mean())
-
-
-def calinski_harabasz(points: FloatArray, labels: IntArray) -> float:
-    """Variance between over variance within the clusters, each over its degrees of freedom."""
-    names, own = np.unique(labels, return_inverse=True)
-    centres, _ = _centres(points, labels)
-    within = float(((points - centres[own]) ** 2).sum())
-    between = float(((points - points.mean(axis=0)) ** 2).sum()) - within
-    n, k = len(points), len(names)
-    if k < 2 or k >= n:
-        return 0.0
-    return between / (k - 1) / max(within / (n - k), np.finfo(np.float64).tiny)
-
-
-def _centres(points: FloatArray, labels: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (K, D) of the clusters, and mean distances (K,) to them."""
-    groups = [points[labels == k] for k in np.unique(labels)]
-    centres = np.array([group.mean(axis=0) for group in groups])
-    spread = [np.linalg.norm(g - c, axis=1).mean() for g, c in zip(groups, centres, strict=True)]
-    return centres, np.array(spread)
