@@ -8,18 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
-from mseg.errors import TooFewPointsError
 from mseg.iteration import Convergence, iterate
-
-__all__ = ["Completion", "RobustPCA", "complete", "complete_locally", "robust_pca", "shrink"]
 
 # Of `complete`: price of coefficients, which keeps columns seen in few rows finite and moves determined ones
 # by about that fraction; damping of its steps; size of what is multiplied at once.
 _RIDGE, _DAMPING, _MOST_DAMPING, _CHUNK_BYTES = 1e-7, 1e-3, 1e12, 64 << 20
-# Of `complete_locally`: deviation of a tracked position and step at convergence, pixels; most rounds.
-_NOISE, _STEP, _ROUNDS = 0.5, 0.05, 20
+# Of `complete_locally`: deviation of a tracked position and step at convergence, pixels; most rounds; most
+# neighbours of a trajectory.
+_NOISE, _STEP, _ROUNDS, _NEIGHBOURS = 0.5, 0.05, 20, 20
 # Trajectories that share fewer frames, unless one of them has no more, may move alike or not.
 _SHARED = 3
 # What a frame counts in which a position is filled, compared with one where both are seen.
@@ -42,51 +39,28 @@ class Completion:
 def complete(
     matrix: FloatArray, rank: int, *, tolerance: float = 1e-5, max_iterations: int = 200
 ) -> Completion:
-    """Fill the gaps of a matrix from its best-fitting low-rank subspace, by Levenberg-Marquardt.
+    """Fill the gaps of a matrix (D, N) from its best-fitting subspace of a rank, by Levenberg-Marquardt.
 
-    The mean of the seen entries of each row is taken out first and put back at the end, and the
-    rest is scaled to unit root mean square: the ridge and the damping then mean the same for any
-    data. Minimised over orthonormal U (D, r), with P_j picking the seen rows of column j:
+    Gaps are NaN, every row has a seen entry, and the rank is clipped to the smaller side. The mean of the
+    seen entries of each row is taken out first and put back at the end, and the rest is scaled to unit root
+    mean square: the ridge and the damping then mean the same for any data. Minimised over orthonormal
+    U (D, r), with P_j picking the seen rows of column j:
 
         sum_j min_c |P_j (x_j - U c)|^2 + ridge |c|^2
 
     For each U the coefficients follow in closed form, so that the objective is one of the subspace alone
     (variable projection). Its Gauss-Newton model is restricted to directions orthogonal to the space, and
-    steps return to orthonormal bases by QR. One step costs ``V D^2 r^2 + (D r)^3 / 3`` operations for V
-    distinct patterns of visibility.
-
-    Parameters
-    ----------
-    matrix : (D, N) float64
-        NaN where missing. Every row needs at least one seen entry, else a TooFewPointsError is raised.
-    rank : int
-        Dimension r >= 1, else an InvalidValueError; clipped to the smaller side of the matrix.
-    tolerance : float
-        Stop when a step lowers the objective by at most this fraction.
-    max_iterations : int
-        Cap on steps.
-
-    Returns
-    -------
-    Completion
-        A matrix without gaps is returned as it is.
-
-    References
-    ----------
-    Chen, "Optimization algorithms on subspaces: revisiting missing data problem in low-rank matrix",
-    IJCV 80, 2008. Kaufman, "A variable projection method for solving separable nonlinear least squares
-    problems", BIT 15, 1975 (the Jacobian without its second-order term).
+    steps return to orthonormal bases by QR, until one lowers the objective by at most the fraction
+    `tolerance`. A step costs ``V D^2 r^2 + (D r)^3 / 3`` operations for V distinct patterns of visibility.
     """
+    # Source: Chen, "Optimization algorithms on subspaces: revisiting missing data problem in low-rank
+    # matrix", IJCV 80, 2008. Jacobian, without its second-order term: Kaufman, "A variable projection method
+    # for solving separable nonlinear least squares problems", BIT 15, 1975.
     seen = np.isfinite(matrix)
-    if rank < 1:
-        raise InvalidValueError("rank", expected="at least 1", found=f"{rank}")
     rank = min(rank, *matrix.shape)
     undetermined = int((seen.sum(axis=0) < rank).sum())
     if seen.all():
         return Completion(matrix, rank, 0.0, 0, Convergence(True, 0, 0.0))
-    if not seen.any(axis=1).all():
-        empty = int(np.flatnonzero(~seen.any(axis=1))[0])
-        raise TooFewPointsError(f"row {empty}", expected="at least one seen entry", found="none")
     mean = np.nanmean(matrix, axis=1, keepdims=True)
     centred = np.where(seen, matrix - mean, 0.0)
     scale = float(np.sqrt((centred**2).sum() / seen.sum())) or 1.0
@@ -183,8 +157,8 @@ def _damped_solve(hessian: FloatArray, gradient: FloatArray, damping: float) -> 
     return np.asarray(cho_solve(factor, gradient.ravel()).reshape(gradient.shape))
 
 
-def complete_locally(matrix: FloatArray, rank: int = 5, *, n_neighbours: int = 20) -> Completion:
-    """Fill the gaps of a trajectory matrix by affine combinations of similar trajectories.
+def complete_locally(matrix: FloatArray, rank: int = 5) -> Completion:
+    """Fill the gaps (NaN) of a trajectory matrix (2F, N) by affine combinations of similar trajectories.
 
     One subspace for a whole clip lets a gap in one motion be filled by another. Here every trajectory is an
     affine combination of a few others that stay near it and keep their distance, so that, where these are of
@@ -192,7 +166,7 @@ def complete_locally(matrix: FloatArray, rank: int = 5, *, n_neighbours: int = 2
     trajectories i and j let ``d2`` be the mean squared distance and ``v`` the variance of the difference of
     their positions, over the frames that see both.
 
-    1. The neighbours of i are those of least ``d2 v``.
+    1. The neighbours of i are the 20 of least ``d2 v``.
     2. Their weights, with sum 1, minimise ``mean_t |x_i(t) - sum_j c_ij x_j(t)|^2 + sum_j c_ij^2 v_ij``
        over the frames t that see i: who does not move like i gets little.
     3. Unseen positions solve ``x_i(t) = sum_j c_ij x_j(t) + b_i(t)``, in every frame all at once and in the
@@ -201,39 +175,22 @@ def complete_locally(matrix: FloatArray, rank: int = 5, *, n_neighbours: int = 2
 
     Steps 2 and 3 are repeated until the root mean square step of what is filled is at most 0.05 pixels, at
     most 20 times; then all is once more, with d2 and v over all frames, those with a filled position at half
-    weight. A round costs O(N F k^2) and one linear system per frame in what it does not see.
+    weight. A round costs O(N F k^2) for k neighbours and one linear system per frame in what it does not see.
 
-    Parameters
-    ----------
-    matrix : (2F, N) float64
-        Rows x1, y1, x2, y2, ... in pixels; NaN where missing.
-    rank : int
-        Of the first completion, which raises the same errors.
-    n_neighbours : int
-        Most neighbours of a trajectory, at least one, else an InvalidValueError.
-
-    Returns
-    -------
-    Completion
-        `rms` is that of the combinations at the seen entries of incomplete columns, `undetermined` the number
-        of columns without a neighbour: the first completion decides them. The convergence is the last
-        stage's.
-
-    References
-    ----------
-    Weights: Roweis and Saul, "Nonlinear dimensionality reduction by locally linear embedding", Science 2000.
-    Distance times difference of motion: Brox and Malik, "Object segmentation by long term analysis of point
-    trajectories", ECCV 2010. Incomplete trajectories as combinations of others, sparse and of complete ones
-    only: Rao, Tron, Vidal, Ma, TPAMI 2010. The combination of these is ours.
+    Of the result, `rms` is that of the combinations at the seen entries of incomplete columns, `undetermined`
+    the number of columns without a neighbour: the first completion decides them. The convergence is the last
+    stage's.
     """
-    if n_neighbours < 1:
-        raise InvalidValueError("n_neighbours", expected="at least 1", found=str(n_neighbours))
+    # Weights: Roweis and Saul, "Nonlinear dimensionality reduction by locally linear embedding", Science
+    # 2000. Distance times difference of motion: Brox and Malik, "Object segmentation by long term analysis of
+    # point trajectories", ECCV 2010. Incomplete trajectories as combinations of others, sparse and of
+    # complete ones only: Rao, Tron, Vidal, Ma, TPAMI 2010. The combination of these is ours.
     first = complete(matrix, rank)
     if np.isfinite(matrix).all() or matrix.shape[1] < 2:
         return first
     centre = first.matrix.reshape(-1, 2, matrix.shape[1]).mean(axis=(0, 2))
     shift = np.tile(centre, len(matrix) // 2)[:, None]
-    search = _Filling(matrix - shift, first.matrix - shift, n_neighbours)
+    search = _Filling(matrix - shift, first.matrix - shift)
     iterate(search.step, tolerance=_STEP, max_iterations=_ROUNDS)
     search.choose(_TRUST)
     convergence = iterate(search.step, tolerance=_STEP, max_iterations=_ROUNDS)
@@ -244,8 +201,8 @@ def complete_locally(matrix: FloatArray, rank: int = 5, *, n_neighbours: int = 2
 class _Filling:
     """State of the filling: positions (2F, N) near the origin, of which those of `matrix` are seen."""
 
-    def __init__(self, matrix: FloatArray, first: FloatArray, n_neighbours: int) -> None:
-        self.matrix, self.first, self.n_neighbours = matrix, first, n_neighbours
+    def __init__(self, matrix: FloatArray, first: FloatArray) -> None:
+        self.matrix, self.first = matrix, first
         self.seen = np.isfinite(matrix)
         self.filled = first.copy()
         self.gaps = np.flatnonzero(~self.seen.all(axis=0))
@@ -255,7 +212,7 @@ class _Filling:
     def choose(self, trust: float) -> None:
         """Choose the neighbours of the incomplete columns, and the prices of their weights."""
         squares, variances = self._pairs(trust)
-        self.neighbours = np.argsort(squares * variances, axis=1, kind="stable")[:, : self.n_neighbours]
+        self.neighbours = np.argsort(squares * variances, axis=1, kind="stable")[:, :_NEIGHBOURS]
         self.prices = np.take_along_axis(variances, self.neighbours, axis=1)
         self.has_neighbour = np.asarray(np.isfinite(self.prices).any(axis=1))
 
@@ -355,29 +312,14 @@ class RobustPCA:
 def robust_pca(matrix: FloatArray, *, tolerance: float = 1e-7, max_iterations: int = 1000) -> RobustPCA:
     """Minimise ``|A|_* + weight |E|_1`` subject to ``A + E = X`` by the inexact augmented Lagrangian.
 
-    The weight is ``1 / sqrt(max(D, N))`` (Candes et al. 2011). Missing elements are errors that cost nothing,
-    so that the low-rank part alone decides them.
-
-    Parameters
-    ----------
-    matrix : (D, N) float64
-        Data X, NaN where missing.
-    tolerance : float
-        Stop when ``|X - A - E|_F <= tolerance |X|_F``.
-    max_iterations : int
-        Cap on iterations, each one singular value decomposition, or for symmetric data the four times
-        cheaper eigenvalue decomposition.
-
-    Returns
-    -------
-    RobustPCA
-
-    References
-    ----------
-    Lin, Chen, Ma, "The augmented Lagrange multiplier method for exact recovery of corrupted low-rank
-    matrices", 2010, algorithm 5 (penalty 1.25 / sigma_1, growth 1.5). Missing elements: Candes, Li, Ma,
-    Wright, "Robust principal component analysis?", JACM 2011, section 1.6.
+    The weight is ``1 / sqrt(max(D, N))`` for data X (D, N). Missing elements, NaN, are errors that cost
+    nothing, so that the low-rank part alone decides them. It ends where ``|X - A - E|_F <= tolerance |X|_F``;
+    an iteration is one singular value decomposition, or for symmetric data the four times cheaper eigenvalue
+    decomposition.
     """
+    # Lin, Chen, Ma, "The augmented Lagrange multiplier method for exact recovery of corrupted low-rank
+    # matrices", 2010, algorithm 5 (penalty 1.25 / sigma_1, growth 1.5). Weight, missing elements: Candes, Li,
+    # Ma, Wright, "Robust principal component analysis?", JACM 2011, section 1.6.
     seen = np.isfinite(matrix)
     matrix = np.where(seen, matrix, 0.0)
     weight = float(1 / np.sqrt(max(matrix.shape)))

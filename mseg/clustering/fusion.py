@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering.spectral import GraphLaplacian, Symmetric, fixed_sign, smallest_subspace, unit_rows
 
@@ -47,35 +46,15 @@ def coregularise(
     tolerance: float = 1e-6,
     max_sweeps: int = 16,
 ) -> Fusion:
-    """Pairwise co-regularised spectral embedding of several views.
+    """Embed views by their normalised Laplacians (N, N), arrays or `GraphLaplacian`, so that they agree.
 
     Minimise sum_v tr(U_v^T L_v U_v) - weight * sum_{v != w} tr(U_v U_v^T U_w U_w^T) over orthonormal
-    U_v, one view after the other: U_v takes the eigenvectors of the smallest eigenvalues of
-    L_v - weight * sum_{w != v} U_w U_w^T.
-
-    Parameters
-    ----------
-    laplacians : sequence of V matrices (N, N)
-        Normalised Laplacians, arrays or `mseg.clustering.GraphLaplacian` of the views.
-    n_clusters : int
-        Number K of eigenvectors.
-    weight : float
-        lambda of the paper.
-    tolerance : float
-        Stop when the monitored objective changes by less.
-    max_sweeps : int
-        Most sweeps over the views.
-
-    Returns
-    -------
-    Fusion
-        Its objectives are sum_v tr(U_v^T L'_v U_v), L'_v as it was when the view was updated.
-
-    References
-    ----------
-    Kumar, Rai, Daume, "Co-regularized multi-view spectral clustering", NIPS 2011; Xu, Cheong, Li,
-    CVPR 2018, section 3.2.
+    U_v (N, K), one view after the other: U_v takes the eigenvectors of the smallest eigenvalues of
+    L_v - weight * sum_{w != v} U_w U_w^T. The objectives are sum_v tr(U_v^T L'_v U_v), L'_v as it was when
+    the view was updated; sweeps over the views end when it changes by less than the tolerance.
     """
+    # Kumar, Rai, Daume, "Co-regularized multi-view spectral clustering", NIPS 2011; Xu, Cheong, Li, CVPR
+    # 2018, section 3.2: weight is lambda.
 
     def others(embeddings: list[FloatArray], view: int) -> FloatArray:
         return np.concatenate([u for w, u in enumerate(embeddings) if w != view], axis=1)
@@ -97,29 +76,17 @@ def constrain_subsets(
     tolerance: float = 1e-8,
     max_sweeps: int = 21,
 ) -> Fusion:
-    """Spectral embedding of views of which each model contains the one before.
+    """Embed views of which each model contains the one before, the smallest first; see `coregularise`.
 
     Affine inliers are homography inliers, homography inliers are fundamental matrix inliers, so
     points together in a smaller model should be together in the larger (its kernel max(K, 0) is
     rewarded there), and points apart in the larger should be apart in the smaller (min(K, 0)).
     With K_v = U_v U_v^T, U_v takes the eigenvectors of the smallest eigenvalues of
-    L_v - weight * (max(K_{v-1}, 0) + min(K_{v+1}, 0)), one view after the other.
-
-    Parameters
-    ----------
-    laplacians, n_clusters, weight, tolerance, max_sweeps
-        As in `coregularise`, the smallest model first (affine, homography, fundamental); gamma of the paper.
-
-    Returns
-    -------
-    Fusion
-        Its objectives are sum_v tr(U_v^T (L_v - weight Q_v) U_v), Q_v taken after the sweep; they
-        need not decrease, since Q changes with the embeddings.
-
-    References
-    ----------
-    Xu, Cheong, Li, CVPR 2018, section 3.2, equations of the subset constraint.
+    L_v - weight * (max(K_{v-1}, 0) + min(K_{v+1}, 0)), one view after the other. The objectives are
+    sum_v tr(U_v^T (L_v - weight Q_v) U_v), Q_v taken after the sweep; they need not decrease, since Q
+    changes with the embeddings.
     """
+    # Xu, Cheong, Li, CVPR 2018, section 3.2, equations of the subset constraint: weight is gamma.
 
     def nesting(embeddings: list[FloatArray], view: int) -> Symmetric:
         size = len(embeddings[view])
@@ -148,11 +115,6 @@ def _alternate(
     max_sweeps: int,
 ) -> Fusion:
     """Update one view after the other; the objective gets what was `earned` after each update."""
-    if len({laplacian.shape for laplacian in laplacians}) != 1:
-        shapes = ", ".join(str(laplacian.shape) for laplacian in laplacians)
-        raise InvalidValueError(
-            "laplacians", expected="at least one, all of one shape", found=shapes or "none"
-        )
     subspaces = [smallest_subspace(laplacian, n_clusters, tolerance=_ROUGH) for laplacian in laplacians]
     embeddings = [subspace[:, :n_clusters] for subspace in subspaces]
     objectives: list[float] = []
@@ -228,32 +190,16 @@ class Cut:
 
 
 def lower_cut(graphs: Sequence[GraphLaplacian], labels: IntArray, n_clusters: int) -> Cut:
-    """Improve a partition until its normalised cuts, summed over the graphs, become no smaller.
+    """Improve a partition (N,) until its normalised cuts, summed over the graphs, become no smaller.
 
     With S_v the indicators of the clusters, scaled by D_v^1/2 and to unit length, the cut of graph v
     is tr(S_v^T L_v S_v): what a spectral embedding minimises, but for a partition instead of any
     orthonormal columns. All vertices move at once, each to the cluster whose weighted kernel mean is
-    nearest over all graphs; the last step that gained something is kept. No cluster is emptied.
-
-    Parameters
-    ----------
-    graphs : sequence of GraphLaplacian
-        Of the same N vertices.
-    labels : (N,) int64
-        Start, 0..K-1.
-    n_clusters : int
-        Number of clusters K. An empty one counts 1 per graph.
-
-    Returns
-    -------
-    Cut
-        Never larger than that of the start.
-
-    References
-    ----------
-    Shi and Malik, "Normalized cuts and image segmentation", PAMI 2000; Dhillon, Guan, Kulis,
-    "Weighted graph cuts without eigenvectors: a multilevel approach", PAMI 2007, for one graph.
+    nearest over all graphs; the last step that gained something is kept. No cluster is emptied; one that is
+    empty counts 1 per graph.
     """
+    # Shi and Malik, "Normalized cuts and image segmentation", PAMI 2000; Dhillon, Guan, Kulis, "Weighted
+    # graph cuts without eigenvectors: a multilevel approach", PAMI 2007, for one graph.
     value, nearness = _cut(graphs, labels, n_clusters)
     while True:
         moved = nearness.argmax(axis=1)

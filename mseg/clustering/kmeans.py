@@ -21,37 +21,14 @@ class KMeans:
 
 
 def kmeans(points: FloatArray, n_clusters: int, rng: np.random.Generator, *, n_restarts: int = 20) -> KMeans:
-    """Cluster points by Lloyd's algorithm from several k-means++ starts.
+    """Cluster points (N, d) by Lloyd's algorithm from several k-means++ starts.
 
-    Parameters
-    ----------
-    points : (N, d) float64
-        Finite points.
-    n_clusters : int
-        Number of clusters K, 1..N.
-    rng : numpy.random.Generator
-        The only source of randomness: same state, same result.
-    n_restarts : int
-        Number of starts R; the one of least inertia wins, the first of equals. Where there are
-        fewer distinct points than clusters, surplus clusters stay empty.
-
-    Returns
-    -------
-    KMeans
-
-    Raises
-    ------
-    TooFewPointsError
-        When there are fewer points than clusters.
-    InvalidValueError
-        When the points are not a finite matrix.
-
-    References
-    ----------
-    Lloyd, "Least squares quantization in PCM", 1982; Arthur and Vassilvitskii, "k-means++: the
-    advantages of careful seeding", SODA 2007.
+    The start of least inertia wins, the first of equals. Where there are fewer distinct points than clusters,
+    surplus clusters stay empty; fewer points than clusters are a TooFewPointsError.
     """
-    if points.ndim != 2 or not np.isfinite(points).all():
+    # Lloyd, "Least squares quantization in PCM", 1982; Arthur and Vassilvitskii, "k-means++: the advantages
+    # of careful seeding", SODA 2007.
+    if not np.isfinite(points).all():  # NaN would make a partition like any other
         raise InvalidValueError("points", expected="a finite matrix (N, d)", found=f"shape {points.shape}")
     if not 1 <= n_clusters <= len(points):
         raise TooFewPointsError(

@@ -33,29 +33,13 @@ EIGENVALUE_FLOOR = 0.01
 
 
 def normalised_laplacian(affinity: _Array) -> _Array:
-    """Compute the symmetric normalised Laplacian I - D^-1/2 W D^-1/2.
+    """Compute I - D^-1/2 W D^-1/2, (N, N) of the dtype of the weights W >= 0, D the diagonal of row sums.
 
-    Parameters
-    ----------
-    affinity : (N, N) float32 or float64
-        Symmetric weights W >= 0; D is the diagonal of its row sums. A vertex without any weight
-        gets the row of the identity, so it takes part in no smooth eigenvector.
-
-    Returns
-    -------
-    (N, N) of the same dtype
-        Symmetric, positive semi-definite, eigenvalues in 0..2.
-
-    Raises
-    ------
-    InvalidValueError
-        When the affinity is not square, not finite or negative.
-
-    References
-    ----------
-    Ng, Jordan, Weiss, "On spectral clustering: analysis and an algorithm", NIPS 2001; von Luxburg, "A
-    tutorial on spectral clustering", 2007, section 3.2.
+    A vertex without any weight gets the row of the identity, so it takes part in no smooth eigenvector.
+    Eigenvalues are in 0..2. InvalidValueError when weights are not square, not finite or negative.
     """
+    # Ng, Jordan, Weiss, "On spectral clustering: analysis and an algorithm", NIPS 2001; von Luxburg, "A
+    # tutorial on spectral clustering", 2007, section 3.2.
     _check_weights(affinity, affinity.shape)
     degree = affinity.sum(axis=1)
     scale = np.zeros_like(degree)
@@ -67,28 +51,15 @@ def normalised_laplacian(affinity: _Array) -> _Array:
 
 
 class GraphLaplacian:
-    """The normalised Laplacian of a sparse graph, as something to multiply with.
+    """The normalised Laplacian of a sparse graph, as something to multiply with; see `normalised_laplacian`.
 
-    Parameters
-    ----------
-    affinity : (N, N) float, array or sparse
-        Symmetric weights W >= 0, mostly zero. Vertices without weight get rows of the identity.
-    uniform : float
-        Weight spread evenly over all pairs of vertices, as a fraction of the mean degree; 0 = none.
-        It keeps a few vertices that hang on no others from taking eigenvectors for themselves.
-
-    Raises
-    ------
-    InvalidValueError
-        When the affinity is not square, not finite or negative.
-
-    References
-    ----------
-    Amini, Chen, Bickel, Levina, "Pseudo-likelihood methods for community detection in large sparse
-    networks", Annals of Statistics 2013; Zhang and Rohe, "Understanding regularized spectral
-    clustering via graph conductance", NeurIPS 2018.
+    `uniform` is a weight spread evenly over all pairs of vertices, as a fraction of the mean degree. It keeps
+    a few vertices that hang on no others from taking eigenvectors for themselves.
     """
 
+    # Amini, Chen, Bickel, Levina, "Pseudo-likelihood methods for community detection in large sparse
+    # networks", Annals of Statistics 2013; Zhang and Rohe, "Understanding regularized spectral clustering via
+    # graph conductance", NeurIPS 2018.
     def __init__(self, affinity: _Array | csr_array, *, uniform: float = 0.0) -> None:
         weights = csr_array(affinity).astype(np.float64)
         _check_weights(weights.data, weights.shape)
@@ -121,37 +92,16 @@ class GraphLaplacian:
 
 
 def smallest_eigenvectors(matrix: Symmetric, count: int, *, tolerance: float = 1e-8) -> FloatArray:
-    """Orthonormal eigenvectors of the smallest eigenvalues of a symmetric matrix.
+    """Orthonormal eigenvectors (N, K) of the smallest eigenvalues of a symmetric matrix, in their order.
 
     Small matrices are written out and given to LAPACK. Larger ones go through a block Krylov
     method with thick restarts, whose block is wider than `count` so that it finds eigenvalues of
-    that multiplicity, as graphs of several components have them. No random state is used: the same
-    matrix gives the same vectors.
-
-    Parameters
-    ----------
-    matrix : (N, N), array or anything that multiplies (N, b) float64
-        Symmetric.
-    count : int
-        Number of eigenvectors K.
-    tolerance : float
-        Largest norm of an eigenvector's residual |M u - theta u|.
-
-    Returns
-    -------
-    (N, K) float64
-        In the order of their eigenvalues, the largest entry of each positive.
-
-    Raises
-    ------
-    TooFewPointsError
-        When `count` is not in 1..N.
-
-    References
-    ----------
-    Stewart, "A Krylov-Schur algorithm for large eigenproblems", SIAM J. Matrix Anal. Appl. 2001;
-    Zhou and Saad, "Block Krylov-Schur method for large symmetric eigenvalue problems", 2008.
+    that multiplicity, as graphs of several components have them; `tolerance` is the largest norm of a
+    residual |M u - theta u|. No random state is used: the same matrix gives the same vectors, the largest
+    entry of each positive. TooFewPointsError when `count` is not in 1..N.
     """
+    # Stewart, "A Krylov-Schur algorithm for large eigenproblems", SIAM J. Matrix Anal. Appl. 2001; Zhou and
+    # Saad, "Block Krylov-Schur method for large symmetric eigenvalue problems", 2008.
     return fixed_sign(smallest_subspace(matrix, count, tolerance=tolerance)[:, :count])
 
 
@@ -189,46 +139,18 @@ def unit_rows(points: FloatArray) -> FloatArray:
 
 
 def spectral_embedding(affinity: _Array, n_clusters: int) -> FloatArray:
-    """Embed the N vertices of a graph by the smoothest functions on it.
-
-    Returns
-    -------
-    (N, K) float64
-        `smallest_eigenvectors` of `normalised_laplacian`, and what these raise.
-    """
+    """Embed the N vertices of a graph by the smoothest functions on it, (N, K)."""
     return smallest_eigenvectors(normalised_laplacian(affinity), n_clusters)
 
 
 def spectral_clustering(
     affinity: _Array, n_clusters: int, rng: np.random.Generator, *, n_restarts: int = 20
 ) -> IntArray:
-    """Partition the vertices of a weighted graph: embedding, unit rows, k-means.
+    """Partition the vertices of a weighted graph (N, N) by k-means on the unit rows of its embedding.
 
-    Parameters
-    ----------
-    affinity : (N, N) float
-        Symmetric weights >= 0.
-    n_clusters : int
-        Number of clusters K.
-    rng : numpy.random.Generator
-        Randomness of k-means.
-    n_restarts : int
-        Restarts of k-means.
-
-    Returns
-    -------
-    (N,) int64
-        Labels 1..K.
-
-    Raises
-    ------
-    TooFewPointsError
-        When there are fewer vertices than clusters.
-
-    References
-    ----------
-    Ng, Jordan, Weiss, "On spectral clustering: analysis and an algorithm", NIPS 2001.
+    Returns labels 1..K (N,); TooFewPointsError when there are fewer vertices than clusters.
     """
+    # Ng, Jordan, Weiss, NIPS 2001.
     points = unit_rows(spectral_embedding(affinity, n_clusters))
     return kmeans(points, n_clusters, rng, n_restarts=n_restarts).labels + 1
 
@@ -237,18 +159,7 @@ def relative_eigengaps(affinity: FloatArray, largest: int) -> FloatArray:
     """Gaps ``(lambda_{k+1} - lambda_k) / (lambda_k + 0.01)`` of the normalised Laplacian, k = 1..`largest`.
 
     Dividing matters: on Hopkins155 the plain gap (von Luxburg, "A tutorial on spectral clustering", 2007,
-    section 8.3) takes the bulk of the spectrum for a cluster boundary.
-
-    Parameters
-    ----------
-    affinity : (N, N) float64
-        Symmetric weights >= 0.
-    largest : int
-        Number of gaps wanted; at most N - 1 exist.
-
-    Returns
-    -------
-    (min(largest, N - 1),) float64
+    section 8.3) takes the bulk of the spectrum for a cluster boundary. At most N - 1 gaps exist.
     """
     largest = min(largest, len(affinity) - 1)
     if largest < 1:

@@ -14,10 +14,10 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from scipy.linalg import eigh
 
-from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import count_by_eigengap, kmeans, spectral_clustering, spectral_embedding, unit_rows
+from mseg.clustering.kmeans import kmeans
+from mseg.clustering.spectral import count_by_eigengap, spectral_clustering, spectral_embedding, unit_rows
 from mseg.completion import shrink
 from mseg.errors import SegmentationError
 from mseg.geometry.subspaces import project
@@ -274,8 +274,6 @@ def low_rank_representation(
     # Liu, Lin, Yan, Sun, Yu, Ma, TPAMI 2013, equation 7, algorithm 1 and section 4.2 (row space).
     _, values, right = np.linalg.svd(data, full_matrices=False)
     rank = int((values > max(data.shape) * _EPSILON * values[0]).sum())
-    if rank == 0:
-        raise InvalidValueError("trajectory matrix", expected="numbers other than zero", found="only zeros")
     basis = np.ascontiguousarray(right[:rank].T)
     dictionary = data @ basis
     inverse = np.linalg.inv(dictionary.T @ dictionary + np.eye(rank))
@@ -362,8 +360,6 @@ def low_rank_affinity(coefficients: FloatArray, power: int = 4) -> FloatArray:
 
 def _smallest_coherence(data: FloatArray) -> float:
     """``min_j max_{i != j} |x_i . x_j|``: the smallest l1 weight for which no column of C vanishes."""
-    if data.shape[1] < 2:
-        raise SegmentationError("trajectories", expected="at least 2", found=str(data.shape[1]))
     gram = np.abs(data.T @ data)
     np.fill_diagonal(gram, 0)
     smallest = float(gram.max(axis=0).min())

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from kt3dmoseg.errors import InvalidValueError
 from mseg.completion import complete, complete_locally
 
 FRAMES = 16
@@ -82,8 +81,3 @@ def test_few_or_repeated_columns(columns):
     if columns == 1:
         line = np.nan_to_num(line)
     assert np.isfinite(complete_locally(line).matrix).all()
-
-
-def test_no_neighbours_is_an_error():
-    with pytest.raises(InvalidValueError, match="n_neighbours"):
-        complete_locally(np.eye(4), n_neighbours=0)
