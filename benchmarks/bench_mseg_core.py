@@ -13,7 +13,9 @@ import pytest
 
 from kt3dmoseg.io import load
 from kt3dmoseg.types import Clip, Labels, Trajectories
-from mseg.clustering import GraphLaplacian, constrain_subsets, coregularise, kmeans, smallest_eigenvectors
+from mseg.clustering.fusion import constrain_subsets, coregularise
+from mseg.clustering.kmeans import kmeans
+from mseg.clustering.spectral import GraphLaplacian, smallest_eigenvectors
 from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 from mseg.methods import segment
 

@@ -12,7 +12,9 @@ from scipy.sparse import block_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, IntArray, Trajectories
-from mseg.geometry import MODELS, Distance, change_frame, frame_pair, hartley
+from mseg.geometry import hartley
+from mseg.geometry.hartley import change_frame, frame_pair
+from mseg.geometry.models import MODELS, Distance
 from mseg.types import Hypotheses, ModelKind
 
 ALGORITHM_VERSION: int = 1

@@ -16,7 +16,7 @@ from kt3dmoseg.draw.display import plot_clip_values
 from kt3dmoseg.draw.palette import css, label_colour
 from kt3dmoseg.types import Trajectories
 from mseg.benchmark.publishing import read_results
-from mseg.clustering import spectral_clustering
+from mseg.clustering.spectral import spectral_clustering
 from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 
 mpl.use("svg")

@@ -11,8 +11,7 @@ from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import Float32Array, FloatArray, Trajectories
-from mseg.clustering import smallest_eigenvectors, unit_rows
-from mseg.clustering.spectral import smallest_subspace
+from mseg.clustering.spectral import smallest_eigenvectors, smallest_subspace, unit_rows
 from mseg.iteration import Convergence, iterate
 from mseg.kernels import GUARD, covisible_frames
 from mseg.methods.paper import KINDS, ViewMethod

@@ -31,7 +31,7 @@ from scipy.spatial.distance import squareform
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
-from mseg.clustering import kmeans
+from mseg.clustering.kmeans import kmeans
 from mseg.errors import TooFewPointsError
 from mseg.geometry import rigid
 from mseg.methods.paper import KINDS, Subset

@@ -34,29 +34,13 @@ from scipy.sparse import csr_array
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, Trajectories
-from mseg.clustering import (
-    Count,
-    Criterion,
-    Fusion,
-    GraphLaplacian,
-    WeightedSum,
-    constrain_subsets,
-    coregularise,
-    count_clusters,
-    kmeans,
-    lower_cut,
-    smallest_eigenvectors,
-    unit_rows,
-)
+from mseg.clustering.counting import Count, Criterion, count_clusters
+from mseg.clustering.fusion import Fusion, WeightedSum, constrain_subsets, coregularise, lower_cut
+from mseg.clustering.kmeans import kmeans
+from mseg.clustering.spectral import GraphLaplacian, smallest_eigenvectors, unit_rows
 from mseg.errors import TooFewPointsError
-from mseg.geometry import MODELS
-from mseg.kernels import (
-    GUARD,
-    covisible_frames,
-    sample_hypotheses,
-    sparsify,
-    view_kernel,
-)
+from mseg.geometry.models import MODELS
+from mseg.kernels import GUARD, covisible_frames, sample_hypotheses, sparsify, view_kernel
 from mseg.methods.kernel_cache import current_cache
 from mseg.types import Grouping, ModelKind, Segmentation
 
@@ -113,7 +97,7 @@ class ViewMethod(ABC):
     count: Literal["code_length", "eigengap", "self_tuning", "vote"] = option(
         "code_length",
         "how the number of motions is found when none is given: by the rigid bodies of multibody among "
-        "partitions into 1 to 7, or by mseg.clustering.count_clusters",
+        "partitions into 1 to 7, or by mseg.clustering.counting",
     )
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
@@ -328,7 +312,7 @@ class FusedViews(ViewMethod):
     The paper runs k-means on the three embeddings side by side (``view="joint"``), where two views that
     are wrong outvote one that is right. The relaxed problem that the embeddings solve is one of
     normalised cuts; so by default k-means proposes, from that embedding and from each view's own, and
-    the cuts of the proposals in the three graphs decide (`mseg.clustering.lower_cut`).
+    the cuts of the proposals in the three graphs decide (`mseg.clustering.fusion.lower_cut`).
     """
 
     view: Literal["least_cut", "joint", "affine", "homography", "fundamental"] = option(

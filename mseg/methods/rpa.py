@@ -8,7 +8,7 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import kmeans
+from mseg.clustering.kmeans import kmeans
 from mseg.completion import robust_pca
 from mseg.geometry.subspaces import best_flat_distances
 from mseg.iteration import Convergence, iterate

@@ -10,7 +10,7 @@ from scipy.linalg import eigh, eigvalsh
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import relative_eigengaps, unit_rows
+from mseg.clustering.spectral import relative_eigengaps, unit_rows
 from mseg.geometry.subspaces import leading_row_space
 from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod

@@ -13,7 +13,7 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
-from mseg.clustering import spectral_clustering, unit_rows
+from mseg.clustering.spectral import spectral_clustering, unit_rows
 from mseg.errors import TooFewPointsError
 from mseg.geometry.subspaces import leading_row_space
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod

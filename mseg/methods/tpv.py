@@ -14,9 +14,10 @@ import numpy as np
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, IntArray, Trajectories
-from mseg.clustering import count_by_eigengap, spectral_clustering
+from mseg.clustering.spectral import count_by_eigengap, spectral_clustering
 from mseg.errors import SegmentationError, TooFewPointsError
-from mseg.geometry import MODELS, hartley
+from mseg.geometry import hartley
+from mseg.geometry.models import MODELS
 from mseg.iteration import Convergence, iterate
 from mseg.methods.self_expression import Representation, sparse_affinity
 from mseg.types import ModelKind, Segmentation

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import mseg
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.types import Clip
-from mseg.clustering import GraphLaplacian, lower_cut
+from mseg.clustering.fusion import lower_cut
+from mseg.clustering.spectral import GraphLaplacian
 from mseg.evaluation import classification_error
 
 

@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from mseg.geometry import MODELS, change_frame, fundamental, hartley
+from mseg.geometry import fundamental, hartley
+from mseg.geometry.hartley import change_frame
+from mseg.geometry.models import MODELS
 
 # Values of the authors' functions, executed once elsewhere.
 X1 = np.array([(0, 0), (1, 2), (2, 1), (3, 3), (1.5, -1)])

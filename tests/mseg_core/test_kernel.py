@@ -10,7 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse.csgraph import connected_components
 
 from kt3dmoseg.types import Trajectories
-from mseg.geometry import MODELS, change_frame, hartley
+from mseg.geometry import hartley
+from mseg.geometry.hartley import change_frame
+from mseg.geometry.models import MODELS
 from mseg.kernels import (
     GUARD,
     _draw_subsets,
