@@ -177,11 +177,11 @@ class VideoFile:
         return self.cut.of(range(len(images.video_facts(self.file)[0])), self.where)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
-        """Yield the luma of every frame that is taken."""
-        del colour  # a video is in colour by nature
+        """Yield the luma of every frame that is taken, or its colours."""
+        wanted: Colour = "luma" if colour == "refuse" else colour  # a video is in colour by nature
         first, last = self.cut.first or 0, self.cut.last
         pictures = images.read_video(self.file, first, self.cut.step, None if last is None else last + 1)
-        return self.cut.resized(images.gray(picture, f"{self.file}", "luma") for picture in pictures)
+        return self.cut.resized(images.gray(picture, f"{self.file}", wanted) for picture in pictures)
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ class KittiClip:
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames; of the colour cameras 2 and 3 their luma."""
-        wanted: Colour = "luma" if self.drive.camera > 1 else colour
+        wanted: Colour = "luma" if self.drive.camera > 1 and colour == "refuse" else colour
         return self.cut.resized(read_frames(self.paths(), wanted))
 
     def paths(self) -> list[Path]:
@@ -260,7 +260,7 @@ class FrameSource(Protocol):
         """Numbers of the frames."""
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
-        """Yield gray frames, all of one size."""
+        """Yield gray frames, all of one size; "stored" gives those that are in colour as RGB."""
 
 
 def find_sources(path: PathLike) -> list[FrameSource]:
@@ -476,6 +476,15 @@ def take(
     given |= {"name": name} if name else {}
     parts: Any = sources  # of dataclasses with a cut
     return [replace(source, cut=replace(source.cut, **given)) for source in parts]
+
+
+def part_of(source: FrameSource, info: FrameInfo, first: int, last: int) -> dict[str, Any]:
+    """Describe the frames from one number to another, of a source with a cut; no video is read again."""
+    given: Any = source
+    part = replace(given, cut=replace(given.cut, first=first, last=last))
+    if isinstance(part, VideoFile):
+        return info.description | part.cut.describe()
+    return dict(part.inspect().description)
 
 
 def _pair(text: str | tuple[int, int] | None, what: str, between: str, form: str) -> tuple[int, int] | None:

@@ -17,19 +17,9 @@ from kt3dmoseg.draw.painting import Painting, draw_frame, groups
 from kt3dmoseg.draw.palette import label_colour
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
-from kt3dmoseg.frames import frames_of
+from kt3dmoseg.frames import FrameInfo, FrameSource, frames_of, part_of
 from kt3dmoseg.io import load, save
-from kt3dmoseg.io.fields import clip_name
-from kt3dmoseg.io.images import (
-    davis_palette,
-    encode_indices,
-    frame_number,
-    frame_paths,
-    gray,
-    read_picture,
-    read_video,
-    write_moving,
-)
+from kt3dmoseg.io.images import davis_palette, encode_indices, gray, write_moving
 from kt3dmoseg.matching import match_labels
 from kt3dmoseg.tracking import find_cuts, track
 from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
@@ -80,33 +70,33 @@ def clip_shot(path: Path, frames: str | os.PathLike[str] | None) -> Iterator[tup
     yield Shot(clip.name, clip.n_frames, clip), None if frames is None else iter(frames_of(clip, frames))
 
 
-def tracked_shots(path: Path, flow: str, bar: _Progress) -> Iterator[tuple[Shot, _Pictures]]:
-    """Read a video or folder three times, frame by frame: for cuts, trajectories, and what is written."""
-    paths = frame_paths(path) if path.is_dir() else None
-    base = path.resolve().name if paths else clip_name(path)
+def tracked_shots(
+    source: FrameSource, info: FrameInfo, flow: str, bar: _Progress
+) -> Iterator[tuple[Shot, _Pictures]]:
+    """Read frames three times, one by one: for cuts, trajectories, and what is written."""
 
-    def read() -> _Pictures:
-        return map(read_picture, paths) if paths else read_video(path)
-
-    def shown(pictures: _Pictures, total: int | None, text: str) -> _Pictures:
-        for done, picture in enumerate(pictures, start=1):
+    def shown(frames: _Pictures, total: int, text: str) -> _Pictures:
+        for done, frame in enumerate(frames, start=1):
             bar(done, total, text)
-            yield gray(picture, base, "luma")
+            yield frame
 
-    starts, count = find_cuts(shown(read(), len(paths) if paths else None, "cuts"))
-    numbers = np.array([frame_number(p) for p in paths] if paths else range(count))
-    to_track, to_show = read(), read()
+    whole = source.name
+    numbers = np.array(source.numbers() if info.numbers is None else info.numbers)
+    starts, count = find_cuts(shown(source.frames("luma"), len(numbers), "cuts"))
+    to_track, to_show = source.frames("luma"), source.frames("stored")
     for k, (first, end) in enumerate(pairwise([*starts, count]), start=1):
-        shot = Shot(f"{base}_{k}" if len(starts) > 1 else base, end - first)
+        shot = Shot(f"{whole}_{k}" if len(starts) > 1 else whole, end - first)
         own = islice(to_track, shot.frames)
         try:
-            gray_frames = shown(own, shot.frames, f"{shot.name}: trajectories")
-            tracks = track(gray_frames, flow, min_length=min(_SHORTEST, shot.frames))
+            frames = shown(own, shot.frames, f"{shot.name}: trajectories")
+            tracks = track(frames, flow, min_length=min(_SHORTEST, shot.frames))
         except InvalidValueError as error:
             shot = replace(shot, reason=f"{error}")
         else:
-            labels = Labels(np.zeros(len(tracks), dtype=np.int64))
-            clip = Clip(shot.name, tracks, np.arange(len(tracks)), labels, numbers[first:end])
+            labels, times = Labels(np.zeros(len(tracks), dtype=np.int64)), info.timestamps
+            when = numbers[first:end], None if times is None else times[first:end]
+            origin = {"source": part_of(source, info, *when[0][[0, -1]].tolist())}
+            clip = Clip(shot.name, tracks, np.arange(len(tracks)), labels, *when, info.camera, origin)
             shot = replace(shot, clip=clip)
         yield shot, islice(to_show, shot.frames)
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
-from kt3dmoseg.app import Flag, Name, Positive, Whole, progress_bar
+from kt3dmoseg.app import Flag, Name, Positive, Range, Size, Whole, progress_bar
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 
 _SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
@@ -27,19 +27,23 @@ def video(
     method: Name = "multibody",
     flow: Name = "dis",
     seed: Whole = 0,
+    range_: Range = "",
+    step: Positive = 1,
+    size: Size = "",
     rate: float = 10.0,
     quiet: Flag = False,
     report: Annotated[Callable[[str], object] | None, Parameter(parse=False)] = None,
 ) -> list[Any]:  # of Shot, which the command line would have to import to list it
     """Find the motions in a video: trajectories, labels, masks and an overlay, each shot by itself.
 
-    INPUT is a video, a folder of frames, or a clip file. Per shot are written NAME.h5 (all trajectories, with
-    the motions found), PNG files in masks/NAME (DAVIS; 0 is the largest motion, the background) and NAME.mp4.
+    INPUT is a video, a folder of frames, a KITTI raw root with one drive, or a clip file. Per shot are
+    written NAME.h5 (all trajectories, with the motions found), PNG files in masks/NAME (DAVIS; 0 is the
+    largest motion, the background) and NAME.mp4.
 
     Parameters
     ----------
     input : path
-        Video, folder of numbered frames, or clip file.
+        Video, folder of numbered frames, KITTI raw root, or clip file.
     frames : path, optional
         Frames of a clip file; without them, no masks.
     output : path
@@ -52,12 +56,18 @@ def video(
         Flow that trajectories follow.
     seed : int
         Same seed, same labels.
+    range_ : str
+        Frame numbers, both included; a video's from 0.
+    step : int
+        Take every N-th frame.
+    size : str
+        Resize the frames.
     rate : float
         Pictures per second of the overlay.
     quiet : bool
         No progress bar.
     report : callable, optional
-        Takes the line on each shot; by default it is printed.
+        Takes the line on each shot, and notes on the frames; by default they are printed.
 
     Returns
     -------
@@ -72,15 +82,13 @@ def video(
         For an option that makes no sense, or when no shot can be segmented.
     """
     from kt3dmoseg.files import check_writable
+    from kt3dmoseg.frames import one_source
     from kt3dmoseg.io.formats import CLIP_SUFFIXES
     from mseg.methods import create
     from mseg.shots import clip_shot, segmented, tracked_shots, write_shot
 
     source, folder, say = Path(input), Path(output), report or (lambda line: print(line, flush=True))
     create(method)
-    if not source.exists():
-        expected = "a video, a folder of frames or a clip file"
-        raise InputFileError(f"{source}", expected=expected, found="no such path")
     if folder.is_dir() and any(folder.iterdir()):
         fix = "give another folder, or remove it"
         raise InputFileError(f"{folder}", expected="a new or empty folder", found="files", fix=fix)
@@ -88,11 +96,18 @@ def video(
         expected = f"a number from {_SLOWEST:g} to {_FASTEST:g}"
         raise InvalidValueError("rate", expected=expected, found=f"{rate}")
     check_writable(folder)
+    part, is_clip = (range_, step, size), source.is_file() and source.suffix.lower() in CLIP_SUFFIXES
+    if is_clip and part != ("", 1, ""):
+        raise InvalidValueError("range, step and size", expected="frames or a video", found=f"{source}")
+    taken = None if is_clip else one_source(source, frames=range_, step=step, size=size)
+    info = taken.inspect() if taken else None
+    for note in info.notes if info else ():
+        say(f"{source.stem}: {note}")
     options: dict[str, Any] = {"method": method, "n_motions": n_motions, "seed": seed}
     shots = []
     with progress_bar("frame", quiet=quiet) as bar:
-        is_clip = source.is_file() and source.suffix.lower() in CLIP_SUFFIXES
-        for tracked, pictures in clip_shot(source, frames) if is_clip else tracked_shots(source, flow, bar):
+        found = tracked_shots(taken, info, flow, bar) if taken and info else clip_shot(source, frames)
+        for tracked, pictures in found:
             shot = segmented(tracked, options, bar)
             note = write_shot(shot.clip, pictures, folder, rate, bar) if shot.clip else ""
             deque(pictures or (), maxlen=0)  # those of the next shot follow

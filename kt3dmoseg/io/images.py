@@ -21,7 +21,7 @@ from kt3dmoseg.files import atomic_path, listed, read_bytes, write_bytes
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
-Colour: TypeAlias = Literal["refuse", "luma"]
+Colour: TypeAlias = Literal["refuse", "luma", "stored"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 _VIDEO = {".mp4": "mp4v", ".avi": "MJPG"}
@@ -120,9 +120,9 @@ def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteArray:
     """Read one frame as 8-bit gray, (H, W) uint8.
 
-    `colour` decides about a picture whose channels differ: refuse it, or take its luma
-    0.299 R + 0.587 G + 0.114 B (ITU-R BT.601). InputFileError when the file cannot be read; FileFormatError
-    when it is damaged, 16-bit, or in colour that is refused.
+    `colour` decides about a picture whose channels differ: refuse it, take its luma
+    0.299 R + 0.587 G + 0.114 B (ITU-R BT.601), or keep it as it is stored, (H, W, 3). InputFileError when
+    the file cannot be read; FileFormatError when it is damaged, 16-bit, or in colour that is refused.
     """
     return gray(read_picture(path), os.fspath(path), colour)
 
@@ -132,8 +132,8 @@ def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refus
     first: tuple[str, tuple[int, ...]] | None = None
     for path in paths:
         frame = read_frame(path, colour)
-        name, shape = first = first or (Path(path).name, frame.shape)
-        if frame.shape != shape:
+        name, shape = first = first or (Path(path).name, frame.shape[:2])
+        if frame.shape[:2] != shape:
             expected, found = f"{shape[1]}x{shape[0]} px, as {name}", f"{frame.shape[1]}x{frame.shape[0]}"
             raise FileFormatError(f"{path}", expected=expected, found=found, fix="give frames of one size")
         yield frame
@@ -287,7 +287,7 @@ def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> By
     if colour == "refuse":
         fix = "convert it to gray, or ask for its luma, colour='luma'"
         raise FileFormatError(where, expected="a gray picture", found="colour", fix=fix)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
+    return picture if colour == "stored" else np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
 
 
 @contextmanager

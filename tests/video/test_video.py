@@ -8,6 +8,7 @@ import pytest
 import kt3dmoseg
 import mseg
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.frames import frames_of
 from kt3dmoseg.io.images import (
     davis_palette,
     decode_indices,
@@ -138,6 +139,19 @@ def test_no_cut_where_brightness_changes_or_nothing_is_seen(scene):
     flat = np.full((100, 200), 90, dtype=np.uint8)
     assert find_cuts([flat, flat + 1, flat])[0] == [0]
     assert find_cuts([flat, flat[:50], flat[:50]]) == ([0, 1], 3)
+
+
+def test_a_part_of_the_frames_at_another_size(scene, tmp_path):
+    frames, options = (
+        write(tmp_path / "drive", scene[1]),
+        {"method": "one_motion", "report": id, "quiet": True},
+    )
+    part = {"range_": "2-7", "step": 2, "size": "160x60"}
+    [shot] = mseg.video(frames, output=tmp_path / "out", **part, **options)
+    assert (shot.name, shot.clip.frame_numbers.tolist()) == ("drive_000002-000007", [2, 4, 6])
+    assert [frame.shape for frame in frames_of(shot.clip, frames)] == [(60, 160)] * 3
+    with pytest.raises(InvalidValueError, match="expected frames or a video"):
+        mseg.video(tmp_path / "out" / f"{shot.name}.h5", output=tmp_path / "b", step=2, **options)
 
 
 def test_a_clip_file_with_and_without_frames(scene, found, tmp_path):
