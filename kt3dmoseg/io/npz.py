@@ -57,7 +57,7 @@ def read_npy(stream: IO[bytes], size: int, where: str, rows: int | None = None) 
 
     Of 0 rows, or of a file in Fortran's order, there are shape and type, and zeros.
 
-    FileFormatError when it is damaged, holds Python objects, or declares a wrong size.
+    FileFormatError when it is damaged, declares a wrong size, or holds Python objects that would be read.
     """
     try:
         read_header = _HEADERS[np.lib.format.read_magic(stream)]
@@ -65,7 +65,7 @@ def read_npy(stream: IO[bytes], size: int, where: str, rows: int | None = None) 
     except Exception as error:  # a header is a Python literal: numpy raises anything on a damaged one
         found = f"damage: {str(error)[:200]}"
         raise FileFormatError(where, expected="an intact .npy of version 1 or 2", found=found) from None
-    if dtype.kind not in "biufcSU" or dtype.hasobject:
+    if rows != 0 and (dtype.kind not in "biufcSU" or dtype.hasobject):
         fix = "objects need pickle, which is never read"
         raise FileFormatError(where, expected="numbers or texts", found=f"{dtype!s:.80}", fix=fix)
     if min(shape, default=0) < 0 or (0 in shape and math.prod(n or 1 for n in shape) > _FREE):

@@ -49,7 +49,7 @@ def _layouts(xy, seen):
             "tracks_XYZ": space.swapaxes(0, 1),
             "visibility": flags,
             "fx_fy_cx_cy": np.array([_F, _F, _CX, _CY]),
-            "images_jpeg_bytes": np.array([b"a picture"] * FRAMES),
+            "images_jpeg_bytes": np.array([b"a picture"] * FRAMES, dtype=object),
         },
     }
 
