@@ -5,9 +5,12 @@ Listing names imports nothing. Third parties add to a table through an entry poi
 
 from __future__ import annotations
 
+import ast
+import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any
 
 from kt3dmoseg.errors import UnknownNameError
@@ -63,22 +66,24 @@ def unknown_name(kind: str, name: object, known: Iterable[str], *, where: str = 
 
 
 def lazy(
-    package: str,
-    names: Mapping[str, str],
-    modules: Mapping[str, str] = {},  # only read
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Make the ``__getattr__`` and the ``__dir__`` of a package whose names are imported on first use.
+    package: str, *own: str, former: Mapping[str, str] = MappingProxyType({})
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package whose names are imported on first use.
 
-    `names` maps them to the module of the package that has them, or the full name of another; `modules` maps
-    public names of the package's modules to these.
+    They are the names that its source imports as themselves for type checkers, ``if TYPE_CHECKING``, and its
+    `own`, which it defines. `former` are modules of the package by older names.
     """
+    lines = ast.parse(inspect.getsource(sys.modules[package])).body
+    typed = [line for line in lines if isinstance(line, ast.If) and ast.unparse(line.test) == "TYPE_CHECKING"]
+    imports = [line for block in typed for line in block.body if isinstance(line, ast.ImportFrom)]
+    names = {alias.name: line.module or "" for line in imports for alias in line.names if alias.asname}
 
     def getattr_(name: str) -> Any:  # noqa: ANN401  # the object may be anything
-        if name in modules:
-            return import_module(f"{package}.{modules[name]}")
+        if name in former or names.get(name) == package:
+            return import_module(f"{package}.{former.get(name, name)}")
         if name not in names:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = names[name]
-        return getattr(import_module(module if "." in module else f"{package}.{module}"), name)
+        return getattr(import_module(names[name]), name)
 
-    return getattr_, lambda: sorted(sys.modules[package].__all__)
+    public = [*own, *names]
+    return getattr_, lambda: sorted(public), public

@@ -18,19 +18,5 @@ if TYPE_CHECKING:
     from mseg.types import Hypotheses as Hypotheses
     from mseg.types import Segmentation as Segmentation
     from mseg.videos import video as video
-
-# Public names and where they live; imported on first use so that `--help` stays fast.
-_PUBLIC = {
-    "segment": "methods",
-    "score": "evaluation",
-    "video": "videos",
-    "MotionSegmenter": "estimator",
-    "Segmentation": "types",
-    "Hypotheses": "types",
-}
-_MODULES = ("methods", "benchmark", "errors", "types")
-
-__all__ = [*_PUBLIC, *_MODULES, "__version__"]  # noqa: PLE0604
-
-if not TYPE_CHECKING:  # a checker refuses names that do not exist
-    __getattr__, __dir__ = lazy(__name__, _PUBLIC, dict(zip(_MODULES, _MODULES, strict=True)))
+else:  # imported on first use, so that `--help` stays fast
+    __getattr__, __dir__, __all__ = lazy(__name__, "__version__")

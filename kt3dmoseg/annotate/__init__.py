@@ -10,43 +10,21 @@ if TYPE_CHECKING:
     from kt3dmoseg.annotate import agreement as agreement
     from kt3dmoseg.annotate import formats as formats
     from kt3dmoseg.annotate import model as model
-    from kt3dmoseg.annotate.labelling import LabelledTracks, LabelRule, label_tracks, label_tracks_detailed
-    from kt3dmoseg.annotate.model import (
-        AnnotatedObject,
-        Annotation,
-        KeyFrame,
-        Mark,
-        load_annotation,
-        save_annotation,
-        save_revision,
-    )
-    from kt3dmoseg.annotate.propagation import FlowMotion, ImageMotion, Region, TrackMotion, propagate
-
-_LABELLING = ("LabelRule", "LabelledTracks", "label_tracks", "label_tracks_detailed")
-_PROPAGATION = ("FlowMotion", "ImageMotion", "Region", "TrackMotion", "propagate")
-
-__all__ = [
-    "AnnotatedObject",
-    "Annotation",
-    "FlowMotion",
-    "ImageMotion",
-    "KeyFrame",
-    "LabelRule",
-    "LabelledTracks",
-    "Mark",
-    "Region",
-    "TrackMotion",
-    "label_tracks",
-    "label_tracks_detailed",
-    "load_annotation",
-    "propagate",
-    "save_annotation",
-    "save_revision",
-]
-
-_PUBLIC = dict.fromkeys(__all__, "model") | dict.fromkeys(_LABELLING, "labelling")
-_PUBLIC |= dict.fromkeys(_PROPAGATION, "propagation")
-_MODULES = {"agreement": "agreement", "formats": "formats", "model": "model"}
-
-if not TYPE_CHECKING:  # a checker refuses names that do not exist
-    __getattr__, __dir__ = lazy(__name__, _PUBLIC, _MODULES)
+    from kt3dmoseg.annotate.labelling import LabelledTracks as LabelledTracks
+    from kt3dmoseg.annotate.labelling import LabelRule as LabelRule
+    from kt3dmoseg.annotate.labelling import label_tracks as label_tracks
+    from kt3dmoseg.annotate.labelling import label_tracks_detailed as label_tracks_detailed
+    from kt3dmoseg.annotate.model import AnnotatedObject as AnnotatedObject
+    from kt3dmoseg.annotate.model import Annotation as Annotation
+    from kt3dmoseg.annotate.model import KeyFrame as KeyFrame
+    from kt3dmoseg.annotate.model import Mark as Mark
+    from kt3dmoseg.annotate.model import load_annotation as load_annotation
+    from kt3dmoseg.annotate.model import save_annotation as save_annotation
+    from kt3dmoseg.annotate.model import save_revision as save_revision
+    from kt3dmoseg.annotate.propagation import FlowMotion as FlowMotion
+    from kt3dmoseg.annotate.propagation import ImageMotion as ImageMotion
+    from kt3dmoseg.annotate.propagation import Region as Region
+    from kt3dmoseg.annotate.propagation import TrackMotion as TrackMotion
+    from kt3dmoseg.annotate.propagation import propagate as propagate
+else:
+    __getattr__, __dir__, __all__ = lazy(__name__)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from kt3dmoseg.choosing.ranking import select as select
     from kt3dmoseg.choosing.windows import Window as Window
     from kt3dmoseg.choosing.windows import measure_windows as measure_windows
+else:  # imported on first use: the help of commands reads only the options
+    __getattr__, __dir__, __all__ = lazy(__name__, "ChooseOptions")
 
 ALGORITHM_VERSION = 2
 """Raised when the same frames get other measures."""
@@ -32,11 +34,3 @@ class ChooseOptions:
     )
     flow: str = option("dis_medium", "optical flow, a name of kt3dmoseg.flow.list()", metavar="NAME")
     colour: Literal["refuse", "luma"] = option("luma", "colour frames: refuse them, or take their luma")
-
-
-_PUBLIC = dict.fromkeys(("choose", "select"), "ranking")
-_PUBLIC |= dict.fromkeys(("Window", "measure_windows"), "windows")
-
-__all__ = ["ChooseOptions", *_PUBLIC]  # noqa: PLE0604
-
-__getattr__, __dir__ = lazy(__name__, _PUBLIC)

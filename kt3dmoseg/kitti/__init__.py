@@ -15,19 +15,5 @@ if TYPE_CHECKING:
     from kt3dmoseg.kitti.releases import fetch_release as fetch_release
     from kt3dmoseg.kitti.tracklets import Tracklet as Tracklet
     from kt3dmoseg.kitti.tracklets import TrackletBox as TrackletBox
-
-# Imported on first use: `kt3dmoseg pull --help` reads the options without numpy and the network stack.
-_PUBLIC = {
-    "Calibration": "raw",
-    "Drive": "raw",
-    "RawDrive": "raw",
-    "Tracklet": "tracklets",
-    "TrackletBox": "tracklets",
-    "fetch_release": "releases",
-    "locate": "locating",
-    "pull": "pulling",
-}
-
-__all__ = [*_PUBLIC]  # noqa: PLE0604
-
-__getattr__, __dir__ = lazy(__name__, _PUBLIC)
+else:  # `kt3dmoseg pull --help` reads the options without numpy and the network stack
+    __getattr__, __dir__, __all__ = lazy(__name__)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from kt3dmoseg.pipeline.drives import SyntheticDrive as SyntheticDrive
     from kt3dmoseg.pipeline.drives import build_synthetic as build_synthetic
     from kt3dmoseg.pipeline.labels import label_by_masks as label_by_masks
+else:  # imported on first use: the help of commands reads only the options
+    __getattr__, __dir__, __all__ = lazy(__name__, "BuildOptions")
 
 ALGORITHM_VERSION = 1
 """Raised when the same tracks and annotations or masks get other labels, or other rows are evaluated."""
@@ -38,14 +40,3 @@ class BuildOptions:
         1, "moving objects with fewer trajectories are not evaluated (the 2018 release: 16)", low=1
     )
     colour: Literal["refuse", "luma"] = option("refuse", "colour frames: refuse them, or take their luma")
-
-
-# Imported on first use: `kt3dmoseg build --help` reads the options without loading OpenCV.
-_PUBLIC = dict.fromkeys(("FrameFolder", "FrameSource", "KittiClip", "VideoFile"), "kt3dmoseg.frames")
-_PUBLIC |= dict.fromkeys(("find_sources", "kitti_sources", "located_sources"), "kt3dmoseg.frames")
-_PUBLIC |= dict.fromkeys(("Outcome", "build_clip", "build_dataset"), "dataset")
-_PUBLIC |= dict.fromkeys(("SyntheticDrive", "build_synthetic"), "drives") | {"label_by_masks": "labels"}
-
-__all__ = ["BuildOptions", *_PUBLIC]  # noqa: PLE0604
-
-__getattr__, __dir__ = lazy(__name__, _PUBLIC)

@@ -11,6 +11,8 @@ from kt3dmoseg.registry import lazy
 if TYPE_CHECKING:
     from kt3dmoseg.publishing.versions import diff as diff
     from kt3dmoseg.publishing.versions import publish as publish
+else:  # imported on first use: the help of commands reads only the options
+    __getattr__, __dir__, __all__ = lazy(__name__, "PublishOptions")
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,3 @@ class PublishOptions:
         "intended uses",
         metavar="TEXT",
     )
-
-
-_PUBLIC = dict.fromkeys(("publish", "diff"), "versions")
-
-__all__ = ["PublishOptions", *_PUBLIC]  # noqa: PLE0604
-
-__getattr__, __dir__ = lazy(__name__, _PUBLIC)
