@@ -1,6 +1,6 @@
 # From the wheel: `python -m build --wheel`, then
 #   docker build -t kt3dmoseg .                        docker build -t kt3dmoseg-scorer --target scorer .
-#   docker run -p 8000:8000 -v $PWD/data:/data kt3dmoseg        the labelling page; it prints its address with a token
+#   docker run -p 8000:8000 -v $PWD/data:/data kt3dmoseg        the labelling page of data/*.h5 and data/frames/CLIP/; it prints its address
 # The scorer is the image of a Codabench competition: tools/make_codabench_bundle.py writes the bundle.
 FROM python:3.12-slim AS scorer
 COPY dist/*.whl /tmp/

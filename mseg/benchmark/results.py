@@ -13,14 +13,7 @@ from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation import Protocol
 from mseg.evaluation.protocol import count, share
-from mseg.evaluation.results import (
-    LISTED,
-    ResultsTable,
-    axis_table,
-    clip_table,
-    error_table,
-    published_name,
-)
+from mseg.evaluation.results import LISTED, ResultsTable, by_axis, clip_table, error_table, published_name
 from mseg.evaluation.scoring import ScoreTable
 
 
@@ -99,17 +92,17 @@ class BenchmarkResult:
         published = [published_name(self.protocol, c.method) for c in self.configurations]
         extra = {"CPU s": self._seconds(), "failed": failed}
         title = self._title("classification error in %")
-        return error_table(title, *self._errors(), published, extra=extra, notes=self._notes())
+        return error_table(title, self.tables, published, extra=extra, notes=self._notes())
 
     def per_clip(self) -> ResultsTable:
         """One row per clip: mean over seeds of every configuration, with the spread over seeds."""
-        _, motions, errors = self._errors()
-        total, last = share(len(motions), self.protocol.n_clips), [["CPU s", "", *self._seconds()]]
-        return clip_table(self._title("error in % per clip"), errors, motions, total=total, last=last)
+        errors = {made.title: values for made, values in zip(self.configurations, self.errors, strict=True)}
+        total, last = share(len(self.clips), self.protocol.n_clips), [["CPU s", "", *self._seconds()]]
+        return clip_table(self._title("error in % per clip"), errors, self.motions, total=total, last=last)
 
     def by_axis(self) -> ResultsTable | None:
         """One row per bin of what makes clips hard; None where the benchmark has no such axes."""
-        return axis_table(self._title("error in % by what makes clips hard"), *self._errors())
+        return by_axis(*self.tables, title=self._title("error in % by what makes clips hard"))
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as plain values, for JSON."""
@@ -131,10 +124,6 @@ class BenchmarkResult:
             "seconds": self.seconds.tolist(),
             **lists,
         }
-
-    def _errors(self) -> tuple[Protocol, Mapping[str, int], dict[str, FloatArray]]:
-        titles = [c.title for c in self.configurations]
-        return self.protocol, self.motions, dict(zip(titles, self.errors, strict=True))
 
     def _seconds(self) -> list[str]:
         return [f"{seconds.sum(axis=0).mean():.2f}" for seconds in self.seconds]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Trajectories
+from mseg.evaluation.protocol import bin_titles
 from mseg.geometry.hartley import normalise
 
 GAP = 5  # frames over which motion is measured, as in the synthetic benchmark
@@ -145,8 +145,7 @@ def _from_lines(clip: Clip, _: tuple[int, int]) -> FloatArray:
 
 
 def _bins(*bounds: float) -> tuple[tuple[float, ...], tuple[str, ...]]:
-    middle = (f"{low:g} to {high:g}" for low, high in pairwise(bounds))
-    return bounds, (f"under {bounds[0]:g}", *middle, f"{bounds[-1]:g} and over")
+    return bounds, bin_titles(bounds)
 
 
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")

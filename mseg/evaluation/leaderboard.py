@@ -77,20 +77,10 @@ class Board:
     ranked: list[tuple[int | None, Entry]]  # the same, and ranks; None without one
     notes: list[str]  # what the methods report
 
-    @property
-    def title(self) -> str:
-        """The benchmark."""
-        return self.rows.title
-
-    @property
-    def about(self) -> str:
-        """How much of the benchmark, and which data."""
-        return self.rows.about
-
     def as_dict(self) -> dict[str, Any]:
         """Give the board as JSON values."""
         ranked = [(rank, asdict(entry)) for rank, entry in self.ranked]
-        return {"title": self.title, "about": self.about, "ranked": ranked}
+        return {"title": self.rows.title, "about": self.rows.about, "ranked": ranked}
 
     def table(self) -> ResultsTable:
         """Lay the board out."""
@@ -100,7 +90,9 @@ class Board:
             facts = [str(e.seeds), str(e.failed or ""), e.scored, row.number]
             rows.append([str(rank or "-"), e.method, *errors, *facts, e.added[:10], e.submission_sha256[:8]])
         columns = ["rank", "method", "mean", "median", "seeds", "failed", "scored", "motions", "added"]
-        return ResultsTable(f"{self.title}: {self.about}", [*columns, "submission"], rows, self.notes)
+        return ResultsTable(
+            f"{self.rows.title}: {self.rows.about}", [*columns, "submission"], rows, self.notes
+        )
 
 
 class Leaderboard:

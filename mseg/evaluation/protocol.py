@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -46,8 +46,7 @@ class Axis:
         if not self.bounds:
             kinds = sorted(set(values.values()))  # all of them numbers, or all texts
             return {str(kind): [clip for clip, v in values.items() if v == kind] for kind in kinds}
-        between = [f"{low:g} to {high:g}" for low, high in pairwise(self.bounds)]
-        titles = [f"under {self.bounds[0]:g}", *between, f"{self.bounds[-1]:g} and over"]
+        titles = bin_titles(self.bounds)
         bins: dict[str, list[str]] = {title: [] for title in titles}
         for clip, value in values.items():
             bins[titles[bisect_right(self.bounds, float(value))]].append(clip)
@@ -130,6 +129,12 @@ class Protocol:
         """Describe how much of the benchmark is at hand: ``"14 of 22 clips"`` or ``"all 22 clips"``."""
         present = sum(self.holds(name) for name in clips)
         return f"{share(present, self.n_clips)} clips" if self.n_clips > 1 else count(present, "clip")
+
+
+def bin_titles(bounds: Sequence[float]) -> tuple[str, ...]:
+    """Name the bins between some bounds, and those below and above."""
+    between = (f"{low:g} to {high:g}" for low, high in pairwise(bounds))
+    return f"under {bounds[0]:g}", *between, f"{bounds[-1]:g} and over"
 
 
 def count(number: int, noun: str) -> str:

@@ -93,9 +93,7 @@ def published_name(protocol: Protocol, method: str) -> str:
 
 def error_table(
     title: str,
-    protocol: Protocol,
-    motions: Mapping[str, int],
-    errors: Mapping[str, FloatArray],
+    tables: Sequence[ScoreTable],
     published: Iterable[str],
     *,
     extra: Mapping[str, Sequence[str]] | None = None,
@@ -105,14 +103,15 @@ def error_table(
 
     `published` are rows of the published table to add, '' for none; `extra` more columns, a cell per method.
     """
+    protocol, motions = tables[0].benchmark, tables[0].motions
     groups = [(g, _positions(protocol.clips_of(g, motions), motions)) for g in protocol.groups]
     columns = ["method"]
     for group, clips in groups:
         columns += [f"{group.title} ({share(len(clips), group.n_clips)}): mean", "median"]
     more = dict(extra or {})
     rows = []
-    for i, (method, values) in enumerate(errors.items()):
-        cells = [method]
+    for i, (method, table) in enumerate(zip(unique_names(tables), tables, strict=True)):
+        cells, values = [method], table.matrix()
         for _, clips in groups:
             cells += [_mean(values[clips]), _median(values[clips])] if clips else [ABSENT, ABSENT]
         rows.append([*cells, *(column[i] for column in more.values())])
@@ -215,12 +214,10 @@ def headline(*tables: ScoreTable) -> ResultsTable:
     version, wanted = first.provenance.dataset_version, protocol.published_dataset_version
     if protocol.published and wanted and version != wanted:
         notes.append(f"Data version {version!r}; printed figures are for version {wanted!r}: not comparable.")
-    named = dict(zip(unique_names(tables), tables, strict=True))
-    for name, table in named.items():
+    for name, table in zip(unique_names(tables), tables, strict=True):
         of = f"{name}: " if len(tables) > 1 else ""
         notes += [of + note for note in (_spread_note(table), *method_notes(table), *failure_notes(table))]
-    title, rows = f"{protocol.title}: {_ERROR}", {name: table.matrix() for name, table in named.items()}
-    return error_table(title, protocol, first.motions, rows, protocol.published, notes=notes)
+    return error_table(f"{protocol.title}: {_ERROR}", tables, protocol.published, notes=notes)
 
 
 def _spread_note(scores: ScoreTable) -> str:
@@ -255,10 +252,10 @@ def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:
     return [f"Counted as fully wrong: {who}{c.clip} (seed {c.seed}): {c.reason}." for c in scores.failures]
 
 
-def by_axis(*tables: ScoreTable) -> ResultsTable | None:
+def by_axis(*tables: ScoreTable, title: str = f"By what makes clips hard: {_ERROR}") -> ResultsTable | None:
     """Break the classification error down by the axes of the benchmark; None where it has none."""
     errors = {name: table.matrix() for name, table in zip(unique_names(tables), tables, strict=True)}
-    return axis_table(f"By what makes clips hard: {_ERROR}", tables[0].benchmark, tables[0].motions, errors)
+    return axis_table(title, tables[0].benchmark, tables[0].motions, errors)
 
 
 def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> ResultsTable:

@@ -51,6 +51,7 @@ from mseg.types import Segmentation
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
     from matplotlib.axes import Axes
     from pydantic import BaseModel
 
@@ -135,6 +136,16 @@ class ScoreTable:
         import pandas as pd
 
         return pd.DataFrame([vars(c) | dict(c.values) for c in self.clips]).drop(columns=["values", "table"])
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give what `to_dataframe` gives as variables over `clip` and `seed`, with the extra ``xarray``.
+
+        Raises
+        ------
+        ImportError
+            Without xarray.
+        """
+        return self.to_dataframe().set_index(["clip", "seed"]).to_xarray()
 
     def __getitem__(self, metric: str) -> float:
         """Mean of a metric over clips and seeds; UnknownNameError when there is no such metric."""

@@ -387,7 +387,6 @@ def read_submission(path: str | os.PathLike[str], *, most: int = MAX_ROWS) -> Su
     digest = hashlib.sha256()
     for name, place in places.items():
         if place is None and name != META:
-            _report_stray(name, out)
             continue
         try:
             content = content_of(prefix + name)
@@ -401,6 +400,7 @@ def read_submission(path: str | os.PathLike[str], *, most: int = MAX_ROWS) -> Su
             out.meta, problems = parse_meta(content)
             out.problems += problems
     out.sha256 = digest.hexdigest()
+    _report_strays([name for name, place in places.items() if place is None and name != META], out)
     _check_layout([place[1] is not None for place in places.values() if place], out)
     return out
 
@@ -456,18 +456,29 @@ def _root(names: list[str], out: Submission) -> str:
     return ""
 
 
-def _report_stray(name: str, out: Submission) -> None:
-    """Report a file that is none of a submission's; readmes and licences are passed over."""
-    folder, _, file = name.rpartition("/")
-    if folder and not re.fullmatch(r"seed-\d{1,18}", folder):
+def _report_strays(names: Iterable[str], out: Submission) -> None:
+    """Report files that are none of a submission's, once per folder and ending; readmes are passed over."""
+    folders: dict[str, list[str]] = {}
+    files: dict[str, list[str]] = {}
+    for name in names:
+        folder, _, file = name.rpartition("/")
+        if folder and not re.fullmatch(r"seed-\d{1,18}", folder):
+            folders.setdefault(folder.partition("/")[0], []).append(name)
+        elif not _PASSED_OVER.fullmatch(file):
+            files.setdefault(PurePosixPath(file).suffix or "no ending", []).append(name)
+    for top, those in folders.items():
         expected = "files at the top, or in folders seed-0, seed-1, ..."
         fix = "name the folders seed-<number>, or move the files to the top"
-        out.bad("unknown-folder", name, expected, f"the folder {folder}", fix)
-    elif not _PASSED_OVER.fullmatch(file):
+        found = f"the folder {those[0].rpartition('/')[0]}" + _amount(those, f" in {top}/")
+        out.bad("unknown-folder", those[0], expected, found, fix)
+    for ending, those in files.items():
         fix = "remove it, or convert label files with 'mseg example-submission'"
-        found = PurePosixPath(file).suffix or "no ending"
         expected = f"{META} and files ending in {', '.join(SUFFIXES)} or {FAILED}"
-        out.bad("unknown-file", name, expected, found, fix)
+        out.bad("unknown-file", those[0], expected, ending + _amount(those), fix)
+
+
+def _amount(names: list[str], where: str = "") -> str:
+    return f", {len(names)} files{where}" if len(names) > 1 else ""
 
 
 def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission, most: int) -> None:

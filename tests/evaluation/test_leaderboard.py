@@ -81,7 +81,7 @@ def test_different_data_are_ranked_apart(board, tmp_path):
     labels = {"Seq005_Clip01": clip.labels.label}
     folder = write_submission(tmp_path / "p", part.values(), labels, SubmissionMeta("p"))
     board.add(score_submission(folder, part))
-    assert "1 of 22 clips, a part" in board.boards("kt3dmoseg")[0].about
+    assert "1 of 22 clips, a part" in board.boards("kt3dmoseg")[0].rows.about
     assert len(board.boards()) == 3
 
 

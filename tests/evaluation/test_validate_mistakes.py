@@ -183,6 +183,11 @@ MISTAKES = [
         lambda f: (f / "labels").mkdir() or shutil.copy(f / f"{ONE}.csv", f / "labels"),
         "seed-<number>",
     ),
+    (
+        "unknown-file",
+        lambda f: [(f / f"{n}.png").write_bytes(b"x") for n in range(3)],
+        "found .png, 3 files; remove it",
+    ),
     ("unknown-file", lambda f: (f / "result.mat").write_bytes(b"x"), "mseg example-submission"),
     ("extra-clip", other_name(f"{ONE}_Tracks.csv"), f"did you mean {ONE}?"),
     ("no-meta", lambda f: (f / "meta.toml").unlink(), "docs/submit.md"),

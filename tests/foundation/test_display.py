@@ -156,6 +156,7 @@ def test_trajectories_are_an_xarray_dataset_over_track_and_frame():
     assert data.x.sel(track=13, frame=2) == 22
     assert data.y.isnull().sum() == 1
     assert (data.x.units, data.image_size) == ("pixels", (40, 30))
+    assert SCORES.to_xarray().error.sel(clip=SCORES.names[0], seed=0) == SCORES.error
 
 
 def test_without_xarray_one_line_names_the_extra(monkeypatch):
