@@ -36,10 +36,7 @@ class TorchNetwork:
 def network(adapter: TorchNetwork) -> tuple[Any, Any]:
     """Return torch and an adapter's network, ready for inference.
 
-    Raises
-    ------
-    MissingDependencyError
-        When a package, the weights or the device are not there, or do not fit each other.
+    MissingDependencyError when a package, the weights or the device are not there, or do not fit each other.
     """
     try:
         torch: Any = import_module("torch")

@@ -25,17 +25,7 @@ _SHORTEST = 5
 def propose(request: Request) -> Labels:
     """Find the motions of a sample of the trajectories, which the others join; the largest is the background.
 
-    Returns
-    -------
-    Labels
-        One per trajectory of the request.
-
-    Raises
-    ------
-    TooFewPointsError
-        When fewer than 50 trajectories live for 5 frames.
-    SegmentationError
-        When the method cannot segment the clip.
+    TooFewPointsError when fewer than 50 trajectories live for 5 frames.
     """
     tracks = request.trajectories
     rows = np.flatnonzero(tracks.lengths >= _SHORTEST)

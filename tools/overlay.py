@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from kt3dmoseg.annotate.geometry import bounds
 from kt3dmoseg.annotate.model import AnnotatedObject
 from kt3dmoseg.annotate.propagation import Region
-from kt3dmoseg.draw.palette import css, motion_colour
+from kt3dmoseg.draw.palette import REJECTED, css, label_colour
 from kt3dmoseg.types import ByteArray
 
 Box = tuple[float, float, float, float]
@@ -73,7 +73,8 @@ def contact_sheets(tiles: Sequence[ByteArray]) -> list[ByteArray]:
 
 
 def _outline(axes: Axes, item: AnnotatedObject, region: Region) -> None:
-    colour = css(motion_colour(item.motion))
+    rejected = isinstance(item.motion, str)  # else motion m has label m + 1
+    colour = css(REJECTED if rejected else label_colour(item.motion + 1, background=1))
     width, dot = (2.2, "o") if region.key else (1.1, "")
     for polygon in region.polygons:
         closed = np.vstack([polygon, polygon[:1]])

@@ -47,16 +47,9 @@ _KEYS = (*_REQUIRED, "size", "numbers", "frames", "proof", "source")
 
 @dataclass(frozen=True, order=True)
 class Drive:
-    """One recording of KITTI raw.
+    """One recording of KITTI raw: its day, ``"2011_09_26"``, and its number then (5, ``"5"`` or ``"0005"``).
 
-    Parameters
-    ----------
-    date : str
-        Day of the recording, ``"2011_09_26"``.
-    number : int or str
-        Number of the drive on that day: 5, ``"5"`` and ``"0005"`` are the same.
-
-    InvalidValueError is raised when either is not of that form.
+    InvalidValueError when either is not of that form.
     """
 
     date: str

@@ -32,23 +32,10 @@ WRONG: Colour = (227, 23, 10)  # the ring of an error, within a wider white one
 
 
 def label_colour(label: int, background: int | None = None) -> Colour:
-    """Colour of a label.
-
-    Parameters
-    ----------
-    label : int
-        0 (unlabelled) is dark gray; colours repeat after twelve labels.
-    background : int, optional
-        The label of the static scene, which is light gray.
-    """
+    """Colour of a label: dark gray for 0, unlabelled, light gray for the background; they repeat after 12."""
     if label <= 0:
         return UNLABELLED
     return BACKGROUND if label == background else PALETTE[(label - 1) % len(PALETTE)]
-
-
-def motion_colour(motion: int | str) -> Colour:
-    """Colour of an annotated object's motion: m has label m + 1, 0 is static, "reject" is ambiguous."""
-    return REJECTED if isinstance(motion, str) else label_colour(motion + 1, background=1)
 
 
 def css(colour: Colour) -> str:

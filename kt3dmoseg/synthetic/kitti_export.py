@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.catalog import Drive
+from kt3dmoseg.errors import InputFileError
 from kt3dmoseg.files import check_writable, write_bytes, write_text
 from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Scene
 from kt3dmoseg.types import FloatArray
@@ -98,13 +99,8 @@ def write_drive(
     InvalidValueError
         When `date` or `drive` is malformed.
     """
-    if not 0 <= drive <= 9999:
-        raise InvalidValueError("drive", expected="a number in 0..9999", found=str(drive))
-    try:
-        start = datetime.strptime(f"{date} 09", "%Y_%m_%d %H")
-    except ValueError:
-        raise InvalidValueError("date", expected="YYYY_MM_DD", found=repr(date)) from None
-    target = Path(root) / date / f"{date}_drive_{drive:04d}_sync"
+    target = Path(root) / Drive(date, drive).folder
+    start = datetime.strptime(f"{date} 09", "%Y_%m_%d %H")
     if target.exists() and not replace:
         raise InputFileError(f"{target}: exists already", fix="remove it, or write another drive number")
     check_writable(target.parent)

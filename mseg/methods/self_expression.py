@@ -20,7 +20,6 @@ from mseg.clustering.kmeans import kmeans
 from mseg.clustering.spectral import count_by_eigengap, spectral_clustering, spectral_embedding, unit_rows
 from mseg.completion import shrink
 from mseg.errors import SegmentationError
-from mseg.geometry.subspaces import project
 from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 from mseg.types import Grouping
@@ -76,19 +75,12 @@ class SSC(SparseMethod):
     for the spectral step; O(N^2) memory.
     """
 
-    affine: bool = option(True, "affine combinations: coefficients of a column sum to one")
-    dimension: int = option(0, "project to this many dimensions first; 0 = no projection", low=0)
     tolerance: float = option(2e-4, "largest residual of the constraints at convergence", low=0)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
         """Label the columns of the trajectory matrix."""
-        x = project(data.normalised, self.dimension) if self.dimension else data.normalised
         solved = sparse_representation(
-            x,
-            alpha=self.alpha,
-            affine=self.affine,
-            tolerance=self.tolerance,
-            max_iterations=self.max_iterations,
+            data.normalised, alpha=self.alpha, tolerance=self.tolerance, max_iterations=self.max_iterations
         )
         return self.read_out(solved, n_motions, rng)
 
@@ -222,7 +214,6 @@ def sparse_representation(
     data: FloatArray,
     *,
     alpha: float = 800.0,
-    affine: bool = True,
     weights: FloatArray | float = 1.0,
     start: FloatArray | None = None,
     tolerance: float = 2e-4,
@@ -230,14 +221,13 @@ def sparse_representation(
 ) -> Representation:
     """Minimise ``sum_ij w_ij |C_ij| + mu/2 |X - X C|_F^2``, diag C = 0, of data X (D, N) by ADMM.
 
-    If affine, columns of C sum to one. ``mu = alpha / min_j max_{i != j} |x_i . x_j|``; alpha is also the
+    Columns of C sum to one. ``mu = alpha / min_j max_{i != j} |x_i . x_j|``; alpha is also the
     penalty of the splitting. A point orthogonal to all others is a `SegmentationError`.
     """
     # Elhamifar and Vidal, TPAMI 2013, equation 13 and algorithm 2.
     n = data.shape[1]
     fit = alpha / _smallest_coherence(data)
-    ones = np.full((1, n), np.sqrt(alpha) if affine else 0.0)
-    system = _ShiftedInverse(np.vstack([np.sqrt(fit) * data, ones]))
+    system = _ShiftedInverse(np.vstack([np.sqrt(fit) * data, np.full((1, n), np.sqrt(alpha))]))
     target = fit * (data.T @ data)
     threshold = np.asarray(weights) / alpha
     c = np.zeros((n, n)) if start is None else start.copy()
@@ -246,17 +236,14 @@ def sparse_representation(
 
     def step() -> float:
         nonlocal c, u, v
-        right = target + alpha * (c - u)
-        if affine:
-            right += alpha * (1 - v)
-        z = system.solve(right, alpha)
+        z = system.solve(target + alpha * (c - u) + alpha * (1 - v), alpha)
         # The published code clears the diagonal here as well as in C; its results depend on it.
         np.fill_diagonal(z, 0)
         c = shrink(z + u, threshold)
         np.fill_diagonal(c, 0)
         gap = z - c
         u += gap
-        excess = z.sum(axis=0) - 1 if affine else np.zeros(n)
+        excess = z.sum(axis=0) - 1
         v += excess
         return max(float(np.abs(gap).max()), float(np.abs(excess).max()))
 

@@ -78,7 +78,6 @@ class TPV:
     rho: float = option(0.7, "share of a column's l1 norm that is kept", low=0, high=1)
     tolerance: float = option(2e-3, "largest residual of the constraint and step at convergence", low=0)
     max_iterations: int = option(400, "cap on ADMM iterations", low=1)
-    merge: bool = option(True, "cluster into more groups than motions too, and merge (step 4)")
     noise: float = option(0.005, "least distance that counts, with points sqrt 2 from their centre", low=1e-9)
     cut: float = option(6.0, "weight of the normalised cut against nats per trajectory and pair", low=0)
     restarts: int = option(20, "restarts of k-means", low=1)
@@ -109,10 +108,8 @@ class TPV:
     ) -> tuple[IntArray, Convergence]:
         """Labels 1..count by steps 3 to 5."""
         most = len(affinity) // _POINTS_PER_PIECE
-        sizes = [p for p in _PIECES if count < p <= most] if self.merge else []
+        sizes = [p for p in _PIECES if count < p <= most]
         pieces = [spectral_clustering(affinity, p, rng, n_restarts=self.restarts) for p in (count, *sizes)]
-        if not self.merge:
-            return pieces[0], Convergence(True, 0, 0.0)
         bodies, planes = (
             _ViewGroups(views, affinity, self.noise, self.cut, kind) for kind in ("fundamental", "homography")
         )
@@ -148,11 +145,7 @@ def _epipolar_views(trajectories: Trajectories, most: int, gap: float) -> FloatA
 
 
 def _collaborative_representation(
-    views: FloatArray,
-    alpha: float = 8000.0,
-    penalty: float = 50.0,
-    tolerance: float = 2e-3,
-    max_iterations: int = 200,
+    views: FloatArray, alpha: float, penalty: float, tolerance: float, max_iterations: int
 ) -> Representation:
     """Solve step 2 by ADMM; coefficients are the sum of magnitudes over the views.
 

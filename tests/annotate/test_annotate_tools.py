@@ -25,7 +25,7 @@ from kt3dmoseg import cli, io
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, load_annotation, save_revision
 from kt3dmoseg.annotate.agreement import agree, compare, overlaps
 from kt3dmoseg.annotate.propagation import Region
-from kt3dmoseg.draw.palette import motion_colour
+from kt3dmoseg.draw.palette import label_colour
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Labels
 
@@ -119,7 +119,7 @@ def test_render_tool(clip, capsys, motion):
     names = sorted(p.name for p in (clip / "out").iterdir())
     assert names == [f"one_f00{k}.png" for k in range(6)] + ["one_object01_0.png"]
     last = cv2.imread(str(clip / "out" / "one_f005.png"))
-    orange = (np.abs(last.astype(int) - motion_colour(1)[::-1]) < 40).all(axis=2)
+    orange = (np.abs(last.astype(int) - label_colour(2)[::-1]) < 40).all(axis=2)
     columns = np.flatnonzero(orange[100:150].any(axis=0))
     # 36 pixels of ruler, 1.25 screen pixels per pixel: the box is at 80 to 160 in the last frame.
     assert columns.min() == pytest.approx(36 + 80 * 1.25, abs=6)

@@ -14,8 +14,7 @@ from mseg.geometry.subspaces import best_flat_distances, flat_distances, traject
 from mseg.kernels import draw_near_subsets
 from mseg.methods.alc import _coding_lengths, _compress, _elect, _Groups, _sparsity_preserving_dimension
 from mseg.methods.complete_data import by_size, complete_data
-from mseg.methods.rpa import _factors
-from mseg.methods.tlinkage import _code_length, _count_large, _linkage, _reassign
+from mseg.methods.preferences import _code_length, _count_large, _factors, _linkage, _reassign
 from mseg.methods.tpv import (
     _collaborative_representation,
     _epipolar_views,
@@ -149,7 +148,7 @@ def test_collaboration_leaves_unseen_points_out(rng):
     for view in views:
         view[:, 7] = 0
     solved = _collaborative_representation(
-        np.array([v / np.maximum(np.linalg.norm(v, axis=0), 1e-9) for v in views])
+        np.array([v / np.maximum(np.linalg.norm(v, axis=0), 1e-9) for v in views]), 8000.0, 50.0, 2e-3, 200
     )
     assert not solved.coefficients[7].any()
     assert not solved.coefficients[:, 7].any()
@@ -229,12 +228,9 @@ def test_code_length_of_the_definition(rng):
     assert _code_length(points, np.ones(12, dtype=int), 1) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    ("method", "options"), [("tlinkage", {"choose_epsilon": False}), ("tpv", {"merge": False})]
-)
-def test_the_plain_variant_separates_easy_motions(make_scene, method, options):
+def test_a_given_epsilon_separates_easy_motions(make_scene):
     clip = make_scene(np.random.default_rng(1), (26, 26), n_frames=10, noise=0.02)
-    result = methods.segment(clip, method, n_motions=2, **options)
+    result = methods.segment(clip, "tlinkage", n_motions=2, choose_epsilon=False)
     assert agree(result.labels, clip.labels.label)
 
 

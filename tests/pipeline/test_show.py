@@ -14,7 +14,7 @@ from build_scenes import FRAMES, HEIGHT, WIDTH, write_clip
 from kt3dmoseg.cli import main
 from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.draw.painting import by_label, by_length, by_prediction, draw_frame
-from kt3dmoseg.draw.palette import PALETTE, UNLABELLED, css, css_palette, label_colour, motion_colour
+from kt3dmoseg.draw.palette import PALETTE, UNLABELLED, css, css_palette, label_colour
 from kt3dmoseg.io import save
 from kt3dmoseg.io.images import write_moving
 from kt3dmoseg.types import Clip, Labels, Trajectories
@@ -151,9 +151,8 @@ def test_the_background_is_gray_where_the_labels_are_the_clips_own(clip):
 
 def test_pictures_reports_and_the_page_share_one_palette():
     page = css_palette()
-    assert page["labels"][1] == css(label_colour(2)) == css(motion_colour(1))
-    assert page["background"] == css(label_colour(1, background=1)) == css(motion_colour(0))
-    assert page["rejected"] == css(motion_colour("reject"))
+    assert page["labels"][1] == css(label_colour(2))
+    assert page["background"] == css(label_colour(1, background=1))
 
 
 def test_a_folder_of_pictures(file, tmp_path, capsys):
