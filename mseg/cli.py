@@ -513,7 +513,3 @@ def benchmark(
 
         for path in write(result, publish):
             print(f"wrote {path}", file=sys.stderr)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -77,10 +77,6 @@ class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # sci
         self.labels_: IntArray = groups - bool((self.segmentation_.labels == 0).any())
         return self
 
-    def fit_predict(self, X: Clip | Trajectories | npt.ArrayLike, y: object = None) -> IntArray:
-        """Segment `X` as `fit` does; returns `labels_`, (N,) int64."""
-        return self.fit(X, y).labels_
-
     def _points(self, given: Any) -> Any:  # noqa: ANN401  # `segment` checks it
         if isinstance(given, (Clip, Trajectories)) or np.ndim(given) == 3:
             return given

@@ -36,7 +36,7 @@ def main() -> int:
         return 0
     with tempfile.TemporaryDirectory() as folder:
         demo = Path(folder) / "demo"
-        _run("-m", "kt3dmoseg.cli", "demo", "-o", str(demo), *_DEMO)
+        _run("-m", "kt3dmoseg", "demo", "-o", str(demo), *_DEMO)
         over = [name for name in MOST if _report(name, demo, verbose=arguments.verbose) > MOST[name]]
     return 1 if over else 0
 

@@ -39,7 +39,7 @@ def measure(source: Path, length: int, flow: str, folder: Path) -> tuple[str, ..
     paths = ["--frames", str(clip), "-o", str(folder / "out"), "--annotations", "none", "--workers", "1"]
     # The frames repeat, so their flow fields do: with a cache the run takes minutes, not an hour.
     command = [*paths, "--flow", flow, "--cache", str(folder / "cache")]
-    process = subprocess.Popen([sys.executable, "-m", "kt3dmoseg.cli", "build", *command])
+    process = subprocess.Popen([sys.executable, "-m", "kt3dmoseg", "build", *command])
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise SystemExit("the build failed")

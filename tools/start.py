@@ -42,7 +42,7 @@ def main(arguments: list[str]) -> int:
         )
         return 2
     if job == "demo":
-        return subprocess.call([str(python), "-m", "kt3dmoseg.cli", "demo", *rest], cwd=ROOT)
+        return subprocess.call([str(python), "-m", "kt3dmoseg", "demo", *rest], cwd=ROOT)
     return _test(python, rest)
 
 

@@ -20,7 +20,7 @@ class Server:
     """`kt3dmoseg label` as a process of its own."""
 
     def __init__(self, clips, notes, port=0, *extra):
-        command = [sys.executable, "-m", "kt3dmoseg.cli", "label", str(clips / "frames"), "--no-browser"]
+        command = [sys.executable, "-m", "kt3dmoseg", "label", str(clips / "frames"), "--no-browser"]
         command += [
             "--tracks",
             str(clips / "tracks"),

@@ -35,7 +35,7 @@ def test_commands_outside_the_blocks_exist():
     text = re.sub(r"```.*?```", "", PAGE.read_text(), flags=re.DOTALL)
     for command in ("score", "report", "example-submission"):
         done = subprocess.run(
-            [sys.executable, "-m", "mseg.cli", command, "--help"], capture_output=True, text=True, check=True
+            [sys.executable, "-m", "mseg", command, "--help"], capture_output=True, text=True, check=True
         )
         for flag in {
             "score": ["--force", "--markdown", "--latex", "--csv"],

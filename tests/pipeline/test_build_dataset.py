@@ -147,7 +147,7 @@ def test_a_changed_comment_rebuilds_nothing(frames, tmp_path):
     command = ["build", "--frames", str(frames), "-o", str(tmp_path / "out"), *FLOW, "--workers", "1"]
     for line in ("3 built, 0 up to date", "0 built, 3 up to date"):
         done = subprocess.run(
-            [sys.executable, "-m", "kt3dmoseg.cli", *command],
+            [sys.executable, "-m", "kt3dmoseg", *command],
             cwd=packages.parent,  # first in the path of modules
             capture_output=True,
             text=True,
@@ -406,7 +406,7 @@ def _start(frames, output):
     command = ["build", "--frames", str(frames), "-o", str(output), "--workers", "2"]
     # Its own session, so that signals reach it and its workers as from a terminal.
     return subprocess.Popen(
-        [sys.executable, "-m", "kt3dmoseg.cli", *command],
+        [sys.executable, "-m", "kt3dmoseg", *command],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
