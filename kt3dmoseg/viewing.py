@@ -82,7 +82,6 @@ def show(
     from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.frames import frames_of
     from kt3dmoseg.io import load
-    from kt3dmoseg.io.fields import check_name
     from kt3dmoseg.io.images import MOVING_SUFFIXES, write_moving, write_png
     from kt3dmoseg.options import from_mapping
 
@@ -91,7 +90,6 @@ def show(
         expected = f"a number above 0, from {_SLOWEST:g} to {_FASTEST:g}"
         raise InvalidValueError("rate", expected=expected, found=f"{rate}")
     loaded = load(clip)
-    check_name(loaded.name, f"{clip}: name")
     target = Path(output or loaded.name)
     suffix = "" if target.is_dir() else target.suffix.lower()
     if suffix not in ("", ".png", *MOVING_SUFFIXES):

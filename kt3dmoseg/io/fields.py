@@ -219,6 +219,7 @@ def clip_values(clip: Clip) -> dict[str, Any]:
             values[name].encode()
         except UnicodeEncodeError:  # half of a pair of UTF-16, as Python reads a byte of a file's name
             raise InvalidValueError(name, expected="text in UTF-8", found=ascii(values[name])[:80]) from None
+    check_name(clip.name, "name")
     return {name: value for name, value in values.items() if value is not None}
 
 
@@ -229,6 +230,7 @@ def clip_from(fields: Fields) -> Clip:
         kinds = FIELDS[name].kinds
         got[name] = fields.array(name, () if kinds == TEXT or name == "background" else None, kinds)
         got[name].flags.writeable = False  # a clip takes it as it is, without a copy
+    check_name(str(got["name"]), "name")
     names = fields.json("label_names")
     odd = next((key for key in names if not _NUMBER.fullmatch(key)), None)
     if odd is not None:

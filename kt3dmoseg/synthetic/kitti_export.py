@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -64,8 +63,6 @@ def write_drive(
     *,
     date: str = "2011_09_26",
     drive: int = 1,
-    replace: bool = False,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render a scene into a drive of KITTI raw: camera 0, timestamps, poses, calibration and tracklets.
 
@@ -82,10 +79,6 @@ def write_drive(
         ``YYYY_MM_DD``.
     drive : int
         0 to 9999.
-    replace : bool
-        Whether a drive of that name may be replaced.
-    progress : callable, optional
-        Called after each frame with frames written and frames in all.
 
     Returns
     -------
@@ -95,34 +88,28 @@ def write_drive(
     Raises
     ------
     InputFileError
-        When the drive exists and may not be replaced, or nothing can be written.
+        When the drive exists, or nothing can be written.
     InvalidValueError
         When `date` or `drive` is malformed.
     """
     target = Path(root) / Drive(date, drive).folder
     start = datetime.strptime(f"{date} 09", "%Y_%m_%d %H")
-    if target.exists() and not replace:
+    if target.exists():
         raise InputFileError(f"{target}: exists already", fix="remove it, or write another drive number")
     check_writable(target.parent)
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".part", dir=target.parent) as work:
-        _write_files(scene, Path(work, "new"), start, progress)
+        _write_files(scene, Path(work, "new"), start)
         _write_calibration(scene, target.parent, start)
-        if target.exists():
-            os.replace(target, Path(work, "old"))
         os.replace(Path(work, "new"), target)
     return target
 
 
-def _write_files(
-    scene: Scene, folder: Path, start: datetime, progress: Callable[[int, int], None] | None
-) -> None:
+def _write_files(scene: Scene, folder: Path, start: datetime) -> None:
     for frame in range(scene.n_frames):
         png = bytes(cv2.imencode(".png", scene.frame(frame))[1])
         write_bytes(folder / "image_00" / "data" / f"{frame:010d}.png", png)
         write_text(folder / "oxts" / "data" / f"{frame:010d}.txt", _oxts_line(scene, frame))
-        if progress:
-            progress(frame + 1, scene.n_frames)
     times = [start + timedelta(seconds=frame / FRAMES_PER_SECOND) for frame in range(scene.n_frames)]
     for sensor in ("image_00", "oxts"):
         lines = [f"{time:%Y-%m-%d %H:%M:%S.%f}000\n" for time in times]

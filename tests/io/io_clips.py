@@ -12,6 +12,10 @@ _COORDINATE = st.floats(-1e6, 1e6, allow_nan=False)
 _NAME = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 
 
+def _of_a_file(name: str) -> bool:
+    return name.isprintable() and name not in ("", ".", "..") and not set(name) & set("/\\")
+
+
 def small_clip(name: str = "tiny") -> Clip:
     rng = np.random.default_rng(0)
     visible = rng.random((6, 5)) > 0.3
@@ -37,7 +41,7 @@ def clips(draw: st.DrawFn) -> Clip:
     size = st.tuples(st.integers(1, 9999), st.integers(1, 9999))
     matrix = hnp.arrays(np.float64, (3, 3), elements=_COORDINATE)
     return Clip(
-        name=draw(_NAME),
+        name=draw(_NAME.filter(_of_a_file)),
         dense=Trajectories(
             np.where(visible[..., None], xy, np.nan),
             visible,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import pickle
 import time
+from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -139,3 +141,14 @@ def test_a_folder_of_one_clip_loads_and_one_of_two_does_not(tmp_path):
 def test_the_public_names_lead_here():
     assert kt3dmoseg.load is load
     assert kt3dmoseg.save is save
+
+
+def test_a_name_that_leads_elsewhere_is_neither_written_nor_read(tmp_path):
+    clip = small_clip()
+    with pytest.raises(InvalidValueError, match=r"name: expected a clip's name.*\.\./up"):
+        save(replace(clip, name="../up"), tmp_path / "a.h5")
+    save(clip, tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as stream:
+        stream.attrs["name"] = b"../up"
+    with pytest.raises(FileFormatError, match=r"a\.h5: name: expected a clip's name"):
+        load(tmp_path / "a.h5")

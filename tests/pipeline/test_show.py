@@ -270,22 +270,13 @@ def test_what_cannot_be_shown(arguments, words, file, tmp_path, monkeypatch, cap
     assert printed.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("size", "name", "words"),
-    [
-        ((1_000_000, 1_000_000), "clip", "at most 134217728 pixels, found 1000000x1000000"),
-        ((40, 30), "../elsewhere", "name: expected a clip's name"),
-    ],
-)
-def test_provenance_of_a_hostile_clip_is_not_trusted(size, name, words, clip, tmp_path, monkeypatch, capsys):
-    dense = Trajectories(clip.dense.xy, clip.dense.visible, image_size=size)
-    save(dataclasses.replace(clip, name=name, dense=dense), tmp_path / "work" / "a.h5")
-    monkeypatch.chdir(tmp_path / "work")
-    assert main(["show", "a.h5"]) == 2
+def test_the_size_of_a_hostile_clip_is_not_trusted(clip, tmp_path, capsys):
+    dense = Trajectories(clip.dense.xy, clip.dense.visible, image_size=(1_000_000, 1_000_000))
+    save(dataclasses.replace(clip, dense=dense), tmp_path / "a.h5")
+    assert main(["show", str(tmp_path / "a.h5"), "-o", str(tmp_path / "out")]) == 2
     printed = capsys.readouterr().err
-    assert words in printed
+    assert "at most 134217728 pixels, found 1000000x1000000" in printed
     assert printed.count("\n") == 1
-    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_far_points_of_a_clip_without_an_image_size_fit_the_picture():
