@@ -127,10 +127,8 @@ def test_every_iteration_with_a_cap_reports_how_it_ended(make_scene, name):
     assert bool(ends) == (name not in WITHOUT_CAP)
 
 
-def test_ssc_options(make_scene):
+def test_lrssc_as_a_cascade(make_scene):
     clip = make_scene(np.random.default_rng(11), (20, 20))
-    for parameters in ({"dimension": 8}, {"affine": False}):
-        assert len(methods.segment(clip, "ssc", n_motions=2, **parameters).labels) == 40
     cascade = methods.segment(clip, "lrssc", n_motions=2, variant="cascade")
     assert agree(cascade.labels, clip.labels.label)
     assert cascade.report["low_rank_converged"]
