@@ -156,10 +156,7 @@ def json_schema() -> dict[str, Any]:
 def publish(result: BenchmarkResult, folder: str | os.PathLike[str]) -> list[Path]:
     """Write one file per configuration of a `mseg.benchmark.run` into a folder; returns their paths.
 
-    Raises
-    ------
-    InvalidValueError
-        When a file there has seeds or clips that this run lacks, or a run was lost with its worker.
+    InvalidValueError when a file there has seeds or clips that this run lacks, or a run's worker died.
     """
     made = {}
     for m in range(len(result.configurations)):
@@ -236,12 +233,8 @@ def read_result(path: str | os.PathLike[str]) -> PublishedResult:
 def read_results(folder: str | os.PathLike[str]) -> dict[tuple[str, str], list[PublishedResult]]:
     """Read a folder of results, by benchmark and dataset version; methods as Table 1 of Xu et al. has them.
 
-    Raises
-    ------
-    InputFileError
-        When there is none.
-    FileFormatError
-        When a file is wrong, lies under another name, or two of one dataset are of other data.
+    InputFileError when there is none; FileFormatError when a file is wrong, lies under another name, or two
+    of one dataset are of other data.
     """
     found: dict[tuple[str, str], list[PublishedResult]] = {}
     for path in sorted(Path(folder).glob("*/*/*.json")):

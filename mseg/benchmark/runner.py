@@ -290,28 +290,11 @@ def _check_success(where: str, reasons: Sequence[str], n_runs: int) -> None:
 def find_clips(
     protocol: Protocol, data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = ()
 ) -> tuple[dict[str, Path], list[str]]:
-    """Find the clips of a benchmark.
+    """Find the clips of a benchmark: paths by sorted name, and names of clips there that are not its.
 
-    Parameters
-    ----------
-    protocol : Protocol
-        The benchmark.
-    data : path or sequence of paths
-        Folders of clips; of clips of one name the first counts. By default the folder that the
-        protocol names (and for MTPV62 that of Hopkins155) in ``$KT3DMOSEG_DATA``, or else in
-        ``../shared/data``.
-
-    Returns
-    -------
-    clips : dict of str to Path
-        The clips that belong to the benchmark, sorted by name.
-    others : list of str
-        Names of clips that lie there and do not belong to it.
-
-    Raises
-    ------
-    InputFileError
-        When a folder is missing or none of its clips belongs to the benchmark.
+    `data` are folders of clips; of clips of one name the first counts. By default it is the folder that the
+    protocol names (and for MTPV62 that of Hopkins155) in ``$KT3DMOSEG_DATA``, or else in ``../shared/data``.
+    InputFileError when a folder is missing or none of its clips belongs to the benchmark.
     """
     given = [data] if isinstance(data, (str, os.PathLike)) else data
     folders = [Path(folder) for folder in given] or _default_folders(protocol)

@@ -43,26 +43,10 @@ def write_site(
     data: Sequence[str | os.PathLike[str]] = (),
     frames: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Write ``index.html``, which needs nothing else, of a folder of published results.
+    """Write ``index.html``, which needs nothing else, of published results into a folder; returns its path.
 
-    Parameters
-    ----------
-    results : path
-        As `mseg.benchmark.publishing.read_results` takes it.
-    output : path
-        Folder to write.
-    data, frames : paths, optional
-        Folders of clips and of their pictures: clips that have both are shown with their true motions.
-
-    Returns
-    -------
-    path
-        The page.
-
-    Raises
-    ------
-    InputFileError, FileFormatError
-        When there are no results, or a file is wrong.
+    Clips in the folders `data` with pictures in `frames` are shown with their true motions. Errors as those
+    of `mseg.benchmark.publishing.read_results`.
     """
     history, pictures = _history(Path(results)), _pictures(data, frames)
     boards = []
@@ -171,20 +155,10 @@ def submit(
     *,
     benchmark: str = "",
 ) -> list[Path]:
-    """Score a submission and write its scores and predictions into a folder of results.
+    """Score a submission and write ``BENCHMARK/VERSION/METHOD.json`` and ``METHOD.zip``; returns their paths.
 
-    Returns
-    -------
-    list of Path
-        ``BENCHMARK/VERSION/METHOD.json`` and ``METHOD.zip``.
-
-    Raises
-    ------
-    RejectedSubmissionError
-        When it is invalid.
-    InvalidValueError
-        When its clips are of no benchmark, or a row of that file name is another's: it has no predictions, or
-        another title.
+    RejectedSubmissionError when it is invalid; InvalidValueError when its clips are of no benchmark, or the
+    row of that file name is another's: it has no predictions, or another title.
     """
     source = Path(submission)
     result = _scored(score_submission(source, data, benchmark=benchmark))
@@ -226,21 +200,10 @@ def _scored(scores: ScoreTable) -> PublishedResult:
 def check_submissions(
     results: str | os.PathLike[str], data: Sequence[str | os.PathLike[str]] = ()
 ) -> tuple[int, list[str]]:
-    """Score every submission in a folder of results again.
+    """Score every submission in a folder of results, those with a zip of predictions, again.
 
-    Parameters
-    ----------
-    results : path
-        Folder of published results; submissions are those with a zip of predictions.
-    data : sequence of paths
-        Folders of clips, by default those of the benchmarks, see `mseg.benchmark.find_clips`.
-
-    Returns
-    -------
-    n : int
-        Number of submissions.
-    differences : list of str
-        File and field of every figure that is not what the predictions give, and every file that is rejected.
+    Returns their number, and file and field of every figure that is not what the predictions give, and every
+    file that is rejected. `data` are folders of clips, see `mseg.benchmark.find_clips`.
     """
     packed = sorted(Path(results).glob("*/*/*.zip"))
     wrong: list[str] = []

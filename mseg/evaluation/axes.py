@@ -71,12 +71,8 @@ def from_epipolar_lines(tracks: Trajectories, static: BoolArray, gap: int = GAP)
     A rigid scene leaves each point a line in the other frame: x2 lies on F x1. How far a trajectory that is
     not of the static scene (n,) leaves it is all that two views reveal of its motion; near 0 it moves along
     the line. Where a homography explains the static scene (the camera rests or only turns, or the scene is
-    a plane) no line can be measured, and the distance is that from where the homography takes the point.
-
-    Returns
-    -------
-    (N,) float64
-        NaN where fewer than 12 static trajectories are visible together with it in two such frames.
+    a plane) no line can be measured, and the distance is that from where the homography takes the point. NaN
+    where fewer than 12 static trajectories are visible together with it in two such frames. (N,) float64.
     """
     gap = min(gap, tracks.n_frames - 1)
     found = np.full((len(tracks), max(0, tracks.n_frames - gap)), np.nan)

@@ -73,14 +73,8 @@ class Comparison:
 def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: str = "error") -> Comparison:
     """Compare two or more submissions that were scored on the same data, by a metric.
 
-    A mapping names the methods; otherwise each table does.
-
-    Raises
-    ------
-    InvalidValueError
-        With fewer than two, or when they were not scored on the same clips and labels.
-    UnknownNameError
-        When there is no such metric.
+    A mapping names the methods; otherwise each table does. InvalidValueError with fewer than two, or when
+    they were not scored on the same clips and labels; UnknownNameError when there is no such metric.
     """
     if isinstance(tables, Mapping):
         tables = [replace(each, meta=replace(each.meta, method=name)) for name, each in tables.items()]

@@ -68,25 +68,10 @@ def example_submission(
 ) -> Written:
     """Write a valid submission whose labels cut each clip in a left and a right part, or come from files.
 
-    Parameters
-    ----------
-    data : path or None
-        The clips; None makes two small ones up, in ``<output>-data``.
-    output : path
-        Folder to write.
-    seeds : int
-        With more than one, each seed cuts elsewhere and has its own folder.
-    format : {"csv", "npz", "h5"}
-        File format of the predictions.
-    method, benchmark : str
-        For ``meta.toml``.
-    source, zero
-        Label files, and what their label 0 is; see `mseg.evaluation.read_label_files`.
-
-    Raises
-    ------
-    InvalidValueError
-        For fewer than one seed, label files without data, or when `output` exists.
+    Without `data` two small clips are made up, in ``<output>-data``. With more than one, each seed cuts
+    elsewhere and has its own folder. `method` and `benchmark` are for ``meta.toml``; `source` are label files
+    and `zero` is what their label 0 is, see `mseg.evaluation.read_label_files`. InvalidValueError for fewer
+    than one seed, label files without data, or when `output` exists.
     """
     if seeds < 1:
         raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
@@ -166,32 +151,20 @@ def read_label_files(
     names: Sequence[str] = (),
     zero: Zero = "",
 ) -> dict[str, IntArray]:
-    """Read the predictions that somebody has for the given clips.
+    """Read the predictions that somebody has for the given clips, (n,) int64 for every clip that is found.
 
-    Parameters
-    ----------
-    source : path
-        A MAT-file with the cell array `ClusterIdx`, or a folder of one label file per clip.
-    clips : mapping of str to Clip
-        The clips.
-    names : sequence of str
-        Names of all sequences of the benchmark, in the order of the cells; used when there are
-        as many cells. By default, and otherwise, the clips sorted by name.
-    zero : {"", "first", "outlier"}
-        What label 0 is: the first cluster, so that 1 is added to all labels, or an outlier. By default the
-        first cluster when the labels of every clip are 0, 1, ... up to less than its number of motions, with
-        a warning; otherwise label 0 is refused. In a Brox file it is the first cluster, and -1 an outlier.
+    `source` is a MAT-file with the cell array `ClusterIdx`, or a folder of one label file per clip. `names`
+    are those of all sequences of the benchmark, in the order of the cells, where there are as many; otherwise
+    the cells are those of the clips sorted by name. Vectors over all trajectories of a clip are reduced to
+    the evaluated ones.
 
-    Returns
-    -------
-    dict of str to (n,) int64
-        Labels of the evaluated trajectories, for every clip that was found. Vectors over all
-        trajectories of a clip are reduced to the evaluated ones.
+    `zero` states what label 0 is: the first cluster, so that 1 is added to all labels, or an outlier. By
+    default it is the first cluster when the labels of every clip are 0, 1, ... up to less than its number of
+    motions, with a warning; otherwise label 0 is refused. In a Brox file it is the first cluster,
+    -1 an outlier.
 
-    Raises
-    ------
-    InputFileError, FileFormatError, InvalidValueError
-        When nothing is found, a file is none of these formats, or a vector fits no clip.
+    InputFileError, FileFormatError or InvalidValueError when nothing is found, a file is none of these
+    formats, or a vector fits no clip.
     """
     labels, note = labels_and_note(source, clips, names=names, zero=zero)
     if note:

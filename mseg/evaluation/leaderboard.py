@@ -96,21 +96,10 @@ class Board:
 
 
 class Leaderboard:
-    """The file; safe to use from several processes at once.
+    """The SQLite file at `path`; safe to use from several processes at once. `create` makes a missing one.
 
-    Parameters
-    ----------
-    path : path
-        The SQLite file.
-    create : bool
-        Make it when it is missing.
-
-    Raises
-    ------
-    InputFileError
-        When it is missing and not to be created, or cannot be opened.
-    FileFormatError
-        When it is no leaderboard, of a newer version, or damaged.
+    InputFileError when it is missing and not to be created, or cannot be opened; FileFormatError when it is
+    no leaderboard, of a newer version, or damaged.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, create: bool = True) -> None:

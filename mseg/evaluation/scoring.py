@@ -120,12 +120,7 @@ class ScoreTable:
     def plot(self, metric: str = "error", *, ax: Axes | None = None) -> Axes:
         """Plot a metric of every clip with matplotlib (the extra ``plot``): mean, least and most over seeds.
 
-        Raises
-        ------
-        UnknownNameError
-            When there is no such metric.
-        MissingDependencyError
-            Without matplotlib.
+        UnknownNameError when there is no such metric; MissingDependencyError without matplotlib.
         """
         from mseg.evaluation.results import plot_metric
 
@@ -138,13 +133,7 @@ class ScoreTable:
         return pd.DataFrame([vars(c) | dict(c.values) for c in self.clips]).drop(columns=["values", "table"])
 
     def to_xarray(self) -> xarray.Dataset:
-        """Give what `to_dataframe` gives as variables over `clip` and `seed`, with the extra ``xarray``.
-
-        Raises
-        ------
-        ImportError
-            Without xarray.
-        """
+        """Give what `to_dataframe` gives as variables over `clip` and `seed`; ImportError without xarray."""
         return self.to_dataframe().set_index(["clip", "seed"]).to_xarray()
 
     def __getitem__(self, metric: str) -> float:

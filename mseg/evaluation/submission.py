@@ -164,25 +164,11 @@ def write_prediction(
     seed: int | None = None,
     format: FileFormat = "csv",
 ) -> Path:
-    """Write the labels of one clip into a submission.
+    """Write the labels of one clip into a submission, a folder; returns the path.
 
-    Parameters
-    ----------
-    folder : path
-        The submission.
-    clip : Clip
-        The clip; the ids of its evaluated trajectories go into the file.
-    labels : (n,) int
-        One label per evaluated trajectory: 1, 2, ...; 0 = outlier.
-    seed : int or None
-        Write into ``seed-<seed>/``; None for a submission of a single run.
-    format : {"csv", "npz", "h5"}
-        File format.
-
-    Raises
-    ------
-    InvalidValueError
-        When the labels do not fit the clip, or its name cannot be a file name.
+    Labels (n,), one per evaluated trajectory, are 1, 2, ...; 0 = outlier. A `seed` writes into
+    ``seed-<seed>/``; None is for a submission of a single run. InvalidValueError when the labels do not fit
+    the clip, or its name cannot be a file name.
     """
     label = clip_labels(bare_labels(labels, clip), clip, f"labels of {clip.name}")
     if format not in get_args(FileFormat):
@@ -368,12 +354,7 @@ class Submission:
 def read_submission(path: str | os.PathLike[str], *, most: int = MAX_ROWS) -> Submission:
     """Read a submission from a folder or a zip, in memory; what is wrong with it is listed, not raised.
 
-    A file of predictions has `most` rows at most.
-
-    Raises
-    ------
-    InputFileError
-        When there is nothing at `path`.
+    A file of predictions has `most` rows at most. InputFileError when there is nothing at `path`.
     """
     root, out = Path(path), Submission(SubmissionMeta("unnamed"))
     if not root.exists():
