@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -308,8 +309,10 @@ def read_video(
 
     FileFormatError when OpenCV decodes none.
     """
+    number = first if first and _can_seek(path, first) else 0
     with _opened_video(path) as video:
-        number = 0
+        if number:
+            video.set(cv2.CAP_PROP_POS_FRAMES, number)
         while (stop is None or number < stop) and video.grab():
             if number >= first and (number - first) % step == 0:
                 intact, picture = video.retrieve()
@@ -321,16 +324,31 @@ def read_video(
         raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
 
 
+def _can_seek(path: str | os.PathLike[str], number: int) -> bool:
+    """Whether OpenCV goes to a picture by its number: it counts by time, and misses at a variable rate."""
+    times = video_facts(path)[0]
+    with _opened_video(path) as video:
+        found = video.set(cv2.CAP_PROP_POS_FRAMES, number) and video.grab()
+        there = np.flatnonzero(times == video.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+    return found and there.tolist() == [number]
+
+
 def video_facts(path: str | os.PathLike[str]) -> tuple[FloatArray, int]:
     """Return the time of every picture of a video in seconds, and by how many degrees pictures are turned.
 
-    The video is decoded: the number in its header is often wrong. `read_video` turns the pictures.
+    The video is decoded, once: the number in its header is often wrong. `read_video` turns the pictures.
     """
+    file = Path(path).stat()
+    return _video_facts(os.fspath(path), file.st_size, file.st_mtime_ns)
+
+
+@lru_cache(maxsize=8)
+def _video_facts(path: str, *_: int) -> tuple[FloatArray, int]:  # size and time: it may change
     with _opened_video(path) as video:
         times = [video.get(cv2.CAP_PROP_POS_MSEC) / 1000 for _ in iter(video.grab, False)]
         turned = int(video.get(cv2.CAP_PROP_ORIENTATION_META))
     if not times:
-        raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
+        raise FileFormatError(path, expected="a video that OpenCV decodes", found="none")
     return np.array(times), turned % 360
 
 

@@ -99,6 +99,14 @@ def test_a_turned_video_is_turned_upright_and_that_is_said(video, tmp_path, caps
     assert load(tmp_path / "a.h5").dense.image_size == (HEIGHT, WIDTH)
 
 
+def test_a_part_has_the_same_pictures_where_opencv_cannot_go_to_it(video, monkeypatch):
+    whole, known = list(images.read_video(video)), images.video_facts(video)[0]
+    for times in (known, 0 * known):
+        monkeypatch.setattr(images, "video_facts", lambda path, times=times: (times, 0))
+        part = list(images.read_video(video, 5, 2, 11))
+        np.testing.assert_array_equal(part, whole[5:11:2])
+
+
 def test_a_variable_rate_is_said_and_times_are_kept(video, tmp_path, monkeypatch, capsys):
     times = np.cumsum([0.0, *[0.03, 0.07] * 5, 0.03])
     monkeypatch.setattr(images, "video_facts", lambda path: (times, 0))
