@@ -266,18 +266,10 @@ class FrameSource(Protocol):
 def find_sources(path: PathLike) -> list[FrameSource]:
     """List the clips at a path, sorted by name.
 
-    Parameters
-    ----------
-    path : path
-        A folder of frames, a video, a KITTI raw root (the clips of its ``located.toml``, else one per
-        drive), or a folder of any of the first two.
-
-    Raises
-    ------
-    InputFileError
-        When there is nothing of the kind, pictures lie next to folders of frames, or a link leads nowhere.
-    FileFormatError
-        When ``located.toml`` is no catalog.
+    It is a folder of frames, a video, a KITTI raw root (the clips of its ``located.toml``, else one per
+    drive), or a folder of any of the first two. InputFileError when there is nothing of the kind, pictures
+    lie next to folders of frames, or a link leads nowhere; FileFormatError when ``located.toml`` is no
+    catalog.
     """
     root = Path(path)
     if root.is_file():
@@ -397,27 +389,9 @@ def kitti_sources(
     frames: str | tuple[int, int] | None = None,
     name: str = "",
 ) -> list[FrameSource]:
-    """List the drives under a KITTI raw root, as clips.
+    """List the drives under a KITTI raw root as clips: of one day or number, if given, of `camera` 0 to 3.
 
-    Parameters
-    ----------
-    root : path
-        The folder that holds ``2011_09_26/2011_09_26_drive_0005_sync``.
-    date, drive : optional
-        Only that day, only that number.
-    camera : int
-        0 and 1 gray, 2 and 3 colour.
-    frames : (first, last) or "first-last", optional
-        Frame numbers, both included; by default all that are on disk.
-    name : str
-        Name of the clip; only for a single drive.
-
-    Raises
-    ------
-    InputFileError
-        When no drive fits.
-    InvalidValueError
-        When a range or a name is given for several drives.
+    `frames` and `name` are as in `take`. InputFileError when no drive fits.
     """
     from kt3dmoseg.kitti import Drive, RawDrive
 
@@ -442,25 +416,11 @@ def take(
     size: str | tuple[int, int] | None = None,
     name: str = "",
 ) -> list[FrameSource]:
-    """Take a part of each source: a range, every `step`-th frame, at another size.
+    """Take a part of each source: a range, every `step`-th frame, at another size, under another name.
 
-    Parameters
-    ----------
-    sources : sequence of FrameSource
-        What `find_sources` or `kitti_sources` lists.
-    frames : (first, last) or "first-last", optional
-        Frame numbers, both included; a video's count from 0. Only for a single source.
-    step : int
-        1 takes every frame.
-    size : (width, height) or "WIDTHxHEIGHT", optional
-        The frames are resized to it.
-    name : str
-        Name of the clip, only for a single source; by default the source's and the range.
-
-    Raises
-    ------
-    InvalidValueError
-        When a range or size is malformed, or a range or name is given for several sources.
+    `frames` is (first, last) or "first-last", frame numbers, both included, a video's from 0; `size` (width,
+    height) or "WIDTHxHEIGHT". By default the name is the source's with the range. InvalidValueError when a
+    range or size is malformed, or a range or name is given for several sources.
     """
     first, last = _pair(frames, "range", "-", "FIRST-LAST, as 45-64") or (None, None)
     wanted = _pair(size, "size", "x", "WIDTHxHEIGHT, as 640x192")

@@ -86,24 +86,10 @@ def _worth(value: float, what: str) -> float:
 
 
 def measure_windows(source: FrameSource, options: ChooseOptions | None = None) -> list[Window]:
-    """Measure every window of a part of a recording, which is held in memory.
+    """Measure every window of a part of a recording, as long as the longest window or longer, held in memory.
 
-    Parameters
-    ----------
-    source : FrameSource
-        The part; as long as the longest window, or longer.
-    options : ChooseOptions, optional
-        Which windows, and how they are tracked.
-
-    Returns
-    -------
-    list of Window
-        By their first frame, then their length; their recording is the source's name.
-
-    Raises
-    ------
-    KT3DMoSegError
-        When the frames cannot be read or tracked.
+    They come by their first frame, then their length; their recording is the source's name. KT3DMoSegError
+    when the frames cannot be read or tracked.
     """
     settings = options or ChooseOptions()
     frames = list(source.frames(settings.colour))

@@ -171,25 +171,12 @@ def clip_files(folder: Path) -> list[Path]:
 
 
 def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
-    """Names and files of the clips of a folder, without reading them.
+    """Names and files of the clips of a folder, sorted by name, without reading them.
 
-    Parameters
-    ----------
-    folder : path
-        Holds one file per clip, or folders that do, as archives of benchmarks unpack: up to three levels
-        below (``kt3dmoseg/release``, ``Hopkins155/<sequence>``, ``MTPV62/<clip>_Tracks``).
-
-    Returns
-    -------
-    dict of str to Path
-        Sorted by name.
-
-    Raises
-    ------
-    InputFileError
-        When the folder is missing or holds no clip, or holds some itself and others in folders.
-    FileFormatError
-        When two files give the same clip.
+    It holds one file per clip, or folders that do, as archives of benchmarks unpack: up to three levels below
+    (``kt3dmoseg/release``, ``Hopkins155/<sequence>``, ``MTPV62/<clip>_Tracks``). InputFileError when the
+    folder is missing or holds no clip, or holds some itself and others in folders; FileFormatError when two
+    files give the same clip.
     """
     root = Path(folder)
     if not root.is_dir():
@@ -236,28 +223,10 @@ def load_dataset(folder: str | os.PathLike[str]) -> dict[str, Clip]:
 def convert(source: str | os.PathLike[str], target: str | os.PathLike[str], *, layout: str = "") -> list[str]:
     """Convert a clip or a flow field; the suffix of `target` names the format.
 
-    The file is read back and compared with what went in.
-
-    Parameters
-    ----------
-    source : path
-        A clip, or a flow field when `target` is ``.flo``, ``.png`` or ``.npy``.
-    target : path
-        The file to write.
-    layout : str, optional
-        Of a ``.npz``: as which tracker, one of `kt3dmoseg.io.point_tracks.WRITTEN`.
-
-    Returns
-    -------
-    list of str
-        What did not survive, in words; empty when everything did.
-
-    Raises
-    ------
-    InputFileError, FileFormatError
-        When the source cannot be read or the target cannot be written.
-    InvalidValueError
-        When the target's suffix is of no format, or has no such layout, or source and target are the same.
+    `layout` is that of a ``.npz``, of a tracker: one of `kt3dmoseg.io.point_tracks.WRITTEN`. The file is read
+    back and compared with what went in: what did not survive is returned, in words. InputFileError or
+    FileFormatError when the source cannot be read or the target cannot be written; InvalidValueError when the
+    target's suffix is of no format, or has no such layout, or source and target are the same.
     """
     if Path(target).exists() and Path(target).resolve() == Path(source).resolve():
         raise InvalidValueError(os.fspath(target), expected="another file than the source", found="the same")

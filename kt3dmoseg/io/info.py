@@ -26,22 +26,8 @@ _LINE = 110
 def info(path: str | os.PathLike[str]) -> str:
     """Describe a clip, a folder of clips, a folder of frames (or of such folders), a video, or a flow field.
 
-    Of a single folder of frames every picture is read, of several only the first of each.
-
-    Parameters
-    ----------
-    path : path
-        File or folder.
-
-    Returns
-    -------
-    str
-        Lines of text, without a final newline.
-
-    Raises
-    ------
-    InputFileError, FileFormatError
-        When there is nothing that can be described.
+    Of a single folder of frames every picture is read, of several only the first of each. InputFileError or
+    FileFormatError when there is nothing that can be described.
     """
     facts, name = describe(path), Path(path).name
     size = _size(facts.get("image_size"))

@@ -55,31 +55,10 @@ def locate(
 ) -> dict[str, Entry]:
     """Find the frame numbers of clips in their drives and write them to ``ROOT/located.toml``.
 
-    Parameters
-    ----------
-    root : path
-        The folder that `pull` fills; what was found is kept in it.
-    clips : iterable of str
-        Names of clips; by default all of `catalogs`, without these of the built-in catalog.
-    catalogs : iterable of path
-        Users' catalogs in addition to the built-in one.
-    traffic : Traffic, optional
-        Counts requests and bytes.
-    report : callable
-        Takes one line per clip.
-    **options
-        Fields of `LocateOptions`.
-
-    Returns
-    -------
-    dict of str to Entry
-        The clips with their numbers.
-
-    Raises
-    ------
-    NotLocatedError, AbsentError
-        When a clip or its drive is not there, or the clip is ambiguous; after all clips have been tried,
-        with what was found already written.
+    `root` is the folder that `pull` fills, `clips`, `catalogs` and `traffic` are as there, `options` fields
+    of `LocateOptions`; `report` takes one line per clip. The clips are returned with their numbers, by name.
+    NotLocatedError or AbsentError when a clip or its drive is not there, or the clip is ambiguous: after all
+    clips have been tried, with what was found already written.
     """
     chosen = from_mapping(LocateOptions, options)
     wanted = catalog.choose(clips, *catalogs)

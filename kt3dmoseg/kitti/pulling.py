@@ -86,30 +86,11 @@ def pull(
     fetched again. Interrupted at any moment, it continues when called again. Two calls on one folder take
     turns.
 
-    Parameters
-    ----------
-    root : path
-        Target folder; becomes, or already is, a KITTI raw root.
-    clips : iterable of str
-        Names of clips; by default all of `catalogs`, without these of the built-in catalog.
-    catalogs : iterable of path
-        Users' catalogs in addition to the built-in one.
-    traffic : Traffic, optional
-        Counts requests and bytes.
-    report : callable
-        Takes the lines of the plan and of the report.
-    **options
-        Fields of `PullOptions`.
-
-    Returns
-    -------
-    PullReport
-        Everything wanted is on disk and verified.
-
-    Raises
-    ------
-    KT3DMoSegError
-        When something wanted could not be fetched; what was fetched is kept.
+    `root` becomes, or already is, a KITTI raw root. `clips` are names, by default all of the users'
+    `catalogs`, without these of the built-in one; `options` are fields of `PullOptions`. `traffic` counts
+    requests and bytes, `report` takes the lines of the plan and of the report. With the report returned
+    everything wanted is on disk; KT3DMoSegError when something could not be fetched: what was fetched is
+    kept.
     """
     chosen = from_mapping(PullOptions, options)
     names = list(clips)

@@ -82,14 +82,9 @@ def fingerprint_folder(folder: Path) -> tuple[tuple[Fingerprint, ...], tuple[int
 
 
 class Calibration:
-    """Calibration of one camera of one day; each file is read on first use.
+    """Calibration of one camera, 0 to 3, of one day; each of the three files is read on first use.
 
-    Parameters
-    ----------
-    folder : path
-        The day's folder with its three ``calib_*.txt`` files.
-    camera : int
-        0 to 3.
+    `folder` is the day's, with ``calib_*.txt``.
     """
 
     def __init__(self, folder: str | os.PathLike[str], camera: int) -> None:
@@ -158,28 +153,12 @@ class RawDrive(Calibration):
     """One camera of a synchronised, rectified KITTI raw drive; everything is read on first use.
 
     It has the properties of its `Calibration`, as ``K``, ``T_cam_velo``, ``T_cam_imu`` and ``image_size``.
+    `root` is the KITTI raw root, which holds ``2011_09_26/2011_09_26_drive_0005_sync``; `date` the day,
+    ``"2011_09_26"``; `drive` the number, 5 or ``"0005"``; `camera` 0 gray left, 1 gray right, 2 colour left,
+    3 colour right. A drive may be on disk in part. Numbers are those of KITTI's file names.
 
-    Parameters
-    ----------
-    root : path
-        The KITTI raw root: the folder that holds ``2011_09_26/2011_09_26_drive_0005_sync``.
-    date : str
-        Day of the recording, ``"2011_09_26"``.
-    drive : int or str
-        Number of the drive, 5 or ``"0005"``.
-    camera : int
-        0 gray left, 1 gray right, 2 colour left, 3 colour right.
-
-    Raises
-    ------
-    InvalidValueError
-        When date, drive or camera is not of KITTI's form.
-    InputFileError, FileFormatError
-        When the drive's folder is missing; from every reader, when its file is missing or not as promised.
-
-    Notes
-    -----
-    A drive may be on disk in part. Numbers are those of KITTI's file names, whatever else is there.
+    InvalidValueError when date, drive or camera is not of KITTI's form; InputFileError when the drive's
+    folder is missing; this or FileFormatError from every reader, when its file is missing or not as promised.
     """
 
     def __init__(
@@ -268,19 +247,9 @@ class RawDrive(Calibration):
         return read_tracklets(path)
 
     def tracklet_boxes(self, number: int, tracklets: Iterable[Tracklet] | None = None) -> list[TrackletBox]:
-        """Project the tracklets of one frame to boxes in the camera's image.
+        """Project the tracklets of one frame to boxes in the camera's image: those in view, nearest first.
 
-        Parameters
-        ----------
-        number : int
-            Frame number.
-        tracklets : iterable of Tracklet, optional
-            What `tracklets` returned, to read the file once for many frames.
-
-        Returns
-        -------
-        list of TrackletBox
-            Only boxes with a part in view, nearest first.
+        `tracklets` are what `tracklets` returned, to read the file once for many frames.
         """
         K, T, size = self.K, self.T_cam_velo, self.image_size
         boxes = []

@@ -75,30 +75,11 @@ def fetch_release(
     Files that are there and match are not fetched again. A file whose SHA-256 is not known is trusted on
     first download; it is kept in ``SHA256SUMS`` next to the file and demanded from then on.
 
-    Parameters
-    ----------
-    root : path
-        Folder that gets ``kt3dmoseg/release``, ``hopkins155``, ``hopkins12``, ``mtpv62``.
-    names : iterable of str
-        Which releases.
-    mirror : str, optional
-        Address of a folder that has the same files, one sub-folder per release.
-    retries : int
-        How often a failed download is repeated.
-    report : callable
-        Takes the lines of the report.
-
-    Returns
-    -------
-    dict of str to list of path
-        The benchmark's files, by release.
-
-    Raises
-    ------
-    InputFileError
-        When a page is gone; the message gives what to do by hand.
-    FileFormatError
-        When a file has not the SHA-256 that it must have.
+    `root` gets ``kt3dmoseg/release``, ``hopkins155``, ``hopkins12``, ``mtpv62``, as the `names` say. `mirror`
+    is the address of a folder that has the same files, one sub-folder per release; a failed download is
+    repeated `retries` times; `report` takes lines. The benchmark's files are returned by release.
+    InputFileError, with what to do by hand, when a page is gone; FileFormatError when a file has not the
+    SHA-256 that it must have.
     """
     table = releases()
     fetched = {}

@@ -83,41 +83,17 @@ def build_clip(
     progress: Callable[[int, int | None], None] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> Clip:
-    """Build one clip from its frames.
+    """Build one clip from its frames: a folder, a video, or what `find_sources` and `kitti_sources` list.
 
-    Parameters
-    ----------
-    source : path or FrameSource
-        A folder of frames, a video, or what `find_sources` and `kitti_sources` list.
-    annotation : path, optional
-        File that labels come from.
-    masks : path, optional
-        Folder of DAVIS or KITTI MOTS masks that labels come from.
-    shift : int, optional
-        Add this to the frame numbers in the masks' names.
-    tracks : path, optional
-        File with the trajectories of another tracker, instead of tracking.
-    flow_parameters : mapping, optional
-        Parameters of the flow backend.
-    cache : path, optional
-        Folder in which flow fields are kept and looked up by content.
-    progress : callable, optional
-        Called with (frames done, frames in all or None).
-    **options
-        Fields of `BuildOptions` and of `kt3dmoseg.tracking.TrackOptions`.
+    `annotation` is the file, or `masks` the folder of DAVIS or KITTI MOTS masks, that labels come from;
+    `shift` is added to the frame numbers in the masks' names. `tracks` is a file with the trajectories of
+    another tracker. `flow_parameters` are those of the backend; `cache` is a folder in which flow fields are
+    kept and looked up by content; `progress` is called with (frames done, frames in all or None). `options`
+    are fields of `BuildOptions` and of `kt3dmoseg.tracking.TrackOptions`.
 
-    Returns
-    -------
-    Clip
-        With an annotation or masks: the labelled foreground and the drawn part of the background
-        are evaluated. Without: every trajectory is evaluated, label 0.
-
-    Raises
-    ------
-    InputFileError, FileFormatError
-        For frames, annotation or masks that cannot be read.
-    InvalidValueError, UnknownNameError
-        For a bad option.
+    With labels all foreground and the drawn part of the background are evaluated, else every trajectory,
+    label 0. InputFileError or FileFormatError for frames, annotation or masks that cannot be read;
+    InvalidValueError or UnknownNameError for a bad option.
     """
     settings = _Settings(options, flow_parameters, cache, shift)
     if isinstance(source, (str, os.PathLike)):

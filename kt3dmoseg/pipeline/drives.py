@@ -90,25 +90,10 @@ def build_synthetic(
 ) -> list[Outcome]:
     """Make the synthetic benchmark: render, track and label its drives, one clip file each.
 
-    Drives that are there already are left alone; an interrupted run is finished by the same call.
-
-    Parameters
-    ----------
-    output : path
-        Folder of the clips.
-    part : {"public", "test"}, optional
-        Only this half.
-    seed : int
-        0 is the benchmark; other seeds give other drives, under other names.
-    first : int, optional
-        Only so many drives of each half.
-    **options
-        Keywords of `build_dataset` apart from annotations and masks.
-
-    Returns
-    -------
-    list of Outcome
-        As `build_dataset`, which also lists the errors.
+    Drives that are there already are left alone; an interrupted run is finished by the same call. `part` is
+    "public" or "test", for only this half; `seed` 0 is the benchmark, others give other drives, under other
+    names; `first` takes only so many drives of each half. `options`, result and errors are those of
+    `build_dataset`, without annotations and masks.
     """
     from kt3dmoseg.pipeline.dataset import build_dataset
 

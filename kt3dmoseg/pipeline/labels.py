@@ -113,18 +113,8 @@ def by_frame(
 def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Labels:
     """Label trajectories by the object that most of their points lie on.
 
-    Parameters
-    ----------
-    trajectories : Trajectories
-        Of the clip.
-    masks : mapping of int to Path
-        Mask of each frame index; not every frame needs one.
-
-    Returns
-    -------
-    Labels
-        1 = background, then the objects by ascending id; 0 where no mask, only void, or less than
-        three quarters of the points agree.
+    `masks` has the mask of each frame index; not every frame needs one. 1 = background, then the objects by
+    ascending id; 0 where no mask, only void, or less than three quarters of the points agree.
     """
     votes: list[tuple[IntArray, IntArray]] = []
     used: set[int] = set()
