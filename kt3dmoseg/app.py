@@ -59,6 +59,8 @@ Name = Annotated[str, Parameter(metavar="NAME")]
 Folder = Annotated[Path, Parameter(metavar="FOLDER")]
 File = Annotated[Path, Parameter(metavar="FILE")]
 Url = Annotated[str, Parameter(metavar="URL")]
+Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
+Json = Annotated[Flag, Parameter(help="Print JSON.")]
 Catalogs = Annotated[
     tuple[File, ...], Parameter(name="--catalog", help="A catalog of your own; may be repeated.")
 ]

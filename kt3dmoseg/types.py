@@ -389,8 +389,7 @@ class Clip(_Value):
         from kt3dmoseg.draw.display import plot_painting
         from kt3dmoseg.draw.painting import by_label
 
-        painting = by_label(self, self.labels.label, self.labels.names)
-        return plot_painting(painting, frame, title=self.name, picture=picture, ax=ax)
+        return plot_painting(by_label(self), frame, title=self.name, picture=picture, ax=ax)
 
     def to_dataframe(self) -> pd.DataFrame:
         """Give one row per visible position of the evaluated trajectories.

@@ -17,7 +17,7 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import MutuallyExclusive
 
 from kt3dmoseg import app
-from kt3dmoseg.app import Either, File, Flag, Folder, Name, Parameters, Positive, group, progress_bar
+from kt3dmoseg.app import Dask, Either, File, Flag, Folder, Json, Name, Parameters, Positive, group
 
 if TYPE_CHECKING:
     from mseg.evaluation.leaderboard import Leaderboard
@@ -47,13 +47,11 @@ Settings = Annotated[
     Parameters, Parameter(help="Parameter of a method, see 'mseg methods NAME'; may be repeated.")
 ]
 Workers = Annotated[Positive, Parameter(help="Processes.")]
-Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
 Quiet = Annotated[Flag, Parameter(help="No progress bar.")]
 Submission = Annotated[Path, Parameter(help="Folder or zip.")]
 Data = Annotated[Path, Parameter(help="Folder of clips with labels (or one clip file).")]
 Benchmark = Annotated[Name, Parameter(help="Protocol (default: the submission's own).")]
 _FORM = Group.create_ordered("Form", validator=MutuallyExclusive())  # type: ignore[no-untyped-call]
-Json = Annotated[Flag, Parameter(help="Print the result as JSON.")]
 Force = Annotated[Flag, Parameter(help="Count clips with problems as fully wrong.")]
 _LABELS = "Label files: .mat with ClusterIdx, or a folder of <clip>.txt, .csv, .mat or .dat."
 _ZERO = "What label 0 of label files is: the first cluster (1 is added to all) or an outlier."
@@ -121,7 +119,7 @@ def run(
     from mseg.evaluation.submission import FAILED, META, parse_meta, prediction_files
 
     code = 0
-    with progress_bar("task", quiet=quiet) as progress:
+    with app.progress_bar("task", quiet=quiet) as progress:
         try:
             predict(
                 data,
@@ -321,7 +319,9 @@ def report(
         print(f"wrote {path} ({shown})", file=sys.stderr)
 
 
-leaderboard = group("leaderboard", "Keep scored submissions in an SQLite file and rank them per benchmark.")
+leaderboard = group(
+    "leaderboard", "Keep scored submissions in an SQLite file and rank them per benchmark."
+)
 Board = Annotated[File, Parameter(help="The leaderboard.")]
 Number = Annotated[Positive, Parameter(help="Number of the entry, see 'mseg leaderboard list'.")]
 Page = Annotated[File, Parameter(alias="-o", help="Ends in .html or .md.")]
@@ -487,7 +487,7 @@ def benchmark(
         check_target(file)
     if publish:
         check_writable(publish)
-    with progress_bar("task", quiet=quiet) as progress:
+    with app.progress_bar("task", quiet=quiet) as progress:
         result = run(
             benchmark,
             list(methods),

@@ -175,12 +175,3 @@ class Method(Protocol):
             When the clip cannot be segmented by this method.
         """
         ...
-
-
-def required_count(n_motions: int | None, method: object) -> int:
-    """Return the number of motions, for a method that cannot find it; InvalidValueError when it is None."""
-    if n_motions is None:
-        expected = f"a number: {type(method).__name__} cannot find it"
-        fix = "give n_motions=N"
-        raise InvalidValueError("n_motions", expected=expected, found="none", fix=fix)
-    return n_motions

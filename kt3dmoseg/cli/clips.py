@@ -13,10 +13,12 @@ from cyclopts import Group, Parameter
 from kt3dmoseg import app
 from kt3dmoseg.app import (
     Catalogs,
+    Dask,
     Either,
     File,
     Flag,
     Folder,
+    Json,
     Name,
     Parameters,
     Positive,
@@ -41,7 +43,6 @@ _FAILED = 2
 FlowParameters = Annotated[Parameters, Parameter(help="Parameter of the flow or tracker; may be repeated.")]
 FlowCache = Annotated[Folder | None, Parameter(help="Keep and reuse flow fields here.")]
 Workers = Annotated[Whole | None, Parameter(help="Processes (default: one per core).")]
-Dask = Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")]
 Names = Annotated[list[str], Parameter(metavar="NAME", consume_multiple=(1, None))]
 _one_clip = partial(Parameter, group=Group.create_ordered("One drive of a KITTI raw root"))
 _part = partial(Parameter, group=Group.create_ordered("A part of the frames"))
@@ -188,7 +189,7 @@ def choose(
     *recordings: Annotated[Path, Parameter(help="KITTI raw roots, folders of frames, videos.")],
     output: Annotated[Folder, Parameter(alias="-o", help="Folder for page, table, catalog and measures.")],
     workers: Annotated[Positive, Parameter(help="Processes.")] = 1,
-    dask: Annotated[str, Parameter(metavar="ADDRESS", help="Dask scheduler, tcp://host:8786.")] = "",
+    dask: Dask = "",
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Find clips in recordings: windows with a camera that moves far, a deep and cluttered scene, and movers.
@@ -301,7 +302,7 @@ def diff(
     new: Annotated[Folder, Parameter(help="Clips, or a published version.")],
     /,
     *,
-    json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Compare two versions of a dataset: clips, trajectories, labels and how they were built."""
     from kt3dmoseg.publishing import diff
@@ -315,12 +316,7 @@ def diff(
         print(text_table(rows, list(found.columns)) if rows else "no clip differs")
 
 
-def info(
-    path: Annotated[Either, Parameter(help="File or folder.")],
-    /,
-    *,
-    json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
-) -> None:
+def info(path: Annotated[Either, Parameter(help="File or folder.")], /, *, json: Json = False) -> None:
     """Describe a clip, a folder of clips, a folder of frames, a video or a flow field."""
     from json import dumps
 

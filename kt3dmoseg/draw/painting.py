@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -43,12 +43,9 @@ def groups(labels: Labels) -> list[tuple[int, str, int]]:
     return [(v, called.get(v, ""), n) for v, n in zip(values.tolist(), sizes.tolist(), strict=True)]
 
 
-def by_label(clip: Clip, label: npt.ArrayLike, names: Mapping[int, str] | None = None) -> Painting:
-    """Colour the evaluated trajectories by their labels (n,).
-
-    With ``names``, the labels are the clip's own: its background is named and gray. Without, they are any.
-    """
-    labels = Labels(np.asarray(label), None if names is None else clip.labels.background, names or {})
+def by_label(clip: Clip, labels: Labels | None = None) -> Painting:
+    """Colour the evaluated trajectories by labels, by default the clip's own; a background is gray."""
+    labels = labels or clip.labels
     legend = [
         (f"{value} {name}".rstrip() + f": {size}", label_colour(value, labels.background))
         for value, name, size in groups(labels)
@@ -64,7 +61,7 @@ def by_prediction(clip: Clip, predicted: npt.ArrayLike) -> Painting:
     """
     values, truth = np.asarray(predicted, dtype=np.int64), clip.labels.label
     if not clip.n_motions:
-        return by_label(clip, values)
+        return by_label(clip, Labels(values))
     match, background = match_labels(values, truth), clip.labels.background
     # Predicted labels without a motion get numbers after the motions'.
     others = [label for label in np.unique(values[values > 0]).tolist() if label not in match]
@@ -101,7 +98,7 @@ def painting_of(clip: Clip, by: str | None, prediction: str | os.PathLike[str] |
         if prediction is None:
             raise InvalidValueError("by='prediction'", expected="pred=FILE", found="none")
         return by_prediction(clip, read_prediction(prediction, clip))
-    return by_label(clip, clip.labels.label, clip.labels.names) if by == "label" else by_length(clip.dense)
+    return by_label(clip) if by == "label" else by_length(clip.dense)
 
 
 def _label_colours(label: IntArray, background: int | None) -> ByteArray:

@@ -104,7 +104,7 @@ def _pictures(
             if frame_folder(clip, Path(frames or "")) and clip.n_motions:
                 middle = clip.n_frames // 2
                 picture = frames_of(clip, Path(frames or ""))[middle]
-                drawn = draw_frame(by_label(clip, clip.labels.label, clip.labels.names), middle, picture)
+                drawn = draw_frame(by_label(clip), middle, picture)
                 made[name] = jpeg(drawn[..., ::-1], _WIDTH, _QUALITY)
     return made
 

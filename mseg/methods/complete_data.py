@@ -19,12 +19,13 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
-from mseg.types import Grouping, Segmentation, required_count
+from mseg.types import Grouping, Segmentation
 
 _FEWEST_FRAMES = 2
 # Of 640 x 480 pixels, the images of most Hopkins155 sequences, where thresholds were chosen.
@@ -128,8 +129,9 @@ class CompleteDataMethod(ABC):
 
         See `mseg.types.Method.segment` for parameters and `mseg.methods.complete_data` for the rules.
         """
-        if not self.finds_n_motions:
-            required_count(n_motions, self)
+        if n_motions is None and not self.finds_n_motions:
+            expected, fix = f"a number: {type(self).__name__} cannot find it", "give n_motions=N"
+            raise InvalidValueError("n_motions", expected=expected, found="none", fix=fix)
         data = complete_data(clip, self.completion, self.completion_rank)
         if n_motions is not None and data.n_points < n_motions:
             raise TooFewPointsError(

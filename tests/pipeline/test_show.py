@@ -35,7 +35,7 @@ def file(clip, tmp_path):
 
 
 def test_points_have_their_labels_colours(clip):
-    picture = draw_frame(by_label(clip, clip.labels.label), 0)
+    picture = draw_frame(by_label(clip, Labels(clip.labels.label)), 0)
     assert picture.shape == (HEIGHT, WIDTH, 3)
     assert tuple(picture[58, 30]) == label_colour(1)
     assert tuple(picture[58, 60]) == label_colour(2)
@@ -43,7 +43,7 @@ def test_points_have_their_labels_colours(clip):
 
 
 def test_a_trail_leads_back_but_not_over_a_gap(clip):
-    painting = by_label(clip, clip.labels.label)
+    painting = by_label(clip, Labels(clip.labels.label))
     picture = draw_frame(painting, 5, options=DrawOptions(trail=3))
     assert picture[58, 35].any()
     assert not picture[58, 32].any()
@@ -53,14 +53,14 @@ def test_a_trail_leads_back_but_not_over_a_gap(clip):
 
 def test_frames_lie_beneath_dimmed_and_enlarged(clip):
     frame = np.full((HEIGHT, WIDTH), 100, np.uint8)
-    picture = draw_frame(by_label(clip, [0, 0, 0]), 0, frame, options=DrawOptions(scale=2, dim=0.5))
+    picture = draw_frame(by_label(clip, Labels([0, 0, 0])), 0, frame, options=DrawOptions(scale=2, dim=0.5))
     assert picture.shape == (2 * HEIGHT, 2 * WIDTH, 3)
     assert picture[2 * 58, 2 * 10].tolist() == [50, 50, 50]
     assert tuple(picture[2 * 58 + 1, 2 * 30 + 1]) == UNLABELLED
 
 
 def test_the_legend_names_and_counts(clip):
-    assert [text for text, _ in by_label(clip, clip.labels.label, clip.labels.names).legend] == [
+    assert [text for text, _ in by_label(clip).legend] == [
         "0 unlabelled: 1",
         "1 background: 1",
         "2 car: 1",
@@ -88,8 +88,8 @@ def test_a_prediction_has_the_colours_of_the_motions_it_matches_and_rings_what_i
 
 
 def test_all_that_is_drawn_is_enlarged(clip):
-    small = draw_frame(by_label(clip, clip.labels.label), 0)
-    large = draw_frame(by_label(clip, clip.labels.label), 0, options=DrawOptions(scale=3))
+    small = draw_frame(by_label(clip, Labels(clip.labels.label)), 0)
+    large = draw_frame(by_label(clip, Labels(clip.labels.label)), 0, options=DrawOptions(scale=3))
     coloured = [(p == np.array(label_colour(2))).all(axis=2).sum() for p in (small[50:], large[150:])]
     assert 5 * coloured[0] < coloured[1] < 13 * coloured[0]
 
@@ -142,11 +142,11 @@ def test_twelve_labels_are_distinct_from_each_other_and_from_gray_in_every_colou
 
 
 def test_the_background_is_gray_where_the_labels_are_the_clips_own(clip):
-    own = by_label(clip, clip.labels.label, clip.labels.names).colours
+    own = by_label(clip).colours
     assert tuple(own[0]) == label_colour(1, background=1)
     assert np.ptp(own[0].astype(int)) < 40
     assert np.ptp(own[1].astype(int)) > 100
-    assert tuple(by_label(clip, clip.labels.label).colours[0]) == label_colour(1)
+    assert tuple(by_label(clip, Labels(clip.labels.label)).colours[0]) == label_colour(1)
 
 
 def test_pictures_reports_and_the_page_share_one_palette():
