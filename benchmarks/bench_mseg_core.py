@@ -13,11 +13,11 @@ import pytest
 
 from kt3dmoseg.io import load
 from kt3dmoseg.types import Clip, Labels, Trajectories
-from mseg.clustering.fusion import constrain_subsets, coregularise
 from mseg.clustering.kmeans import kmeans
 from mseg.clustering.spectral import GraphLaplacian, smallest_eigenvectors
 from mseg.kernels import sample_hypotheses, sparsify, view_kernel
 from mseg.methods import segment
+from mseg.methods.paper import CoReg, Subset
 
 KINDS = ("affine", "homography", "fundamental")
 MOTIONS = 3
@@ -68,10 +68,10 @@ def test_sparsify(benchmark, clip):
     benchmark(lambda: sparsify(kernel, 8.0))
 
 
-@pytest.mark.parametrize("fuse", [coregularise, constrain_subsets])
-def test_fusion(benchmark, kernels, fuse):
+@pytest.mark.parametrize("method", [CoReg(), Subset()])
+def test_fusion(benchmark, kernels, method):
     laplacians = [GraphLaplacian(kernel) for kernel in kernels]
-    benchmark(lambda: fuse(laplacians, MOTIONS))
+    benchmark(lambda: method.fuse(laplacians, MOTIONS))
 
 
 def test_embedding(benchmark, kernels):
@@ -80,7 +80,7 @@ def test_embedding(benchmark, kernels):
 
 
 def test_kmeans(benchmark, kernels):
-    points = coregularise([GraphLaplacian(kernel) for kernel in kernels], MOTIONS).joint()
+    points = CoReg().fuse([GraphLaplacian(kernel) for kernel in kernels], MOTIONS).joint()
     benchmark(lambda: kmeans(points, MOTIONS, np.random.default_rng(0), n_restarts=100))
 
 

@@ -319,9 +319,7 @@ def report(
         print(f"wrote {path} ({shown})", file=sys.stderr)
 
 
-leaderboard = group(
-    "leaderboard", "Keep scored submissions in an SQLite file and rank them per benchmark."
-)
+leaderboard = group("leaderboard", "Keep scored submissions in an SQLite file and rank them per benchmark.")
 Board = Annotated[File, Parameter(help="The leaderboard.")]
 Number = Annotated[Positive, Parameter(help="Number of the entry, see 'mseg leaderboard list'.")]
 Page = Annotated[File, Parameter(alias="-o", help="Ends in .html or .md.")]

@@ -58,11 +58,7 @@ _POSE = (
 
 
 def write_drive(
-    scene: Scene,
-    root: str | os.PathLike[str],
-    *,
-    date: str = "2011_09_26",
-    drive: int = 1,
+    scene: Scene, root: str | os.PathLike[str], *, date: str = "2011_09_26", drive: int = 1
 ) -> Path:
     """Render a scene into a drive of KITTI raw: camera 0, timestamps, poses, calibration and tracklets.
 

@@ -39,12 +39,7 @@ class Fusion:
 
 
 def coregularise(
-    laplacians: Sequence[Symmetric],
-    n_clusters: int,
-    *,
-    weight: float = 0.01,
-    tolerance: float = 1e-6,
-    max_sweeps: int = 16,
+    laplacians: Sequence[Symmetric], n_clusters: int, *, weight: float, tolerance: float, max_sweeps: int
 ) -> Fusion:
     """Embed views by their normalised Laplacians (N, N), arrays or `GraphLaplacian`, so that they agree.
 
@@ -69,12 +64,7 @@ def coregularise(
 
 
 def constrain_subsets(
-    laplacians: Sequence[Symmetric],
-    n_clusters: int,
-    *,
-    weight: float = 0.01,
-    tolerance: float = 1e-8,
-    max_sweeps: int = 21,
+    laplacians: Sequence[Symmetric], n_clusters: int, *, weight: float, tolerance: float, max_sweeps: int
 ) -> Fusion:
     """Embed views of which each model contains the one before, the smallest first; see `coregularise`.
 

@@ -36,11 +36,11 @@ def normalised_laplacian(affinity: _Array) -> _Array:
     """Compute I - D^-1/2 W D^-1/2, (N, N) of the dtype of the weights W >= 0, D the diagonal of row sums.
 
     A vertex without any weight gets the row of the identity, so it takes part in no smooth eigenvector.
-    Eigenvalues are in 0..2. InvalidValueError when weights are not square, not finite or negative.
+    Eigenvalues are in 0..2. InvalidValueError when weights are not finite or negative.
     """
     # Ng, Jordan, Weiss, "On spectral clustering: analysis and an algorithm", NIPS 2001; von Luxburg, "A
     # tutorial on spectral clustering", 2007, section 3.2.
-    _check_weights(affinity, affinity.shape)
+    _check_weights(affinity)
     degree = affinity.sum(axis=1)
     scale = np.zeros_like(degree)
     np.divide(1.0, np.sqrt(degree), out=scale, where=degree > 0)
@@ -62,7 +62,7 @@ class GraphLaplacian:
     # graph conductance", NeurIPS 2018.
     def __init__(self, affinity: _Array | csr_array, *, uniform: float = 0.0) -> None:
         weights = csr_array(affinity).astype(np.float64)
-        _check_weights(weights.data, weights.shape)
+        _check_weights(weights.data)
         self.shape = weights.shape
         degree = np.asarray(weights.sum(axis=1))
         weight = uniform * degree.mean() / len(degree) if len(degree) else 0.0
@@ -178,9 +178,7 @@ def count_by_eigengap(affinity: FloatArray) -> int:
     return int(np.argmax(gaps[1:])) + 2 if len(gaps) > 1 else 1
 
 
-def _check_weights(weights: _Array, shape: tuple[int, ...]) -> None:
-    if len(shape) != 2 or shape[0] != shape[1]:
-        raise InvalidValueError("affinity", expected="shape (N, N)", found=f"{shape}")
+def _check_weights(weights: _Array) -> None:
     if weights.size and not (np.isfinite(weights).all() and weights.min() >= 0):
         raise InvalidValueError("affinity", expected="finite weights >= 0", found="NaN, inf or negative")
 
