@@ -45,28 +45,11 @@ def run_demo(
     *,
     report: Callable[[str], None] = print,
 ) -> dict[str, Path]:
-    """Run the complete workflow, from frames to a report.
+    """Run the complete workflow, from frames to a report; see `DemoOptions`.
 
-    Parameters
-    ----------
-    output : path
-        Folder for everything: absent, empty, or that of a former demo, which is replaced.
-    options : DemoOptions, optional
-        Seed, size, methods.
-    report : callable
-        Called with every line of progress.
-
-    Returns
-    -------
-    dict of str to Path
-        Method -> its report.
-
-    Raises
-    ------
-    InputFileError
-        When the folder cannot be written or holds something else.
-    InvalidValueError, UnknownNameError
-        For no method, or an unknown one.
+    The folder `output` holds everything: absent, empty, or that of a former demo, which is replaced; anything
+    else is an InputFileError. `report` is called with every line of progress. Returns the report of every
+    method; InvalidValueError or UnknownNameError for no method, or an unknown one.
     """
     from mseg import methods
 

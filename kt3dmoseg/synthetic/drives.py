@@ -197,16 +197,11 @@ def measure_drive(scene: Scene) -> Mapping[str, float]:
     """Measure on the exact geometry what makes a drive hard.
 
     Every figure is that of the hardest vehicle, over the points of an 8 px grid in three frames; motion is
-    measured over five frames.
-
-    Returns
-    -------
-    mapping of str to float
-        ``depth``: 95th to 5th percentile of the static scene's depth; and where something moves
-        ``size``: points of the grid on the vehicle, ``epipolar``: pixels from the epipolar lines of the
-        static scene (where the camera only turns: from where its rotation takes a point), ``motion``: pixels
-        from where the point would be if it stood still, ``standing``: share of the frames in which it
-        stands, ``occlusion``: share of its points in the image that something hides.
+    measured over five frames. ``depth``: 95th to 5th percentile of the static scene's depth; and where
+    something moves ``size``: points of the grid on the vehicle, ``epipolar``: pixels from the epipolar lines
+    of the static scene (where the camera only turns: from where its rotation takes a point), ``motion``:
+    pixels from where the point would be if it stood still, ``standing``: share of the frames in which it
+    stands, ``occlusion``: share of its points in the image that something hides.
     """
     frames = [0, scene.n_frames // 2, scene.n_frames - 1]
     found = [_grid_bodies(scene, frame) for frame in frames]
