@@ -62,10 +62,10 @@ def write_drive(
 ) -> Path:
     """Render a scene into a drive of KITTI raw: camera 0, timestamps, poses, calibration and tracklets.
 
-    Below `root` it writes ``{date}/{date}_drive_{drive:04d}_sync/`` with ``image_00/data/%010d.png``, ``oxts/``
-    and ``tracklet_labels.xml``, and ``{date}/calib_*.txt``. The drive's folder, which is returned, appears
-    complete or not at all. InputFileError when it exists or nothing can be written, InvalidValueError when
-    `date`, YYYY_MM_DD, or `drive`, 0 to 9999, is malformed.
+    Below `root` it writes ``{date}/{date}_drive_{drive:04d}_sync/`` with ``image_00/data/%010d.png``,
+    ``oxts/`` and ``tracklet_labels.xml``, and ``{date}/calib_*.txt``. The drive's folder, which is returned,
+    appears complete or not at all. InputFileError when it exists or nothing can be written,
+    InvalidValueError when `date`, YYYY_MM_DD, or `drive`, 0 to 9999, is malformed.
     """
     target = Path(root) / Drive(date, drive).folder
     start = datetime.strptime(f"{date} 09", "%Y_%m_%d %H")
