@@ -10,6 +10,7 @@ from kt3dmoseg.registry import lazy
 if TYPE_CHECKING:
     from mseg import benchmark as benchmark
     from mseg import errors as errors
+    from mseg import evaluation as evaluation
     from mseg import methods as methods
     from mseg import types as types
     from mseg.estimator import MotionSegmenter as MotionSegmenter

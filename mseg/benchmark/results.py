@@ -130,8 +130,9 @@ class BenchmarkResult:
 
     def _title(self, what: str) -> str:
         seeds = count(len(self.seeds), "seed")
-        known = ", number of motions found" if self.number == "found" else ""
-        return f"{self.protocol.title}, {self.protocol.coverage(self.clips)}, {seeds}{known}: {what}"
+        seeds += ", number of motions found" * (self.number == "found")
+        have = f"{self.protocol.title}, {self.protocol.coverage(self.clips)}"
+        return f"{have}, {seeds}: {what}, lower is better"
 
     def _notes(self) -> list[str]:
         notes = []

@@ -121,7 +121,8 @@ def comparison_table(comparison: Comparison) -> ResultsTable:
 
 def pairs_table(comparison: Comparison) -> ResultsTable:
     """Lay out the paired statistics."""
-    scale = all_metrics()[comparison.metric].scale
+    spec = all_metrics()[comparison.metric]
+    scale, unit = spec.scale, ", differences in points" if spec.percent else ""
     rows = []
     for pair in comparison.pairs:
         low, high = (_signed(scale * bound) for bound in pair.interval)
@@ -130,7 +131,7 @@ def pairs_table(comparison: Comparison) -> ResultsTable:
         difference = _signed(scale * pair.difference)
         rows.append([f"{pair.first} - {pair.second}", difference, f"{low}..{high}", noise, *tests])
     columns = ["pair", "difference", "95 % over clips", "seed sd", "Wilcoxon p", "Holm p"]
-    return ResultsTable("Paired over clips", columns, rows)
+    return ResultsTable(f"Paired over clips{unit}", columns, rows)
 
 
 def _signed(value: float) -> str:

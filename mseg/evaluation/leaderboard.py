@@ -308,7 +308,9 @@ def _board(tables: Mapping[Entry, ScoreTable]) -> Board:
     title = load_protocol(first.benchmark).title if known else "Clips of no benchmark"
     part = "" if first.clips == first.clips_in_full else ", a part"
     amount = f"{share(first.clips, first.clips_in_full)} clips{part}"
-    about = f"{amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %"
+    about = (
+        f"{amount}; data {first.dataset_version} ({first.dataset_sha256[:8]}); error in %, lower is better"
+    )
     fullest = tables[max(tables, key=lambda e: (not e.claimed, e.clips))]
     entries = {_row(e, table, complete=table.names == fullest.names): e for e, table in tables.items()}
     rows = DataRows(title, about, fullest.benchmark, fullest.motions, [*entries])

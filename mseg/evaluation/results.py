@@ -271,7 +271,9 @@ def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> Resul
         rows.append([name + mark, *facts, *(m.show(v[i]) for m, v in zip(specs, values, strict=True))])
     columns = ["clip", "n", "motions", "found", "prevalence", *(metric.title for metric in specs)]
     notes = ["* failed or missing: the worst score."] if scores.failures else []
-    return ResultsTable("Per clip, fractions in %", columns, rows, notes)
+    lower, higher = (", ".join(m.title for m in specs if m.better == way) for way in ("lower", "higher"))
+    title = f"Per clip, fractions in %; lower is better: {lower}; higher is better: {higher}"
+    return ResultsTable(title, columns, rows, notes)
 
 
 def all_means(scores: ScoreTable, *others: ScoreTable) -> ResultsTable:
