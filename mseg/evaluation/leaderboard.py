@@ -63,10 +63,11 @@ class Entry:
         return "claimed" if self.claimed else "here"
 
 
-_COLUMNS = [each.name for each in fields(Entry)]
-_TYPED = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:]]
-_ALL = ", ".join(["id INTEGER PRIMARY KEY", *_TYPED, "sha256 TEXT NOT NULL", "scores TEXT NOT NULL"])
-_CREATE = (f"CREATE TABLE entries ({_ALL}, UNIQUE ({', '.join(_SAME)}))", "PRAGMA user_version = 2")
+def _schema() -> tuple[str, str]:
+    """Give the SQL that makes an empty leaderboard."""
+    typed = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:]]
+    columns = ", ".join(["id INTEGER PRIMARY KEY", *typed, "sha256 TEXT NOT NULL", "scores TEXT NOT NULL"])
+    return f"CREATE TABLE entries ({columns}, UNIQUE ({', '.join(_SAME)}))", "PRAGMA user_version = 2"
 
 
 @dataclass(frozen=True)
@@ -277,10 +278,10 @@ def _kept(connection: sqlite3.Connection, path: Path, *, write: bool) -> dict[En
         raise FileFormatError(f"{path}", expected="a leaderboard of version 2", found=found, fix=fix)
     if (state := connection.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise _damaged(path, state)
-    for statement in _CREATE if new else ():
+    for statement in _schema() if new else ():
         connection.execute(statement)
     kept = {}
-    query = f"SELECT {', '.join(_COLUMNS)}, sha256, scores FROM entries ORDER BY id"
+    query = f"SELECT {', '.join(Entry.__dataclass_fields__)}, sha256, scores FROM entries ORDER BY id"
     for *values, sha256, scores in connection.execute(query):
         if sha256 != _checksum([*values[1:], scores]):
             raise _damaged(path, f"entry {values[0]} is not what was written")
