@@ -537,6 +537,7 @@ class ClipFiles:
     frames: tuple[Path, ...]
     tracks: Path | None
     annotation: Path
+    notes: tuple[str, ...] = ()  # what a person should know of the frames
 
 
 def find_clips(
@@ -577,29 +578,29 @@ def find_clips(
         expected = "a folder of frames, a clip file, or a folder of such"
         raise InputFileError(f"{given}", expected=expected, found="none of them")
     shown = {source.name: _stored(source, notes) for source in sources}
-    shown = shown or {name: _frames_of_file(name, file, given, frames) for name, file in files.items()}
+    shown = shown or {name: (_frames_of_file(name, file, given, frames), ()) for name, file in files.items()}
     return {
-        name: ClipFiles(name, tuple(paths), files.get(name), notes / f"{name}.json")
-        for name, paths in sorted(shown.items())
+        name: ClipFiles(name, tuple(paths), files.get(name), notes / f"{name}.json", said)
+        for name, (paths, said) in sorted(shown.items())
     }
 
 
-def _stored(source: FrameSource, notes: Path) -> list[Path]:
-    """List the pictures of a source's frames; of a video, or in another size, they are written once."""
-    stored = isinstance(source, FrameFolder | KittiClip) and source.cut.size is None
-    return source.paths() if stored else _extracted(source, notes)  # type: ignore[attr-defined]
+def _stored(source: FrameSource, folder: Path) -> tuple[list[Path], tuple[str, ...]]:
+    """List the pictures of a source's frames, and notes on them.
 
-
-def _extracted(source: FrameSource, folder: Path) -> list[Path]:
-    """Write frames for the labelling page, once: ``FOLDER/.frames/<name>-<checksum>/<name>``."""
-    checksum = hashlib.sha256(json.dumps(source.inspect().description).encode()).hexdigest()
+    Of a video, or in another size, they are written once: ``FOLDER/.frames/<name>-<checksum>/<name>``.
+    """
+    if isinstance(source, FrameFolder | KittiClip) and source.cut.size is None:
+        return source.paths(), ()
+    info = source.inspect()
+    checksum = hashlib.sha256(json.dumps(info.description).encode()).hexdigest()
     target = folder / ".frames" / f"{source.name}-{checksum[:12]}" / source.name
     paths = [target / f"{number:06d}.png" for number in source.numbers()]
     if not (target.parent / "complete").is_file():
         for path, frame in zip(paths, source.frames("luma"), strict=True):
             images.write_png(path, frame)
         write_text(target.parent / "complete", "")
-    return paths
+    return paths, info.notes
 
 
 def clip_paths(path: Path) -> dict[str, Path]:

@@ -223,6 +223,7 @@ def label(
     def ready(addresses: dict[str, str]) -> None:
         lines = [f"{name} labels at {address}" for name, address in addresses.items() if name]
         lines = lines or [f"label at {addresses['']}"]
+        lines += [f"{files.name}: {note}" for files in clips.values() for note in files.notes]
         print(found, *lines, "(Ctrl-C stops)", sep="\n", flush=True)
         if not (no_browser or team):
             webbrowser.open(addresses[""])

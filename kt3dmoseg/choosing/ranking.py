@@ -252,8 +252,10 @@ def _page(
     items = []
     for window in chosen:
         source = sources[window.recording]
-        other = None if isinstance(source, KittiClip) else shlex.quote(source.where)
-        items.append((window, row(window), other, _strip(window, source, settings)))
+        part = f"{window.first}-{window.last}", "--name", window.name, "-o", "FOLDER"
+        build = shlex.join(["kt3dmoseg", "build", source.where, "--range", *part])
+        command = "" if isinstance(source, KittiClip) else build
+        items.append((window, row(window), command, _strip(window, source, settings)))
     template = Template(text, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return str(template.render(items=items, columns=COLUMNS, count=count, recordings=sources))
 

@@ -250,12 +250,12 @@ def check_on_pictures(where: str, tracks: Trajectories, pictures: npt.NDArray[An
     if places.shape[1] < _ENOUGH:
         return
     given = _change(places, pictures)
-    for words, other in _readings(places, size):
-        if given > _CLEAR * max(_change(other, pictures), _SAME):
-            only = "as (y, x)" if "::" in words else f"when scaled by {words}"
-            fix = "give points[..., ::-1]" if "::" in words else f"multiply them by {words}"
-            found = f"points that follow the frames only {only}"
-            raise InvalidValueError(where, expected="(x, y), x to the right, in pixels", found=found, fix=fix)
+    best, words = min((_change(other, pictures), words) for words, other in _readings(places, size))
+    if given > _CLEAR * max(best, _SAME):
+        only = "as (y, x)" if "::" in words else f"when scaled by {words}"
+        fix = "give points[..., ::-1]" if "::" in words else f"multiply them by {words}"
+        found = f"points that follow the frames only {only}"
+        raise InvalidValueError(where, expected="(x, y), x to the right, in pixels", found=found, fix=fix)
     standing = np.stack([places[0], places[0]])
     if last <= _NEAR and given > _STANDING * max(_change(standing, pictures), _SAME):
         found, fix = (

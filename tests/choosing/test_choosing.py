@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import re
+import shlex
 import shutil
 from itertools import pairwise
 
@@ -136,17 +138,24 @@ def test_parts_are_no_longer_than_the_longest_window(root):
     assert len(covered) > FRAMES // settings.stride
 
 
-def test_missing_frames_and_cuts_are_in_no_clip(rng, tmp_path):
+def test_missing_frames_and_cuts_are_in_no_clip_and_the_page_builds_a_name_with_spaces(rng, tmp_path):
+    folder = tmp_path / "Bob's drive, 1732828415"
+    folder.mkdir()
     assert ranking._runs([3, 4, 5, 9, 10]) == [[3, 4, 5], [9, 10]]
     scenes = [cv2.GaussianBlur(rng.integers(0, 255, (96, 160)).astype(np.uint8), (0, 0), 2) for _ in range(2)]
     for frame in range(20):
         picture = cv2.equalizeHist(np.roll(scenes[frame // 10], frame, axis=1))
-        cv2.imwrite(str(tmp_path / f"{frame:06d}.png"), picture)
+        cv2.imwrite(str(folder / f"{frame:06d}.png"), picture)
     options = ChooseOptions(shortest=6, longest=8, stride=2, movers="residual")
-    windows = measure_windows(FrameFolder(tmp_path, Cut(0, 19)), options)
+    source = FrameFolder(folder, Cut(0, 19, name=folder.name))
+    windows = measure_windows(source, options)
     assert {w.cut for w in windows if w.first < 10 <= w.last} == {True}
     assert {w.cut for w in windows if not w.first < 10 <= w.last} == {False}
-    assert not any(window.cut for window in select(windows, options))
+    selected = select(windows, options)
+    assert not any(window.cut for window in selected)
+    page = ranking._page(selected[:1], 1, {source.name: source}, options)
+    command = html.unescape(re.search(r"<code>(.*?)</code>", page)[1])
+    assert shlex.split(command)[2::4] == [str(folder), selected[0].name]
 
 
 def test_a_drive_that_is_on_disk_in_parts_has_windows_in_each(root, tmp_path):

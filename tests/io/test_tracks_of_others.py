@@ -21,6 +21,7 @@ import kt3dmoseg
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.io import hdf5, load, save
+from kt3dmoseg.io.point_tracks import check_on_pictures
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
 WIDTH, HEIGHT, FRAMES, COUNT = 320, 240, 8, 30
@@ -104,6 +105,18 @@ def test_tapvid_points_with_x_and_y_exchanged_do_not_follow_the_video(panned, tm
         np.savez(tmp_path / "a.npz", **arrays | changed)
         with pytest.raises(FileFormatError, match=r"points: expected \(x, y\), .* give points"):
             load(tmp_path / "a.npz")
+
+
+def test_of_several_readings_that_fit_the_best_is_named():
+    rng = np.random.default_rng(1)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (96, 320)).astype(np.uint8), (0, 0), 3)
+    picture[-8:] = picture[-8:] * 0.1  # a dark border, on which many points lie as (y, x)
+    pictures = np.stack([picture, np.roll(picture, (3, 6), axis=(0, 1))]).astype(np.float64)
+    pictures[1, :3] = pictures[0, :3]
+    start = rng.integers((120, 20), (290, 35), (200, 2))
+    xy = np.stack([start, start + np.array([6, 3])], axis=1) * (256 / 320, 256 / 96)
+    with pytest.raises(InvalidValueError, match=r"only when scaled by \(1\.25, 0\.375\)"):
+        check_on_pictures("tracks", Trajectories(xy, np.ones((200, 2), bool)), pictures, 1)
 
 
 def test_tracks_and_frames_exchanged_are_noticed_by_how_points_move(panned, tmp_path):
