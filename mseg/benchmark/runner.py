@@ -124,18 +124,11 @@ def run(
     progress : callable, optional
         Called as tasks finish.
 
-    Returns
-    -------
-    BenchmarkResult
-
     Raises
     ------
-    UnknownNameError
-        For a benchmark, method or parameter that does not exist.
-    InputFileError
-        When there are no clips.
-    SegmentationError
-        When every run failed; with a `cache`, the reasons are kept there.
+    UnknownNameError, InputFileError, SegmentationError
+        For a benchmark, method or parameter that does not exist; without clips; when every run failed (with a
+        `cache`, the reasons are kept there).
     """
     protocol, wanted = load_protocol(benchmark), _seeds(seeds)
     configurations = _configure([methods] if isinstance(methods, str) else methods, parameters or {})
@@ -212,18 +205,11 @@ def predict(
     progress : callable, optional
         Called as clips finish.
 
-    Returns
-    -------
-    Path
-        The folder.
-
     Raises
     ------
-    InvalidValueError
-        When the folder holds predictions of another configuration, other numbers of motions or
-        another layout, or `n_motions` is not positive.
-    SegmentationError
-        When the method failed on every clip; the reasons are in the folder all the same.
+    InvalidValueError, SegmentationError
+        When the folder holds predictions of another configuration, other numbers or layout, or `n_motions`
+        is not positive; when the method failed on every clip (the reasons are in the folder).
     """
     if n_motions is not None:
         check_whole("n_motions", n_motions, 1)

@@ -38,11 +38,7 @@ class TrackAxis:
 
 
 def motion_sizes(labels: Labels) -> FloatArray:
-    """Count trajectories with the same true label, (n,); NaN without a label.
-
-    >>> motion_sizes(Labels(np.array([1, 1, 2, 0]))).tolist()
-    [2.0, 2.0, 1.0, nan]
-    """
+    """Count trajectories with the same true label, (n,); NaN without a label."""
     sizes = np.bincount(labels.label, minlength=1).astype(np.float64)
     sizes[0] = np.nan
     return sizes[labels.label]

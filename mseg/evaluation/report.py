@@ -72,12 +72,9 @@ def write_report(
 
     Raises
     ------
-    RejectedSubmissionError
-        When a submission is invalid and not `force`.
-    InputFileError
-        When the frames of a clip are incomplete, or there are none of any clip.
-    InvalidValueError
-        When several are not of the same clips.
+    RejectedSubmissionError, InputFileError, InvalidValueError
+        When a submission is invalid and not `force`; when the frames of a clip are incomplete, or there are
+        none of any clip; when several are not of the same clips.
     """
     page, given = Path(path), [submission] if isinstance(submission, (str, os.PathLike)) else [*submission]
     if len(given) > len(LETTERS):

@@ -245,12 +245,9 @@ def score(
 
     Raises
     ------
-    InvalidValueError
-        When labels are no whole numbers >= 0, are not of the same trajectories or clips, or hold a 0.
-    RejectedSubmissionError
-        When a submission is invalid and not `force`.
-    InputFileError
-        When a path does not exist.
+    InvalidValueError, RejectedSubmissionError, InputFileError
+        When labels are no whole numbers >= 0, are not of the same trajectories or clips, or hold a 0; when a
+        submission is invalid and not `force`; when a path does not exist.
 
     Examples
     --------

@@ -222,11 +222,6 @@ def write_submission(
         The meta data; the checksums of the clips are added.
     format : {"csv", "npz", "h5"}
         File format of the predictions.
-
-    Returns
-    -------
-    Path
-        The folder.
     """
     if not isinstance(meta, SubmissionMeta):
         raise InvalidValueError("meta", expected="a SubmissionMeta", found=type(meta).__name__)

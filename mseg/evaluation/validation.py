@@ -96,17 +96,11 @@ def validate_submission(
     benchmark : str
         Name of the protocol; by default the submission's own, else the one its clips belong to.
 
-    Returns
-    -------
-    Validation
-        Never raises for what is wrong inside the submission.
-
     Raises
     ------
-    InputFileError
-        When there is nothing at one of the paths, or the data hold no clip.
-    UnknownNameError
-        When there is no such benchmark.
+    InputFileError, UnknownNameError
+        When there is nothing at one of the paths, or the data hold no clip; when there is no such benchmark.
+        Never for what is wrong inside the submission.
     """
     given = load_clips(data)
     most = _MORE_ROWS + 4 * max((len(clip.dense) for clip in given.values()), default=0)
