@@ -7,6 +7,7 @@ of it. Heavy modules are imported inside the functions, so that ``--help`` stays
 from __future__ import annotations
 
 import dataclasses
+import errno
 import inspect
 import io
 import os
@@ -176,23 +177,32 @@ _HELP = _Help()
 def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
     """Run a program with these arguments, by default the process's; return its exit code."""
     program = app.name[0]
+    if sys.stdout is None:  # closed: writing fails, and no other file gets its number
+        sys.stdout = open(os.devnull)  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):  # as standard error: a file's name may be no UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        return _run(app, list(sys.argv[1:] if argv is None else argv))
+        code = _run(app, list(sys.argv[1:] if argv is None else argv))
+        sys.stdout.flush()
+        return code
     except SystemExit:  # of --install-completion, which has printed why
         return _USAGE
     except KeyboardInterrupt:
         print(f"{program}: interrupted; what was finished is kept", file=sys.stderr)
         return _INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return 0
     except (KT3DMoSegError, cyclopts.CycloptsError, ModuleNotFoundError, OSError) as error:
         print(" ".join(_failure(program, error).split()), file=sys.stderr)  # a path may hold a line break
         return getattr(error, "exit_code", _USAGE)
     finally:
         _RUNNING.clear()
+
+
+def _discard_output() -> None:
+    """Let what is left of the output go nowhere: Python would fail again when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _failure(program: str, error: Exception) -> str:
@@ -206,6 +216,12 @@ def _failure(program: str, error: Exception) -> str:
             raise error
         return f"{program}: {package} is not installed; pip install 'kt3dmoseg[{_EXTRAS[package]}]'"
     if isinstance(error, OSError) and not isinstance(error, KT3DMoSegError):  # a full disk, no permission
+        if isinstance(error, io.UnsupportedOperation) or (error.errno, error.filename) == (
+            errno.ENOSPC,
+            None,
+        ):
+            _discard_output()
+            return f"{program}: standard output: {error.strerror or 'closed'}"
         return f"{program}: {error.filename or 'system'}: {error.strerror or error}"
     message, where = str(error), " ".join(getattr(error, "where", "").split())  # as the message has it
     return f"{program}: {_flags_of_running().get(where, where)}{typed(message.removeprefix(where))}"

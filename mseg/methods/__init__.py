@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import builtins
+import traceback
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io.fields import check_axes
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.registry import Registry
@@ -26,6 +28,7 @@ ALGORITHM_VERSION: int = 6
 _MOST = 2000
 # Pixels that tracks of others leave a picture by.
 _BESIDE = 8.0
+_FAULT = "this is a fault of the method"
 
 METHODS = Registry(
     "method",
@@ -120,7 +123,7 @@ def segment(
     Raises
     ------
     SegmentationError
-        When the method cannot segment this clip.
+        When the method cannot segment this clip; where it raised another error, from that one.
     UnknownNameError, InvalidValueError
         For a bad method name, parameter, number of motions, seed, clip or array.
     """
@@ -140,17 +143,7 @@ def segment(
     if isinstance(chosen, type) or not hasattr(chosen, "segment"):
         expected = "the name of a method, or an object with the function segment"
         raise InvalidValueError("method", expected=expected, found=f"{chosen!r:.60}")
-    # With several BLAS threads sums are rounded in another order: one, for the same bytes anywhere.
-    with threadpool_limits(limits=1, user_api="blas"):
-        result = chosen.segment(hidden, n_motions=n_motions, rng=np.random.default_rng(seed))
-    found = len(result.labels) if isinstance(result, Segmentation) else type(result).__name__
-    if found != len(hidden.evaluated):
-        raise SegmentationError(
-            f"{method} on {hidden.name}",
-            expected=f"a Segmentation of {len(hidden.evaluated)} labels",
-            found=f"{found}",
-            fix="this is a fault of the method",
-        )
+    result = _segmentation(chosen, hidden, n_motions, seed)
     outliers, gap = bool(getattr(chosen, "reject_outliers", False)), getattr(chosen, "gap", 1)
     parts = count_parts(hidden.evaluated_trajectories.visible, gap if isinstance(gap, int) else 1)
     notes = _notes(result, n_motions, outliers=outliers, parts=parts)
@@ -160,6 +153,26 @@ def segment(
     every = spread_labels(hidden.dense, hidden.evaluated, result.labels)
     report["trajectories_segmented"] = len(hidden.evaluated)
     return Segmentation(every, report, np.arange(len(every)))
+
+
+def _segmentation(method: Method, clip: Clip, n_motions: int | None, seed: int) -> Segmentation:
+    """Call a method; whatever it does wrong is a SegmentationError, which in a run costs this clip only."""
+    try:
+        # With several BLAS threads sums are rounded in another order: one, for the same bytes anywhere.
+        with threadpool_limits(limits=1, user_api="blas"):
+            result = method.segment(clip, n_motions=n_motions, rng=np.random.default_rng(seed))
+    except (KT3DMoSegError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        place = [frame for frame in frames if frame.filename == frames[:2][-1].filename][-1]
+        found = f"{type(error).__name__} in {Path(place.filename).name}, line {place.lineno}: {error}"
+        raise SegmentationError(clip.name, found=found, fix=_FAULT) from error
+    given = len(result.labels) if isinstance(result, Segmentation) else type(result).__name__
+    if given != len(clip.evaluated):
+        expected = f"a Segmentation of {len(clip.evaluated)} labels"
+        raise SegmentationError(clip.name, expected=expected, found=f"{given}", fix=_FAULT)
+    return result
 
 
 def _sampled(clip: Clip, seed: int) -> Clip:

@@ -107,6 +107,13 @@ def call(capsys):
     return run
 
 
+@pytest.mark.parametrize(("to", "why"), [("&-", "closed"), ("/dev/full", "No space left on device")])
+def test_output_that_cannot_be_written_is_a_failure(to, why):
+    command = f"{sys.executable} -m mseg methods >{to}"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, f"mseg: standard output: {why}\n")
+
+
 def parsed(call, *flags):
     code, _, err = call("hello", "you", *flags)
     assert (code, err) == (0, "")

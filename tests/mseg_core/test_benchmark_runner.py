@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import shutil
 import signal
 
@@ -14,7 +15,7 @@ from numpy.testing import assert_array_equal
 
 import mseg
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
-from kt3dmoseg.io import save
+from kt3dmoseg.io import load, save
 from kt3dmoseg.parallel import Cache, run_tasks
 from kt3dmoseg.types import Clip, Labels
 from mseg.benchmark import Configuration, find_clips, predict, run
@@ -193,6 +194,42 @@ def test_a_method_of_another_package_is_known_by_its_version(make_clip, monkeypa
     assert len(set(keys)) == len(keys)
     monkeypatch.setattr("mseg.benchmark.runner._THIS_PROCESS", "another process")
     assert outcome_key(Configuration("theirs"), clip, 2, 0) != keys[-1]
+
+
+@dataclasses.dataclass(frozen=True)
+class Faulty:
+    fault: str = ""
+
+    def segment(self, clip, *, n_motions, rng):
+        if clip.name == CLIPS[0]:
+            raise {"value": ValueError, "exit": SystemExit, "stop": KeyboardInterrupt}[self.fault](
+                "two\nlines"
+            )
+        return mseg.Segmentation(np.ones(len(clip.evaluated), dtype=int))
+
+
+@pytest.mark.parametrize(("fault", "name"), [("value", "ValueError"), ("exit", "SystemExit")])
+def test_whatever_a_method_raises_costs_its_clip_only(data, monkeypatch, tmp_path, fault, name):
+    monkeypatch.setattr(METHODS, "load", lambda name: Faulty)
+    predict(data, tmp_path / "p", "theirs", parameters={"fault": fault})
+    reason = (tmp_path / "p" / f"{CLIPS[0]}.failed").read_text()
+    assert re.fullmatch(
+        rf"found {name} in test_\w+\.py, line \d+: two lines; .*fault of the method\n", reason
+    )
+    result = run("kt3dmoseg", "theirs", data=data, parameters={"fault": fault})
+    assert result.errors[0, :, 0].tolist() == [1, *result.errors[0, 1:, 0]] != [1, 1, 1]
+    with pytest.raises(SegmentationError, match=rf"Clip01: found {name} in ") as caught:
+        mseg.segment(load(data / f"{CLIPS[0]}.h5"), "theirs", fault=fault)
+    assert caught.value.__cause__.__traceback__
+
+
+def test_an_interrupt_and_a_fault_of_the_runner_are_no_result_of_a_method(data, monkeypatch, tmp_path):
+    monkeypatch.setattr(METHODS, "load", lambda name: Faulty)
+    with pytest.raises(KeyboardInterrupt):
+        predict(data, tmp_path / "p", "theirs", parameters={"fault": "stop"})
+    monkeypatch.setattr("mseg.methods._notes", lambda *_, **__: {}["a key"])
+    with pytest.raises(KeyError):
+        predict(data, tmp_path / "q", "affine")
 
 
 def test_our_methods_are_known_by_the_version_of_the_algorithms(make_clip, monkeypatch):
