@@ -22,6 +22,8 @@ from kt3dmoseg.types import BoolArray, ByteArray, FloatArray, IntArray
 _BLOCK = 1 << 18
 # Shadows and far walkers that two people outlined overlap by 0.2; neighbours by less than this.
 _SAME_PLACE = 0.1
+# Intersection over union of what is drawn twice, the pairs looked at, and the grid they are compared on.
+_DOUBLED, _MOST_PAIRS, _FINE = 0.5, 200, 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +117,36 @@ def overlaps(
             shared += both
             union += mine.sum(axis=1)[:, None] + theirs.sum(axis=1) - both
     return np.asarray(shared / np.maximum(union, 1), dtype=np.float64)
+
+
+def same_place(annotation: Annotation) -> str:
+    """Name two objects of different motions that are drawn in the same place in a key frame, or none."""
+    shown: dict[int, list[tuple[AnnotatedObject, list[FloatArray]]]] = {}
+    for item in annotation.objects:
+        for key in item.key_frames:
+            if key.visibility == "visible" and key.polygons:
+                shown.setdefault(key.frame, []).append((item, [np.array(p) for p in key.polygons]))
+    tried = 0
+    for frame, drawn in sorted(shown.items()):
+        ends = [np.concatenate(polygons) for _, polygons in drawn]
+        low, high = (np.array([getattr(end, side)(axis=0) for end in ends]) for side in ("min", "max"))
+        sides = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+        shared, area = np.maximum(sides, 0).prod(axis=2), (high - low).prod(axis=1)
+        alike = np.triu(shared > _DOUBLED * (area[:, None] + area - shared), 1)
+        for i, j in np.argwhere(alike).tolist()[: _MOST_PAIRS - tried]:
+            (one, a), (two, b) = drawn[i], drawn[j]
+            corner, scale = (
+                np.minimum(low[i], low[j]),
+                _FINE / np.ptp([low[i], high[i], low[j], high[j]], axis=0),
+            )
+            masks = [mask_of([(p - corner) * scale for p in side], (_FINE, _FINE)) for side in (a, b)]
+            tried += 1
+            if (
+                one.motion != two.motion
+                and (masks[0] & masks[1]).sum() > _DOUBLED * (masks[0] | masks[1]).sum()
+            ):
+                return f"{one.name} and {two.name} have different motions in the same place in frame {frame}"
+    return ""
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,15 @@ def read(path: str | os.PathLike[str]) -> Clip:
 
 def read_tracks(path: str | os.PathLike[str]) -> tuple[IntArray, Trajectories]:
     """Read the label of each track as the file has it, -1 where there is none, and the tracks."""
-    where, numbers = os.fspath(path), _numbers(path)
-    frames, count = (_whole(numbers, i, f"{where}: {what}") for i, what in enumerate(("nFrames", "nTracks")))
+    where, content = os.fspath(path), read_bytes(path, _MAX_FILE)
+    head = _numbers(content.split(None, 2)[:2], where)
+    frames, count = (_whole(head, i, f"{where}: {what}") for i, what in enumerate(("nFrames", "nTracks")))
+    most = max(_CELLS_FREE, 2 + count * (2 + 3 * frames))
+    tokens = content.split(None, min(most, len(content)))
+    if len(tokens) > most:
+        found = f"more numbers than {frames} frames x {count} tracks have"
+        raise FileFormatError(f"{where}: nTracks", expected="the tracks that follow", found=found)
+    numbers = _numbers(tokens, where)
     limit = min(_MAX_CELLS, max(_CELLS_FREE, _CELLS_PER_TOKEN * len(numbers)))
     if frames * max(count, 1) > limit:
         expected, found = f"at most {limit} positions in this file", f"{frames} frames x {count} tracks"
@@ -85,12 +92,13 @@ def _fill(xy: FloatArray, row: IntArray, points: FloatArray, where: str) -> None
         raise FileFormatError(where, expected="one point per track and frame", found="a frame given twice")
 
 
-def _numbers(path: str | os.PathLike[str]) -> FloatArray:
-    tokens = read_bytes(path, _MAX_FILE).split()
+def _numbers(tokens: list[bytes], where: str) -> FloatArray:
     numbers = np.fromiter(map(_number, tokens), np.float64, len(tokens))
     if len(bad := np.flatnonzero(~np.isfinite(numbers))):
-        where, found = f"{os.fspath(path)}: value {bad[0] + 1}", tokens[bad[0]][:40].decode(errors="replace")
-        raise FileFormatError(where, expected=f"finite numbers: {_LAYOUT}", found=repr(found))
+        found = tokens[bad[0]][:40].decode(errors="replace")
+        raise FileFormatError(
+            f"{where}: value {bad[0] + 1}", expected=f"finite numbers: {_LAYOUT}", found=repr(found)
+        )
     return numbers
 
 

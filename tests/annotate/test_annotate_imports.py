@@ -631,6 +631,37 @@ def test_a_plan_says_what_an_import_does():
     assert plan.frames == (0, 1, 2, 3, 4, 5)
 
 
+def twice(*places, ids=(1, 2)):
+    """COCO with an outline at each place (dx) of frame 0, and their ids."""
+    boxes = [np.ravel(outline(0, dx=dx)).tolist() for dx in places]
+    shapes = [{"image_id": 0, "track_id": k, "segmentation": [b]} for k, b in zip(ids, boxes, strict=True)]
+    return json.dumps({"images": [{"id": 0, "file_name": NAMES[0]}], "annotations": shapes}).encode()
+
+
+BOUNDED = track(0, shape(0, outline(0)), shape(3, outline(3), outside=1))
+LATER = shape(5, outline(0, dx=120)), shape(7, outline(2, dx=120))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "note"),
+    [
+        ("coco", twice(0, 8), "object 1 and object 2 have different motions in the same place in frame 0"),
+        ("coco", twice(0, 90), ""),
+        ("coco", twice(0, 150, ids=(4, 4)), "2 shapes of id 4 in frame 0 are parts of one object"),
+        ("cvat", cvat(BOUNDED, track(1, *LATER)), "begin after track[0] has ended: track[1]; they are other"),
+        ("cvat", cvat(BOUNDED, track(1, *LATER, label="van")), ""),
+    ],
+    ids=["doubled", "neighbours", "parts", "returns", "another label"],
+)
+def test_a_plan_says_which_objects_may_be_one(name, content, note):
+    said = [
+        line
+        for line in formats.plan(name, content, LIKE, NAMES).notes
+        if re.search("place|parts|begin", line)
+    ]
+    assert [note in line for line in said] == [True] * bool(note)
+
+
 def test_a_person_decides_about_shift_and_scale(tracks):
     plan = formats.plan("davis", masks(), LIKE, FROM_ONE, Choices(shift=1))
     assert not plan.doubts

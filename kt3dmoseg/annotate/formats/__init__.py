@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from kt3dmoseg.annotate.agreement import same_place
 from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Choices, Import
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
@@ -58,9 +59,12 @@ def plan(
     """
     chosen = load(name)
     if hasattr(chosen, "plan"):
-        return chosen.plan(content, like, names, choices)
-    found = Import(like, names, choices)
-    found.annotation = chosen.parse(content, found.like, names)  # of a third party
+        found = chosen.plan(content, like, names, choices)
+    else:
+        found = Import(like, names, choices)
+        found.annotation = chosen.parse(content, found.like, names)  # of a third party
+    if doubled := same_place(found.annotation):
+        found.note(doubled)
     return found
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from kt3dmoseg.annotate.formats.foreign import (
     OF_TRACKS,
     AnnotationFormat,
+    ForeignObject,
     Import,
     Key,
     Regions,
@@ -216,6 +217,29 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
             item = into.object(key, described(label, {**fields, "name": name}))
             for frame, (visibility, polygons) in drawn.items():
                 item.add(frame, polygons, visibility)
+    _note_returns({key for key, _ in known.named.values()}, into)
+
+
+def _note_returns(named: set[Key], into: Import) -> None:
+    """Say which tracks without an id begin after another of their label has ended."""
+    ends: dict[str, tuple[int, str]] = {}
+    begins: list[tuple[int, str, str]] = []
+    for where, item in into.found.items():
+        if isinstance(where, str) and where not in named and (seen := _seen(item)):
+            begins.append((seen[0], item.kind, where))
+            if seen[-1] < max(item.visibility):
+                ends[item.kind] = min(ends.get(item.kind, (seen[-1], where)), (seen[-1], where))
+    later = [(where, kind) for begin, kind, where in begins if kind in ends and begin > ends[kind][0]]
+    if later:
+        ended, begun = ends[later[0][1]][1], several(where for where, _ in later)
+        into.note(
+            f"tracks of its label begin after {ended} has ended: {begun}; "
+            "they are other objects, unless a track_id says that it returns"
+        )
+
+
+def _seen(item: ForeignObject) -> list[int]:
+    return sorted(frame for frame, visibility in item.visibility.items() if visibility != "outside")
 
 
 def _placed(

@@ -363,8 +363,10 @@ class Import:
         for frame, key, label, _ in self._shapes:
             if key is not None:
                 parts.setdefault((frame, key), []).append(label)
-        if any(len(labels) > 1 for labels in parts.values()):
-            self.note("shapes of one id in one frame are parts of one object")
+        if parted := [place for place, labels in parts.items() if len(labels) > 1]:
+            (frame, key), more = parted[0], f" (and in {len(parted) - 1} more places)" * (len(parted) > 1)
+            shapes = f"{len(parts[parted[0]])} shapes of id {key} in frame {frame}{more}"
+            self.note(f"{shapes} are parts of one object")
         if mixed := [place for place, labels in parts.items() if len(set(labels)) > 1]:
             (frame, key), labels = mixed[0], several(sorted(set(parts[mixed[0]])))
             self.doubts.append(f"in frame {frame}, shapes of several labels have one id, {key}: {labels}")
