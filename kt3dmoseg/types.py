@@ -46,7 +46,7 @@ def frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     return array
 
 
-class _Value:
+class Value:
     """A frozen dataclass of arrays and mappings."""
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -60,7 +60,7 @@ class _Value:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectories(_Value):
+class Trajectories(Value):
     """N point trajectories over F frames.
 
     Parameters
@@ -205,7 +205,7 @@ class Trajectories(_Value):
 
 
 @dataclass(frozen=True, eq=False)
-class Labels(_Value):
+class Labels(Value):
     """Motion labels.
 
     Parameters
@@ -271,7 +271,7 @@ class Labels(_Value):
 
 
 @dataclass(frozen=True, eq=False)
-class Camera(_Value):
+class Camera(Value):
     """The camera that filmed a clip.
 
     Parameters
@@ -296,7 +296,7 @@ class Camera(_Value):
 
 
 @dataclass(frozen=True, eq=False)
-class Clip(_Value):
+class Clip(Value):
     """One sequence: dense trajectories, the evaluated ones among them, and their labels.
 
     Parameters

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import label_vector
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, frozen
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Value, frozen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +38,7 @@ class Hypotheses:
 
 
 @dataclass(frozen=True, eq=False)
-class Segmentation:
+class Segmentation(Value):
     """Predicted motions of the evaluated trajectories of a clip, or of all.
 
     Parameters
@@ -57,12 +57,9 @@ class Segmentation:
     rows: IntArray | None = None
 
     def __post_init__(self) -> None:
-        if self.rows is not None:
-            object.__setattr__(self, "rows", frozen(self.rows, np.int64))
-        labels = label_vector(self.labels, "labels")
-        labels.flags.writeable = False
-        object.__setattr__(self, "labels", labels)
-        object.__setattr__(self, "report", MappingProxyType(dict(self.report)))
+        rows = None if self.rows is None else frozen(self.rows, np.int64)
+        labels = frozen(label_vector(self.labels, "labels"), np.int64)
+        self._set(labels=labels, report=MappingProxyType(dict(self.report)), rows=rows)
 
     @classmethod
     def of_part(cls, labels: IntArray, used: BoolArray, report: Mapping[str, Any]) -> Segmentation:
@@ -82,10 +79,6 @@ class Segmentation:
         shown = ", ".join(f"{g}: {n}" for g, n in zip(groups.tolist(), sizes.tolist(), strict=True))
         notes = "".join(f"; {note}" for note in self.report.get("notes", ()))
         return f"Segmentation({len(self.labels)} trajectories; motion: size {{{shown}}}{notes})"
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild through the constructor: a read-only mapping view does not pickle."""
-        return Segmentation, (self.labels, dict(self.report), self.rows)
 
     def _repr_html_(self) -> str:
         from kt3dmoseg.draw.display import group_labels, html_table, labels_html
