@@ -90,7 +90,9 @@ class BenchmarkResult:
         """One row per configuration: mean, spread over seeds and median of every group, and time."""
         failed = [str(len(table.failures)) for table in self.tables]
         published = [published_name(self.protocol, c.method) for c in self.configurations]
-        extra = {"CPU s": self._seconds(), "failed": failed}
+        right = [f"{100 * np.mean([c.n_found == c.n_motions for c in t.clips]):.0f}" for t in self.tables]
+        extra = {"number right, %": right} if self.number == "found" else {}
+        extra |= {"CPU s": self._seconds(), "failed": failed}
         title = self._title("classification error in %")
         return error_table(title, self.tables, published, extra=extra, notes=self._notes())
 

@@ -346,6 +346,8 @@ def test_methods_find_the_number_of_motions_on_request(data, tmp_path):
     assert all("cannot find it" in reason for *_, reason in found.failures)
     assert found.number == found.as_dict()["number"] == "found"
     assert "number of motions found" in found.summary().title
+    assert found.summary().columns[-3:] == ["number right, %", "CPU s", "failed"]
+    assert found.summary().rows[1][-3] == "0"  # lsa failed on every clip
     with pytest.raises(KT3DMoSegError, match="number: expected given or found, found 'known'"):
         run("kt3dmoseg", methods, data=[data], number="known")
 
