@@ -7,7 +7,8 @@
 2. **Pixels.** What speaks for the object: the middle of the box, the hull of the trajectories, and that the
    frames before and after, moved by the object's motion, fit better than moved by that of the scene around
    it; the weights are those of a logistic regression. A random walker (Grady, "Multilabel random walks using
-   prior models", CVPR 2005) spreads this up to edges of the image.
+   prior models", CVPR 2005) spreads this up to edges of the image; once more with the gray levels of what it
+   found, and of what lies around.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
@@ -55,6 +57,8 @@ _PAIRS, _CONVINCING, _MOST_GRAY, _SQUARE = (1, 2, 3), 4.0, 60.0, 7
 _MIDDLE, _SIDES, _TAPER, _EVIDENCE, _HULL, _HULL_SHARE, _NEAR = 2.1, 3.2, 1.0, 1.0, 0.5, 0.12, 4.0
 # A box this near to the picture's edge goes on beyond it, by a share of its side.
 _AT_EDGE, _BEYOND = 4.0, 0.4
+# Gray levels of the outline found first: their weight, how many count as one, their largest odds.
+_GRAYS, _LEVEL, _MOST_GRAY_ODDS = 1.0, 8, 2.0
 # Strength of the odds next to the picture's edges; a click: its strength and reach, in shares of the box.
 _STRENGTH, _MOST_ODDS, _CERTAIN, _PULL, _PULL_SHARE = 0.05, 6.0, 3.0, 0.13, 0.1
 _SMOOTH, _LEAK, _ITERATIONS = 0.5, 0.01, 80
@@ -292,6 +296,17 @@ def _cut(
     if member.any():
         odds += _HULL * np.clip(view.depth(steps.xy[member]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
         odds += _EVIDENCE * _evidence(frames, steps, member, frame, view, here)
+    inside = _walk(here, _field(odds, view, clicks, size)) > 0
+    odds += _GRAYS * _gray_odds(here, inside)
+    found = _walk(here, _field(odds, view, clicks, size))
+    left, top, right, bottom = view.box
+    soft = cv2.resize(found, (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
+    out[top:bottom, left:right] = soft > 0
+    return out
+
+
+def _field(odds: FloatArray, view: _View, clicks: Sequence[Click], size: float) -> FloatArray:
+    """Strength of the odds next to the picture's edges, and of clicks."""
     field = _STRENGTH * np.clip(odds, -_MOST_ODDS, _MOST_ODDS)
     reach = _PULL_SHARE * size + 2
     for x, y, adds in clicks:
@@ -299,10 +314,16 @@ def _cut(
         field += sign * _PULL * np.exp(-((view.x - x) ** 2 + (view.y - y) ** 2) / (2 * reach**2))
     for x, y, adds in clicks:
         field = np.where(view.disc(x, y), _CERTAIN if adds else -_CERTAIN, field)
-    left, top, right, bottom = view.box
-    soft = cv2.resize(_walk(here, field), (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
-    out[top:bottom, left:right] = soft > 0
-    return out
+    return np.asarray(field)
+
+
+def _gray_odds(here: Float32Array, inside: BoolArray) -> Float32Array:
+    """Logarithm of how much more often a pixel's gray level occurs inside than outside."""
+    level = np.minimum(here / _LEVEL, 255 // _LEVEL).astype(np.int64)
+    counts = [np.bincount(level[part], minlength=256 // _LEVEL) + 1.0 for part in (inside, ~inside)]
+    share = [gaussian_filter1d(count, 1.0) / count.sum() for count in counts]
+    odds = np.log(share[0] / share[1])[level].astype(np.float32)
+    return np.asarray(np.clip(cv2.blur(odds, (3, 3)), -_MOST_GRAY_ODDS, _MOST_GRAY_ODDS))
 
 
 class _View:

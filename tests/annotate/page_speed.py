@@ -38,19 +38,26 @@ STOP = """() => {
   return { frames: gaps.length, fps, median_ms: at(0.5), p95_ms: at(0.95) };
 }"""
 
-# The page's own work for one frame of each kind, without waiting for the screen; the least of 30.
-COST = """() => {
-  const cost = (run) => Math.min(...Array.from({ length: 30 }, () => {
-    const start = performance.now();
-    run();
-    return performance.now() - start;
-  }));
-  return {
-    regions_ms: cost(() => labeller.drawRegions()),
-    trajectories_ms: cost(() => labeller.drawTracks()),
-    picture_ms: cost(() => labeller.drawPicture()),
-  };
-}"""
+# The work of threads, by the browser's own trace: CPU time, which waiting for other programs does not change.
+TRACED = ["disabled-by-default-devtools.timeline", "devtools.timeline", "toplevel", "viz"]
+THREADS = {
+    "CrRendererMain": "script_and_layout_ms",
+    "CrGpuMain": "painting_ms",
+    "VizCompositorThread": "painting_ms",
+}
+
+
+def cpu_per_frame(trace: bytes) -> dict[str, float]:
+    """CPU time of the page's main thread and of painting, by the frames that were shown."""
+    events = json.loads(trace)["traceEvents"]
+    names = {(e["pid"], e["tid"]): e["args"]["name"] for e in events if e.get("name") == "thread_name"}
+    frames = sum(e["name"] == "Display::DrawAndSwap" for e in events)
+    spent = dict.fromkeys(THREADS.values(), 0.0)
+    for event in events:
+        kind = THREADS.get(names.get((event["pid"], event.get("tid")), ""))
+        if kind and event["name"] == "ThreadControllerImpl::RunTask":
+            spent[kind] += event.get("tdur", 0) / 1000
+    return {"shown": frames, **{kind: round(time / max(1, frames), 2) for kind, time in spent.items()}}
 
 
 def measure(count: int) -> dict[str, object]:
@@ -62,26 +69,35 @@ def measure(count: int) -> dict[str, object]:
         try:
             out: dict[str, object] = {"trajectories": count}
             for kind in ("cold", "warm"):
-                context = browser.new_context(viewport={"width": 1280, "height": 720})
+                context = browser.new_context(viewport={"width": 1440, "height": 900})
                 page = Page(context, server.address)
                 out[f"first_picture_ms_{kind}"] = page.tab.evaluate(PICTURE)
             page.press("End")
             page.draw([(x, y) for x, y in CORNERS])
             page.until("labeller.state.regions?.[1]")
             corner = [(140, 130), (200, 180), (120, 110), (180, 150)]
-            out["dragging"] = _timed(page, lambda: page.drag(*corner, steps=80))
-            out["panning"] = _timed(page, lambda: page.drag((600, 300), (700, 320), (500, 250), steps=80))
-            out["cost"] = page.tab.evaluate(COST)
+            works = {
+                "dragging": lambda: page.drag(*corner, steps=80),
+                "panning": lambda: page.drag((600, 300), (700, 320), (500, 250), steps=80),
+                "zooming": lambda: _zoom(page),
+            }
+            for name, work in works.items():
+                page.tab.evaluate(COUNT)
+                browser.start_tracing(page=page.tab, categories=TRACED)
+                work()
+                out[name] = cpu_per_frame(browser.stop_tracing()) | page.tab.evaluate(STOP)
             return out
         finally:
             browser.close()
             server.stop(signal.SIGKILL)
 
 
-def _timed(page: Page, work) -> dict[str, float]:
-    page.tab.evaluate(COUNT)
-    work()
-    return page.tab.evaluate(STOP)
+def _zoom(page: Page) -> None:
+    page.tab.mouse.move(*page.at((600, 250)))
+    page.tab.keyboard.down("Control")
+    for k in range(80):
+        page.tab.mouse.wheel(0, -4 if k % 40 < 20 else 4)
+    page.tab.keyboard.up("Control")
 
 
 if __name__ == "__main__":

@@ -62,11 +62,14 @@ export function meaningOf(motion) {
 }
 
 /** Clear a canvas, as large as it is shown, and give its context in CSS pixels. */
-export function begin(canvas) {
+export const begin = (canvas) => sized(canvas, canvas.clientWidth, canvas.clientHeight);
+
+export function sized(canvas, width, height) {
   const ratio = devicePixelRatio || 1;
-  canvas.width = Math.round(canvas.clientWidth * ratio);
-  canvas.height = Math.round(canvas.clientHeight * ratio);
+  const sides = [Math.round(width * ratio), Math.round(height * ratio)];
   const context = canvas.getContext("2d");
+  if (canvas.width === sides[0] && canvas.height === sides[1]) context.reset();
+  else [canvas.width, canvas.height] = sides;
   context.scale(ratio, ratio);
   return context;
 }

@@ -3,7 +3,7 @@
 
 import { clamp, inside } from "./annotation.js";
 import { ask, request } from "./saving.js";
-import { PROBLEM, begin, byId, colourOfLength, colourOfTrack } from "./dom.js";
+import { PROBLEM, begin, byId, colourOfLength, colourOfTrack, sized } from "./dom.js";
 import { now, on, notify, regionOf, set, state } from "./state.js";
 import { goTo, showPoint } from "./view.js";
 
@@ -154,54 +154,77 @@ function group() {
     : colourOfTrack(labels?.label[row] ?? 1, labels?.reason[row] ?? 0)));
 }
 
-let made = {}; // the paths of what was drawn last: panning only shifts them
+// What was painted last, with a border around what was in sight: panning shifts it, zooming scales it until it rests.
+const BORDER = 200;
+const REST = 200;
+let painted = null;
+let rest = 0;
 
 export function drawTracks() {
   const context = begin(canvas);
-  const { tracks, view, colouring, flickered, lassoed } = state;
+  const { tracks, view, colouring, trails, problems, lassoed } = state;
   if (!tracks || !view || colouring === "none") return;
-  const frame = flickered ?? state.frame;
-  const { scale } = view;
-  const size = clamp(scale * 1.2, 2, 5);
-  if (made.frame !== frame || made.groups !== groups || made.scale !== scale) made = { frame, groups, scale };
-  context.translate(-view.x * scale, -view.y * scale);
+  clearTimeout(rest);
+  const { clientWidth, clientHeight } = canvas;
+  const frame = state.flickered ?? state.frame;
+  const what = [frame, groups, trails, problems, lassoed, clientWidth, clientHeight, devicePixelRatio];
+  if (!what.every((value, k) => value === painted?.what[k]) || !inReach(view)) painted = paint(view, frame, what);
+  const { zoom, corner: [x, y] } = placed(view);
+  context.drawImage(painted.image, x, y, (clientWidth + 2 * BORDER) * zoom, (clientHeight + 2 * BORDER) * zoom);
+  if (zoom !== 1) rest = setTimeout(() => (painted = null, drawTracks()), REST);
+}
+
+/** How much larger what was painted is in a view, and where its corner is on the screen. */
+function placed({ x, y, scale }) {
+  const zoom = scale / painted.view.scale;
+  return { zoom, corner: [painted.view.x - x, painted.view.y - y].map((gap) => gap * scale - BORDER * zoom) };
+}
+
+function inReach(view) {
+  const { zoom, corner } = placed(view);
+  return zoom === 1 ? corner.every((at) => at <= 0 && at >= -2 * BORDER) : zoom > 0.5 && zoom < 2;
+}
+
+function paint(view, frame, what) {
+  const { tracks: { xy, frames }, lassoed } = state;
+  const [x0, y0] = [BORDER - view.x * view.scale, BORDER - view.y * view.scale];
+  const image = new OffscreenCanvas(1, 1);
+  const context = sized(image, canvas.clientWidth + 2 * BORDER, canvas.clientHeight + 2 * BORDER);
+  const size = clamp(view.scale * 1.2, 2, 5);
+  const squares = (chosen, side, colour) => {
+    context.fillStyle = colour;
+    for (const row of chosen) {
+      const at = 2 * (row * frames + frame); // NaN, where it is not seen, draws nothing
+      context.fillRect(x0 + xy[at] * view.scale - side / 2, y0 + xy[at + 1] * view.scale - side / 2, side, side);
+    }
+  };
   for (const [colour, chosen] of groups) {
     if (state.problems && colour !== PROBLEM) continue;
     const width = size + (colour === PROBLEM ? LARGER : 0);
-    if (state.trails) {
-      context.globalAlpha = 0.55;
-      context.strokeStyle = colour;
-      context.stroke(made[`trails${colour}`] ??= trails(chosen, frame));
-      context.globalAlpha = 1;
-    }
-    // Dark around each, to be seen on a bright ground.
-    for (const [side, fill] of [[width + 1.4, "#0b0d1090"], [width, colour]]) {
-      context.fillStyle = fill;
-      context.fill(made[side + colour] ??= squares(chosen, frame, side));
-    }
+    if (state.trails) drawTrails(context, chosen, frame, colour, (at) => [x0, y0].map((start, k) => start + xy[at + k] * view.scale));
+    squares(chosen, width + 1.4, "#0b0d1090"); // dark around each, to be seen on a bright ground
+    squares(chosen, width, colour);
   }
-  context.fillStyle = "#ffffff";
-  if (lassoed?.frame === frame) context.fill(squares(lassoed.rows, frame, size + 2));
+  if (lassoed?.frame === frame) squares(lassoed.rows, size + 2, "#ffffff");
+  return { image, view, what };
 }
 
-const placeOf = (row, frame) => position(row, frame)?.map((value) => value * state.view.scale);
-
-function squares(chosen, frame, side) {
-  const path = new Path2D();
+function drawTrails(context, chosen, frame, colour, placeOf) {
+  const { xy, frames } = state.tracks;
+  context.globalAlpha = 0.55;
+  context.strokeStyle = colour;
+  context.beginPath();
   for (const row of chosen) {
-    const point = placeOf(row, frame);
-    if (point) path.rect(point[0] - side / 2, point[1] - side / 2, side, side);
+    if (Number.isNaN(xy[2 * (row * frames + frame)])) continue;
+    let begun = false;
+    for (let at = 2 * (row * frames + Math.max(0, frame - TRAIL)); at <= 2 * (row * frames + frame); at += 2) {
+      if (Number.isNaN(xy[at])) continue;
+      context[begun ? "lineTo" : "moveTo"](...placeOf(at));
+      begun = true;
+    }
   }
-  return path;
-}
-
-function trails(chosen, frame) {
-  const path = new Path2D();
-  for (const row of chosen) {
-    const points = position(row, frame) ? range(frame + 1).slice(-TRAIL - 1).map((k) => placeOf(row, k)) : [];
-    points.filter(Boolean).forEach((point, k) => path[k ? "lineTo" : "moveTo"](...point));
-  }
-  return path;
+  context.stroke();
+  context.globalAlpha = 1;
 }
 
 now(["doc", "dragging", "tracks"], labelSoon);
