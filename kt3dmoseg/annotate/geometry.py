@@ -62,6 +62,15 @@ def size(polygons: Sequence[FloatArray]) -> float:
     return sum(abs(area(polygon)) for polygon in polygons)
 
 
+def median(values: FloatArray, axis: int) -> FloatArray:
+    """Median without NaN; much faster than numpy's for short axes."""
+    ordered = np.sort(values, axis=axis)
+    count = np.isfinite(values).sum(axis=axis, keepdims=True)
+    last = np.maximum(count - 1, 0)
+    low, high = (np.take_along_axis(ordered, k, axis) for k in (last // 2, (last + 1) // 2))
+    return np.asarray(np.squeeze((low + high) / 2, axis))
+
+
 def resample(polygon: FloatArray, count: int) -> FloatArray:
     """Return `count` points at equal distances along the boundary, starting at the first vertex."""
     closed = np.concatenate([polygon, polygon[:1]])

@@ -25,7 +25,7 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
-from kt3dmoseg.annotate.geometry import arrays
+from kt3dmoseg.annotate.geometry import arrays, median
 from kt3dmoseg.annotate.model import Box, Click, Polygon, Stroke
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
@@ -90,7 +90,7 @@ class Steps:
             model = np.linalg.solve(weighted @ h + np.diag([_STIFF, _STIFF, 1e-6]), weighted @ step)
             off = np.where(known, np.linalg.norm(step - h @ model, axis=2), np.nan)
             with np.errstate(invalid="ignore"):
-                scale = np.fmax(0.5, 1.5 * _median(off, 1))[:, None]
+                scale = np.fmax(0.5, 1.5 * median(off, 1))[:, None]
             weight = known / (1 + (np.nan_to_num(off) / scale) ** 2) ** 2
         model[known.sum(axis=1) < 3] = np.nan
         return centre, model
@@ -110,7 +110,7 @@ class Steps:
             return np.full_like(values, np.nan)
         near = at[cKDTree(self.xy[at]).query(self.xy, k=count)[1]]
         own = near == np.arange(len(near))[:, None]
-        return _median(np.where(own[None, ..., None], np.nan, values[:, near]), 2)
+        return median(np.where(own[None, ..., None], np.nan, values[:, near]), 2)
 
     def joined(self, ok: BoolArray, seeds: BoolArray) -> BoolArray:
         """Those that chains of ok ones join to the seeds, (n,)."""
@@ -128,21 +128,10 @@ class Steps:
 
 
 def seeds_at(steps: Steps, x: float, y: float) -> BoolArray:
-    """Find the trajectories nearest to a point that move alike, (n,)."""
-    count = range(1, min(2 * _SEEDS, len(steps.rows)) + 1)
-    distance, near = map(np.asarray, steps.tree.query((x, y), k=count))
-    near = near[distance <= max(_REACH, 1.5 * distance[0])]
-    step = steps.step[:, near]
-    odd = step - steps.around(steps.groups == 1, steps.step, _AROUND)[:, near]
-    size = _OFF_A_FRAME * np.nan_to_num(np.linalg.norm(odd, axis=2)) + _OF_MOTION * np.linalg.norm(
-        step, axis=2
-    )
-    apart = np.linalg.norm(step[:, :, None] - step[:, None], axis=3)
-    alike = _mean(apart / (1 + 0.5 * np.abs(steps.gaps)[:, None, None] + size[..., None])) < 1
-    best = int(np.argmax([alike[k].sum() - 0.1 * k for k in range(min(3, len(near)))]))
+    """Find the trajectories nearest to a point, (n,)."""
+    distance, near = map(np.asarray, steps.tree.query((x, y), k=range(1, min(_SEEDS, len(steps.rows)) + 1)))
     out = np.zeros(len(steps.rows), dtype=np.bool_)
-    out[near[alike[best]][:_SEEDS]] = True
-    out[near[best]] = True
+    out[near[distance <= max(_REACH, 1.5 * distance[0])]] = True
     return out
 
 
@@ -385,7 +374,7 @@ def _background(steps: Steps, scene: BoolArray, view: _View) -> Float32Array:
     if len(at) < _AROUND:
         return np.zeros((len(steps.gaps), *view.x.shape, 2), dtype=np.float32)
     near = at[cKDTree(steps.xy[at]).query(nodes, k=_AROUND)[1]]
-    field = np.nan_to_num(_median(steps.step[:, near], 2)).astype(np.float32)
+    field = np.nan_to_num(median(steps.step[:, near], 2)).astype(np.float32)
     grid = (view.x - left) / 8, (view.y - top) / 8
     return np.stack([cv2.remap(f.reshape(len(ys), len(xs), 2), *grid, cv2.INTER_LINEAR) for f in field])
 
@@ -414,19 +403,3 @@ def _walk(here: Float32Array, field: FloatArray) -> Float32Array:
     preconditioner = diags_array(1 / diagonal)
     spread, _ = cg(system, own * wish, wish, rtol=1e-2, maxiter=_ITERATIONS, M=preconditioner)
     return np.asarray(spread.reshape(here.shape), dtype=np.float32)
-
-
-def _median(values: FloatArray, axis: int) -> FloatArray:
-    """Median without NaN; much faster than numpy's for short axes."""
-    ordered = np.sort(values, axis=axis)
-    count = np.isfinite(values).sum(axis=axis, keepdims=True)
-    last = np.maximum(count - 1, 0)
-    low, high = (np.take_along_axis(ordered, k, axis) for k in (last // 2, (last + 1) // 2))
-    return np.asarray(np.squeeze((low + high) / 2, axis))
-
-
-def _mean(values: FloatArray) -> FloatArray:
-    """Mean over the first axis of what is known; infinite where nothing is."""
-    known = np.isfinite(values)
-    count = known.sum(axis=0)
-    return np.where(count > 0, np.nan_to_num(values).sum(axis=0) / np.maximum(count, 1), np.inf)

@@ -19,7 +19,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, resample, signed_distance, size
+from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, median, resample, signed_distance, size
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, KeyFrame, Motion, Visibility
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
 
@@ -257,12 +257,7 @@ def _weighted_similarity(
 
 def _median(values: FloatArray, known: BoolArray) -> FloatArray:
     """Median of the known values of each row; 0 in a row without any."""
-    ordered = np.sort(np.where(known, values, np.inf), axis=1)
-    count = known.sum(axis=1)
-    rows = np.arange(len(values))
-    low, high = ordered[rows, np.maximum(count - 1, 0) // 2], ordered[rows, np.minimum(count // 2, count - 1)]
-    with np.errstate(invalid="ignore"):
-        return np.where(count > 0, (low + high) / 2, 0.0)
+    return np.nan_to_num(median(np.where(known, values, np.nan), 1))
 
 
 def _between(

@@ -15,7 +15,7 @@ const MEANING = {
   residual: "what does not move with the static scene, from the trajectories",
   tracklets: "KITTI's 3D boxes, projected into the frames",
   masks: "masks from a folder",
-  mseg: "the clusters of a motion segmentation; takes some 20 seconds",
+  mseg: "the groups of a motion segmentation",
   built: "what kt3dmoseg build --propose found",
 };
 

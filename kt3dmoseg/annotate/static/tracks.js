@@ -168,60 +168,54 @@ export function drawTracks() {
   const { clientWidth, clientHeight } = canvas;
   const frame = state.flickered ?? state.frame;
   const what = [frame, groups, trails, problems, lassoed, clientWidth, clientHeight, devicePixelRatio];
-  if (!what.every((value, k) => value === painted?.what[k]) || !inReach(view)) painted = paint(view, frame, what);
-  const { zoom, corner: [x, y] } = placed(view);
-  context.drawImage(painted.image, x, y, (clientWidth + 2 * BORDER) * zoom, (clientHeight + 2 * BORDER) * zoom);
+  if (!what.every((value, k) => value === painted?.what[k]) || !near(view)) painted = paint(view, frame, what);
+  const zoom = view.scale / painted.view.scale;
+  const [left, top] = ["x", "y"].map((axis) => (painted.view[axis] - view[axis]) * view.scale - BORDER * zoom);
+  context.drawImage(painted.image, left, top, (clientWidth + 2 * BORDER) * zoom, (clientHeight + 2 * BORDER) * zoom);
   if (zoom !== 1) rest = setTimeout(() => (painted = null, drawTracks()), REST);
 }
 
-/** How much larger what was painted is in a view, and where its corner is on the screen. */
-function placed({ x, y, scale }) {
-  const zoom = scale / painted.view.scale;
-  return { zoom, corner: [painted.view.x - x, painted.view.y - y].map((gap) => gap * scale - BORDER * zoom) };
-}
-
-function inReach(view) {
-  const { zoom, corner } = placed(view);
-  return zoom === 1 ? corner.every((at) => at <= 0 && at >= -2 * BORDER) : zoom > 0.5 && zoom < 2;
+/** Whether what was painted serves a view: shifted by no more than the border, or about as large. */
+function near({ x, y, scale }) {
+  const { view } = painted;
+  if (scale !== view.scale) return scale / view.scale > 0.5 && scale / view.scale < 2;
+  return Math.max(Math.abs(x - view.x), Math.abs(y - view.y)) * scale <= BORDER;
 }
 
 function paint(view, frame, what) {
-  const { tracks: { xy, frames }, lassoed } = state;
-  const [x0, y0] = [BORDER - view.x * view.scale, BORDER - view.y * view.scale];
+  const { tracks: { xy, frames }, trails, problems, lassoed } = state;
+  const { x, y, scale } = view;
   const image = new OffscreenCanvas(1, 1);
   const context = sized(image, canvas.clientWidth + 2 * BORDER, canvas.clientHeight + 2 * BORDER);
-  const size = clamp(view.scale * 1.2, 2, 5);
-  const squares = (chosen, side, colour) => {
+  context.translate(BORDER - x * scale, BORDER - y * scale);
+  context.scale(scale, scale);
+  context.lineWidth = 1 / scale;
+  const shown = (chosen) => chosen.map((row) => 2 * (row * frames + frame)).filter((at) => !Number.isNaN(xy[at]));
+  const squares = (all, pixels, colour) => {
+    const side = pixels / scale;
     context.fillStyle = colour;
-    for (const row of chosen) {
-      const at = 2 * (row * frames + frame); // NaN, where it is not seen, draws nothing
-      context.fillRect(x0 + xy[at] * view.scale - side / 2, y0 + xy[at + 1] * view.scale - side / 2, side, side);
-    }
+    for (const at of all) context.fillRect(xy[at] - side / 2, xy[at + 1] - side / 2, side, side);
   };
   for (const [colour, chosen] of groups) {
-    if (state.problems && colour !== PROBLEM) continue;
-    const width = size + (colour === PROBLEM ? LARGER : 0);
-    if (state.trails) drawTrails(context, chosen, frame, colour, (at) => [x0, y0].map((start, k) => start + xy[at + k] * view.scale));
-    squares(chosen, width + 1.4, "#0b0d1090"); // dark around each, to be seen on a bright ground
-    squares(chosen, width, colour);
+    if (problems && colour !== PROBLEM) continue;
+    const all = shown(chosen);
+    const size = clamp(scale * 1.2, 2, 5) + (colour === PROBLEM ? LARGER : 0);
+    if (trails) drawTrails(context, all, 2 * Math.min(frame, TRAIL), colour);
+    squares(all, size + 1.4, "#0b0d1090"); // dark around each, to be seen on a bright ground
+    squares(all, size, colour);
   }
-  if (lassoed?.frame === frame) squares(lassoed.rows, size + 2, "#ffffff");
+  if (lassoed?.frame === frame) squares(shown(lassoed.rows), clamp(scale * 1.2, 2, 5) + 2, "#ffffff");
   return { image, view, what };
 }
 
-function drawTrails(context, chosen, frame, colour, placeOf) {
-  const { xy, frames } = state.tracks;
+function drawTrails(context, all, length, colour) {
+  const { xy } = state.tracks;
   context.globalAlpha = 0.55;
   context.strokeStyle = colour;
   context.beginPath();
-  for (const row of chosen) {
-    if (Number.isNaN(xy[2 * (row * frames + frame)])) continue;
-    let begun = false;
-    for (let at = 2 * (row * frames + Math.max(0, frame - TRAIL)); at <= 2 * (row * frames + frame); at += 2) {
-      if (Number.isNaN(xy[at])) continue;
-      context[begun ? "lineTo" : "moveTo"](...placeOf(at));
-      begun = true;
-    }
+  for (const at of all) {
+    context.moveTo(xy[at], xy[at + 1]);
+    for (let k = at - 2; k >= at - length; k -= 2) context.lineTo(xy[k], xy[k + 1]); // none to NaN: unseen
   }
   context.stroke();
   context.globalAlpha = 1;
