@@ -49,7 +49,7 @@ const isDone = (name) => ["done", "reviewed"].includes(name);
 
 /** What the labels leave in doubt: trajectories that got none, regions that were carried with doubt. */
 function doubtOf({ short, conflict }, weak) {
-  const parts = [[short + conflict, "open"], [weak, "weak"]].filter(([count]) => count);
+  const parts = [[short + conflict, "open tracks"], [weak, "weak frames"]].filter(([count]) => count);
   return parts.map((part) => part.join(" ")).join(" · ") || "nothing in doubt";
 }
 
