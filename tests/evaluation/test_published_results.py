@@ -86,7 +86,8 @@ def test_every_file_is_read():
 @pytest.mark.parametrize("key", RESULTS, ids="/".join)
 def test_every_dataset_has_every_method_with_enough_seeds(key, tool):
     """Rows that must exist; whoever publishes one that was lacking takes it out of LACKING."""
-    seeds = {each.row: len(each.seeds) for each in RESULTS[key]}
+    ours = (each for each in RESULTS[key] if each.method in tool.METHODS_OF_TABLES)  # not submissions
+    seeds = {each.row: len(each.seeds) for each in ours}
     due = dict.fromkeys([*tool.METHODS_OF_TABLES, "multibody, number found"], 3)
     due |= dict.fromkeys(PAPER | ({"multibody"} if key == ("kt3dmoseg", "2018") else set()), 10) | {"alc": 1}
     lacking = {row for row, least in due.items() if seeds.get(row, 0) < least}
