@@ -193,17 +193,11 @@ def predict(
     n_motions : int or None
         Number of motions of all clips; None = as many as each clip's labels have, or, where a clip
         has no labels, what the method finds.
-    seeds : int or sequence of int
-        Number of seeds, counted from 0, or the seeds.
-    parameters : mapping, optional
-        Parameters of the method.
+    seeds, parameters, workers, dask, progress
+        As of `mseg.benchmark.run`.
     rows : {"evaluated", "all"}
         With "all", the labels of all trajectories are written, too, into another folder, ``<output>-all``;
         see `mseg.segment`.
-    workers, dask
-        Where to run, see `mseg.benchmark.run`.
-    progress : callable, optional
-        Called as clips finish.
 
     Raises
     ------

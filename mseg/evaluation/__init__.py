@@ -37,25 +37,12 @@ __all__ += ["write_report", "write_submission"]
 
 
 def classification_error(truth: npt.ArrayLike, pred: npt.ArrayLike) -> float:
-    """Fraction of trajectories that are wrong under the best one-to-one assignment of labels.
+    """Fraction of trajectories that are wrong under the best one-to-one assignment of labels, 0 to 1.
 
-    Parameters
-    ----------
-    truth : (n,) int
-        True motions; 0 = unlabelled, not counted at all.
-    pred : (n,) int
-        Predicted groups, numbered as they like. 0 = outlier: always wrong. More groups than
-        motions: those without a motion are wrong; fewer: so are the motions without a group.
-
-    Returns
-    -------
-    float
-        0 (perfect, up to numbering) to 1.
-
-    Raises
-    ------
-    InvalidValueError
-        When a vector holds no labels, the lengths differ, or no trajectory is labelled.
+    Of true motions (n,), 0 = unlabelled, not counted at all. Predicted groups (n,) are numbered as they like;
+    0 = outlier: always wrong. More groups than motions: those without a motion are wrong; fewer: so are the
+    motions without a group. InvalidValueError when a vector holds no labels, the lengths differ, or no
+    trajectory is labelled.
 
     Examples
     --------
