@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from kt3dmoseg.annotate.agreement import same_place
 from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Choices, Import
 from kt3dmoseg.annotate.model import Annotation
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
@@ -63,6 +62,8 @@ def plan(
     else:
         found = Import(like, names, choices)
         found.annotation = chosen.parse(content, found.like, names)  # of a third party
+    from kt3dmoseg.annotate.agreement import same_place  # which uses the masks of this package
+
     if doubled := same_place(found.annotation):
         found.note(doubled)
     return found
