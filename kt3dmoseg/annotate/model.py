@@ -446,16 +446,10 @@ def polygon_from(points: Sequence[Sequence[float]], where: str) -> Polygon:
         return _POLYGON.validate_python(points)
 
 
-def clicks_from(data: object) -> Clicks:
-    """Build clicks from parsed JSON; raises InvalidValueError, which names the field."""
+def checked(kind: type[T], data: object) -> T:
+    """Build `Clicks` or a `Stroke` from parsed JSON; raises InvalidValueError, which names the field."""
     with _errors_of_this_package():
-        return _CLICKS.validate_python(data)
-
-
-def stroke_from(data: object) -> Stroke:
-    """Build a stroke of the brush from parsed JSON; raises InvalidValueError, which names the field."""
-    with _errors_of_this_package():
-        return _STROKE.validate_python(data)
+        return TypeAdapter(kind).validate_python(data)
 
 
 def json_schema() -> dict[str, Any]:
@@ -490,8 +484,6 @@ def _moved(
 
 _REQUIRED = ["format", "version", *(field.name for field in fields(Annotation) if field.name != "marks")]
 _ANNOTATION = TypeAdapter(Annotation)
-_CLICKS = TypeAdapter(Clicks)
-_STROKE = TypeAdapter(Stroke)
 _POLYGON: TypeAdapter[Polygon] = TypeAdapter(Polygon)
 _MODELS = {"objects": AnnotatedObject, "key_frames": KeyFrame, "marks": Mark}
 _EXPECTED = {

@@ -30,7 +30,7 @@ from kt3dmoseg.annotate.model import (
     save_revision,
 )
 from kt3dmoseg.annotate.one_click import outline_clicks
-from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
+from kt3dmoseg.annotate.propagation import Region, TrackMotion
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog, file_version
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
@@ -119,10 +119,10 @@ class ClipSession:
     def trajectories(self, *, wait: bool = False) -> Trajectories:
         """Return the trajectories, or raise NotTrackedError; the first call starts the work."""
         with self._lock:
-            if self._thread is None:
+            if self._thread is None and not isinstance(self._tracks, Trajectories):
                 self._thread = threading.Thread(target=self._work, daemon=True)
                 self._thread.start()
-        if wait:
+        if wait and self._thread:
             self._thread.join()
         found = self._tracks
         if not isinstance(found, Trajectories):
@@ -237,8 +237,11 @@ class ClipSession:
             self._counted = {"error": str(error)}
 
     def _counts(self) -> dict[str, Any]:
-        ready, path = isinstance(self._tracks, Trajectories), self.source.tracks
-        tracks = self.trajectories() if ready else None if path is None else self._load(path)
+        session, path = self, self.source.tracks
+        if path and not isinstance(self._tracks, Trajectories):  # nobody opened it: nothing of it is kept
+            session = ClipSession(self.source, self.tracker)
+            session._tracks = session._load(path)
+        tracks = session._tracks if isinstance(session._tracks, Trajectories) else None
         out: dict[str, Any] = {} if tracks is None else {"trajectories": len(tracks)}
         if not self.source.annotation.exists():
             return out
@@ -247,17 +250,8 @@ class ClipSession:
         out |= {"objects": len(annotation.objects), "motions": len(annotation.motions)}
         if tracks is None:
             return out
-        if ready:
-            labelled, weak = self.labelled(annotation), self.weak(annotation)
-        else:  # a clip that nobody opened: nothing of it is kept
-            motion = TrackMotion(tracks)
-            regions = propagate(annotation, motion)
-            labelled = label_tracks_detailed(tracks, annotation, regions=regions)
-            weak = {
-                number: propagation.weak_frames(of_object, motion) for number, of_object in regions.items()
-            }
-            weak = propagation.overlaps(annotation, regions, weak)
-        return out | {"counts": labelled.counts(), "weak": sum(map(bool, chain(*weak.values())))}
+        counts, weak = session.labelled(annotation).counts(), session.weak(annotation)
+        return out | {"counts": counts, "weak": sum(map(bool, chain(*weak.values())))}
 
     def _label(self, annotation: Annotation) -> LabelledTracks:
         tracks = self.trajectories(wait=True)

@@ -193,12 +193,12 @@ class Routes:
 
     def _outline(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         with model.within("body"):
-            asked = model.clicks_from(model.parse_document(body, "body"))
+            asked = model.checked(model.Clicks, model.parse_document(body, "body"))
             return {"polygons": session.outline(asked)}
 
     def _paint(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         with model.within("body"):
-            stroke = model.stroke_from(model.parse_document(body, "body"))
+            stroke = model.checked(model.Stroke, model.parse_document(body, "body"))
         return {"polygons": painted(stroke, session.image_size)}
 
     def _labels(self, _: Request, session: ClipSession, body: bytes) -> Answer:
