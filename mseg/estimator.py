@@ -80,7 +80,8 @@ class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # sci
     def _points(self, given: Any) -> Any:  # noqa: ANN401  # `segment` checks it
         if isinstance(given, (Clip, Trajectories)) or np.ndim(given) == 3:
             return given
-        table = validate_data(self, given, dtype=np.float64, ensure_all_finite="allow-nan")
+        least = {"ensure_min_samples": self.n_motions if isinstance(self.n_motions, int) else 1}
+        table = validate_data(self, given, dtype=np.float64, ensure_all_finite="allow-nan", **least)
         if table.shape[1] % 2:
             expected = "an even number of columns, x and y of every frame"
             raise InvalidValueError("X", expected=expected, found=f"shape {table.shape}")
