@@ -6,14 +6,24 @@ Listing names imports nothing. Third parties add to a table through an entry poi
 from __future__ import annotations
 
 import ast
+import builtins
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping
+import typing
+from collections import ChainMap, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
 from importlib import import_module
-from types import MappingProxyType
-from typing import Any
+from os import PathLike
+from types import FunctionType, MappingProxyType, NoneType, UnionType
+from typing import Any, TypeVar
 
-from kt3dmoseg.errors import UnknownNameError
+from kt3dmoseg.errors import InvalidValueError, UnknownNameError
+
+CallT = TypeVar("CallT", bound=Callable[..., Any])
+_WORDS: dict[Any, str] = {PathLike: "a path", str: "text", Callable: "a function"}
+_WORDS |= {Mapping: "a mapping", Sequence: "several", Iterable: "several", NoneType: "None"}
+_UNCHECKED = (Any, object, bool, int, float, list, dict, set, tuple)
 
 
 class Registry:
@@ -83,7 +93,78 @@ def lazy(
             return import_module(f"{package}.{former.get(name, name)}")
         if name not in names:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(names[name]), name)
+        found = getattr(import_module(names[name]), name)
+        if isinstance(found, FunctionType):  # replaced where it is defined, so that it can be pickled
+            found = vars(sys.modules[found.__module__])[name] = strict(found)
+        return found
 
     public = [*own, *names]
     return getattr_, lambda: sorted(public), public
+
+
+def strict(call: CallT) -> CallT:
+    """Let a function or class raise InvalidValueError for arguments of other types than its annotations name.
+
+    What numbers and arrays may be, they check themselves.
+    """
+    if isinstance(call, type):
+        call.__init__ = strict(call.__init__)  # type: ignore[misc]
+        return call
+    if hasattr(call, "strict"):
+        return call
+    signature, hints = inspect.signature(call), dict[str, Any]()
+    parameters = signature.parameters
+
+    @wraps(call)
+    def checked(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401
+        if not hints:  # names that are imported for type checkers only may be anything
+            known = ChainMap(call.__globals__, vars(builtins), defaultdict(lambda: Any))
+            hints.update(dict.fromkeys(parameters, Any) | typing.get_type_hints(call, {}, known))
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            various = parameters[name].kind in (
+                inspect.Parameter.VAR_KEYWORD,
+                inspect.Parameter.VAR_POSITIONAL,
+            )
+            if not (various or _fits(value, hints[name])):
+                raise InvalidValueError(name, expected=_in_words(hints[name]), found=_found(value))
+        return call(*args, **kwargs)
+
+    checked.strict = True  # type: ignore[attr-defined]
+    return typing.cast(CallT, checked)
+
+
+def _fits(value: object, hint: Any) -> bool:  # noqa: ANN401  # an annotation
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, UnionType):
+        return any(_fits(value, each) for each in inner)
+    if origin is typing.Annotated:
+        return _fits(value, inner[0])
+    kind = NoneType if hint is None else origin or hint
+    if not isinstance(kind, type) or kind in _UNCHECKED or kind.__module__ == "numpy":
+        return True
+    if getattr(kind, "_is_protocol", False):
+        return callable(value) or "__call__" not in vars(kind)
+    if not isinstance(value, kind) or (isinstance(value, bytes) and kind is not bytes):
+        return False
+    each = value if isinstance(value, (list, tuple)) and len(inner) == 1 else ()
+    return all(_fits(element, inner[0]) for element in each)
+
+
+def _in_words(hint: Any) -> str:  # noqa: ANN401  # an annotation
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin is typing.Annotated:
+        return _in_words(inner[0])
+    if origin in (typing.Union, UnionType):
+        words = [_in_words(each) for each in inner]
+        return " or ".join(word for word in dict.fromkeys(words) if word != "text" or "a path" not in words)
+    kind = origin or hint
+    word = _WORDS.get(kind, getattr(kind, "__name__", "anything"))
+    return f"{word} {_in_words(inner[0])}" if word == "several" else word
+
+
+def _found(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        kinds = sorted({type(each).__name__ for each in value})
+        return f"{type(value).__name__} of {', '.join(kinds) or 'nothing'}"
+    plain = isinstance(value, (str, bytes, int, float, PathLike, NoneType))
+    return f"{value!r:.60}" if plain else type(value).__name__

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError, MissingDependencyError
+from kt3dmoseg.registry import strict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +42,12 @@ def frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     if dtype == np.int64 and given.dtype == np.uint64 and given.size and given.max() > _MAX_INT:
         raise InvalidValueError("whole numbers", expected=f"at most {_MAX_INT}", found=_brief(given))
     same = given.dtype == dtype and not given.flags.writeable and given.base is None
-    array = given if same else np.array(given, dtype=dtype, order="C")
+    try:
+        array = given if same else np.array(given, dtype=dtype, order="C")
+    except (TypeError, ValueError):
+        raise InvalidValueError("array", expected="numbers", found=f"{values!r:.60}") from None
+    if dtype == np.int64 and given.dtype.kind == "f" and (array != given).any():
+        raise InvalidValueError("array", expected="whole numbers", found=_brief(given))
     array.flags.writeable = False
     return array
 
@@ -59,6 +65,7 @@ class Value:
         vars(self).update(values)
 
 
+@strict
 @dataclass(frozen=True, eq=False)
 class Trajectories(Value):
     """N point trajectories over F frames.
@@ -204,6 +211,7 @@ class Trajectories(Value):
         return xr.Dataset(values, {"track": self.track_id, "frame": np.arange(self.n_frames)}, size)
 
 
+@strict
 @dataclass(frozen=True, eq=False)
 class Labels(Value):
     """Motion labels.
@@ -228,6 +236,8 @@ class Labels(Value):
             raise InvalidValueError("label", expected="a vector (N,)", found=f"shape {raw.shape}")
         if raw.size and not (np.issubdtype(raw.dtype, np.integer) and raw.min() >= _UNLABELLED):
             raise InvalidValueError("label", expected="integers >= 0", found=_brief(raw))
+        if np.ndim(self.background):  # type: ignore[arg-type]
+            raise InvalidValueError("background", expected="a label", found=f"{self.background!r:.60}")
         background = None if self.background is None else int(frozen(self.background, np.int64))
         names = MappingProxyType(dict(self.names))
         self._set(label=frozen(raw, np.int64), names=names, background=background)
@@ -270,6 +280,7 @@ class Labels(Value):
         return pd.DataFrame({"label": self.label, "name": pd.Series(names, dtype=object)})
 
 
+@strict
 @dataclass(frozen=True, eq=False)
 class Camera(Value):
     """The camera that filmed a clip.
@@ -295,6 +306,7 @@ class Camera(Value):
         self._set(K=matrix)
 
 
+@strict
 @dataclass(frozen=True, eq=False)
 class Clip(Value):
     """One sequence: dense trajectories, the evaluated ones among them, and their labels.

@@ -16,6 +16,7 @@ import numpy as np
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import listed
 from kt3dmoseg.io.fields import FIELDS, clip_name, clip_values
+from kt3dmoseg.registry import strict
 from kt3dmoseg.types import Clip, Trajectories
 
 _HEAD = 128
@@ -58,6 +59,7 @@ _FOREIGN = (
 )
 
 
+@strict
 def load(path: str | os.PathLike[str]) -> Clip:
     """Load one clip from any format that is read.
 
@@ -106,6 +108,7 @@ def _check_size(tracks: Trajectories) -> None:
         raise InvalidValueError("image_size", expected=f"positions in {width}x{height} px", found=found)
 
 
+@strict
 def save(clip: Clip, path: str | os.PathLike[str]) -> None:
     """Write a clip in the format of the path's suffix, atomically.
 
@@ -215,6 +218,7 @@ def _clips_below(folder: Path, levels: int) -> list[Path]:
     return [file for sub in folders for file in (*clip_files(sub), *_clips_below(sub, levels - 1))]
 
 
+@strict
 def load_dataset(folder: str | os.PathLike[str]) -> dict[str, Clip]:
     """Load every clip of a folder, by name, in the order of `dataset_paths`."""
     return {name: load(path) for name, path in dataset_paths(folder).items()}

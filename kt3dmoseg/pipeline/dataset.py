@@ -255,8 +255,8 @@ def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, pro
     counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
     counts |= clip.provenance.get("dropped", {})
     nothing = [named for label, named in clip.labels.names.items() if label not in clip.labels.motions]
-    notes = (f"nothing is labelled as {several(nothing)}",) if nothing else ()
-    return Outcome(name, "built", reason, target, counts, labels, job.info.notes + notes)
+    job.notes += [f"nothing is labelled as {several(nothing)}"] if nothing else []
+    return Outcome(name, "built", reason, target, counts, labels, tuple(job.notes))
 
 
 def _build_and_propose(
@@ -290,6 +290,7 @@ class _Job:
     def __init__(self, task: _Task, settings: _Settings) -> None:
         self.source, self.files, self.tracks = task
         self.settings, self.info = settings, self.source.inspect()
+        self.notes = [*self.info.notes]
         labels = {kind: sha256_file(paths[0]) for kind, paths in self.files.items()}
         if masks := self.files.get("masks"):
             content = {"files": sha256_files(masks), "names": [path.name for path in masks]}
@@ -324,7 +325,7 @@ class _Job:
             provenance["attributes"] = dict(source.measure())
         else:
             names = self.info.names or [f"{number:06d}.png" for number in numbers]
-            labels = label_clip(source.name, self.files, dense, names, settings.shift)
+            labels = label_clip(source.name, self.files, dense, names, settings.shift, self.notes)
         info, (rows, chosen) = self.info, self._evaluated(labels, len(dense))
         return Clip(
             source.name, dense, rows, chosen, np.array(numbers), info.timestamps, info.camera, provenance

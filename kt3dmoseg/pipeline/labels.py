@@ -87,19 +87,27 @@ def label_clip(
     dense: Trajectories,
     frames: Sequence[str],
     shift: int | None = None,
+    notes: list[str] | None = None,
 ) -> Labels | None:
-    """Label a clip's trajectories by what `find_labels` found; `frames` names the files of its frames."""
+    """Label a clip's trajectories by what `find_labels` found; `frames` names the files of its frames.
+
+    `notes` takes what was concluded about masks.
+    """
     if annotation := files.get("annotation"):
         found = load_annotation(annotation[0])
         size = dense.image_size or found.image_size
         found.expect(f"{annotation[0]}: ", clip=name, n_frames=dense.n_frames, image_size=size)
         return label_tracks(dense, found)
     masks = files.get("masks")
-    return label_by_masks(dense, by_frame(masks, frames, name, shift)) if masks else None
+    return label_by_masks(dense, by_frame(masks, frames, name, shift, notes)) if masks else None
 
 
 def by_frame(
-    paths: Sequence[Path], frames: Sequence[str], clip: str, shift: int | None = None
+    paths: Sequence[Path],
+    frames: Sequence[str],
+    clip: str,
+    shift: int | None = None,
+    notes: list[str] | None = None,
 ) -> dict[int, Path]:
     """Match masks to frames as imports do; refuse those of no frame unless every frame has one."""
     names = {path.name: path for path in paths}
@@ -107,6 +115,8 @@ def by_frame(
     if match.doubt or not match.frames:
         found = match.doubt or several(names)
         raise InputFileError(f"masks of {clip}", expected=match.expected, found=found, fix=match.fix)
+    left = f"{several(match.unmatched)} of no frame are left out" if match.unmatched else ""
+    (notes if notes is not None else []).extend(f"masks: {text}" for text in (match.note, left) if text)
     return {frame: names[name] for name, frame in match.frames.items()}
 
 

@@ -22,6 +22,7 @@ from kt3dmoseg.files import check_writable, parse_json, read_bytes, write_text
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
+from kt3dmoseg.registry import strict
 from kt3dmoseg.types import Clip, IntArray, Labels
 from mseg.benchmark.results import BenchmarkResult, Configuration
 from mseg.errors import SegmentationError
@@ -81,6 +82,7 @@ class Task:
         return f"{self.clip.name}, seed {self.seed}"
 
 
+@strict
 def run(
     benchmark: str = "kt3dmoseg",
     methods: str | Iterable[str | Configuration] = "subset",
@@ -167,6 +169,7 @@ def run(
     return result
 
 
+@strict
 def predict(
     data: str | os.PathLike[str],
     output: str | os.PathLike[str],

@@ -24,6 +24,7 @@ from kt3dmoseg.io.formats import first_bytes, recognise
 from kt3dmoseg.io.hdf5 import check_storage, open_hdf5
 from kt3dmoseg.io.matlab import Value, read_mat
 from kt3dmoseg.io.predictions import MAX_FILE_BYTES, first_few, is_zero_based, label_vector
+from kt3dmoseg.registry import strict
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
 from mseg.evaluation.protocol import choose_protocol, count
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
@@ -55,6 +56,7 @@ class Written(NamedTuple):
     note: str = ""  # what was done to the labels
 
 
+@strict
 def example_submission(
     data: str | os.PathLike[str] | None,
     output: str | os.PathLike[str],
@@ -144,6 +146,7 @@ def _new_folder(output: str | os.PathLike[str]) -> Iterator[Path]:
         raise
 
 
+@strict
 def read_label_files(
     source: str | os.PathLike[str],
     clips: Mapping[str, Clip],

@@ -30,7 +30,7 @@ from kt3dmoseg.io.predictions import (
     numbered,
     read_prediction,
 )
-from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.registry import strict, unknown_name
 from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels, Trajectories
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.contingency import Contingency, contingency
@@ -211,6 +211,7 @@ class ScoreTable:
         return {(c.clip, c.seed): c for c in self.clips}
 
 
+@strict
 def score(
     truth: Any,  # noqa: ANN401  # labels in any of the forms below
     pred: Any,  # noqa: ANN401
@@ -474,6 +475,7 @@ def clip_json(score: ClipScore) -> dict[str, Any]:
     return out
 
 
+@strict
 def load_scores(path: str | os.PathLike[str]) -> ScoreTable:
     """Read a file written by ``mseg score --json``."""
     return from_json(read_bytes(path, _MAX_JSON), os.fspath(path))

@@ -50,7 +50,7 @@ from kt3dmoseg.io.predictions import (
     label_table,
     parse_prediction,
 )
-from kt3dmoseg.registry import nearest
+from kt3dmoseg.registry import nearest, strict
 from kt3dmoseg.types import Clip, IntArray, Labels
 from mseg.evaluation.protocol import list_protocols
 from mseg.types import Segmentation
@@ -156,6 +156,7 @@ def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
     return path
 
 
+@strict
 def write_prediction(
     folder: str | os.PathLike[str],
     clip: Clip,
@@ -200,6 +201,7 @@ def write_failure(
     return path
 
 
+@strict
 def write_submission(
     folder: str | os.PathLike[str],
     clips: Iterable[Clip],
@@ -223,8 +225,6 @@ def write_submission(
     format : {"csv", "npz", "h5"}
         File format of the predictions.
     """
-    if not isinstance(meta, SubmissionMeta):
-        raise InvalidValueError("meta", expected="a SubmissionMeta", found=type(meta).__name__)
     for name in wrong_fields(asdict(meta)):
         raise InvalidValueError(f"meta.{name}", expected=_FIELDS[name][0], found=f"{vars(meta)[name]!r:.80}")
     check_writable(folder)
@@ -266,14 +266,14 @@ def bare_labels(values: Any, clip: Clip | Labels) -> Any:  # noqa: ANN401  # as 
 
 def prediction_runs(predictions: Any) -> dict[int | None, Mapping[str, Any]]:  # noqa: ANN401
     """Sort out whether predictions are of clips, one run without a seed (None), or of seeds and clips."""
-    values = predictions.values() if isinstance(predictions, Mapping) else ()
+    values = predictions.values()
     nested = [isinstance(v, Mapping) and label_table(v, "predictions") is None for v in values]
     if nested and not any(nested):
         return {None: predictions}
     seeds = predictions if nested and all(nested) else [None]
     if not all(isinstance(s, (int, np.integer)) and not isinstance(s, bool) and s >= 0 for s in seeds):
         expected = "a mapping of clip names to their labels, or of seeds (0, 1, ...) to such mappings"
-        found = first_few(list(predictions)) if values else f"an empty or other {type(predictions).__name__}"
+        found = first_few(list(predictions)) if values else "nothing"
         raise InvalidValueError("predictions", expected=expected, found=found)
     return {int(seed): run for seed, run in predictions.items()}
 

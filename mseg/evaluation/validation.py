@@ -13,7 +13,7 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import Problem, first_few, is_zero_based, join_labels, numbered
-from kt3dmoseg.registry import nearest
+from kt3dmoseg.registry import nearest, strict
 from kt3dmoseg.types import Clip, IntArray
 from mseg.evaluation.protocol import Protocol, choose_protocol, count
 from mseg.evaluation.submission import (
@@ -79,6 +79,7 @@ class Validation:
         }
 
 
+@strict
 def validate_submission(
     submission: str | os.PathLike[str] | Submission,
     data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],

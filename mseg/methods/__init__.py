@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io.fields import check_axes
 from kt3dmoseg.options import from_mapping
-from kt3dmoseg.registry import Registry
+from kt3dmoseg.registry import Registry, strict
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, Labels, Trajectories
 from mseg.errors import SegmentationError
 from mseg.spreading import spread_labels
@@ -66,6 +66,7 @@ def list() -> builtins.list[str]:
     return METHODS.names()
 
 
+@strict
 def create(name: str, **parameters: Any) -> Method:  # noqa: ANN401
     """Make a method from its name and parameters.
 
@@ -80,6 +81,7 @@ def create(name: str, **parameters: Any) -> Method:  # noqa: ANN401
     return method
 
 
+@strict
 def segment(
     clip: Clip | Trajectories | npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike],
     method: str | Method = "subset",

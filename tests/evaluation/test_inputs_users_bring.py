@@ -539,7 +539,7 @@ def test_hidden_files_and_other_forms_of_a_clip_are_no_older_results(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
-        ({"predictions": [LABELS]}, "a mapping of clip names"),
+        ({"predictions": [LABELS]}, "predictions: expected a mapping, found list of ndarray"),
         ({"predictions": {True: {CLIP.name: LABELS}}}, "seeds"),
         ({"meta": "m"}, "SubmissionMeta"),
         ({"format": "tsv"}, "csv or npz or h5"),

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import kt3dmoseg
+import mseg
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 from mseg.types import Segmentation
@@ -129,3 +131,36 @@ def test_objects_print_as_one_line():
     assert (
         repr(Segmentation(np.array([1, 3, 3]))) == "Segmentation(3 trajectories; motion: size {1: 1, 3: 2})"
     )
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: kt3dmoseg.load(None), "path: expected a path, found None"),
+        (lambda: kt3dmoseg.save("clip", "a.h5"), "clip: expected Clip, found 'clip'"),
+        (lambda: kt3dmoseg.track(5), "frames: expected a path or several .*, found 5"),
+        (lambda: kt3dmoseg.label_tracks(two_tracks(), None), "annotation: expected Annotation, found None"),
+        (lambda: kt3dmoseg.label_tracks(two_tracks().xy, "a.json"), "found ndarray"),
+        (lambda: kt3dmoseg.load_annotation(b"a.json"), "path: expected a path, found b'a.json'"),
+        (lambda: kt3dmoseg.show([1, "a"]), "clip: expected a path, found list of int, str"),
+        (lambda: mseg.segment(two_tracks(), None), "method: expected the name of a method, .*, found None"),
+        (lambda: mseg.score(None, [1]), "truth"),
+        (lambda: mseg.benchmark.predict(3, "out"), "data: expected a path, found 3"),
+        (lambda: mseg.benchmark.run(methods=[1]), "methods: expected text or several .*, found list of int"),
+        (
+            lambda: kt3dmoseg.Clip("a", two_tracks(), [0], {"label": [1]}),
+            "labels: expected Labels, found dict",
+        ),
+        (lambda: kt3dmoseg.Labels([1], names=None), "names: expected a mapping, found None"),
+        (lambda: kt3dmoseg.Clip("a", two_tracks(), [0.5], Labels([1])), "expected whole numbers, found"),
+        (lambda: kt3dmoseg.Camera("a", object()), "expected numbers, found"),
+    ],
+)
+def test_arguments_of_a_wrong_type_are_refused_in_one_line(call, message):
+    with pytest.raises(InvalidValueError, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_public_functions_can_be_pickled():
+    assert pickle.loads(pickle.dumps(kt3dmoseg.track)) is kt3dmoseg.track

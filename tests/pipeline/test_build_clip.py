@@ -270,7 +270,9 @@ def test_masks_are_matched_by_number_else_from_zero(tmp_path):
     paths = sorted(write_masks(tmp_path / "m", first=0).iterdir())
     assert by_frame(paths, named(range(FRAMES)), "c")[2] == paths[2]
     assert by_frame(paths[2:4], named(range(FRAMES)), "c") == {2: paths[2], 3: paths[3]}
-    assert by_frame(paths, named(range(100, 100 + FRAMES)), "c")[2] == paths[2]
+    notes = []
+    assert by_frame(paths, named(range(100, 100 + FRAMES)), "c", notes=notes)[2] == paths[2]
+    assert notes == ["masks: numbered from 0, where the clip starts with 000100.png"]
     with pytest.raises(
         InputFileError, match=r"masks of c: .*000100\.png to 000109\.png.*a shift of 100 begins"
     ):
