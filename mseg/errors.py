@@ -11,6 +11,10 @@ class SegmentationError(KT3DMoSegError):
     exit_code = 1
 
 
+class FaultyMethodError(SegmentationError, ValueError):
+    """A method raised an error of another family, or returned no segmentation of the clip."""
+
+
 class TooFewPointsError(SegmentationError, InvalidValueError):
     """A clip holds too few trajectories or frames for the request."""
 

@@ -179,6 +179,7 @@ def import_annotations(
         base = current if merge else current.emptied()
         objects = (*base.objects, *base.with_free_numbers(plan.annotation.objects))
         new = dataclasses.replace(base, objects=objects)
+        plan.note(annotate.agreement.same_place(new))
         saved = annotate.save_revision(clip.annotation, new)  # refused when somebody else saved meanwhile
         done = f"wrote {clip.annotation}, revision {saved.revision}"
         return ClipReport(clip.name, ok=True, lines=(*plan.lines(), done))

@@ -163,7 +163,7 @@ def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
         fix = "multiply fractions by width and height, and subtract 0.5"
         raise InvalidValueError(name, expected="pixels", found=f"at most {farthest:g}", fix=fix)
     between, extent, step, way = spreads(xy, visible)
-    if min(visible.shape) > 2 and step > 2 * between and way > extent:
+    if min(visible.shape) > 2 and step > between and way > extent:
         expected, fix = "points that move less than they are apart", "exchange the axes of tracks and frames"
         found = f"steps of {step:.3g} px from frame to frame, of {between:.3g} px from track to track"
         fix += "; if they are right, save the tracks in another order"
@@ -171,14 +171,17 @@ def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
 
 
 def spreads(xy: FloatArray, visible: BoolArray) -> list[float]:
-    """Median distances of positions (N, F, 2) along N, of neighbours and over half of it; then along F."""
-    medians = []
+    """Distances of positions (N, F, 2) along N, mean of neighbours and median over half of it; then along F.
+
+    Of the 14 clips of the release, steps along F are at most 0.93 of those along N.
+    """
+    found = []
     for axis in (0, 1):
         points, seen = xy.swapaxes(0, axis), visible.swapaxes(0, axis)
-        for lag in (1, max(1, len(points) // 2)):
+        for lag, average in ((1, np.mean), (max(1, len(points) // 2), np.median)):
             moved = (points[lag:] - points[:-lag])[seen[lag:] & seen[:-lag]]
-            medians.append(float(np.median(np.hypot(*moved.T))) if len(moved) else 0.0)
-    return medians
+            found.append(float(average(np.hypot(*moved.T))) if len(moved) else 0.0)
+    return found
 
 
 def foreign_clip(

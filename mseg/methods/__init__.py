@@ -17,7 +17,7 @@ from kt3dmoseg.io.fields import check_axes
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.registry import Registry, strict
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, Labels, Trajectories
-from mseg.errors import SegmentationError
+from mseg.errors import FaultyMethodError
 from mseg.spreading import spread_labels
 from mseg.types import Method, Segmentation
 
@@ -158,7 +158,7 @@ def segment(
 
 
 def _segmentation(method: Method, clip: Clip, n_motions: int | None, seed: int) -> Segmentation:
-    """Call a method; whatever it does wrong is a SegmentationError, which in a run costs this clip only."""
+    """Call a method; whatever it does wrong is a FaultyMethodError, which in a run costs this clip only."""
     try:
         # With several BLAS threads sums are rounded in another order: one, for the same bytes anywhere.
         with threadpool_limits(limits=1, user_api="blas"):
@@ -169,11 +169,11 @@ def _segmentation(method: Method, clip: Clip, n_motions: int | None, seed: int) 
         frames = traceback.extract_tb(error.__traceback__)
         place = [frame for frame in frames if frame.filename == frames[:2][-1].filename][-1]
         found = f"{type(error).__name__} in {Path(place.filename).name}, line {place.lineno}: {error}"
-        raise SegmentationError(clip.name, found=found, fix=_FAULT) from error
+        raise FaultyMethodError(clip.name, found=found, fix=_FAULT) from error
     given = len(result.labels) if isinstance(result, Segmentation) else type(result).__name__
     if given != len(clip.evaluated):
         expected = f"a Segmentation of {len(clip.evaluated)} labels"
-        raise SegmentationError(clip.name, expected=expected, found=f"{given}", fix=_FAULT)
+        raise FaultyMethodError(clip.name, expected=expected, found=f"{given}", fix=_FAULT)
     return result
 
 

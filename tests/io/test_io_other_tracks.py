@@ -51,7 +51,7 @@ def test_bad_dat_files(text, words, tmp_path):
 
 @pytest.mark.parametrize("extra", [(), (1,)])
 def test_cotracker(extra, rng, tmp_path):
-    tracks = rng.random((1, 4, 3, 2)) * 90
+    tracks = rng.random((1, 1, 3, 2)) * 90 + rng.random((1, 4, 3, 2))
     visible = rng.random((1, 4, 3)) > 0.5
     np.savez(tmp_path / "v.npz", pred_tracks=tracks, pred_visibility=visible.reshape(*visible.shape, *extra))
     clip = load(tmp_path / "v.npz")

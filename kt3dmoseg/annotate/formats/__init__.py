@@ -64,8 +64,7 @@ def plan(
         found.annotation = chosen.parse(content, found.like, names)  # of a third party
     from kt3dmoseg.annotate.agreement import same_place  # which uses the masks of this package
 
-    if doubled := same_place(found.annotation):
-        found.note(doubled)
+    found.note(same_place(found.annotation))
     return found
 
 

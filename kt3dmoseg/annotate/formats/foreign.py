@@ -185,8 +185,8 @@ class Import:
         ]
 
     def note(self, text: str) -> None:
-        """Note what the import does, once."""
-        if text not in self.notes:
+        """Note what the import does, once; an empty text is none."""
+        if text and text not in self.notes:
             self.notes.append(text)
 
     def count(self, what: str, number: int, most: int | None = None) -> None:
