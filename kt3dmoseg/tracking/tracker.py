@@ -225,7 +225,7 @@ def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterato
 def _checked(seeds: npt.ArrayLike | None) -> FloatArray | None:
     if seeds is None:
         return None
-    out = np.asarray(seeds, dtype=np.float64)
+    out = frozen(seeds, np.float64)
     if out.ndim != 2 or out.shape[1] != 3:
         raise InvalidValueError("seeds", expected="shape (S, 3): x, y, frame", found=f"{out.shape}")
     whole = np.isfinite(out).all(axis=1) & (out[:, 2] == np.trunc(out[:, 2]))
