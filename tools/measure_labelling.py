@@ -6,6 +6,9 @@ is 0.9. Frames without it are set outside. Then at most two corrections, a box e
 frames in which its region overlaps least. Things that are drawn to be rejected or in front are left out.
 
 python tools/measure_labelling.py DATA/kt3dmoseg/frames DATA/kt3dmoseg/release [CLIP ...]
+
+With a proposer's name for the frames, its proposals on empty annotations are counted instead: shown, true
+(half of the trajectories inside are of one mover), movers of 16 trajectories and more, those among the true.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +36,7 @@ from kt3dmoseg.annotate.formats.masks import mask_of  # noqa: E402
 from kt3dmoseg.annotate.geometry import arrays, bounds  # noqa: E402
 from kt3dmoseg.annotate.labelling import label_tracks_detailed  # noqa: E402
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate  # noqa: E402
+from kt3dmoseg.annotate.proposals import PROPOSERS, Request, propose  # noqa: E402
 from kt3dmoseg.types import BoolArray, Trajectories  # noqa: E402
 
 Regions = dict[int, list[Region]]
@@ -143,11 +148,32 @@ class Labeller:
         return used, corrections, first, float(np.median(list(ious.values())))
 
 
+def proposals(proposer: str, name: str, path: Path) -> tuple[int, int, int, int]:
+    """Count a clip's proposals: shown, true, movers, those found; see the module."""
+    dense, truth = kt3dmoseg.load(path).dense, load_annotation(ROOT / "annotations" / f"{name}.json")
+    tracks = Trajectories(dense.xy, dense.visible, dense.track_id, truth.image_size)
+    empty, exact = truth.emptied(), label_tracks_detailed(tracks, truth).labels.label
+    items, right = propose(proposer, Request(name, empty, tracks, ())), []
+    for item in items:
+        alone = replace(empty, objects=(replace(item, motion=1),))
+        inside = exact[label_tracks_detailed(tracks, alone).labels.label == 2]
+        sizes = np.bincount(inside, minlength=3)[2:]
+        right += [2 + int(sizes.argmax())] if 2 * sizes.max() >= len(inside) > 0 else []
+    movers = 2 + np.flatnonzero(np.bincount(exact, minlength=3)[2:] >= 16)
+    counts = len(items), len(right), len(movers), len(np.intersect1d(movers, right))
+    print(name, *counts, flush=True)
+    return counts
+
+
 def main() -> None:
     frames, release, *wanted = sys.argv[1:]
     clips = {path.stem.removesuffix("_Tracks"): path for path in sorted(Path(release).glob("*_Tracks.mat"))}
     rows: list[Any] = []
     agreements: list[float] = []
+    if frames in PROPOSERS.names():
+        counts = np.sum([proposals(frames, name, clips[name]) for name in wanted or clips], axis=0)
+        print("shown {}, true {}; movers {}, found {}".format(*counts))
+        return
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         (Path(folder) / "frames").symlink_to(Path(frames).resolve())
         (Path(folder) / "tracks").symlink_to(Path(release).resolve())

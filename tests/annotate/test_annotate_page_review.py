@@ -87,6 +87,10 @@ def test_proposals_are_accepted_corrected_or_rejected_by_a_person(reviewer):
     button(reviewer, "masks").click()
     reviewer.until("labeller.state.review")
     assert reviewer.objects() == []
+    reviewer.press("]")
+    reviewer.until("labeller.state.review.index === 1")
+    reviewer.press("]", "]")
+    reviewer.until("labeller.state.review.index === 0 && document.activeElement.textContent === 'Accept'")
     button(reviewer, "Reject").click()
     reviewer.until("labeller.state.proposals.length === 2")
     button(reviewer, "Correct").click()
@@ -98,8 +102,13 @@ def test_proposals_are_accepted_corrected_or_rejected_by_a_person(reviewer):
     x, y = points[lowest]
     reviewer.press("Shift+Z", "Home")
     reviewer.drag((x, y), (x - 6, y + 6))
-    button(reviewer, "Go on (1 left)").click()
+    reviewer.tab.keyboard.down("Enter")  # on "Go on", and held: it accepts nothing that is not seen yet
+    button(reviewer, "Go on (1 left)").focus()
+    reviewer.tab.keyboard.down("Enter")
     reviewer.until("document.activeElement.textContent === 'Accept'")
+    reviewer.tab.keyboard.down("Enter")
+    assert len(reviewer.objects()) == 1
+    reviewer.tab.keyboard.up("Enter")
     reviewer.press("Enter")
     reviewer.until("!labeller.state.review")
     corrected, accepted = reviewer.objects()

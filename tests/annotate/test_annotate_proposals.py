@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from kt3dmoseg import synthetic
-from kt3dmoseg.annotate import Annotation, label_tracks, proposals
+from kt3dmoseg.annotate import Annotation, KeyFrame, label_tracks, proposals
 from kt3dmoseg.annotate.formats.masks import encode_rle, mask_of
 from kt3dmoseg.annotate.proposals import outline, residual, tracklets
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.types import Labels, Trajectories
+from mseg.proposals import propose as propose_mseg
 
 SIZE, FRAMES = (400, 200), 8
 
@@ -79,15 +80,17 @@ def test_residual_needs_trajectories():
         proposals.propose("residual", request(trajectories.select(np.arange(9))))
 
 
-def test_proposals_take_numbers_that_are_free():
+def test_proposals_take_numbers_that_are_free_and_leave_out_what_is_there():
     trajectories, _ = tracks()
     asked = request(trajectories)
-    first = proposals.propose("residual", asked)[0]
-    again = proposals.propose(
-        "residual", replace(asked, annotation=replace(asked.annotation, objects=(first,)))
-    )
-    assert again[0].id > first.id
-    assert again[0].motion > first.motion
+    (first, *_) = proposals.propose("mseg", asked)
+    there = replace(asked, annotation=replace(asked.annotation, objects=(first,)))
+    assert proposals.propose("mseg", there) == []
+    corner = KeyFrame(0, polygons=(((380, 180), (399, 180), (399, 199)),))
+    elsewhere = replace(asked.annotation, objects=(replace(first, key_frames=(corner,)),))
+    (again,) = proposals.propose("mseg", replace(asked, annotation=elsewhere))
+    assert again.id > first.id
+    assert again.motion > first.motion
 
 
 def test_labels_of_another_package_become_regions(monkeypatch):
@@ -118,17 +121,19 @@ def test_movers_that_one_label_holds_are_proposed_one_by_one(spacing, found):
     assert len(items) == found
 
 
-def test_mseg_proposes_as_a_third_party_would():
-    trajectories, moving = tracks()
-    from mseg.proposals import propose
-
-    labels = propose(request(trajectories)).label
-    sampled = labels > 0
-    assert len(labels) == len(trajectories)
-    groups = [moving[labels == k].mean() for k in np.unique(labels[sampled])]
-    assert max(groups) > 0.8
+def test_mseg_proposes_what_moves_by_itself_the_surest_first():
+    trajectories, walker = tracks()
+    second = trajectories.xy[~walker][::30].copy()  # a few of the scene's points that drift
+    second = second * 0.1 + (330, 30) + np.arange(FRAMES)[:, None] * (-4.0, 2.5)
+    xy = np.concatenate([trajectories.xy, second])
+    seen = np.isfinite(xy[..., 0])
+    label = propose_mseg(request(Trajectories(xy, seen, image_size=SIZE))).label
+    assert (label[: len(walker)][walker & (trajectories.lengths > 3)] == 2).mean() > 0.9
+    assert (label[: len(walker)][~walker] > 1).mean() < 0.02
+    assert (label[len(walker) :][trajectories.lengths[~walker][::30] > 3] == 3).mean() > 0.9
+    assert (propose_mseg(request(trajectories.select(~walker))).label == 1).all()
     with pytest.raises(KT3DMoSegError, match="50"):
-        propose(request(trajectories.select(np.arange(9))))
+        propose_mseg(request(trajectories.select(np.arange(9))))
 
 
 def test_outline_follows_concave_shapes():

@@ -17,7 +17,7 @@ import numpy as np
 
 from kt3dmoseg.annotate.formats import content_of, load
 from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
-from kt3dmoseg.annotate.formats.masks import polygons_of
+from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
 from kt3dmoseg.annotate.geometry import arrays, size
 from kt3dmoseg.annotate.model import (
     PROPOSALS,
@@ -26,8 +26,9 @@ from kt3dmoseg.annotate.model import (
     Polygon,
     load_annotation,
 )
-from kt3dmoseg.annotate.proposals.groups import groups
+from kt3dmoseg.annotate.propagation import TrackMotion, propagate
 from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.neighbours import groups
 from kt3dmoseg.registry import Registry
 from kt3dmoseg.types import FloatArray, Labels, Trajectories
 
@@ -46,6 +47,7 @@ _REACH = 16
 _SHRINK = 13
 _FEWEST = 8
 _EVERY = 4
+_OVERLAP = 0.3  # share of a proposal that lies in objects that are there
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +84,29 @@ class Request:
 def propose(name: str, request: Request) -> list[AnnotatedObject]:
     """Run a proposer of `PROPOSERS`; its objects get ids and motions that the annotation does not use yet.
 
+    What lies in objects of the annotation is left out. The order is the proposer's.
+
     Raises UnknownNameError, or another KT3DMoSegError with why the proposer cannot work on this clip.
     """
     found = PROPOSERS.load(name)(request)
     if isinstance(found, Labels):
         found = objects_from_labels(request.trajectories, found, request.annotation)
-    return request.annotation.with_free_numbers(found)
+    return request.annotation.with_free_numbers(_new(found, request))
+
+
+def _new(found: list[AnnotatedObject], request: Request) -> list[AnnotatedObject]:
+    """Those of the objects found of which less than `_OVERLAP` lies in regions of the annotation."""
+    given, kept = request.annotation, []
+    regions = propagate(given, TrackMotion(request.trajectories)).values() if given.objects else ()
+    for item in found:
+        own = shared = 0
+        for key in item.key_frames if regions else ():
+            mask = mask_of(arrays(key.polygons), given.image_size)
+            there = [polygon for known in regions for polygon in known[key.frame].polygons]
+            own, shared = own + mask.sum(), shared + (mask & mask_of(there, given.image_size)).sum()
+        if shared <= _OVERLAP * own:
+            kept.append(item)
+    return kept
 
 
 def propose_masks(request: Request) -> list[AnnotatedObject]:
@@ -122,7 +141,7 @@ def propose_built(request: Request) -> list[AnnotatedObject]:
 def objects_from_labels(
     trajectories: Trajectories, labels: Labels, like: Annotation
 ) -> list[AnnotatedObject]:
-    """Outline the trajectories of every label but 0 and the background, by default 1; the largest first.
+    """Outline the trajectories of every label but 0 and the background, by default 1; in their order.
 
     What lies apart is outlined by itself: a method may take several movers for one. Key frames are on every
     4th frame and where visibility changes. What has fewer than 8 trajectories in every frame is left out.
@@ -133,7 +152,7 @@ def objects_from_labels(
     parts = [
         (motion, part) for motion, rows in whole.items() for part in groups(trajectories, rows) or [rows]
     ]
-    for motion, rows in sorted(parts, key=lambda part: -len(part[1])):
+    for motion, rows in parts:
         seen, number = trajectories.visible[rows], len(objects) + 1
         shown = np.pad(seen.sum(axis=0) >= _FEWEST, 1)
         item, last = ForeignObject(labels.names.get(motion, f"proposal {number}"), motion=number), -_EVERY

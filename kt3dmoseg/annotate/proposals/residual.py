@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from kt3dmoseg.annotate.proposals import Request
-from kt3dmoseg.annotate.proposals.groups import groups
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.neighbours import groups
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
 
 _GAP = 4

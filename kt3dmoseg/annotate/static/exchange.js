@@ -15,7 +15,7 @@ const MEANING = {
   residual: "what does not move with the static scene, from the trajectories",
   tracklets: "KITTI's 3D boxes, projected into the frames",
   masks: "masks from a folder",
-  mseg: "the groups of a motion segmentation",
+  mseg: "rigid bodies that move by themselves, the surest first; takes some seconds",
   built: "what kt3dmoseg build --propose found",
 };
 
@@ -82,6 +82,12 @@ function review(at) {
   return showBox(boundsOf(polygons));
 }
 
+/** Go to the next proposal; whether one is in view. */
+export function skip() {
+  if (state.review?.item) review(state.review.index + 1);
+  return Boolean(state.review?.item);
+}
+
 /** Take the proposal in view out of the list; an accepted one becomes an object. */
 function settle(accepted) {
   const { doc, proposals, review: { item } } = state;
@@ -112,10 +118,12 @@ function drawReview() {
     const text = left ? `Go on (${left} left)` : "Done";
     return strip("review", `${name} is an object now: correct it, then`, button(text, () => review(index), "primary"));
   }
-  const first = button("Accept", () => (settle(true), review(index)), "primary");
-  strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Correct", correct),
-    button("Reject", () => (settle(false), review(index))), button("Skip", () => review(index + 1)),
-    button("Done", leave));
+  // Enter that is held down, or comes before the next one is drawn, would accept what nobody has seen.
+  const accept = () => state.review?.item === item && (settle(true), review(index));
+  const unseen = (event) => event.repeat && event.preventDefault();
+  const first = button("Accept", accept, "primary", { onkeydown: unseen });
+  strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Skip ( ] )", skip),
+    button("Correct", correct), button("Reject", () => (settle(false), review(index))), button("Done", leave));
   return first.focus();
 }
 

@@ -3,7 +3,7 @@
 import * as actions from "./actions.js";
 import { clips, openNext } from "./clips.js";
 import { button, byId, close, element, fill, open, row, walk } from "./dom.js";
-import { compare, exchange, nextDifference, propose } from "./exchange.js";
+import { compare, exchange, nextDifference, propose, skip } from "./exchange.js";
 import { at } from "./pointer.js";
 import { flush } from "./saving.js";
 import { attempt, redo, select, selectedObject, state, toggleObject, undo } from "./state.js";
@@ -58,7 +58,7 @@ export const KEYS = {
     key("ArrowUp ArrowDown", "↑ ↓", "larger brush, smaller", (name) => actions.resizeBrush(name === "ArrowUp" ? 1.25 : 0.8)),
     key("r", "R", "outline it again in this frame", () => actions.redraw("region")),
     key("p", "P", "outline another part of it", () => actions.redraw("part")),
-    key("] a", "]", "next object (or A)", () => actions.cycleObject(1)),
+    key("] a", "]", "next object, or proposal (or A)", () => skip() || actions.cycleObject(1)),
     key("[ Shift+A", "[", "previous object (or Shift+A)", () => actions.cycleObject(-1)),
     key("Shift+1 Shift+2 Shift+3 Shift+4 Shift+5 Shift+6 Shift+7 Shift+8 Shift+9", "Shift+1 – 9",
       "first to ninth object of the list", (name) => actions.selectNth(Number(name.at(-1)))),

@@ -20,16 +20,21 @@ _SMALLEST = 12
 
 def groups(tracks: Trajectories, rows: IntArray) -> list[IntArray]:
     """Part rows into groups of near ones that move alike, the largest first; small groups are left out."""
-    pairs = _neighbours(tracks, rows)
-    alike = pairs[_alike(tracks, pairs)]
-    links = coo_array((np.ones(len(alike)), alike.T), shape=(len(tracks), len(tracks)))
+    pairs = near_pairs(tracks, rows)
+    return connected(pairs[alike(tracks, pairs)], rows, _SMALLEST)
+
+
+def connected(pairs: IntArray, rows: IntArray, smallest: int) -> list[IntArray]:
+    """Part rows into those that pairs (P, 2) of them connect, the largest first; small parts are left out."""
+    size = 1 + int(max(rows.max(initial=0), pairs.max(initial=0)))
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(size, size))
     group = connected_components(links, directed=False)[1][rows]
     names, sizes = np.unique(group, return_counts=True)
-    large = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= _SMALLEST]
+    large = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= smallest]
     return [rows[group == names[k]] for k in large]
 
 
-def _neighbours(tracks: Trajectories, rows: IntArray) -> IntArray:
+def near_pairs(tracks: Trajectories, rows: IntArray) -> IntArray:
     """Pairs (P, 2) of the rows that come near each other in some frame."""
     found = [np.zeros((0, 2), dtype=np.int64)]
     for frame in range(tracks.n_frames):
@@ -40,12 +45,12 @@ def _neighbours(tracks: Trajectories, rows: IntArray) -> IntArray:
     return np.unique(np.concatenate(found), axis=0)
 
 
-def _alike(tracks: Trajectories, pairs: IntArray) -> BoolArray:
+def alike(tracks: Trajectories, pairs: IntArray, strictness: float = 1.0) -> BoolArray:
     """Whether the two of each pair move alike in most of the frames that show both, (P,)."""
     gap = min(_ALIKE_GAP, tracks.n_frames - 1)
     step = tracks.xy[:, gap:] - tracks.xy[:, : tracks.n_frames - gap]
     a, b = step[pairs[:, 0]], step[pairs[:, 1]]
-    apart = np.linalg.norm(a - b, axis=2)
+    apart = np.linalg.norm(a - b, axis=2) * strictness
     with np.errstate(invalid="ignore"):
         alike = (apart <= 1.0 + _SAME_MOTION * np.linalg.norm(a, axis=2)).sum(axis=1)
     return np.asarray(alike >= np.maximum(_SHARE * np.isfinite(apart).sum(axis=1), 1))
