@@ -120,7 +120,7 @@ function drawReview() {
   }
   // Enter that is held down, or comes before the next one is drawn, would accept what nobody has seen.
   const accept = () => state.review?.item === item && (settle(true), review(index));
-  const unseen = (event) => event.repeat && event.preventDefault();
+  const unseen = (event) => !event.repeat; // false: the key does nothing
   const first = button("Accept", accept, "primary", { onkeydown: unseen });
   strip("review", `${item.name}: ${index + 1} of ${left} proposed`, first, button("Skip ( ] )", skip),
     button("Correct", correct), button("Reject", () => (settle(false), review(index))), button("Done", leave));
