@@ -34,8 +34,9 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 _MAX_FILE = 1 << 28
 MAX_PIXELS = 1 << 26
 MOTS_IGNORE = 10_000
-# Ids up to this are numbers of objects; gray levels that a person chose to see are brighter.
-_DARK = 20
+# Ids up to this are numbers of objects; gray levels that a person chose to see are brighter. Next to void
+# no object has a number like the second: soft edges of a white object have.
+_DARK, _BRIGHT = 20, 127
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP")  # none that runs another program
 _BIT_DEPTH = 24  # where a PNG has it, in its header
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
@@ -192,7 +193,7 @@ def void_ids(used: Collection[int], bits: int, where: str) -> list[int]:
     others = set(used) - {0, 255}
     if not others:
         return []
-    if 255 in used and min(others) > _DARK:
+    if 255 in used and (min(others) > _DARK or max(others - {254}) > _BRIGHT):
         expected, fix = "ids 1, 2, ... (255 = void)", "number the objects from 1 on"
         raise FileFormatError(where, expected=expected, found=f"255 and {sorted(others)[:5]}", fix=fix)
     return [254, 255]

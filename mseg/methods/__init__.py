@@ -223,17 +223,20 @@ def _check_pixels(name: str, points: FloatArray, size: tuple[int, int] | None) -
 
 def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  # noqa: ANN401  # checked
     try:
-        xy = np.asarray(points).astype(np.float64, casting="same_kind")  # of complex numbers a TypeError
+        given = np.ma.asanyarray(points).astype(
+            np.float64, casting="same_kind"
+        )  # of complex numbers a TypeError
+        xy: FloatArray = np.ma.filled(given, np.nan)
     except (TypeError, ValueError):
         expected = "a Clip, Trajectories, an array (N, F, 2) or (xy, visible)"
         fix = "kt3dmoseg.load(path) reads a file"
         raise InvalidValueError("clip", expected=expected, found=f"{points!r:.60}", fix=fix) from None
     if xy.ndim != 3 or xy.shape[2] != 2:
         raise InvalidValueError("xy", expected="shape (N, F, 2)", found=f"{xy.shape}")
-    given = np.asarray(np.isfinite(xy).all(axis=2) if visible is None else visible)
-    if not np.isin(given, (0, 1)).all():
-        raise InvalidValueError("visible", expected="True or False", found=f"values of type {given.dtype}")
-    seen: BoolArray = given.astype(np.bool_)
+    mask = np.asarray(np.isfinite(xy).all(axis=2) if visible is None else visible)
+    if not np.isin(mask, (0, 1)).all():
+        raise InvalidValueError("visible", expected="True or False", found=f"values of type {mask.dtype}")
+    seen: BoolArray = mask.astype(np.bool_)
     if seen.shape == xy.shape[:2]:  # else Trajectories raises
         xy[~seen] = np.nan
         check_axes("xy", xy, seen)

@@ -153,6 +153,10 @@ RIGHT_CVAT = {
         track(0, shape(2, outline(2)), shape(6, outline(6)), more=""),
         meta=f"<job><id>3</id><size>5</size>{SEGMENT}</job>",
     ),
+    "the second job of the task": cvat(
+        track(0, shape(4, outline(4)), shape(7, outline(7))),
+        meta="<job><id>3</id><size>4</size><start_frame>4</start_frame><stop_frame>7</stop_frame></job>",
+    ),
     "two tasks": cvat(track(0, *ENDS, more=' task_id="5"'), OTHER, meta=project(task(), task("other", 6))),
     "two tasks, another size": cvat(
         track(0, shape(0, outline(0, 2)), shape(7, outline(7, 2)), more=' task_id="5"'),
@@ -566,6 +570,16 @@ def test_255_next_to_other_ids_is_void():
     content = zipped(**{"000000.png": cv2.imencode(".png", picture)[1].tobytes()})
     car, void = formats.load("davis").parse(content, LIKE, NAMES).objects
     assert (car.motion, void.motion) == (1, "reject")
+
+
+def test_a_white_object_with_soft_edges_is_no_void():
+    soft = cv2.GaussianBlur(
+        np.where(np.arange(W) > 99, 255, 0).repeat(H).reshape(W, H).T.astype(np.uint8), (5, 5), 1
+    )
+    with pytest.raises(FileFormatError, match=r"ids 1, 2, \.\.\. \(255 = void\), found 255 and"):
+        formats.load("davis").parse(
+            zipped(**{"000000.png": cv2.imencode(".png", soft)[1].tobytes()}), LIKE, NAMES
+        )
 
 
 @pytest.mark.parametrize("name", ["davis", "mots_png"])

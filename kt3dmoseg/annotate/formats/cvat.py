@@ -212,7 +212,8 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
             label, fields = track.get("label", ""), _fields(placed[0][1])
             key = _key(where, kind_of(label), fields, drawn, known, into)
             name = fields.get("name") or f"{label or 'object'} {len(into.found) + 1}"
-            if min(frame for frame, _ in placed) > 0 and key not in into.found:
+            # Before the task nothing is known, so the track's first outline is carried there.
+            if min(frame for frame, _ in placed) > frames.get(task.first, 0) and key not in into.found:
                 drawn.setdefault(0, ("outside", []))
             item = into.object(key, described(label, {**fields, "name": name}))
             for frame, (visibility, polygons) in drawn.items():
