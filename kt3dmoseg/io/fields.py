@@ -152,8 +152,7 @@ def check_name(name: str, where: str) -> None:
 
 
 def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
-    """Refuse positions (N, F, 2) of others that are no pixels, mark what is hidden as visible, or the reverse,
-    or have tracks and frames exchanged.
+    """Refuse positions (N, F, 2) that are no pixels, or whose visibility or axes are exchanged.
 
     From frame to frame a point moves less than it is from the next track to the one after; within a track the
     points are closer together than within a frame.
@@ -164,7 +163,7 @@ def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
         found = f"{placeholder.sum()} points at exactly (0, 0) or (-1, -1)"
         raise InvalidValueError(name, expected="positions of visible points", found=found, fix=fix)
     seldom = int((visible.sum(axis=1) < 2).sum())
-    if visible.shape[1] > 2 and 2 * seldom > len(visible):
+    if visible.shape[1] > 2 and visible.any() and 2 * seldom > len(visible):
         expected, found = "most tracks in two frames or more", f"{seldom} of {len(visible)} in fewer"
         raise InvalidValueError(
             "visible", expected=expected, found=found, fix="True is visible, not occluded"

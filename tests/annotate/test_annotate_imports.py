@@ -576,7 +576,7 @@ def test_a_white_object_with_soft_edges_is_no_void():
     soft = cv2.GaussianBlur(
         np.where(np.arange(W) > 99, 255, 0).repeat(H).reshape(W, H).T.astype(np.uint8), (5, 5), 1
     )
-    with pytest.raises(FileFormatError, match=r"ids 1, 2, \.\.\. \(255 = void\), found 255 and"):
+    with pytest.raises(KT3DMoSegError, match=r"ids 1, 2, \.\.\. \(255 = void\), found 255 and"):
         formats.load("davis").parse(
             zipped(**{"000000.png": cv2.imencode(".png", soft)[1].tobytes()}), LIKE, NAMES
         )
