@@ -41,12 +41,19 @@ def frozen(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         raise InvalidValueError("array", expected="real numbers", found=f"{given.dtype}")
     if dtype == np.int64 and given.dtype == np.uint64 and given.size and given.max() > _MAX_INT:
         raise InvalidValueError("whole numbers", expected=f"at most {_MAX_INT}", found=_brief(given))
+    if np.ma.is_masked(values):
+        fix = "fill what is masked; a point that is not visible has NaN"
+        raise InvalidValueError("array", expected="no masked values", found=_brief(given), fix=fix)
+    if dtype == np.bool_ and given.dtype != dtype and not np.isin(given, (0, 1)).all():
+        raise InvalidValueError("array", expected="True or False", found=_brief(given))
     same = given.dtype == dtype and not given.flags.writeable and given.base is None
     try:
         array = given if same else np.array(given, dtype=dtype, order="C")
     except (TypeError, ValueError):
         raise InvalidValueError("array", expected="numbers", found=f"{values!r:.60}") from None
-    if dtype == np.int64 and given.dtype.kind == "f" and (array != given).any():
+    if dtype == np.int64 and (
+        given.dtype.kind == "b" or (given.dtype.kind == "f" and (array != given).any())
+    ):
         raise InvalidValueError("array", expected="whole numbers", found=_brief(given))
     array.flags.writeable = False
     return array
@@ -357,6 +364,9 @@ class Clip(Value):
         for name, array in values.items():
             if array.shape != (frames,):
                 raise InvalidValueError(name, expected=f"shape ({frames},)", found=f"{array.shape}")
+        if len(np.unique(values["frame_numbers"])) != frames:
+            found = _brief(values["frame_numbers"])
+            raise InvalidValueError("frame_numbers", expected="each number once", found=found)
         self._set(evaluated=rows, provenance=MappingProxyType(dict(self.provenance)), **values)
 
     def __repr__(self) -> str:
@@ -441,6 +451,6 @@ def _check_presence(xy: npt.NDArray[np.float64], visible: npt.NDArray[np.bool_])
 
 def _brief(array: npt.NDArray[Any]) -> str:
     """Describe an array in a few words."""
-    if not array.size:
+    if not array.size or array.dtype.kind not in "biuf":
         return f"{array.dtype} of shape {array.shape}"
     return f"{array.dtype} of shape {array.shape}, values {array.min()}..{array.max()}"

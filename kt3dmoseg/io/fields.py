@@ -157,11 +157,13 @@ def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
     From frame to frame a point moves less than it is from the next track to the one after; within a track the
     points are closer together than within a frame.
     """
-    placeholder = visible & ((xy == 0).all(axis=2) | (xy == -1).all(axis=2))
-    if (placeholder.sum(axis=0) > 1).any():
-        fix = "where a point is not visible, say so, or give NaN"
-        found = f"{placeholder.sum()} points at exactly (0, 0) or (-1, -1)"
-        raise InvalidValueError(name, expected="positions of visible points", found=found, fix=fix)
+    for value in (0, -1):  # of positions, some would have only one coordinate of that value
+        at = visible[..., None] & (xy == value)
+        points = at.all(axis=2)
+        if (points.sum(axis=0) > 1).any() and (points == at.any(axis=2)).all():
+            found = f"{points.sum()} at exactly ({value}, {value})"
+            fix = "where a point is not visible, say so, or give NaN"
+            raise InvalidValueError(name, expected="positions of visible points", found=found, fix=fix)
     seldom = int((visible.sum(axis=1) < 2).sum())
     if visible.shape[1] > 2 and visible.any() and 2 * seldom > len(visible):
         expected, found = "most tracks in two frames or more", f"{seldom} of {len(visible)} in fewer"

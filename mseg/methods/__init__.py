@@ -28,6 +28,7 @@ ALGORITHM_VERSION: int = 6
 _MOST = 2000
 # Pixels that tracks of others leave a picture by.
 _BESIDE = 8.0
+_FRACTION = 1.5  # without a size, what lies within is not in pixels
 _FAULT = "this is a fault of the method"
 
 METHODS = Registry(
@@ -209,16 +210,17 @@ def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  #
 
 def _check_pixels(name: str, points: FloatArray, size: tuple[int, int] | None) -> None:
     """Refuse points (n, 2) that cannot be pixels of a picture of that size: thresholds would mean nothing."""
-    if size is None or not points.size:
+    if not points.size:
         return
     farthest = float(np.abs(points).max())
-    if farthest <= min(size) / 16:
+    if farthest <= (_FRACTION if size is None else min(size) / 16):
         found, fix = f"all within {farthest:.3g}", "multiply fractions by width and height, and subtract 0.5"
-    elif np.median(((points < -_BESIDE) | (points > np.add(size, _BESIDE))).any(axis=1)) == 1:
+    elif size and np.median(((points < -_BESIDE) | (points > np.add(size, _BESIDE))).any(axis=1)) == 1:
         found, fix = f"most points outside, up to {farthest:.4g}", "give the size of the frames tracked"
     else:
         return
-    raise InvalidValueError(name, expected=f"pixels of {size[0]} x {size[1]}", found=found, fix=fix)
+    expected = f"pixels of {size[0]} x {size[1]}" if size else "pixels"
+    raise InvalidValueError(name, expected=expected, found=found, fix=fix)
 
 
 def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  # noqa: ANN401  # checked

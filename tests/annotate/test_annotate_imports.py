@@ -564,6 +564,15 @@ def test_mots_text_as_spreadsheets_write_it(mark, between):
     assert (len(found.annotation.objects), found.skipped) == (1, [])
 
 
+@pytest.mark.parametrize("more", [EVERY_OTHER, "<start_frame>4</start_frame><stop_frame>7</stop_frame>"])
+def test_frames_that_a_task_has_not_are_asked_about(more):
+    content = cvat(track(0, *[shape(k, outline(k)) for k in range(4)]), meta=task(size=4, more=more))
+    (doubt,) = formats.plan(
+        "cvat", content.encode() if isinstance(content, str) else content, LIKE, NAMES
+    ).doubts
+    assert re.match("frames .* are none of the task's, [04] to [67]", doubt)
+
+
 def test_255_next_to_other_ids_is_void():
     picture = np.zeros((H, W), np.uint8)
     picture[80:160, 60:160], picture[70:80, 60:160] = 1, 255

@@ -79,7 +79,7 @@ def test_repeated_track_ids_are_refused():
         Trajectories(np.zeros((2, 1, 2)), np.ones((2, 1), bool), np.array([3, 3]))
 
 
-@pytest.mark.parametrize("label", [[-1], [0.5], [[1]]])
+@pytest.mark.parametrize("label", [[-1], [0.5], [[1]], ["car"]])
 def test_bad_labels_are_refused(label):
     with pytest.raises(InvalidValueError, match="label"):
         Labels(np.array(label))
@@ -102,8 +102,20 @@ def test_clip_checks_what_it_joins():
         Clip("c", dense, np.array([0, 0]), Labels(np.array([1, 1])))
     with pytest.raises(InvalidValueError, match="frame_numbers"):
         Clip("c", dense, np.array([0]), Labels(np.array([1])), frame_numbers=np.array([1]))
+    with pytest.raises(InvalidValueError, match="frame_numbers: expected each number once"):
+        Clip("c", dense, np.array([0]), Labels(np.array([1])), frame_numbers=np.array([1, 2, 1]))
     with pytest.raises(InvalidValueError, match="camera"):
         Camera("image_00", np.eye(2))
+
+
+def test_what_numpy_would_turn_into_something_else_is_refused():
+    xy, seen = np.zeros((1, 2, 2)), np.ones((1, 2), bool)
+    with pytest.raises(InvalidValueError, match=r"no masked values, .* NaN"):
+        Trajectories(np.ma.masked_array(xy, xy == 0), seen)
+    with pytest.raises(InvalidValueError, match="True or False, found float64"):
+        Trajectories(xy, seen * 0.3)
+    with pytest.raises(InvalidValueError, match="whole numbers, found bool"):
+        Clip("c", Trajectories(xy, seen), np.array([False]), Labels(np.array([1])))
 
 
 def test_clip_survives_pickling_between_processes():

@@ -54,7 +54,7 @@ def clips(draw: st.DrawFn) -> Clip:
             draw(st.none() | st.integers(1, 9)),
             draw(st.dictionaries(st.integers(0, 9), _NAME, max_size=3)),
         ),
-        frame_numbers=draw(hnp.arrays(np.int64, frames)),
+        frame_numbers=draw(hnp.arrays(np.int64, frames, unique=True)),
         timestamps=draw(st.none() | hnp.arrays(np.float64, frames, elements=_COORDINATE)),
         camera=draw(st.none() | st.builds(Camera, _NAME, st.none() | matrix)),
         provenance=draw(st.dictionaries(_NAME, st.none() | st.integers() | _NAME, max_size=3)),

@@ -353,6 +353,9 @@ def _frames_of_task(numbers: Sequence[int], task: _Task, into: Import) -> dict[i
             into.note(f"frame {first} of the task is frame 0 of the clip{steps}")
         return inside or same  # some versions count within the task
     if last < total:
+        other = [n for n in numbers if n <= last and n not in range(first, last + 1, step)]
+        if task.size and other:
+            into.doubts.append(f"frames {several(other)} are none of the task's, {first} to {last} by {step}")
         if task.size:
             into.note(f"the task has {task.size} of the clip's {total} frames, {first} to {last}")
         return same
