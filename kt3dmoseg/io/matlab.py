@@ -3,7 +3,8 @@
 The release, Hopkins12 and MTPV62 share a struct `Data`: `yAll` (3, N, F) and `ySparse` (3, n, F) are
 homogeneous pixels, (0, 0, 0) where invisible; `visibleAll` (N, F) and `visibleSparse` (n, F) show where they
 are; `SparseIndex` (n, 1) counts the evaluated rows of `yAll` from 1; `GtLabel` (n, 1) holds the motions, 0 an
-outlier. Only we write `Background`: the motion of the static scene where it is not 1, 0 when it is unknown.
+outlier. Only we write `Background`: the motion of the static scene, or 0 when it is unknown; it is left out
+where it is 1 and not most labels are 0.
 
 Hopkins155 (Tron and Vidal, CVPR 2007) has one ``<sequence>_truth.mat`` each: `y` (3, P, F) homogeneous
 pixels, `s` (P, 1) the motions from 1, `K` (3, 3) the matrix that normalised them, `width` and `height` of the
@@ -33,7 +34,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import read_bytes, write_bytes
 from kt3dmoseg.io.fields import Fields, foreign_clip
-from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, Labels, Trajectories
+from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, IntArray, Labels, Trajectories
 
 # Instead of the platform and the date that scipy writes, so that equal content gives equal bytes.
 _BANNER = b"MATLAB 5.0 MAT-file, written by kt3dmoseg".ljust(116)
@@ -98,7 +99,7 @@ def _release(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
     fields = Fields(f"{os.fspath(path)}: Data.", data)
     dense, visible = sparse, _ = _points(fields, "ySparse", "visibleSparse", "GtLabel")
     n, frames = sparse.shape[:2]
-    label, rows = fields.integers("GtLabel", n), np.arange(n)
+    label, rows = _motions(fields, "GtLabel", n), np.arange(n)
     if released := "yAll" in fields:
         dense, visible = _points(fields, "yAll", "visibleAll", frames=frames)
         rows = fields.integers("SparseIndex", n, 1, len(dense)) - 1
@@ -125,9 +126,25 @@ def _hopkins(path: str | os.PathLike[str], variables: Mapping[str, Any]) -> Clip
     width, height = (fields.array(name, (1, 1)).item() for name in ("width", "height"))
     dense, labels = (
         Trajectories(xy, visible, image_size=(width, height)),
-        Labels(fields.integers("s", len(xy))),
+        Labels(_motions(fields, "s", len(xy))),
     )
     return foreign_clip(path, "hopkins155", dense, labels, camera=Camera(K=fields.array("K", (3, 3))))
+
+
+def _motions(fields: Fields, name: str, n: int) -> IntArray:
+    """Labels (n,): motions from 1, and 0 for outliers; where those are the most, motions count from 0."""
+    label = fields.integers(name, n)
+    if _MINE not in fields and _mostly_zero(label):
+        found = f"0 in {(label == 0).sum()} of {n}, more than any motion"
+        fix = "count motions from 1, or leave out what is not labelled"
+        raise fields.error(name, "motions from 1, 0 for outliers", found, fix)
+    return label
+
+
+def _mostly_zero(label: IntArray) -> bool:
+    """Whether there are motions, and 0 is more frequent than any."""
+    motions = label[label > 0]
+    return len(motions) > 0 and bool((label == 0).sum() > np.unique(motions, return_counts=True)[1].max())
 
 
 def _points(
@@ -169,7 +186,8 @@ def _struct(clip: Clip) -> dict[str, Any]:
     masked = "visibleSparse" in had or bool(dense.visible.all())
     if {"ySparse", "GtLabel"} <= {*had} and whole and masked:
         data = {name: named[name] for name in had}
-    if clip.labels.background != (_RELEASED if "yAll" in data else None):
+    stated = clip.labels.background != (_RELEASED if "yAll" in data else None)
+    if stated or _mostly_zero(clip.labels.label):
         data[_MINE] = float(clip.labels.background or 0)
     return data
 

@@ -425,7 +425,8 @@ def _root(names: list[str], out: Submission) -> str:
     below = [name for name in names if name.endswith(f"/{META}")]
     if len(below) == 1 and len({name.partition("/")[0] for name in names}) == 1:
         folder = below[0].removesuffix(f"/{META}")
-        fix = f"zip the content, not the folder: cd {folder} && zip -r ../{folder}.zip ."
+        made = "../" * (folder.count("/") + 1) + folder.rpartition("/")[2]
+        fix = f"zip the content, not the folder: cd {folder} && zip -r {made}.zip ."
         out.bad("wrapped-folder", below[0], f"{META} at the top", f"everything inside {folder}/", fix)
         return f"{folder}/"
     out.bad("no-meta", META, f"{META} (in lower case) at the top", "none", _EXAMPLE)

@@ -414,3 +414,8 @@ def test_extra_clip_of_a_listed_benchmark_is_a_note(tmp_path):
     assert checked.protocol.name == "kt3dmoseg"
     assert checked.ok, str(checked)
     assert [n.clip for n in checked.notes] == ["Seq005_Clip02"]
+
+
+def test_the_advice_for_a_deep_zip_is_a_command_that_works(folder, tmp_path):
+    packed = zip_folder(folder, tmp_path / "s.zip", prefix="a/b/")
+    assert "cd a/b && zip -r ../../b.zip ." in str(validate_submission(packed, CLIPS))

@@ -144,12 +144,22 @@ def test_files_of_other_writers_are_read(compressed, tmp_path):
     np.testing.assert_array_equal(clip.dense.xy[2], [[np.nan, np.nan], [5.5, 6.5]])
 
 
+_COUNTED_FROM_0 = {
+    "SparseIndex": np.array([[1.0], [2.0], [3.0]]),
+    "ySparse": _release()["yAll"],
+    "visibleSparse": _release()["visibleAll"],
+    "GtLabel": np.array([[0.0], [1.0], [0.0]]),
+    "nSparsePoints": 3.0,
+}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"GtLabel": None}, "struct Data with ySparse and GtLabel.*fields"),
         ({"GtLabel": np.array([[1.0], [2.5]])}, r"Data\.GtLabel: expected whole numbers"),
         ({"GtLabel": np.array([[1.0]])}, r"Data\.GtLabel: expected a vector of 2, found 1 x 1"),
+        (_COUNTED_FROM_0, r"GtLabel: expected motions from 1, 0 for outliers, found 0 in 2 of 3.*from 1"),
         ({"SparseIndex": np.array([[0.0], [3.0]])}, r"Data\.SparseIndex: expected whole numbers 1\.\.3"),
         ({"SparseIndex": np.array([[1.0], [4.0]])}, r"Data\.SparseIndex"),
         ({"SparseIndex": np.array([[1.0], [2.0]])}, r"Data\.ySparse: expected the rows SparseIndex"),
@@ -174,6 +184,12 @@ def test_contradictions_are_named(changes, words, tmp_path):
     with pytest.raises(FileFormatError, match=words) as caught:
         load(path)
     assert str(path) in str(caught.value)
+
+
+def test_mostly_unlabelled_clips_of_ours_come_back(tmp_path):
+    scipy.io.savemat(tmp_path / "theirs.mat", {"Data": _release(**_COUNTED_FROM_0) | {"Background": 1.0}})
+    save(load(tmp_path / "theirs.mat"), tmp_path / "ours.mat")
+    assert load(tmp_path / "ours.mat").labels.label.tolist() == [0, 1, 0]
 
 
 def test_another_struct_is_refused_with_what_it_holds(tmp_path):

@@ -128,7 +128,7 @@ def _outlines(shape: Mapping[str, Any], image: Mapping[str, Any], file: str, int
         raise InvalidValueError("segmentation", expected=expected, found="a box only" * ("bbox" in shape))
     if isinstance(found, list):
         scale = into.scale((image.get("width"), image.get("height")), file)
-        if any(not isinstance(p, list) or len(p) % 2 or any(isinstance(v, list) for v in p) for p in found):
+        if any(not isinstance(p, list) or len(p) % 2 or list in map(type, p) for p in found):
             expected = "[[x, y, x, y, ...], ...]"
             raise InvalidValueError("segmentation", expected=expected, found=f"{found!r:.40}")
         return [into.outline(zip(p[::2], p[1::2], strict=True), scale) for p in found]
