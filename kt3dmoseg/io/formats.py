@@ -150,7 +150,7 @@ def recognise(file: Path) -> Format:
     if all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in head):
         word = re.search(rb"\S*[^\d\s+.eE-]\S*", head)
         found = f"a text file with {word[0].decode()!r}" if word else "a text file"
-        fix = _SAVE_MAT if matlab else ""
+        fix = _SAVE_MAT if matlab and not word else ""
     found, fix = next(((what, do) for start, what, do in _FOREIGN if re.match(start, head)), (found, fix))
     by_suffix = [f.name for f in FORMATS if f.suffix == file.suffix.lower()]
     expected = f"a clip ({', '.join(by_suffix or [f.name for f in FORMATS])})"

@@ -240,6 +240,8 @@ def test_older_and_newer_mat_files_texts_and_pages_are_named(tmp_path):
     refused(path, "version 4")
     path.write_text("  1.0e+00  2.0e+00\n")  # save -ascii
     refused(path, "a text file; save it in MATLAB with the option '-v7'")
+    path.write_text("name,label\n1,2\n")  # no variable of MATLAB
+    refused(path, "a text file with 'name,label'$")
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
     refused(path, "version 7.3 .*'-v7'")
     with h5py.File(path, "w") as file:
