@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
@@ -101,9 +101,8 @@ def match_frames(
     """
     shown = [file for file in files if not is_hidden(file)]
     named = {} if shift is not None else {stem(name): k for k, name in enumerate(frames)}
-    # A number behind a frame's name is another's: of a part, an object or a camera.
-    numbers = {f: None if _before_number(f) in named else number_in(f) for f in _of_clip(shown, clip)}
     numbered = {number_in(name): k for k, name in enumerate(frames)}
+    numbers = _numbers(_of_clip(shown, clip), named, numbered)
     by_name = {file: named[stem(file)] for file in numbers if stem(file) in named}
     note = f"numbers shifted by {shift}" if shift else ""
     indices = range(len(frames))
@@ -129,9 +128,19 @@ def match_frames(
     return FrameMatch(found, unmatched, [f for f in shown if f not in numbers], note, frames, begin)
 
 
-def _before_number(name: str) -> str:
-    """Return what of a file's name stands before its last number."""
-    return _LAST_NUMBER.sub("", stem(name)).rstrip("_-. ")
+def _numbers(
+    files: list[str], named: Mapping[str, int], numbered: Mapping[int | None, int]
+) -> dict[str, int | None]:
+    """Return the last number of each file; None where it is that of a part, an object or a camera.
+
+    That it is behind a frame's name; or number, if this differs: ``0005_000012.png`` can be of a drive.
+    """
+    before = {file: _LAST_NUMBER.sub("", stem(file)).rstrip("_-. ") for file in files}
+    alike = len(files) > 1 and len({*before.values()}) == 1
+    frames = {
+        b for b in before.values() if b.isdecimal() and len(b) < 19 and int(b) in numbered and not alike
+    }
+    return {file: None if b in named or b in frames else number_in(file) for file, b in before.items()}
 
 
 def _of_clip(files: list[str], clip: str) -> list[str]:

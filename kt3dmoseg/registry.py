@@ -11,7 +11,7 @@ import inspect
 import sys
 import typing
 from collections import ChainMap, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from importlib import import_module
 from os import PathLike
@@ -143,10 +143,13 @@ def _fits(value: object, hint: Any) -> bool:  # noqa: ANN401  # an annotation
     if not isinstance(kind, type) or kind in _UNCHECKED or kind.__module__ == "numpy":
         return True
     if getattr(kind, "_is_protocol", False):
-        return callable(value) or "__call__" not in vars(kind)
+        members = {name for name in [*vars(kind), *inspect.get_annotations(kind)] if not name.startswith("_")}
+        return all(hasattr(value, name) for name in members) and (
+            callable(value) or "__call__" not in vars(kind)
+        )
     if not isinstance(value, kind) or (isinstance(value, bytes) and kind is not bytes):
         return False
-    each = value if isinstance(value, (list, tuple)) and len(inner) == 1 else ()
+    each = value if isinstance(value, Collection) and len(inner) == 1 else ()
     return all(_fits(element, inner[0]) for element in each)
 
 

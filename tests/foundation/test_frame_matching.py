@@ -36,6 +36,17 @@ def test_a_file_belongs_to_the_frame_of_its_name_else_its_number(file, frame):
     assert match.unmatched == ([file] if frame is None else [])
 
 
+@pytest.mark.parametrize("files", [["00003_1.png"], ["00003_1.png", "00004_2.png"], ["3-1.png", "4-1.png"]])
+def test_a_number_behind_that_of_a_frame_is_of_an_object(files):
+    match = match_frames(files, FROM_ONE)
+    assert (match.frames, match.unmatched) == ({}, files)
+
+
+def test_a_number_before_all_frames_is_of_the_recording():
+    files = ["0005_000003.png", "0005_000004.png"]
+    assert match_frames(files, FROM_ONE).frames == dict(zip(files, (2, 3), strict=True))
+
+
 def test_numbers_of_another_width():
     files = [f"{k:06d}.png" for k in range(3, 8)]
     assert list(match_frames(files, KITTI).frames.values()) == [0, 1, 2, 3, 4]

@@ -155,9 +155,14 @@ def test_objects_print_as_one_line():
         (lambda: kt3dmoseg.label_tracks(two_tracks().xy, "a.json"), "found ndarray"),
         (lambda: kt3dmoseg.load_annotation(b"a.json"), "path: expected a path, found b'a.json'"),
         (lambda: kt3dmoseg.show([1, "a"]), "clip: expected a path, found list of int, str"),
-        (lambda: mseg.segment(two_tracks(), None), "method: expected the name of a method, .*, found None"),
+        (lambda: mseg.segment(two_tracks(), None), "method: expected text or Method, found None"),
         (lambda: mseg.score(None, [1]), "truth"),
         (lambda: mseg.benchmark.predict(3, "out"), "data: expected a path, found 3"),
+        (
+            lambda: kt3dmoseg.choose([1], "out"),
+            "recordings: expected a path or several .*, found list of int",
+        ),
+        (lambda: mseg.benchmark.run(methods=np.zeros(2)), "methods: expected text .*, found ndarray"),
         (lambda: mseg.benchmark.run(methods=[1]), "methods: expected text or several .*, found list of int"),
         (
             lambda: kt3dmoseg.Clip("a", two_tracks(), [0], {"label": [1]}),
