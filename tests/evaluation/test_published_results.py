@@ -34,7 +34,6 @@ PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
 SLOW = {"alc", "lrssc", "consistent"}
 LACKING = {  # alc draws nothing: one seed is all
     ("kt3dmoseg", "data-479ce0d0"): SLOW,
-    ("mtpv62", "data-48df71c7"): SLOW,
     ("synth", "data-5177bd34"): SLOW
     | {"lsa", "gpca", "ssc", "tpv", "lrr", "tlinkage", "s3c", "rsim", "mssc", "ransac", "rpa"},
 }
