@@ -144,12 +144,13 @@ def _fits(value: object, hint: Any) -> bool:  # noqa: ANN401  # an annotation
         return True
     if getattr(kind, "_is_protocol", False):
         members = {name for name in [*vars(kind), *inspect.get_annotations(kind)] if not name.startswith("_")}
-        return all(hasattr(value, name) for name in members) and (
-            callable(value) or "__call__" not in vars(kind)
-        )
+        called = callable(value) or "__call__" not in vars(kind)
+        return called and (not members or any(hasattr(value, name) for name in members))
     if not isinstance(value, kind) or (isinstance(value, bytes) and kind is not bytes):
         return False
-    each = value if isinstance(value, Collection) and len(inner) == 1 else ()
+    each: Collection[Any] = ()
+    if isinstance(value, Collection) and not isinstance(value, Mapping) and len(inner) == 1:
+        each = value
     return all(_fits(element, inner[0]) for element in each)
 
 

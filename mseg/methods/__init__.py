@@ -144,7 +144,8 @@ def segment(
         hidden = _sampled(hidden, seed)
     chosen = create(method, **parameters) if isinstance(method, str) else method
     if isinstance(chosen, type):
-        raise InvalidValueError("method", expected="a method, not its class", found=f"{chosen!r:.60}")
+        expected = "the name of a method, or an object with the function segment"
+        raise InvalidValueError("method", expected=expected, found=f"{chosen!r:.60}")
     result = _segmentation(chosen, hidden, n_motions, seed)
     outliers, gap = bool(getattr(chosen, "reject_outliers", False)), getattr(chosen, "gap", 1)
     parts = count_parts(hidden.evaluated_trajectories.visible, gap if isinstance(gap, int) else 1)

@@ -236,7 +236,7 @@ def test_a_given_epsilon_separates_easy_motions(make_scene):
 
 def test_tpv_needs_trajectories_in_pairs_of_frames():
     xy = np.full((6, 4, 2), np.nan)
-    xy[np.arange(6), np.arange(6) % 4] = 1.0
+    xy[np.arange(6), np.arange(6) % 4] = 50.0
     clip = Clip("rare", Trajectories(xy, np.isfinite(xy).all(axis=2)), np.arange(6), Labels(np.ones(6, int)))
     with pytest.raises(SegmentationError, match="pair of frames"):
         methods.segment(clip, "tpv", n_motions=2)
