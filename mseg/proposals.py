@@ -39,7 +39,7 @@ _SMALLEST, _APART = 8, 0.4  # trajectories of a candidate, and how much apart it
 _UNEXPLAINED, _BETTER = 3.0, 0.5  # see `_Scene.costs`; what a trajectory saves under its own body at least
 _INSIDE, _BESIDE = 8.0, 60.0  # pixels from a body's trajectories: around it, and to what may carry them along
 _ALONE = 0.9  # so much apart, nothing static carries it
-# Residual against something static beside it over that against the scene; residual of what is static.
+# Residual against a static neighbour over that against the scene; residual of what is static.
 _CARRIED, _STATIC = 0.5, 1.5
 _USUAL = 10  # frames, from which on a body is trusted
 _OVERLAP = 0.3
