@@ -1,7 +1,5 @@
 """KT3DMoSeg: build, label and read the 3D motion segmentation dataset cut from KITTI raw."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.registry import lazy

@@ -4,8 +4,6 @@ A command is a typed function with a numpydoc docstring; cyclopts makes argument
 of it. Heavy modules are imported inside the functions, so that ``--help`` stays fast.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import inspect

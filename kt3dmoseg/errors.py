@@ -3,8 +3,6 @@
 Every message is one line: where, what was expected, what was found and what to do.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 _LONGEST = 1000

@@ -1,7 +1,5 @@
 """What belongs together: files and the frames they are of, labels of two labellings that mean one motion."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Trajectories that lie near each other and move alike: what one region may hold."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components

@@ -1,7 +1,5 @@
 """Networks of others, run through torch: the user has their code and weights; what is missing is named."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module

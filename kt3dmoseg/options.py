@@ -1,7 +1,5 @@
 """Options as dataclass fields: one definition gives keywords, flags, TOML keys, help and bounds."""
 
-from __future__ import annotations
-
 import dataclasses
 import typing
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """The one pool of processes and the one cache of arrays that building and benchmarks share."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

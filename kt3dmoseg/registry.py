@@ -3,8 +3,6 @@
 Listing names imports nothing. Third parties add to a table through an entry point group.
 """
 
-from __future__ import annotations
-
 import ast
 import builtins
 import inspect

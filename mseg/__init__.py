@@ -1,7 +1,5 @@
 """mseg: 3D motion segmentation of point trajectories; methods and evaluation."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from kt3dmoseg import __version__ as __version__

@@ -1,7 +1,5 @@
 """Missing and corrupted positions in a trajectory matrix: one subspace, similar trajectories, robust PCA."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Errors of mseg; all belong to the family of `kt3dmoseg.errors`."""
 
-from __future__ import annotations
-
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 
 

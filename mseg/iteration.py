@@ -1,7 +1,5 @@
 """Iterate until a residual is small, and report whether it became so."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any

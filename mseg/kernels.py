@@ -1,7 +1,5 @@
 """From trajectories to affinities: hypotheses are sampled, residuals ranked, kernels sparsified."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

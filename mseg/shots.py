@@ -1,7 +1,5 @@
 """Shots of a video: cut, tracked, segmented, written; see `mseg.videos.video`."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterator

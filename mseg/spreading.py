@@ -1,7 +1,5 @@
 """Labels of some trajectories spread to all others, and from trajectories to the pixels of a frame."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import numpy.typing as npt

@@ -1,7 +1,5 @@
 """The command `video`: what moves in a video; its parts are in `mseg.shots`, imported when it is called."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Annotations of clips: regions on key frames, labelling of trajectories, the browser labeller."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.registry import lazy

@@ -1,7 +1,5 @@
 """How far two labellings of the same trajectories, or two annotators' regions, agree."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest

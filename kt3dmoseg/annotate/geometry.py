@@ -1,7 +1,5 @@
 """Plane geometry of regions: inside tests, distances to a boundary, resampling, blending."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

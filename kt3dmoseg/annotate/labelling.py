@@ -21,8 +21,6 @@ outline decides.
 A mark overrules all else for the trajectories that it encloses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args

@@ -18,8 +18,6 @@ same form::
 decoded image, (H, W) uint8 gray or (H, W, 3) uint8 RGB.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import os

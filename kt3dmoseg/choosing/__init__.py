@@ -1,7 +1,5 @@
 """Choosing clips: windows of recordings, measured and ranked by the principles of the paper."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 

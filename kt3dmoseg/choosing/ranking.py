@@ -1,7 +1,5 @@
 """From recordings to a ranked choice of windows: measured part by part, kept, compared, shown."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -11,8 +11,6 @@ once; of every window in it are measured
 * **motions**: moving objects with `FEWEST` trajectories that live for `LIVES` frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

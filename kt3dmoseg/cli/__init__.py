@@ -1,7 +1,5 @@
 """The command line `kt3dmoseg`: one function per command."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from kt3dmoseg import app

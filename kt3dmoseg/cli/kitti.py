@@ -1,7 +1,5 @@
 """Commands that work on KITTI's drives and on what is published."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

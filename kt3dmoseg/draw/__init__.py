@@ -1,7 +1,5 @@
 """Pictures of trajectories with trails, on the frames or on black."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from kt3dmoseg.options import option

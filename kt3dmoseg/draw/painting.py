@@ -1,7 +1,5 @@
 """Pictures of trajectories: points with trails, on the frames or on black, coloured by what matters."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

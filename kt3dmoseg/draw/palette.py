@@ -1,7 +1,5 @@
 """The one palette: the same label has the same colour in pictures, in reports and on the labelling page."""
 
-from __future__ import annotations
-
 from typing import TypeAlias
 
 Colour: TypeAlias = tuple[int, int, int]

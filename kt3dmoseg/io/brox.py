@@ -5,8 +5,6 @@ pixels and frames from 0. Labels are kept as they are, -1 (unlabelled) becoming 
 break lines anywhere, so tokens are read, not lines (Brox and Malik, ECCV 2010; Ochs et al., 2014).
 """
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The gate of every clip format: what a clip's file holds, checked by name and made a clip."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

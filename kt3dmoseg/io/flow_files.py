@@ -3,8 +3,6 @@
 In memory a field is (H, W, 2) float32, the displacement in pixels (right, down), NaN where unknown.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import struct

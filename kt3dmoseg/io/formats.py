@@ -3,8 +3,6 @@
 Reading recognises the content, writing goes by the suffix.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from importlib import import_module

@@ -4,8 +4,6 @@ The same clip gives the same bytes: nothing is stamped with a time, invisible po
 NaN. Metadata and data carry checksums, so that damage is noticed.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -1,7 +1,5 @@
 """Pictures: numbered frames of a folder as 8-bit gray, PNGs whose pixels are numbers, videos."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

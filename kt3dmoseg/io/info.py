@@ -1,7 +1,5 @@
 """What is inside a file or folder: as plain values, and as a text that a person can read."""
 
-from __future__ import annotations
-
 import os
 import textwrap
 from collections.abc import Mapping, Sequence

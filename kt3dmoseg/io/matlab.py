@@ -18,8 +18,6 @@ being trusted. scipy's reader is not used: damaged files crash it. Sparse arrays
 are named but not decoded.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

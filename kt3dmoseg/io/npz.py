@@ -3,8 +3,6 @@
 docs/formats.md lists the arrays of a clip, for those who have no HDF5.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -18,8 +18,6 @@ and the projection have whole numbers at pixel centres, as we have; TAPIR, TAP-V
 outer corner of the image.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping

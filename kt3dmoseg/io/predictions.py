@@ -4,8 +4,6 @@ Everything that is wrong with a file is listed at once, as `Problem`; nothing is
 are checked before anything is read.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

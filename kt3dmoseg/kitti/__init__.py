@@ -1,7 +1,5 @@
 """KITTI raw: reading drives by frame number; finding and fetching the clips' frames."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.registry import lazy

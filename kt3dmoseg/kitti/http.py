@@ -6,8 +6,6 @@ bodies, wrong lengths, wrong ranges, ignored ranges, redirects, files that chang
 `urllib3.Retry` does not read; one loop of ours counts them all.
 """
 
-from __future__ import annotations
-
 import queue
 import re
 import sys

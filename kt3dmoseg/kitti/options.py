@@ -1,7 +1,5 @@
 """Options of `pull` and `locate`; a module of its own, so that ``--help`` loads nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from kt3dmoseg.options import option

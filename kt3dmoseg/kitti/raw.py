@@ -5,8 +5,6 @@ microseconds or takes from another sensor's clock is read directly: frames and p
 the camera's own timestamps to the nanosecond.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable, Iterator

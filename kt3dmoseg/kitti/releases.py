@@ -1,7 +1,5 @@
 """The published benchmarks, fetched from their homes: small files with hashes."""
 
-from __future__ import annotations
-
 import os
 import re
 import tomllib

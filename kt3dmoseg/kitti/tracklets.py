@@ -5,8 +5,6 @@ on, one pose per frame in laser scanner coordinates (x forward, y left, z up, me
 origin is the centre of the box's bottom.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError

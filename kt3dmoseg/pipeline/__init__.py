@@ -1,7 +1,5 @@
 """From frames to dataset files: track, label, subsample, one HDF5 file per clip."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 

@@ -1,7 +1,5 @@
 """From frames to dataset files: one HDF5 file per clip, in parallel, up to date or rebuilt with a reason."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress

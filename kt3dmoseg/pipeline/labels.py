@@ -4,8 +4,6 @@ Pixel values of masks are object ids, 0 the background; `void_ids` says which ar
 1000 * class + instance (Voigtlaender et al., CVPR 2019). Every id is taken as one motion.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path

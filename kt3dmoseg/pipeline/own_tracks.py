@@ -5,8 +5,6 @@ follow the pictures. Points outside of the image count as not visible; tracks th
 `min_length` are dropped, as those of our own tracker.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path

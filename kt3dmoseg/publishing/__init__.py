@@ -1,7 +1,5 @@
 """Publishing: a folder of clips becomes a named version of a dataset; versions are compared."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 

@@ -8,8 +8,6 @@ visibility, depth, trajectories and labels come from the same geometry and are e
 (64, 128)
 """
 
-from __future__ import annotations
-
 from kt3dmoseg.synthetic.drives import DrivePlan, make_drive, measure_drive, plan_drives
 from kt3dmoseg.synthetic.kitti_export import write_drive
 from kt3dmoseg.synthetic.scene import Scene, SceneOptions, make_scene, track_errors

@@ -4,8 +4,6 @@ A drive is drawn until its vehicles collide with nothing and are in view long en
 makes it hard is then measured on the exact geometry, not taken from what was intended.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise

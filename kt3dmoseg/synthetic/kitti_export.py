@@ -1,7 +1,5 @@
 """A synthetic scene on disk, in the layout of KITTI raw: frames, GPS/IMU packets, tracklets, calibration."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from datetime import datetime, timedelta

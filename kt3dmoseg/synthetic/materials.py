@@ -4,8 +4,6 @@ Every pattern is averaged over the footprint in closed form or from a rip-map, s
 their mean grey instead of flickering.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias

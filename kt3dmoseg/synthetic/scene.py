@@ -1,7 +1,5 @@
 """A synthetic scene: rendered frames, and everything about them that is known exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple

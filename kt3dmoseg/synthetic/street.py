@@ -1,7 +1,5 @@
 """The static part of a scene: road, pavements, houses, a side street, parked cars, posts and hedges."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -5,8 +5,6 @@ has the same axes, its origin on the ground. Poses are 4x4 matrices ``T_world_bo
 coordinates.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 

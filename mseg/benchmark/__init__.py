@@ -1,7 +1,5 @@
 """Running methods on benchmarks and folders of clips: in parallel, resumable, reproducible."""
 
-from __future__ import annotations
-
 from mseg.benchmark.results import BenchmarkResult, Configuration
 from mseg.benchmark.runner import find_clips, predict, run
 

@@ -7,8 +7,6 @@
 Files hold counts of trajectories, so that a table is exact and a changed figure is a changed line.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

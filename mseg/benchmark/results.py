@@ -1,7 +1,5 @@
 """What a benchmark run found, and its tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Methods x clips x seeds: run in parallel and kept, then scored or written as a submission."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

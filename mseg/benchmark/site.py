@@ -6,8 +6,6 @@
     results/kt3dmoseg/2018/mine.zip       the predictions, as `submit` packs them
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """How many clusters an embedding shows: published criteria, to compare with and to replace in one place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Fusion of views: spectral embeddings that agree, and normalised cuts of one partition in all graphs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, starmap

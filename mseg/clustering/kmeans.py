@@ -1,7 +1,5 @@
 """k-means with many restarts, all of them advanced together as arrays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Spectral clustering: graph Laplacians, their smallest eigenvectors, and partitions read from them."""
 
-from __future__ import annotations
-
 from typing import Any, TypeAlias
 
 import numpy as np

@@ -5,8 +5,6 @@ lists everything that is wrong with it, `score_submission` scores it, `score` do
 bare arrays.
 """
 
-from __future__ import annotations
-
 import numpy.typing as npt
 
 from mseg.evaluation import codabench, contingency, metrics, results, statistics  # noqa: F401

@@ -1,7 +1,5 @@
 """What makes a trajectory hard: one pure function per property, and the bins of reports."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass

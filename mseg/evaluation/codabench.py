@@ -1,7 +1,5 @@
 """The scoring program of a Codabench competition: the same validator and scorer, its file layout."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The table of true motions against predicted groups, and the best assignment of groups to motions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache, cached_property

@@ -1,7 +1,5 @@
 """Submissions to start from: a simple example, or one made of label files (MATLAB, text, Brox ``.dat``)."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

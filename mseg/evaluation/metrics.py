@@ -4,8 +4,6 @@
 group ``mseg.metrics``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache

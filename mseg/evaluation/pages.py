@@ -1,7 +1,5 @@
 """The one builder of pages: jinja2 templates of ``static/`` with automatic escaping, and pictures inside."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from functools import cache

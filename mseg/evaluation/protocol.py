@@ -1,7 +1,5 @@
 """Benchmark protocols as data: which clips count, in which groups, and what was published on them."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from bisect import bisect_right

@@ -3,8 +3,6 @@
 The page is ``static/report.html``, a jinja2 template with automatic escaping; here is what it computes with.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """Statistics over clips and seeds: bootstrap intervals, paired tests, correction for many tests."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Comparing a submission with the data: every problem at once, and the labels that can be scored."""
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Mapping

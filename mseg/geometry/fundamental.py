@@ -1,7 +1,5 @@
 """Fundamental matrices between two images: x2^T F x1 = 0, rank 2."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

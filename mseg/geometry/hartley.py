@@ -1,7 +1,5 @@
 """Hartley's normalisation: of the points of a frame pair, and of the models between its frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

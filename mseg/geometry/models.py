@@ -4,8 +4,6 @@
 models. Fundamental matrices are in `mseg.geometry.fundamental`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations

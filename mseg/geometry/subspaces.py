@@ -4,8 +4,6 @@ Under an affine camera the trajectories of one rigid motion span at most four di
 subspace) of three (Tomasi and Kanade, IJCV 1992); methods that segment by subspaces start from this matrix.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError

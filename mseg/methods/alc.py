@@ -1,7 +1,5 @@
 """Agglomerative lossy compression (ALC): groups merge while that shortens the code for the data."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -10,8 +10,6 @@ Rules, the same for all of them:
 * Fewer trajectories than motions, fewer than two frames, or trajectories that all coincide are an error.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Consistent motion segmentation (ConsistentMoSeg)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Kernels shared between calls: methods, sweeps of alpha and fusions on one clip do not sample again."""
 
-from __future__ import annotations
-
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping

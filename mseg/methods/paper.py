@@ -21,8 +21,6 @@ Rules for bad input, the same for all of them:
 * Duplicated points are points like others: they prefer the same hypotheses and stay together.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import deepcopy

@@ -1,7 +1,5 @@
 """Preference analysis: random flats through trajectories, and who prefers the same (T-Linkage, RPA)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Robust shape interaction matrix (RSIM)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

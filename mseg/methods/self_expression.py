@@ -6,8 +6,6 @@ through a thin singular value decomposition of the data, so that an iteration co
 D x N data rather than ``O(N^3)``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 

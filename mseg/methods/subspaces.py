@@ -4,8 +4,6 @@ All three see trajectories as points in the row space of the trajectory matrix (
 for the comparison of 3-D motion segmentation algorithms", CVPR 2007).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 

@@ -5,8 +5,6 @@ coordinates, zero for trajectories that the pair does not see. ``f . w = 0`` is 
 row by row, the fundamental matrix.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Third parties add a format through an entry point: an object with `suffix`, `med
 as an `AnnotationFormat` has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

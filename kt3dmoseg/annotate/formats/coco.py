@@ -5,8 +5,6 @@ else of its number. An object is what has one ``track_id``, in the annotation or
 what has one category, once an image. Boxes are no outlines.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence

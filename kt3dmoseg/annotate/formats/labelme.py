@@ -4,8 +4,6 @@ Reading, shapes with the same ``group_id``, or without one the same label, are o
 in a file is outside there, and a frame without a file is not annotated.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -11,8 +11,6 @@ is used here for all else. The instance is the motion. Ids whose instance number
 different objects in MOTS: they come back as motions of their own.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise

@@ -4,8 +4,6 @@ One JSON object a line, each with ``time`` and ``by``; then what happened: ``sta
 or the ``revision`` that was saved, with the names of objects that were ``added``, ``changed``, ``removed``.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections import defaultdict

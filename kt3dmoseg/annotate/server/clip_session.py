@@ -1,7 +1,5 @@
 """The state of each clip on the server: frames, trajectories once they are there, labelling, progress."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

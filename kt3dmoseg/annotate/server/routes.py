@@ -3,8 +3,6 @@
 Saves and frames have threads of their own; what computes waits for its turn in others.
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 import threading
