@@ -5,11 +5,8 @@ import io
 import json
 import multiprocessing
 import os
-import pickle
 import signal
-import subprocess
 import sys
-import tempfile
 import threading
 import traceback
 import zipfile
@@ -96,23 +93,14 @@ class _Pool(Generic[TaskT, ResultT]):
         try:
             while self.waiting or self.running:
                 while len(self.processes) < min(self.workers, len(self.waiting) + len(self.running)):
-                    self._start()
-                for connection in wait(list(self.processes)):
-                    yield from self._receive(cast(Connection, connection))
+                    self.processes.update([_started(self.work)])
+                for ready in wait(list(self.processes)):
+                    yield from self._receive(cast(Connection, ready))
         finally:
             for process in self.processes.values():
                 process.kill()
             for process in self.processes.values():
                 process.join()
-
-    def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self.work))
-        with _inherited():
-            process.start()
-        theirs.close()  # so that the end of the process ends what can be read
-        self.processes[ours] = process
 
     def _receive(self, connection: Connection) -> Iterator[tuple[TaskT, ResultT]]:
         try:
@@ -149,6 +137,17 @@ class _Pool(Generic[TaskT, ResultT]):
         else:
             task = self.tasks[index]
             yield task, self.lost(task, f"its worker processes died {_MAX_DEATHS} times")
+
+
+def _started(work: Callable[[Any, Progress], Any]) -> tuple[Connection, BaseProcess]:
+    """Start a process that does `work` on one task after the other, with a pipe to it."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs, work))
+    with _inherited():
+        process.start()
+    theirs.close()  # so that the end of the process ends what can be read
+    return ours, process
 
 
 def _serve(connection: Connection, work: Callable[[Any, Progress], Any]) -> None:
@@ -228,45 +227,31 @@ def _on_cluster(
 def run_apart(work: Callable[..., ResultT], *given: object, stop: threading.Event) -> ResultT:
     """Return ``work(*given)``, computed in a process of its own that is killed as soon as `stop` is set.
 
-    Not one of multiprocessing, which would run the caller's script again. What goes there and back is
-    pickled; an exception of `work` is raised here. Raises KT3DMoSegError when stopped, or when it dies.
+    What goes there and back is pickled; an exception of `work` is raised here. Raises KT3DMoSegError when
+    stopped, or when it dies.
     """
-    command = [sys.executable, "-c", f"from {__name__} import _apart; _apart()"]
-    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    # A file and no pipe: after a timeout, communicate() does not write the rest of what it was given.
-    with tempfile.TemporaryFile() as sent:
-        pickle.dump((work, given), sent)
-        sent.seek(0)
-        with subprocess.Popen(command, stdin=sent, stdout=subprocess.PIPE, env=paths) as process:
-            try:
-                answer = _wait_for(process, stop)
-            finally:
-                process.kill()
-    if not answer:
-        raise KT3DMoSegError("cancelled" if stop.is_set() else f"its process died, code {process.returncode}")
-    done, value = pickle.loads(answer)  # noqa: S301  # of our own process
-    if not done:
-        raise value
+    connection, process = _started(_apply)
+    kind, value = "", None
+    try:
+        with suppress(EOFError, OSError):  # it died
+            connection.send((work, given))
+            while kind not in ("result", "error") and not stop.is_set():
+                if connection.poll(_POLL):
+                    kind, value = connection.recv()
+    finally:
+        process.kill()
+        process.join()
+        connection.close()
+    if kind == "error":
+        raise cast(Exception, value)
+    if kind != "result":
+        raise KT3DMoSegError("cancelled" if stop.is_set() else f"its process died, code {process.exitcode}")
     return cast(ResultT, value)
 
 
-def _wait_for(process: subprocess.Popen[bytes], stop: threading.Event) -> bytes:
-    while not stop.is_set():
-        with suppress(subprocess.TimeoutExpired):
-            return process.communicate(timeout=_POLL)[0]
-    return b""
-
-
-def _apart() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    with os.fdopen(os.dup(1), "wb") as out:
-        os.dup2(2, 1)  # what the work prints is no part of the answer
-        work, given = pickle.load(sys.stdin.buffer)  # noqa: S301  # from our own process
-        try:
-            answer = True, work(*given)
-        except Exception as error:
-            answer = False, error
-        pickle.dump(answer, out)
+def _apply(task: tuple[Callable[..., ResultT], Iterable[object]], _: Progress) -> ResultT:
+    work, given = task
+    return work(*given)
 
 
 class Cache:
