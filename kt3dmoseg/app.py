@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import cyclopts
 from cyclopts import Group, Parameter
@@ -64,6 +64,11 @@ Catalogs = Annotated[
     tuple[File, ...], Parameter(name="--catalog", help="A catalog of your own; may be repeated.")
 ]
 Either = Annotated[Path, Parameter(metavar="PATH")]
+# Of functions that are commands, too: whatever is a path in Python.
+AnyPath: TypeAlias = str | os.PathLike[str]
+AnyFile = Annotated[AnyPath, Parameter(metavar="FILE")]
+AnyFolder = Annotated[AnyPath, Parameter(metavar="FOLDER")]
+AnyEither = Annotated[AnyPath, Parameter(metavar="PATH")]
 Range = Annotated[str, Parameter(name="--range", metavar="FIRST-LAST")]
 Size = Annotated[str, Parameter(metavar="WIDTHxHEIGHT")]
 Parameters = Annotated[

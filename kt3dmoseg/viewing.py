@@ -5,36 +5,31 @@ Both functions are commands, too; they import what they need when they are calle
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from kt3dmoseg.app import Catalogs, Flag, Name, Range, Size, Whole, flags
+from kt3dmoseg.app import AnyEither, AnyFile, AnyFolder, Catalogs, Flag, Name, Range, Size, Whole, flags
 from kt3dmoseg.draw import DrawOptions
 
 if TYPE_CHECKING:
     from kt3dmoseg.types import ByteArray, Trajectories
 
 _SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
-_Path: TypeAlias = str | os.PathLike[str]
-_File = Annotated[_Path, Parameter(metavar="FILE")]
-_Folder = Annotated[_Path, Parameter(metavar="FOLDER")]
-_Either = Annotated[_Path, Parameter(metavar="PATH")]
 
 
 @flags(DrawOptions)
 def show(
-    clip: _File,
+    clip: AnyFile,
     /,
-    frames: _Folder | None = None,
+    frames: AnyFolder | None = None,
     *,
-    output: Annotated[_Either | None, Parameter(alias="-o")] = None,
+    output: Annotated[AnyEither | None, Parameter(alias="-o")] = None,
     by: Literal["label", "length", "prediction"] | None = None,
-    pred: _File | None = None,
+    pred: AnyFile | None = None,
     at: Annotated[Whole | None, Parameter(metavar="I")] = None,
     rate: float = 5.0,
     report: Annotated[Callable[[str], object] | None, Parameter(parse=False)] = None,
@@ -119,17 +114,17 @@ def show(
 
 
 def label(
-    clip: _Either,
+    clip: AnyEither,
     /,
-    frames: _Folder | None = None,
+    frames: AnyFolder | None = None,
     *,
-    tracks: _Either | None = None,
-    annotations: _Folder = "annotations",
+    tracks: AnyEither | None = None,
+    annotations: AnyFolder = "annotations",
     annotator: Name = "",
-    team: _File | None = None,
-    compare: _Folder | None = None,
-    masks: _Folder | None = None,
-    kitti: _Folder | None = None,
+    team: AnyFile | None = None,
+    compare: AnyFolder | None = None,
+    masks: AnyFolder | None = None,
+    kitti: AnyFolder | None = None,
     catalogs: Catalogs = (),
     range_: Range = "",
     step: Whole = 1,

@@ -1,6 +1,5 @@
 """Shots of a video: cut, tracked, segmented, written; see `mseg.videos.video`."""
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ import numpy as np
 from kt3dmoseg.draw.painting import Painting, draw_frame, groups
 from kt3dmoseg.draw.palette import label_colour
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import write_bytes
+from kt3dmoseg.files import PathLike, write_bytes
 from kt3dmoseg.frames import FrameInfo, FrameSource, frames_of, part_of
 from kt3dmoseg.io import load, save
 from kt3dmoseg.io.images import davis_palette, encode_indices, gray, write_moving
@@ -62,7 +61,7 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}" + "s" * (number != 1)
 
 
-def clip_shot(path: Path, frames: str | os.PathLike[str] | None) -> Iterator[tuple[Shot, _Pictures | None]]:
+def clip_shot(path: Path, frames: PathLike | None) -> Iterator[tuple[Shot, _Pictures | None]]:
     """Give a clip file as a shot, with its frames if there are any."""
     clip = load(path)
     yield Shot(clip.name, clip.n_frames, clip), None if frames is None else iter(frames_of(clip, frames))

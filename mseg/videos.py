@@ -1,26 +1,24 @@
 """The command `video`: what moves in a video; its parts are in `mseg.shots`, imported when it is called."""
 
-import os
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from kt3dmoseg.app import Flag, Name, Positive, Range, Size, Whole, progress_bar
+from kt3dmoseg.app import AnyEither, AnyFolder, Flag, Name, Positive, Range, Size, Whole, progress_bar
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 
 _SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
-_Path: TypeAlias = str | os.PathLike[str]
 
 
 def video(
-    input: Annotated[_Path, Parameter(metavar="PATH")],
+    input: AnyEither,
     /,
-    frames: Annotated[_Path | None, Parameter(metavar="FOLDER")] = None,
+    frames: AnyFolder | None = None,
     *,
-    output: Annotated[_Path, Parameter(alias="-o", metavar="FOLDER")],
+    output: Annotated[AnyFolder, Parameter(alias="-o")],
     n_motions: Positive | None = None,
     method: Name = "multibody",
     flow: Name = "dis",

@@ -6,16 +6,15 @@ The functions are the commands `kt3dmoseg annotations`; what they need is import
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from kt3dmoseg import annotate
-from kt3dmoseg.app import Flag, Name, Whole, group
+from kt3dmoseg.app import AnyEither, AnyFolder, AnyPath, Flag, Name, Whole, group
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 
 if TYPE_CHECKING:
@@ -53,12 +52,10 @@ class Reports(list[ClipReport]):
         return 0 if all(report.ok for report in self) else KT3DMoSegError.exit_code
 
 
-AnyPath: TypeAlias = str | os.PathLike[str]
-_Folder = Annotated[AnyPath, Parameter(metavar="FOLDER")]
-_Clips = Annotated[AnyPath, Parameter(metavar="PATH", help=_CLIPS)]
-_Notes = Annotated[_Folder, Parameter(help="Folder of <clip>.json.")]
+_Clips = Annotated[AnyEither, Parameter(help=_CLIPS)]
+_Notes = Annotated[AnyFolder, Parameter(help="Folder of <clip>.json.")]
 _Format = Annotated[Name, Parameter(help="One of cvat, coco, labelme, davis, mots_png or mots_txt.")]
-_Tracks = Annotated[AnyPath | None, Parameter(metavar="PATH", help=_TRACKS)]
+_Tracks = Annotated[AnyEither | None, Parameter(help=_TRACKS)]
 _Report = Annotated[Callable[[ClipReport], object], Parameter(parse=False)]
 
 
@@ -98,7 +95,7 @@ class _Clip:
 
 @notes.command(name="import")
 def import_annotations(
-    source: Annotated[AnyPath, Parameter(metavar="PATH")],
+    source: AnyEither,
     clips: _Clips,
     /,
     *,
@@ -193,7 +190,7 @@ def import_annotations(
 def export_annotations(
     clips: _Clips,
     /,
-    output: Annotated[_Folder, Parameter(alias="-o", help="Folder of the files.")],
+    output: Annotated[AnyFolder, Parameter(alias="-o", help="Folder of the files.")],
     *,
     format: _Format,
     annotations: _Notes = "annotations",
@@ -304,8 +301,8 @@ def compare_annotations(
 
 @notes.command
 def compare(
-    first: Annotated[_Folder, Parameter(help="Folder of <clip>.json of the one.")],
-    second: Annotated[_Folder, Parameter(help="Folder of <clip>.json of the other.")],
+    first: Annotated[AnyFolder, Parameter(help="Folder of <clip>.json of the one.")],
+    second: Annotated[AnyFolder, Parameter(help="Folder of <clip>.json of the other.")],
     clips: _Clips,
     /,
     *,

@@ -34,7 +34,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import ErrorDetails
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import hold_folder, parse_json, read_bytes, write_text
+from kt3dmoseg.files import PathLike, hold_folder, parse_json, read_bytes, write_text
 from kt3dmoseg.registry import nearest, unknown_name
 
 T = TypeVar("T")
@@ -325,7 +325,7 @@ class Annotation:
         return replace(self, objects=(), marks=())
 
 
-def load_annotation(path: str | os.PathLike[str], form: str = FORMAT) -> Annotation:
+def load_annotation(path: PathLike, form: str = FORMAT) -> Annotation:
     """Read the annotation of a clip.
 
     Parameters
@@ -360,7 +360,7 @@ def parse_document(content: bytes, where: str) -> Any:  # noqa: ANN401  # whatev
     return found
 
 
-def save_annotation(path: str | os.PathLike[str], annotation: Annotation, form: str = FORMAT) -> None:
+def save_annotation(path: PathLike, annotation: Annotation, form: str = FORMAT) -> None:
     """Write an annotation atomically; raises InputFileError when the file cannot be written."""
     write_text(path, dumps(annotation, form))
 
@@ -371,7 +371,7 @@ class StaleRevisionError(KT3DMoSegError):
     current: Annotation
 
 
-def save_revision(path: str | os.PathLike[str], annotation: Annotation) -> Annotation:
+def save_revision(path: PathLike, annotation: Annotation) -> Annotation:
     """Write `annotation` as the next revision of a file, and return what was written.
 
     A file that does not exist, or no longer, is written whatever the revision.

@@ -20,7 +20,6 @@ decoded image, (H, W) uint8 gray or (H, W, 3) uint8 RGB.
 
 import datetime
 import json
-import os
 import re
 import zlib
 from collections.abc import Iterable, Iterator
@@ -30,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import check_target, parse_toml, read_bytes, sha256_arrays, write_text
+from kt3dmoseg.files import PathLike, check_target, parse_toml, read_bytes, sha256_arrays, write_text
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.types import ByteArray
 
@@ -169,7 +168,7 @@ def _check_text(what: str, value: object, pattern: str, expected: str) -> None:
     _require(isinstance(value, str) and bool(re.fullmatch(pattern, value)), what, expected, repr(value))
 
 
-def load(*paths: str | os.PathLike[str], built_in: bool = True) -> dict[str, Entry]:
+def load(*paths: PathLike, built_in: bool = True) -> dict[str, Entry]:
     """Read the built-in catalog and the users' catalogs: clips by name, each in one of them only.
 
     InputFileError or FileFormatError, with the first problem, when a file is missing or not a catalog.
@@ -193,7 +192,7 @@ def parse_all(paths: Iterable[Path]) -> Iterator[tuple[Path, dict[str, Entry], l
         yield path, clips, problems
 
 
-def choose(names: Iterable[str], *paths: str | os.PathLike[str]) -> list[Entry]:
+def choose(names: Iterable[str], *paths: PathLike) -> list[Entry]:
     """Return the clips of these names; without names all of the users' catalogs, else of the built-in one.
 
     UnknownNameError, with the nearest name, for an unknown one; errors of files as `load`.
@@ -206,7 +205,7 @@ def choose(names: Iterable[str], *paths: str | os.PathLike[str]) -> list[Entry]:
     return [clips[name] for name in wanted]
 
 
-def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
+def parse(path: PathLike) -> tuple[dict[str, Entry], list[str]]:
     """Read one catalog; return its valid clips and every problem, one line each."""
     try:
         document = parse_toml(read_bytes(path, _LARGEST), "not TOML", _LARGEST)
@@ -225,13 +224,13 @@ def parse(path: str | os.PathLike[str]) -> tuple[dict[str, Entry], list[str]]:
     return clips, problems
 
 
-def save(path: str | os.PathLike[str], clips: Iterable[Entry], *, comment: str = "") -> None:
+def save(path: PathLike, clips: Iterable[Entry], *, comment: str = "") -> None:
     """Write a catalog atomically, clips in the order given."""
     head = [f"# {line}".rstrip() for line in comment.splitlines()]
     write_text(path, "\n".join(head + [""] * bool(head)) + "\n".join(_toml(clip) for clip in clips))
 
 
-def add(path: str | os.PathLike[str], entry: Entry) -> None:
+def add(path: PathLike, entry: Entry) -> None:
     """Add a clip to a user's catalog, which is made when missing; InvalidValueError for a taken name."""
     target = Path(path)
     check_target(target)

@@ -1,6 +1,5 @@
 """Pictures of trajectories: points with trails, on the frames or on black, coloured by what matters."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.draw.palette import WRONG, Colour, label_colour
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import PathLike
 from kt3dmoseg.io.predictions import read_prediction
 from kt3dmoseg.matching import match_labels
 from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Labels, Trajectories
@@ -87,7 +87,7 @@ def by_length(trajectories: Trajectories) -> Painting:
     return Painting(trajectories, np.asarray(colours[: -len(ends)], dtype=np.uint8), legend)
 
 
-def painting_of(clip: Clip, by: str | None, prediction: str | os.PathLike[str] | None) -> Painting:
+def painting_of(clip: Clip, by: str | None, prediction: PathLike | None) -> Painting:
     """Colour by "label", "length" or "prediction"; by default by what there is, the prediction first."""
     if not clip.n_frames:
         raise InvalidValueError(clip.name, expected="a clip with frames", found="none")

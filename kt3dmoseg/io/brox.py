@@ -10,7 +10,7 @@ import os
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import read_bytes, write_text
+from kt3dmoseg.files import PathLike, read_bytes, write_text
 from kt3dmoseg.io.fields import foreign_clip
 from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels, Trajectories
 
@@ -21,7 +21,7 @@ _LAYOUT = "nFrames, nTracks, then per track 'label length' and length times 'x y
 _END = "the end of the file"
 
 
-def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write(clip: Clip, path: PathLike) -> None:
     """Write all trajectories; those that are not evaluated get label 0.
 
     Coordinates keep every bit. Which rows are evaluated, ids, image size and the rest cannot be kept
@@ -38,13 +38,13 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def read(path: str | os.PathLike[str]) -> Clip:
+def read(path: PathLike) -> Clip:
     """Read a clip; every row counts as evaluated, label 0 being unlabelled."""
     label, tracks = read_tracks(path)
     return foreign_clip(path, "brox-dat", tracks, Labels(np.maximum(label, 0)))
 
 
-def read_tracks(path: str | os.PathLike[str]) -> tuple[IntArray, Trajectories]:
+def read_tracks(path: PathLike) -> tuple[IntArray, Trajectories]:
     """Read the label of each track as the file has it, -1 where there is none, and the tracks."""
     where, content = os.fspath(path), read_bytes(path, _MAX_FILE)
     head = _numbers(content.split(None, 2)[:2], where)

@@ -1,7 +1,6 @@
 """The gate of every clip format: what a clip's file holds, checked by name and made a clip."""
 
 import json
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import parse_json, sha256_file
+from kt3dmoseg.files import PathLike, parse_json, sha256_file
 from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, IntArray, Labels, Trajectories
 
 _LONGEST = 200
@@ -133,7 +132,7 @@ def _by(shape: tuple[int, ...]) -> str:
     return " x ".join(map(str, shape)) or "one value"
 
 
-def clip_name(path: str | os.PathLike[str]) -> str:
+def clip_name(path: PathLike) -> str:
     """Return the clip's name: the file's stem without ``_Tracks`` or ``_truth``.
 
     >>> clip_name("release/Seq028_clip03_Tracks.mat"), clip_name("cars1_truth.mat")
@@ -196,7 +195,7 @@ def spreads(xy: FloatArray, visible: BoolArray) -> list[float]:
 
 
 def foreign_clip(
-    path: str | os.PathLike[str],
+    path: PathLike,
     format: str,
     dense: Trajectories,
     labels: Labels | None = None,

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import read_bytes, write_bytes
+from kt3dmoseg.files import PathLike, read_bytes, write_bytes
 from kt3dmoseg.io.images import decode
 from kt3dmoseg.io.npz import npy_bytes, read_npy, read_npz, write_npz
 from kt3dmoseg.types import BoolArray, Float32Array
@@ -27,7 +27,7 @@ _KITTI_SCALE, _KITTI_ZERO = 64.0, 1 << 15
 _MAX_FILE = 1 << 30
 
 
-def read_flow(path: str | os.PathLike[str]) -> Float32Array:
+def read_flow(path: PathLike) -> Float32Array:
     """Read a flow field, (H, W, 2) float32, NaN where unknown; the content decides about the format.
 
     ``.flo`` (Baker et al., IJCV 2011), KITTI's 16-bit PNG (u = R / 64 - 512, v = G / 64 - 512, valid = B;
@@ -58,7 +58,7 @@ def read_flow(path: str | os.PathLike[str]) -> Float32Array:
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
-def write_flow(path: str | os.PathLike[str], flow: npt.ArrayLike) -> None:
+def write_flow(path: PathLike, flow: npt.ArrayLike) -> None:
     """Write a flow field (H, W, 2) in pixels, NaN where unknown, in the format of the suffix, atomically.
 
     PNG keeps 1/64 px within +-512 px. InvalidValueError for another shape or suffix, or a displacement that

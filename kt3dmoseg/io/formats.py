@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import listed
+from kt3dmoseg.files import PathLike, listed
 from kt3dmoseg.io.fields import FIELDS, clip_name, clip_values
 from kt3dmoseg.registry import strict
 from kt3dmoseg.types import Clip, Trajectories
@@ -58,7 +58,7 @@ _FOREIGN = (
 
 
 @strict
-def load(path: str | os.PathLike[str]) -> Clip:
+def load(path: PathLike) -> Clip:
     """Load one clip from any format that is read.
 
     The content decides, not the suffix: the canonical HDF5, MAT-files of the 2018 release,
@@ -107,7 +107,7 @@ def _check_size(tracks: Trajectories) -> None:
 
 
 @strict
-def save(clip: Clip, path: str | os.PathLike[str]) -> None:
+def save(clip: Clip, path: PathLike) -> None:
     """Write a clip in the format of the path's suffix, atomically.
 
     Parameters
@@ -127,7 +127,7 @@ def save(clip: Clip, path: str | os.PathLike[str]) -> None:
     import_module(written_as(path).module).write(clip, path)
 
 
-def written_as(path: str | os.PathLike[str]) -> Format:
+def written_as(path: PathLike) -> Format:
     """Return the format of a path's suffix; InvalidValueError when there is none."""
     suffix = Path(path).suffix.lower()
     for format in FORMATS:
@@ -171,7 +171,7 @@ def clip_files(folder: Path) -> list[Path]:
     return [file for file in listed(folder) if file.suffix.lower() in CLIP_SUFFIXES and file.is_file()]
 
 
-def dataset_paths(folder: str | os.PathLike[str]) -> dict[str, Path]:
+def dataset_paths(folder: PathLike) -> dict[str, Path]:
     """Names and files of the clips of a folder, sorted by name, without reading them.
 
     It holds one file per clip, or folders that do, as archives of benchmarks unpack: up to three levels below
@@ -217,12 +217,12 @@ def _clips_below(folder: Path, levels: int) -> list[Path]:
 
 
 @strict
-def load_dataset(folder: str | os.PathLike[str]) -> dict[str, Clip]:
+def load_dataset(folder: PathLike) -> dict[str, Clip]:
     """Load every clip of a folder, by name, in the order of `dataset_paths`."""
     return {name: load(path) for name, path in dataset_paths(folder).items()}
 
 
-def convert(source: str | os.PathLike[str], target: str | os.PathLike[str], *, layout: str = "") -> list[str]:
+def convert(source: PathLike, target: PathLike, *, layout: str = "") -> list[str]:
     """Convert a clip or a flow field; the suffix of `target` names the format.
 
     `layout` is that of a ``.npz``, of a tracker: one of `kt3dmoseg.io.point_tracks.WRITTEN`. The file is read

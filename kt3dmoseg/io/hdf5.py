@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
-from kt3dmoseg.files import write_bytes
+from kt3dmoseg.files import PathLike, write_bytes
 from kt3dmoseg.io.fields import FIELDS, NUMBERS, Fields, clip_from, clip_values
 from kt3dmoseg.types import Clip, Trajectories
 
@@ -34,7 +34,7 @@ _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FL
 DESCRIPTIONS = {field.place: field.about for field in FIELDS.values() if field.about}
 
 
-def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write(clip: Clip, path: PathLike) -> None:
     """Write a clip; InvalidValueError when its provenance is not made of JSON values."""
     values = clip_values(clip)
     # Put together in memory: a full disk must not leave the HDF5 library with a half-written file.
@@ -55,7 +55,7 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     write_bytes(path, image.getvalue())
 
 
-def read(path: str | os.PathLike[str]) -> Clip:
+def read(path: PathLike) -> Clip:
     """Read a clip; see `kt3dmoseg.io.load` for the errors."""
     where = os.fspath(path)
     with open_hdf5(where) as file:
@@ -65,7 +65,7 @@ def read(path: str | os.PathLike[str]) -> Clip:
         return clip_from(Fields(f"{where}: ", values))
 
 
-def provenance(path: str | os.PathLike[str]) -> dict[str, Any]:
+def provenance(path: PathLike) -> dict[str, Any]:
     """Return only the provenance of a clip's file, after all its checksums are checked; raises as `read`."""
     where = os.fspath(path)
     with open_hdf5(where) as file:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from PIL import Image, UnidentifiedImageError
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import atomic_path, listed, read_bytes, write_bytes
+from kt3dmoseg.files import PathLike, atomic_path, listed, read_bytes, write_bytes
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
@@ -45,7 +45,7 @@ _ORIENTATION = 0x0112  # of EXIF; 1 is upright
 _MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
 
 
-def frame_paths(folder: str | os.PathLike[str]) -> list[Path]:
+def frame_paths(folder: PathLike) -> list[Path]:
     """List the frames of a folder in the order of their numbers, by which their names end: ``000001.png``.
 
     InputFileError when the folder is missing, empty or holds a single frame; FileFormatError when a name
@@ -103,7 +103,7 @@ def _pictures(folder: Path) -> list[Path]:
     return [path for path in listed(folder) if path.suffix.lower() in IMAGE_SUFFIXES]
 
 
-def frame_number(path: str | os.PathLike[str]) -> int:
+def frame_number(path: PathLike) -> int:
     """Return the last number in a frame's file name."""
     number = number_in(Path(path).name)
     if number is None:
@@ -112,12 +112,12 @@ def frame_number(path: str | os.PathLike[str]) -> int:
     return number
 
 
-def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+def picture_size(path: PathLike) -> tuple[int, int]:
     """Width and height of a picture; raises as `read_frame`."""
     return _loaded(read_bytes(path, _MAX_FILE), os.fspath(path))[0].size
 
 
-def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteArray:
+def read_frame(path: PathLike, colour: Colour = "refuse") -> ByteArray:
     """Read one frame as 8-bit gray, (H, W) uint8.
 
     `colour` decides about a picture whose channels differ: refuse it, take its luma
@@ -127,7 +127,7 @@ def read_frame(path: str | os.PathLike[str], colour: Colour = "refuse") -> ByteA
     return gray(read_picture(path), os.fspath(path), colour)
 
 
-def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refuse") -> Iterator[ByteArray]:
+def read_frames(paths: Iterable[PathLike], colour: Colour = "refuse") -> Iterator[ByteArray]:
     """Read frames as `read_frame` does; FileFormatError also for one of another size than the first."""
     first: tuple[str, tuple[int, ...]] | None = None
     for path in paths:
@@ -139,7 +139,7 @@ def read_frames(paths: Iterable[str | os.PathLike[str]], colour: Colour = "refus
         yield frame
 
 
-def read_picture(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
+def read_picture(path: PathLike) -> npt.NDArray[Any]:
     """Read a picture as it is stored; see `decode`."""
     return decode(read_bytes(path, _MAX_FILE), os.fspath(path))
 
@@ -291,7 +291,7 @@ def gray(picture: npt.NDArray[Any], where: str, colour: Colour = "refuse") -> By
 
 
 @contextmanager
-def _opened_video(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
+def _opened_video(path: PathLike) -> Iterator[cv2.VideoCapture]:
     with quiet_opencv():
         # OpenCV's other readers write to standard error what they do not understand.
         video = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG)
@@ -301,9 +301,7 @@ def _opened_video(path: str | os.PathLike[str]) -> Iterator[cv2.VideoCapture]:
         video.release()
 
 
-def read_video(
-    path: str | os.PathLike[str], first: int = 0, step: int = 1, stop: int | None = None
-) -> Iterator[ByteArray]:
+def read_video(path: PathLike, first: int = 0, step: int = 1, stop: int | None = None) -> Iterator[ByteArray]:
     """Yield every `step`-th picture of a video from `first` to before `stop`, (H, W, 3) RGB.
 
     FileFormatError when OpenCV decodes none.
@@ -323,7 +321,7 @@ def read_video(
         raise FileFormatError(os.fspath(path), expected="a video that OpenCV decodes", found="none")
 
 
-def _can_seek(path: str | os.PathLike[str], number: int) -> bool:
+def _can_seek(path: PathLike, number: int) -> bool:
     """Whether OpenCV goes to a picture by its number: it counts by time, and misses at a variable rate."""
     times = video_facts(path)[0]
     with _opened_video(path) as video:
@@ -332,7 +330,7 @@ def _can_seek(path: str | os.PathLike[str], number: int) -> bool:
     return found and there.tolist() == [number]
 
 
-def video_facts(path: str | os.PathLike[str]) -> tuple[FloatArray, int]:
+def video_facts(path: PathLike) -> tuple[FloatArray, int]:
     """Return the time of every picture of a video in seconds, and by how many degrees pictures are turned.
 
     The video is decoded, once: the number in its header is often wrong. `read_video` turns the pictures.
@@ -358,13 +356,13 @@ def resized(frame: ByteArray, size: tuple[int, int]) -> ByteArray:
     return np.asarray(cv2.resize(frame, size, interpolation=way), dtype=np.uint8)
 
 
-def write_png(path: str | os.PathLike[str], picture: ByteArray) -> None:
+def write_png(path: PathLike, picture: ByteArray) -> None:
     """Write one (H, W, 3) RGB or (H, W) gray picture atomically."""
     stored = picture[..., ::-1] if picture.ndim == 3 else picture
     write_bytes(path, bytes(cv2.imencode(".png", np.ascontiguousarray(stored))[1]))
 
 
-def write_moving(path: str | os.PathLike[str], pictures: Iterable[ByteArray], rate: float) -> None:
+def write_moving(path: PathLike, pictures: Iterable[ByteArray], rate: float) -> None:
     """Write (H, W, 3) RGB pictures of one size as a video or animation, by the path's suffix.
 
     Videos, ``.mp4`` and ``.avi``, take one picture into memory at a time. `rate` is in pictures per second.

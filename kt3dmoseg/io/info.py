@@ -1,6 +1,5 @@
 """What is inside a file or folder: as plain values, and as a text that a person can read."""
 
-import os
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import listed
+from kt3dmoseg.files import PathLike, listed
 from kt3dmoseg.io import images
 from kt3dmoseg.io.flow_files import read_flow
 from kt3dmoseg.io.formats import clip_files, dataset_paths, first_bytes, load, recognise
@@ -21,7 +20,7 @@ _LONG = 100  # characters of one value of the provenance
 _LINE = 110
 
 
-def info(path: str | os.PathLike[str]) -> str:
+def info(path: PathLike) -> str:
     """Describe a clip, a folder of clips, a folder of frames (or of such folders), a video, or a flow field.
 
     Of a single folder of frames every picture is read, of several only the first of each. InputFileError or
@@ -45,7 +44,7 @@ def info(path: str | os.PathLike[str]) -> str:
     return f"{name}: optical flow of {size}, {known(facts) if facts['known'] else 'nowhere known'}"
 
 
-def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
+def describe(path: PathLike) -> dict[str, Any]:
     """Return what `info` reports as JSON values; `kind` is clip, clips, frames, video, picture or flow."""
     target = Path(path)
     if not target.exists():

@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import read_bytes, write_bytes
+from kt3dmoseg.files import PathLike, read_bytes, write_bytes
 from kt3dmoseg.io.fields import Fields, foreign_clip
 from kt3dmoseg.types import BoolArray, Camera, Clip, FloatArray, IntArray, Labels, Trajectories
 
@@ -56,7 +56,7 @@ _IS_COMPLEX, _IS_LOGICAL = 0x0800, 0x0200
 Value: TypeAlias = "npt.NDArray[Any] | str | dict[str, Value] | list[Value] | tuple[str, tuple[int, ...]]"
 
 
-def read(path: str | os.PathLike[str]) -> Clip:
+def read(path: PathLike) -> Clip:
     """Read a clip; it takes the name of its file.
 
     `dense` holds `yAll`; without it the labelled trajectories, all of them evaluated. Without a mask every
@@ -77,7 +77,7 @@ def read(path: str | os.PathLike[str]) -> Clip:
     )
 
 
-def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write(clip: Clip, path: PathLike) -> None:
     """Write a clip as a MAT-file of the 2018 schema; the same clip gives the same bytes.
 
     A clip that was read from such a file gets the fields that its file had (Hopkins12 and MTPV62
@@ -93,7 +93,7 @@ def write(clip: Clip, path: str | os.PathLike[str]) -> None:
     write_bytes(path, _BANNER + buffer.getvalue()[len(_BANNER) :])
 
 
-def _release(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
+def _release(path: PathLike, data: Mapping[str, Any]) -> Clip:
     fields = Fields(f"{os.fspath(path)}: Data.", data)
     dense, visible = sparse, _ = _points(fields, "ySparse", "visibleSparse", "GtLabel")
     n, frames = sparse.shape[:2]
@@ -118,7 +118,7 @@ def _release(path: str | os.PathLike[str], data: Mapping[str, Any]) -> Clip:
     return foreign_clip(path, "mat-2018", tracks, labels, rows, **known)
 
 
-def _hopkins(path: str | os.PathLike[str], variables: Mapping[str, Any]) -> Clip:
+def _hopkins(path: PathLike, variables: Mapping[str, Any]) -> Clip:
     fields = Fields(f"{os.fspath(path)}: ", variables)
     xy, visible = _points(fields, "y", "m", "s")
     width, height = (fields.array(name, (1, 1)).item() for name in ("width", "height"))
@@ -196,7 +196,7 @@ def _homogeneous(trajectories: Trajectories) -> FloatArray:
     return np.moveaxis(np.where(trajectories.visible[..., None], points, 0.0), -1, 0)
 
 
-def read_mat(path: str | os.PathLike[str]) -> dict[str, Value]:
+def read_mat(path: PathLike) -> dict[str, Value]:
     """Read every variable of a version 5 MAT-file of at most `MAX_BYTES`.
 
     Arrays have the class that MATLAB shows (double, logical, ...), whatever integer type the file stores

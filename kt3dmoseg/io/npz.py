@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.files import SafeZip, ZipLimits, write_bytes, zip_bytes
+from kt3dmoseg.files import PathLike, SafeZip, ZipLimits, write_bytes, zip_bytes
 from kt3dmoseg.io.fields import clip_values
 from kt3dmoseg.types import Clip
 
@@ -25,9 +25,7 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 _MAX_HEADER = 10_000
 
 
-def read_npz(
-    path: str | os.PathLike[str], shapes: Container[str] = (), rows: int = 0
-) -> dict[str, npt.NDArray[Any]]:
+def read_npz(path: PathLike, shapes: Container[str] = (), rows: int = 0) -> dict[str, npt.NDArray[Any]]:
     """Read the arrays of a .npz file; FileFormatError when it is damaged, or one is refused by `read_npy`.
 
     Of those named in `shapes` only shape and type are read: their values are zeros, which take no memory;
@@ -80,7 +78,7 @@ def read_npy(stream: IO[bytes], size: int, where: str, rows: int | None = None) 
     return np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C").copy()
 
 
-def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, npt.ArrayLike]) -> None:
+def write_npz(path: PathLike, arrays: Mapping[str, npt.ArrayLike]) -> None:
     """Write a compressed .npz atomically; equal arrays give equal bytes."""
     write_bytes(path, zip_bytes({f"{name}.npy": npy_bytes(np.asarray(a)) for name, a in arrays.items()}))
 
@@ -92,7 +90,7 @@ def npy_bytes(array: npt.NDArray[Any]) -> bytes:
     return buffer.getvalue()
 
 
-def write(clip: Clip, path: str | os.PathLike[str]) -> None:
+def write(clip: Clip, path: PathLike) -> None:
     """Write a clip; the same clip gives the same bytes."""
     write_npz(
         path, {"name": clip.name, "xy": clip.dense.xy, "visible": clip.dense.visible} | clip_values(clip)

@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.files import PathLike
 from kt3dmoseg.io import npz
 from kt3dmoseg.io.fields import NEEDED, NUMBERS, Fields, check_axes, clip_from, foreign_clip, spreads
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, Trajectories
@@ -70,7 +71,7 @@ LAYOUTS = (
 WRITTEN = tuple(dict.fromkeys(layout.name for layout in LAYOUTS if layout.name != "tapvid-3d"))
 
 
-def read(path: str | os.PathLike[str]) -> Clip:
+def read(path: PathLike) -> Clip:
     """Read a clip, or the tracks of a tracker; see `kt3dmoseg.io.load` for the errors."""
     fields = Fields(f"{os.fspath(path)}: ", npz.read_npz(path, {"video", "images_jpeg_bytes"}))
     if set(fields) >= NEEDED:
@@ -98,7 +99,7 @@ def _layout(fields: Fields, where: str) -> Layout:
     )
 
 
-def write_layout(clip: Clip, path: str | os.PathLike[str], name: str) -> None:
+def write_layout(clip: Clip, path: PathLike, name: str) -> None:
     """Write all trajectories of a clip as a tracker would, in one of `WRITTEN`; equal clips give equal bytes.
 
     Where a point is not visible it has its last visible position, or its first one. Labels, which rows are
@@ -199,7 +200,7 @@ def _frames_first(name: str, xy: FloatArray, visible: BoolArray) -> bool:
     return way > extent
 
 
-def _tapvid(fields: Fields, path: str | os.PathLike[str]) -> Trajectories:
+def _tapvid(fields: Fields, path: PathLike) -> Trajectories:
     points = fields.array("points", (None, None, 2))
     visible = ~fields.flags("occluded", points.shape[:2])
     size, channels = _size_of_video(fields, points.shape) if "video" in fields else (None, ())

@@ -5,7 +5,6 @@ are checked before anything is read.
 """
 
 import io
-import os
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import PathLike, read_bytes
 from kt3dmoseg.types import Clip, IntArray
 
 MAX_FILE_BYTES = 32 << 20
@@ -128,7 +127,7 @@ class Prediction:
                 self.bad("float", wanted, example, "write integers, 2 and not 2.0")
 
 
-def read_prediction(path: str | os.PathLike[str], clip: Clip) -> IntArray:
+def read_prediction(path: PathLike, clip: Clip) -> IntArray:
     """Read the predicted labels of a clip, (n,) int64 in the order of ``clip.evaluated``, joined by track id.
 
     The file is a ``.csv`` with the header ``track,label``, or an ``.npz`` or ``.h5`` with these vectors.

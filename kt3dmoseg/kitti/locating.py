@@ -6,7 +6,6 @@ the drive's frames that equal it; `match_graded` takes the correlation of every 
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
@@ -22,7 +21,7 @@ from tqdm import tqdm
 from kt3dmoseg import catalog
 from kt3dmoseg.catalog import CAMERAS, Drive, Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
-from kt3dmoseg.files import sha256_arrays
+from kt3dmoseg.files import PathLike, sha256_arrays
 from kt3dmoseg.kitti.archives import Archives, DamagedError, FileSet, TargetFolder, frames_of
 from kt3dmoseg.kitti.http import AbsentError, Traffic
 from kt3dmoseg.kitti.options import LocateOptions
@@ -45,10 +44,10 @@ class NotLocatedError(KT3DMoSegError, LookupError):
 
 
 def locate(
-    root: str | os.PathLike[str],
+    root: PathLike,
     clips: Iterable[str] = (),
     *,
-    catalogs: Iterable[str | os.PathLike[str]] = (),
+    catalogs: Iterable[PathLike] = (),
     traffic: Traffic | None = None,
     report: Callable[[str], object] = print,
     **options: Any,  # noqa: ANN401  # fields of LocateOptions

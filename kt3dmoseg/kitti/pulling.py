@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from tqdm import tqdm
 from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import write_bytes, write_text
+from kt3dmoseg.files import PathLike, write_bytes, write_text
 from kt3dmoseg.kitti.archives import (
     Archive,
     Archives,
@@ -72,10 +71,10 @@ class PullReport:
 
 
 def pull(
-    root: str | os.PathLike[str],
+    root: PathLike,
     clips: Iterable[str] = (),
     *,
-    catalogs: Iterable[str | os.PathLike[str]] = (),
+    catalogs: Iterable[PathLike] = (),
     traffic: Traffic | None = None,
     report: Callable[[str], object] = print,
     **options: Any,  # noqa: ANN401  # fields of PullOptions

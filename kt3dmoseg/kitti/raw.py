@@ -5,7 +5,6 @@ microseconds or takes from another sensor's clock is read directly: frames and p
 the camera's own timestamps to the nanosecond.
 """
 
-import os
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.catalog import CAMERAS, Drive, Fingerprint, check_integer, fingerprint, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import PathLike, read_bytes
 from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
@@ -85,7 +84,7 @@ class Calibration:
     `folder` is the day's, with ``calib_*.txt``.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], camera: int) -> None:
+    def __init__(self, folder: PathLike, camera: int) -> None:
         self.folder, self.camera = Path(folder), camera
 
     @property
@@ -159,9 +158,7 @@ class RawDrive(Calibration):
     folder is missing; this or FileFormatError from every reader, when its file is missing or not as promised.
     """
 
-    def __init__(
-        self, root: str | os.PathLike[str], date: str, drive: int | str, camera: int | str = 0
-    ) -> None:
+    def __init__(self, root: PathLike, date: str, drive: int | str, camera: int | str = 0) -> None:
         self.root = Path(root)
         self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
         super().__init__(self.root / date, check_integer(camera, "camera", CAMERAS[-1]))

@@ -1,6 +1,5 @@
 """The published benchmarks, fetched from their homes: small files with hashes."""
 
-import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -11,7 +10,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.files import atomic_path, read_bytes, sha256_file, write_bytes, write_text
+from kt3dmoseg.files import PathLike, atomic_path, read_bytes, sha256_file, write_bytes, write_text
 from kt3dmoseg.kitti.archives import Archive
 from kt3dmoseg.kitti.http import Client
 from kt3dmoseg.kitti.options import Origin
@@ -61,7 +60,7 @@ def releases() -> dict[str, Release]:
 
 
 def fetch_release(
-    root: str | os.PathLike[str],
+    root: PathLike,
     names: Iterable[str] = ("kt3dmoseg",),
     *,
     mirror: str | None = None,

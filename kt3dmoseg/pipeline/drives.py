@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kt3dmoseg import synthetic
+from kt3dmoseg.files import PathLike
 from kt3dmoseg.frames import FrameInfo
 from kt3dmoseg.synthetic import DrivePlan, Scene, make_drive, measure_drive, plan_drives
 from kt3dmoseg.synthetic.drives import SAMPLES, Part
@@ -81,7 +81,7 @@ class SyntheticDrive:
 
 
 def build_synthetic(
-    output: str | os.PathLike[str],
+    output: PathLike,
     *,
     part: Part | None = None,
     seed: int = 0,

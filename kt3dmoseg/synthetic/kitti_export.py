@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kt3dmoseg.catalog import Drive
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.files import check_writable, write_bytes, write_text
+from kt3dmoseg.files import PathLike, check_writable, write_bytes, write_text
 from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Scene
 from kt3dmoseg.types import FloatArray
 
@@ -55,9 +55,7 @@ _POSE = (
 )
 
 
-def write_drive(
-    scene: Scene, root: str | os.PathLike[str], *, date: str = "2011_09_26", drive: int = 1
-) -> Path:
+def write_drive(scene: Scene, root: PathLike, *, date: str = "2011_09_26", drive: int = 1) -> Path:
     """Render a scene into a drive of KITTI raw: camera 0, timestamps, poses, calibration and tracklets.
 
     Below `root` it writes ``{date}/{date}_drive_{drive:04d}_sync/`` with ``image_00/data/%010d.png``,

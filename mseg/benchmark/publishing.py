@@ -22,7 +22,7 @@ import scipy
 from pydantic import BaseModel, Field, model_validator
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import read_bytes, write_text
+from kt3dmoseg.files import PathLike, read_bytes, write_text
 from kt3dmoseg.parallel import algorithm_version
 from kt3dmoseg.types import FloatArray
 from mseg.benchmark.results import BenchmarkResult
@@ -151,7 +151,7 @@ def json_schema() -> dict[str, Any]:
     }
 
 
-def publish(result: BenchmarkResult, folder: str | os.PathLike[str]) -> list[Path]:
+def publish(result: BenchmarkResult, folder: PathLike) -> list[Path]:
     """Write one file per configuration of a `mseg.benchmark.run` into a folder; returns their paths.
 
     InvalidValueError when a file there has seeds or clips that this run lacks, or a run's worker died.
@@ -222,13 +222,13 @@ def collected(
     )
 
 
-def read_result(path: str | os.PathLike[str]) -> PublishedResult:
+def read_result(path: PathLike) -> PublishedResult:
     """Read one file; FileFormatError names the first field that is wrong."""
     expected = "a result that 'mseg benchmark' published"
     return read_model(PublishedResult, read_bytes(path, _LARGEST), os.fspath(path), expected)
 
 
-def read_results(folder: str | os.PathLike[str]) -> dict[tuple[str, str], list[PublishedResult]]:
+def read_results(folder: PathLike) -> dict[tuple[str, str], list[PublishedResult]]:
     """Read a folder of results, by benchmark and dataset version; methods as Table 1 of Xu et al. has them.
 
     InputFileError when there is none; FileFormatError when a file is wrong, lies under another name, or two

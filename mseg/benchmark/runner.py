@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import check_writable, parse_json, read_bytes, write_text
+from kt3dmoseg.files import PathLike, check_writable, parse_json, read_bytes, write_text
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
@@ -85,14 +85,14 @@ def run(
     benchmark: str = "kt3dmoseg",
     methods: str | Iterable[str | Configuration] = "subset",
     *,
-    data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    data: PathLike | Sequence[PathLike] = (),
     seeds: int | Sequence[int] = 1,
     parameters: Mapping[str, Any] | None = None,
     number: Literal["given", "found"] = "given",
     workers: int = 1,
     dask: str = "",
-    cache: str | os.PathLike[str] | None = None,
-    kernels: str | os.PathLike[str] | None = None,
+    cache: PathLike | None = None,
+    kernels: PathLike | None = None,
     progress: Progress | None = None,
 ) -> BenchmarkResult:
     """Run methods on every clip of a benchmark that is found, and score them.
@@ -169,8 +169,8 @@ def run(
 
 @strict
 def predict(
-    data: str | os.PathLike[str],
-    output: str | os.PathLike[str],
+    data: PathLike,
+    output: PathLike,
     method: str = "subset",
     *,
     n_motions: int | None = None,
@@ -269,7 +269,7 @@ def _check_success(where: str, reasons: Sequence[str], n_runs: int) -> None:
 
 
 def find_clips(
-    protocol: Protocol, data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = ()
+    protocol: Protocol, data: PathLike | Sequence[PathLike] = ()
 ) -> tuple[dict[str, Path], list[str]]:
     """Find the clips of a benchmark: paths by sorted name, and names of clips there that are not its.
 

@@ -6,7 +6,6 @@
     results/kt3dmoseg/2018/mine.zip       the predictions, as `submit` packs them
 """
 
-import os
 import re
 import shutil
 import subprocess
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from kt3dmoseg.draw.painting import by_label, draw_frame
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import read_bytes, write_bytes, write_text, zip_bytes
+from kt3dmoseg.files import PathLike, read_bytes, write_bytes, write_text, zip_bytes
 from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.types import Clip
@@ -35,11 +34,7 @@ _NAMES = re.compile(r"^(?:(?:, | and )?[A-Z][\w-]*[a-z]\b)+")  # the authors bef
 
 
 def write_site(
-    results: str | os.PathLike[str],
-    output: str | os.PathLike[str],
-    *,
-    data: Sequence[str | os.PathLike[str]] = (),
-    frames: str | os.PathLike[str] | None = None,
+    results: PathLike, output: PathLike, *, data: Sequence[PathLike] = (), frames: PathLike | None = None
 ) -> Path:
     """Write ``index.html``, which needs nothing else, of published results into a folder; returns its path.
 
@@ -91,9 +86,7 @@ def _source(method: str) -> str:
     return found[1] if found else ""
 
 
-def _pictures(
-    data: Sequence[str | os.PathLike[str]], frames: str | os.PathLike[str] | None
-) -> dict[str, str]:
+def _pictures(data: Sequence[PathLike], frames: PathLike | None) -> dict[str, str]:
     """Draw the true motions on the middle frame of every clip whose frames are there."""
     made = {}
     for folder in data if frames is not None else ():
@@ -147,11 +140,7 @@ def _git(folder: Path, *arguments: str) -> bytes | None:
 
 
 def submit(
-    submission: str | os.PathLike[str],
-    data: str | os.PathLike[str] | Mapping[str, Clip],
-    results: str | os.PathLike[str],
-    *,
-    benchmark: str = "",
+    submission: PathLike, data: PathLike | Mapping[str, Clip], results: PathLike, *, benchmark: str = ""
 ) -> list[Path]:
     """Score a submission and write ``BENCHMARK/VERSION/METHOD.json`` and ``METHOD.zip``; returns their paths.
 
@@ -195,9 +184,7 @@ def _scored(scores: ScoreTable) -> PublishedResult:
     )
 
 
-def check_submissions(
-    results: str | os.PathLike[str], data: Sequence[str | os.PathLike[str]] = ()
-) -> tuple[int, list[str]]:
+def check_submissions(results: PathLike, data: Sequence[PathLike] = ()) -> tuple[int, list[str]]:
     """Score every submission in a folder of results, those with a zip of predictions, again.
 
     Returns their number, and file and field of every figure that is not what the predictions give, and every
@@ -213,7 +200,7 @@ def check_submissions(
     return len(packed), wrong
 
 
-def _differences(stated: Path, data: Sequence[str | os.PathLike[str]]) -> Iterator[str]:
+def _differences(stated: Path, data: Sequence[PathLike]) -> Iterator[str]:
     packed = stated.with_suffix(".zip")
     if not stated.is_file():
         yield f"{stated}: expected the scores of {packed.name}, found none; run mseg leaderboard submit"

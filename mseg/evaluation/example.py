@@ -1,7 +1,6 @@
 """Submissions to start from: a simple example, or one made of label files (MATLAB, text, Brox ``.dat``)."""
 
 import math
-import os
 import re
 import shutil
 import warnings
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import listed, read_bytes
+from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io import save
 from kt3dmoseg.io.formats import first_bytes, recognise
 from kt3dmoseg.io.hdf5 import check_storage, open_hdf5
@@ -56,14 +55,14 @@ class Written(NamedTuple):
 
 @strict
 def example_submission(
-    data: str | os.PathLike[str] | None,
-    output: str | os.PathLike[str],
+    data: PathLike | None,
+    output: PathLike,
     *,
     seeds: int = 1,
     format: FileFormat = "csv",
     method: str = "",
     benchmark: str = "",
-    source: str | os.PathLike[str] | None = None,
+    source: PathLike | None = None,
     zero: Zero = "",
 ) -> Written:
     """Write a valid submission whose labels cut each clip in a left and a right part, or come from files.
@@ -131,7 +130,7 @@ def _left_right(clip: Clip, seed: int) -> IntArray:
 
 
 @contextmanager
-def _new_folder(output: str | os.PathLike[str]) -> Iterator[Path]:
+def _new_folder(output: PathLike) -> Iterator[Path]:
     """Give a folder to fill; of one that could not be filled, nothing stays."""
     folder = Path(output)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -146,11 +145,7 @@ def _new_folder(output: str | os.PathLike[str]) -> Iterator[Path]:
 
 @strict
 def read_label_files(
-    source: str | os.PathLike[str],
-    clips: Mapping[str, Clip],
-    *,
-    names: Sequence[str] = (),
-    zero: Zero = "",
+    source: PathLike, clips: Mapping[str, Clip], *, names: Sequence[str] = (), zero: Zero = ""
 ) -> dict[str, IntArray]:
     """Read the predictions that somebody has for the given clips, (n,) int64 for every clip that is found.
 
@@ -174,7 +169,7 @@ def read_label_files(
 
 
 def labels_and_note(
-    source: str | os.PathLike[str], clips: Mapping[str, Clip], *, names: Sequence[str], zero: Zero
+    source: PathLike, clips: Mapping[str, Clip], *, names: Sequence[str], zero: Zero
 ) -> tuple[dict[str, IntArray], str]:
     """Read labels as `read_label_files` does, with a sentence on what was done to them, or none."""
     path = Path(source)

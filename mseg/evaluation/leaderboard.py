@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import check_target, write_text
+from kt3dmoseg.files import PathLike, check_target, write_text
 from kt3dmoseg.io.predictions import first_few
 from mseg.evaluation.protocol import list_protocols, load_protocol, share
 from mseg.evaluation.results import ResultsTable, method_notes
@@ -103,7 +103,7 @@ class Leaderboard:
     no leaderboard, of a newer version, or damaged.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, create: bool = True) -> None:
+    def __init__(self, path: PathLike, *, create: bool = True) -> None:
         self.path = Path(path)
         if not self.path.exists() and not create:
             fix = "'mseg leaderboard add' makes it"
@@ -289,7 +289,7 @@ def _kept(connection: sqlite3.Connection, path: Path, *, write: bool) -> dict[En
     return kept
 
 
-def export(board: Leaderboard, path: str | os.PathLike[str], *, benchmark: str = "") -> None:
+def export(board: Leaderboard, path: PathLike, *, benchmark: str = "") -> None:
     """Write the ranked boards to a file ending in ``.html`` (a page that needs nothing else) or ``.md``."""
     boards = board.boards(benchmark)
     suffix = Path(path).suffix.lower()

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError
-from kt3dmoseg.files import check_target, write_text
+from kt3dmoseg.files import PathLike, check_target, write_text
 from kt3dmoseg.types import ByteArray, Clip, IntArray
 from mseg.evaluation import results
 from mseg.evaluation.axes import AXES
@@ -34,11 +34,11 @@ _POSITION_CHARACTERS = 1_200_000  # of positions and labels, so that pictures fi
 
 
 def write_report(
-    submission: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],
-    path: str | os.PathLike[str],
+    submission: PathLike | Sequence[PathLike],
+    data: PathLike | Mapping[str, Clip] | Iterable[Clip],
+    path: PathLike,
     *,
-    frames: str | os.PathLike[str] | None = None,
+    frames: PathLike | None = None,
     benchmark: str = "",
     force: bool = False,
     extras: Sequence[str] = (),
@@ -109,7 +109,7 @@ def report_html(
     checked: Sequence[Validation],
     scores: Sequence[ScoreTable],
     *,
-    frames: str | os.PathLike[str] | None = None,
+    frames: PathLike | None = None,
     overlays: bool = True,
 ) -> str:
     """Make the page from validated and scored submissions.

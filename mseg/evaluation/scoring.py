@@ -17,7 +17,7 @@ import numpy as np
 
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.files import parse_json, read_bytes
+from kt3dmoseg.files import PathLike, parse_json, read_bytes
 from kt3dmoseg.io.fields import check_name
 from kt3dmoseg.io.predictions import (
     SUFFIXES,
@@ -372,8 +372,8 @@ def clip_score(
 
 
 def score_submission(
-    submission: str | os.PathLike[str],
-    data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],
+    submission: PathLike,
+    data: PathLike | Mapping[str, Clip] | Iterable[Clip],
     *,
     benchmark: str = "",
     force: bool = False,
@@ -476,7 +476,7 @@ def clip_json(score: ClipScore) -> dict[str, Any]:
 
 
 @strict
-def load_scores(path: str | os.PathLike[str]) -> ScoreTable:
+def load_scores(path: PathLike) -> ScoreTable:
     """Read a file written by ``mseg score --json``."""
     return from_json(read_bytes(path, _MAX_JSON), os.fspath(path))
 

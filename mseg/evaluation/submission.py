@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import stat
 import sys
@@ -28,6 +27,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import (
+    PathLike,
     SafeZip,
     ZipFault,
     ZipLimits,
@@ -143,7 +143,7 @@ def looks_like_submission(path: Path) -> bool:
     return path.suffix.lower() == ".zip" or (path / META).is_file()
 
 
-def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
+def write_meta(folder: PathLike, meta: SubmissionMeta) -> Path:
     """Write ``meta.toml``; returns its path."""
     path = Path(folder) / META
     values = asdict(meta)
@@ -158,7 +158,7 @@ def write_meta(folder: str | os.PathLike[str], meta: SubmissionMeta) -> Path:
 
 @strict
 def write_prediction(
-    folder: str | os.PathLike[str],
+    folder: PathLike,
     clip: Clip,
     labels: npt.ArrayLike,
     *,
@@ -192,9 +192,7 @@ def write_prediction(
     return path
 
 
-def write_failure(
-    folder: str | os.PathLike[str], clip: Clip, reason: str, *, seed: int | None = None
-) -> Path:
+def write_failure(folder: PathLike, clip: Clip, reason: str, *, seed: int | None = None) -> Path:
     """Record that the method failed on a clip, and why; it will count as fully wrong."""
     path = file_of(folder, clip.name, seed, FAILED)
     write_text(path, " ".join(reason.split()) + "\n")
@@ -203,7 +201,7 @@ def write_failure(
 
 @strict
 def write_submission(
-    folder: str | os.PathLike[str],
+    folder: PathLike,
     clips: Iterable[Clip],
     predictions: Mapping[str, npt.ArrayLike] | Mapping[int, Mapping[str, npt.ArrayLike]],
     meta: SubmissionMeta,
@@ -249,7 +247,7 @@ def write_submission(
     return Path(folder)
 
 
-def prediction_files(folder: str | os.PathLike[str]) -> list[Path]:
+def prediction_files(folder: PathLike) -> list[Path]:
     """List the files of predictions and failures in a folder, sorted; hidden ones do not count."""
     files = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in _ENDINGS)
     return [path for path in files if not any(p.startswith(".") for p in path.relative_to(folder).parts)]
@@ -306,7 +304,7 @@ def clips_by_name(clips: Mapping[str, Clip] | Iterable[Clip]) -> dict[str, Clip]
     return out
 
 
-def file_of(folder: str | os.PathLike[str], clip: str, seed: int | None, ending: str) -> Path:
+def file_of(folder: PathLike, clip: str, seed: int | None, ending: str) -> Path:
     """Path of a clip's file in a submission; InvalidValueError when its name cannot be a file name."""
     if not _CLIP_NAME.fullmatch(clip) or ".." in clip:
         expected = "a plain file name: letters, digits, space, '.', '_', '-'"
@@ -346,7 +344,7 @@ class Submission:
         self.problems.append(Problem(code, file, "", expected, found, fix))
 
 
-def read_submission(path: str | os.PathLike[str], *, most: int = MAX_ROWS) -> Submission:
+def read_submission(path: PathLike, *, most: int = MAX_ROWS) -> Submission:
     """Read a submission from a folder or a zip, in memory; what is wrong with it is listed, not raised.
 
     A file of predictions has `most` rows at most. InputFileError when there is nothing at `path`.

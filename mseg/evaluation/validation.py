@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.files import PathLike
 from kt3dmoseg.io.predictions import Problem, first_few, is_zero_based, join_labels, numbered
 from kt3dmoseg.registry import nearest, strict
 from kt3dmoseg.types import Clip, IntArray
@@ -79,8 +80,8 @@ class Validation:
 
 @strict
 def validate_submission(
-    submission: str | os.PathLike[str] | Submission,
-    data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip],
+    submission: PathLike | Submission,
+    data: PathLike | Mapping[str, Clip] | Iterable[Clip],
     *,
     benchmark: str = "",
 ) -> Validation:
@@ -127,7 +128,7 @@ def validate_submission(
     return out
 
 
-def load_clips(data: str | os.PathLike[str] | Mapping[str, Clip] | Iterable[Clip]) -> dict[str, Clip]:
+def load_clips(data: PathLike | Mapping[str, Clip] | Iterable[Clip]) -> dict[str, Clip]:
     """Return clips by name, in the order of their names, from a path, a mapping or clips."""
     if not isinstance(data, (str, os.PathLike)):
         return dict(sorted(clips_by_name(data).items()))
