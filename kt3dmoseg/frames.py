@@ -21,7 +21,7 @@ from kt3dmoseg.io import dataset_paths, images, load
 from kt3dmoseg.io.fields import check_name, clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
 from kt3dmoseg.io.images import Colour, frame_number, frame_paths, has_pictures, is_clip, read_frames
-from kt3dmoseg.matching import several
+from kt3dmoseg.text import several
 from kt3dmoseg.types import ByteArray, Camera, Clip, FloatArray
 
 # What KITTI's drives need is imported where there are any.

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.text import several
 from kt3dmoseg.types import IntArray
 
 _LAST_NUMBER = re.compile(r"(\d{1,18})\D*$")
 # Roboflow appends a checksum, whose digits are no frame's number.
 _APPENDED = re.compile(r"[_.](png|jpe?g|bmp|tiff?|webp)(\.rf\.\w+)?$", re.IGNORECASE)
-_LISTED = 3
 
 
 def _path(name: str) -> PurePosixPath:
@@ -41,13 +41,6 @@ def is_hidden(name: str) -> bool:
     """Whether a file is hidden, as macOS leaves them between those of a folder or zip (``._x``, __MACOSX)."""
     parts = _path(name).parts
     return any(part.startswith(".") and part.strip(".") for part in parts) or "__MACOSX" in parts
-
-
-def several(items: Iterable[object]) -> str:
-    """List a few items, and how many more there are."""
-    names = [str(item) for item in items]
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return ", ".join(names[:_LISTED]) + more
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from cyclopts import Parameter
 
 from kt3dmoseg.app import AnyEither, AnyFile, AnyFolder, Catalogs, Flag, Name, Range, Size, Whole, flags
 from kt3dmoseg.draw import DrawOptions
+from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.options import from_mapping
 
 if TYPE_CHECKING:
     from kt3dmoseg.types import ByteArray, Trajectories
@@ -74,11 +76,9 @@ def show(
         For an option that makes no sense.
     """
     from kt3dmoseg.draw.painting import draw_frame, painting_of
-    from kt3dmoseg.errors import InvalidValueError
     from kt3dmoseg.frames import frames_of
     from kt3dmoseg.io import load
     from kt3dmoseg.io.images import MOVING_SUFFIXES, write_moving, write_png
-    from kt3dmoseg.options import from_mapping
 
     chosen = from_mapping(DrawOptions, options)
     if not _SLOWEST <= rate <= _FASTEST:  # nor NaN
@@ -189,7 +189,6 @@ def label(
     from kt3dmoseg.annotate.server.app import read_team, serve
     from kt3dmoseg.annotate.server.clip_session import sessions_of
     from kt3dmoseg.annotate.server.routes import Routes
-    from kt3dmoseg.errors import InputFileError
     from kt3dmoseg.flow import create
     from kt3dmoseg.frames import find_clips
 

@@ -18,6 +18,10 @@ from cyclopts.validators import MutuallyExclusive
 
 from kt3dmoseg import app
 from kt3dmoseg.app import Dask, Either, File, Flag, Folder, Json, Name, Parameters, Positive, group
+from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.options import describe, parse_assignments
+from kt3dmoseg.text import count
+from mseg.errors import SegmentationError
 
 if TYPE_CHECKING:
     from mseg.evaluation.leaderboard import Leaderboard
@@ -79,7 +83,6 @@ def methods(
 
 def _described(name: str) -> dict[str, Any]:
     """Docstring and parameters of a method."""
-    from kt3dmoseg.options import describe
     from mseg.methods import METHODS
 
     try:
@@ -112,10 +115,7 @@ def run(
     so an interrupted run goes on; a folder that holds other predictions is refused. Exit code 1 when the
     method failed on every clip.
     """
-    from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import predict
-    from mseg.errors import SegmentationError
-    from mseg.evaluation.protocol import count
     from mseg.evaluation.submission import FAILED, META, parse_meta, prediction_files
 
     code = 0
@@ -163,7 +163,6 @@ def example_submission(
     Without DATA a small made-up dataset is written as well, in OUT-data.
     """
     from mseg.evaluation import example
-    from mseg.evaluation.protocol import count
 
     wrote = example.example_submission(
         data,
@@ -294,7 +293,6 @@ def report(
     mseg report A DATA, or mseg report A B C DATA. With --frames the trajectories are drawn on the pictures
     (FRAMES/<clip>/000001.png, ...). The table is also written next to the page on request.
     """
-    from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.report import write_report
     from mseg.evaluation.submission import looks_like_submission
 
@@ -345,7 +343,6 @@ def add(
     db: Board = _BOARD,
 ) -> None:
     """Score a submission and keep the scores; those of a score file are marked as claimed."""
-    from kt3dmoseg.errors import InvalidValueError
     from mseg.evaluation.scoring import load_scores, score_submission
 
     if data is not None:
@@ -443,7 +440,6 @@ def check(
 ) -> int:
     """Score the predictions among published results again and compare; exit code 1 where a figure differs."""
     from mseg.benchmark.site import check_submissions
-    from mseg.evaluation.protocol import count
 
     n, wrong = check_submissions(results, data)
     for difference in wrong:
@@ -478,7 +474,6 @@ def benchmark(
     Exit code 1 when every run failed.
     """
     from kt3dmoseg.files import check_target, check_writable, write_text
-    from kt3dmoseg.options import parse_assignments
     from mseg.benchmark import run
 
     for file in json or ():

@@ -18,6 +18,7 @@ from kt3dmoseg.frames import FrameInfo, FrameSource, frames_of, part_of
 from kt3dmoseg.io import load, save
 from kt3dmoseg.io.images import davis_palette, encode_indices, gray, write_moving
 from kt3dmoseg.matching import match_labels
+from kt3dmoseg.text import count
 from kt3dmoseg.tracking import find_cuts, track
 from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
 from mseg.methods import segment
@@ -48,17 +49,13 @@ class Shot:
 
     def __str__(self) -> str:
         """One line."""
-        start = f"{self.name}: {_count(self.frames, 'frame')}"
+        start = f"{self.name}: {count(self.frames, 'frame')}"
         if self.clip is None:
             return f"{start}, not segmented: {self.reason}"
-        found = f"{len(self.clip.dense)} trajectories, {_count(self.clip.n_motions, 'motion')}"
+        found = f"{len(self.clip.dense)} trajectories, {count(self.clip.n_motions, 'motion')}"
         if self.margin is None:
             return f"{start}, {found}"
         return f"{start}, {found} (the next best number costs {self.margin:.1f} more)"
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" + "s" * (number != 1)
 
 
 def clip_shot(path: Path, frames: PathLike | None) -> Iterator[tuple[Shot, _Pictures | None]]:

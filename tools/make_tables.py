@@ -24,8 +24,9 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg.files import write_text
+from kt3dmoseg.text import count
 from mseg.benchmark.publishing import SCHEMA, PublishedResult, json_schema, read_results
-from mseg.evaluation.protocol import count, share
+from mseg.evaluation.protocol import share
 from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, published_name
 from mseg.methods import METHODS
 

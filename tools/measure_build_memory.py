@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 
 from kt3dmoseg.io.images import frame_paths
-from kt3dmoseg.tables import text_table
+from kt3dmoseg.text import text_table
 
 _MIB = 1 << 20
 

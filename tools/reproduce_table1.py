@@ -22,9 +22,9 @@ import numpy as np
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 from kt3dmoseg.files import write_text
 from kt3dmoseg.options import parse_assignments
+from kt3dmoseg.text import count
 from mseg import methods
 from mseg.benchmark import BenchmarkResult, Configuration, run
-from mseg.evaluation.protocol import count
 from mseg.evaluation.results import ResultsTable, published_name
 
 BENCHMARKS = ("hopkins155", "hopkins12", "mtpv62", "kt3dmoseg")

@@ -39,7 +39,7 @@ from kt3dmoseg.io.flow_files import read_flow
 from kt3dmoseg.io.images import read_frames, read_picture
 from kt3dmoseg.kitti import RawDrive
 from kt3dmoseg.kitti.tracklets import project_box
-from kt3dmoseg.tables import text_table
+from kt3dmoseg.text import text_table
 from kt3dmoseg.tracking import track
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,7 @@ from cyclopts import Parameter
 from kt3dmoseg import annotate
 from kt3dmoseg.app import AnyEither, AnyFolder, AnyPath, Flag, Name, Whole, group
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.text import several, text_table
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate import Annotation, LabelledTracks, Region
@@ -310,10 +312,6 @@ def compare(
     json: Annotated[Flag, Parameter(help="Print JSON.")] = False,
 ) -> None:
     """Compare two annotators: labels of trajectories (agreement, Cohen's kappa) and objects (IoU)."""
-    from json import dumps
-
-    from kt3dmoseg.tables import text_table
-
     comparisons = compare_annotations(first, second, clips, tracks=tracks)
     shown = [comparison.to_json("the first", "the second") for comparison in comparisons]
     if json:
@@ -337,7 +335,6 @@ def _for_each(
     searched: AnyPath,
     wanted: str = "<clip>.json",
 ) -> Reports:
-    from kt3dmoseg.matching import several
 
     out = Reports()
     for clip in clips:
@@ -358,8 +355,6 @@ def _report_rest(
     reports: Reports, source: Path, there: Mapping[str, bool], report: Callable[[ClipReport], object]
 ) -> None:
     """Report of which clips a source has nothing, and what it has of none."""
-    from kt3dmoseg.matching import several
-
     rest = {
         "it has nothing of": [clip for clip, found in there.items() if not found],
         "left out, of no clip:": [name for name in _inside(source) if Path(name).stem not in there],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from functools import partial
+from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -30,8 +31,10 @@ from kt3dmoseg.app import (
 )
 from kt3dmoseg.choosing import ChooseOptions
 from kt3dmoseg.demo import DemoOptions
+from kt3dmoseg.options import from_mapping, parse_assignments
 from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.publishing import PublishOptions
+from kt3dmoseg.text import text_table
 from kt3dmoseg.tracking.options import TrackOptions
 
 if TYPE_CHECKING:
@@ -63,7 +66,6 @@ def demo(
     real data.
     """
     from kt3dmoseg.demo import run_demo
-    from kt3dmoseg.options import from_mapping
 
     if methods is not None:  # words, with or without commas
         options["methods"] = " ".join(methods).replace(",", " ").split()
@@ -118,7 +120,6 @@ def build(
     built.
     """
     from kt3dmoseg.frames import choose_sources
-    from kt3dmoseg.options import parse_assignments
     from kt3dmoseg.pipeline import build_dataset
 
     where: dict[str, Any] = {"date": date, "drive": drive, "camera": camera, "catalogs": catalogs}
@@ -200,7 +201,6 @@ def choose(
     """
     from kt3dmoseg.choosing import choose
     from kt3dmoseg.choosing.ranking import COLUMNS, row
-    from kt3dmoseg.tables import text_table
 
     with progress_bar("part") as show:
         chosen = choose(recordings, output, workers=workers, dask=dask, progress=show, **options)
@@ -257,7 +257,6 @@ def track(
     from kt3dmoseg.frames import one_source
     from kt3dmoseg.io import save
     from kt3dmoseg.io.formats import written_as
-    from kt3dmoseg.options import parse_assignments
     from kt3dmoseg.tracking import create_tracker, track_clip
 
     given = parse_assignments(parameter)
@@ -306,7 +305,6 @@ def diff(
 ) -> None:
     """Compare two versions of a dataset: clips, trajectories, labels and how they were built."""
     from kt3dmoseg.publishing import diff
-    from kt3dmoseg.tables import text_table
 
     found = diff(old, new)
     if json:
@@ -318,8 +316,6 @@ def diff(
 
 def info(path: Annotated[Either, Parameter(help="File or folder.")], /, *, json: Json = False) -> None:
     """Describe a clip, a folder of clips, a folder of frames, a video or a flow field."""
-    from json import dumps
-
     from kt3dmoseg.io.info import describe, info
 
     print(dumps(describe(path), indent=1, ensure_ascii=False) if json else info(path))

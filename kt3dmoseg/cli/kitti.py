@@ -6,7 +6,9 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from kt3dmoseg.app import Catalogs, File, Folder, Url, flags, group
+from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.kitti.options import LocateOptions, PullOptions
+from kt3dmoseg.text import text_table
 
 Clips = Annotated[str, Parameter(help="Names (default: all of --catalog, else the 22).")]
 Root = Annotated[Folder, Parameter(alias=("-o", "--root"))]
@@ -72,7 +74,6 @@ catalog = group("catalog", "List the clips, check catalogs, add clips of your ow
 def list_clips(*, catalogs: Catalogs = ()) -> None:
     """Print the clips."""
     from kt3dmoseg.catalog import format_numbers, load
-    from kt3dmoseg.tables import text_table
 
     rows = [
         [
@@ -92,7 +93,6 @@ def list_clips(*, catalogs: Catalogs = ()) -> None:
 def check(*catalogs: Annotated[Path, Parameter(help="Files (default: the built-in one).")]) -> None:
     """Print every problem of catalogs."""
     from kt3dmoseg.catalog import BUILT_IN, parse_all
-    from kt3dmoseg.errors import FileFormatError
 
     wrong = 0
     for path, clips, problems in parse_all(catalogs or [BUILT_IN]):

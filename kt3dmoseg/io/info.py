@@ -13,7 +13,7 @@ from kt3dmoseg.io import images
 from kt3dmoseg.io.flow_files import read_flow
 from kt3dmoseg.io.formats import clip_files, dataset_paths, first_bytes, load, recognise
 from kt3dmoseg.io.npz import is_lone_array
-from kt3dmoseg.tables import text_table
+from kt3dmoseg.text import text_table
 from kt3dmoseg.types import Trajectories
 
 _LONG = 100  # characters of one value of the provenance

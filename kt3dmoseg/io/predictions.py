@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, read_bytes
+from kt3dmoseg.text import several
 from kt3dmoseg.types import Clip, IntArray
 
 MAX_FILE_BYTES = 32 << 20
@@ -60,12 +61,6 @@ def numbered(problems: Sequence[Problem]) -> str:
     return "\n".join(f"{i:>{width}}. {problem}" for i, problem in enumerate(problems, start=1))
 
 
-def first_few(items: Sequence[object], limit: int = 5) -> str:
-    """Name the first few items and the number of the others."""
-    shown = ", ".join(str(item) for item in items[:limit])
-    return shown if len(items) <= limit else f"{shown} and {len(items) - limit} more"
-
-
 @dataclass(eq=False)
 class Prediction:
     """The columns `track` and `label` as far as they could be read, and what is wrong with them."""
@@ -84,7 +79,7 @@ class Prediction:
         """Return the columns that are there, after reporting the others."""
         missing = " and ".join(f"'{name}'" for name in _NAMES if name not in present)
         if missing:
-            found = first_few(present) or "no array"
+            found = several(present, 5) or "no array"
             self.bad("missing-array", f"arrays named {missing}", found, _FIX_ARRAYS)
         return [name for name in _NAMES if name in present]
 
@@ -219,7 +214,7 @@ def label_table(values: Any, name: str) -> Prediction | None:  # noqa: ANN401  #
     if names is not None:
         by_index = "track" not in names and getattr(index, "name", None) == "track"
         if "label" not in names or not ("track" in names or by_index):
-            expected, found = "the columns track and label", first_few(list(names)) or "none"
+            expected, found = "the columns track and label", several(list(names), 5) or "none"
             raise InvalidValueError(name, expected=expected, found=found)
         track, values = index if by_index else values["track"], values["label"]
     columns = {"track": np.asarray(track), "label": np.asarray(values)}
@@ -260,7 +255,7 @@ def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | No
     label = found.columns["label"][first].astype(np.int64)
     if (counts > 1).any():
         twice = ids[counts > 1].tolist()
-        text = f"{len(twice)} given more than once (track {first_few(twice)})"
+        text = f"{len(twice)} given more than once (track {several(twice, 5)})"
         fix = "keep one row per trajectory"
         problems.append(Problem("duplicate-rows", file, clip.name, "each trajectory once", text, fix))
     if not np.array_equal(ids, np.sort(wanted)):
@@ -285,8 +280,8 @@ def _mismatch(ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip) -> t
         text = f"row numbers {ids[0]}..{ids[-1]} instead of track ids"
         return "row-numbers", text, "write clip.dense.track_id[clip.evaluated] as track"
     missing, extra = np.setdiff1d(wanted, ids).tolist(), np.setdiff1d(ids, wanted).tolist()
-    parts = [f"{len(missing)} missing (track {first_few(missing)})"] if missing else []
-    parts += [f"{len(extra)} that are not evaluated (track {first_few(extra)})"] if extra else []
+    parts = [f"{len(missing)} missing (track {several(missing, 5)})"] if missing else []
+    parts += [f"{len(extra)} that are not evaluated (track {several(extra, 5)})"] if extra else []
     if len(missing) > _SAME * n:
         fix = "most ids do not fit: these look like labels for another clip or another version of the data"
         return "other-trajectories", " and ".join(parts), fix
@@ -367,14 +362,14 @@ def _header_problem(head: list[str], n_rows: int) -> tuple[str, str, str, str]:
 def _csv_columns(out: Prediction, rows: dict[int, list[str]], names: list[str]) -> None:
     ragged = [number for number, row in rows.items() if len(row) != 2]
     if ragged:
-        found = f"another number in line {first_few(ragged)}"
+        found = f"another number in line {several(ragged, 5)}"
         return out.bad("ragged", "two values in every line", found, _FIX_HEADER)
     for name, cells in zip(names, zip(*rows.values(), strict=True) if rows else ((), ()), strict=True):
         whole = all(map(_WHOLE.fullmatch, cells))
         values = list(map(int if whole else _number, cells))
         wrong = {i: cell for i, cell, value in zip(rows, cells, values, strict=True) if value is None}
         if wrong:
-            found = f"{next(iter(wrong.values())).strip()[:40]!r} (line {first_few(list(wrong))})"
+            found = f"{next(iter(wrong.values())).strip()[:40]!r} (line {several(list(wrong), 5)})"
             out.bad("not-a-number", f"whole numbers below 2^53 as {name}", found, _FIX_NAME)
         elif out.accepts(name, (len(values),), np.dtype(np.int64)):
             out.columns[name] = np.array(values, dtype=np.int64 if whole else np.float64)

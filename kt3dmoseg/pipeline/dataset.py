@@ -22,7 +22,6 @@ from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, 
 from kt3dmoseg.flow import backend_identity, create
 from kt3dmoseg.frames import FrameSource, find_sources, one_source, recorded_inputs, source_names
 from kt3dmoseg.io import hdf5
-from kt3dmoseg.matching import several
 from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 from kt3dmoseg.pipeline import BuildOptions
@@ -30,6 +29,7 @@ from kt3dmoseg.pipeline.drives import SyntheticDrive
 from kt3dmoseg.pipeline.labels import find_labels, label_clip
 from kt3dmoseg.pipeline.own_tracks import find_tracks, read_tracks
 from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.text import several
 from kt3dmoseg.tracking import TrackOptions, subsample_background, track
 from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
 

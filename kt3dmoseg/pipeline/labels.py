@@ -15,7 +15,8 @@ from kt3dmoseg.annotate.model import BUILT
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io.images import decode_indices, void_ids
-from kt3dmoseg.matching import match_frames, several
+from kt3dmoseg.matching import match_frames
+from kt3dmoseg.text import several
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
 BACKGROUND = 1

@@ -38,10 +38,11 @@ from kt3dmoseg.files import (
 )
 from kt3dmoseg.frames import recorded_inputs
 from kt3dmoseg.io import dataset_paths, load
-from kt3dmoseg.matching import is_hidden, several
+from kt3dmoseg.matching import is_hidden
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.publishing import PublishOptions
 from kt3dmoseg.publishing.card import FIELDS, card, croissant, table
+from kt3dmoseg.text import several
 from kt3dmoseg.types import Clip
 
 MANIFEST = "dataset.json"

@@ -24,9 +24,10 @@ from pydantic import BaseModel, Field, model_validator
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, read_bytes, write_text
 from kt3dmoseg.parallel import algorithm_version
+from kt3dmoseg.text import count
 from kt3dmoseg.types import FloatArray
 from mseg.benchmark.results import BenchmarkResult
-from mseg.evaluation.protocol import Protocol, count, list_protocols, load_protocol
+from mseg.evaluation.protocol import Protocol, list_protocols, load_protocol
 from mseg.evaluation.results import published_name
 from mseg.evaluation.scoring import ScoreTable, read_model
 from mseg.methods import create

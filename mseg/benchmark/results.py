@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kt3dmoseg.io.predictions import first_few
+from kt3dmoseg.text import count, several
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation import Protocol
-from mseg.evaluation.protocol import count, share
+from mseg.evaluation.protocol import share
 from mseg.evaluation.results import LISTED, ResultsTable, by_axis, clip_table, error_table, published_name
 from mseg.evaluation.scoring import ScoreTable
 
@@ -141,14 +141,14 @@ class BenchmarkResult:
         for group in self.protocol.groups:
             missing = group.n_clips - len(self.protocol.clips_of(group, self.motions))
             absent = [name for name in group.clips if name not in self.motions]
-            listed = f" ({first_few(absent, LISTED)})" if absent else ""
+            listed = f" ({several(absent, LISTED)})" if absent else ""
             if group.unknown:
                 notes.append(f"{group.title}: which clips it holds was never published.")
             elif missing > 0:
                 notes.append(f"{group.title}: {missing} of {group.n_clips} clips are missing{listed}.")
         if self.others:
-            notes.append(f"Not counted: {first_few(self.others, LISTED)}.")
+            notes.append(f"Not counted: {several(self.others, LISTED)}.")
         reported = [f"{c.title} on {clip}, seed {seed}: {note}" for c, clip, seed, note in self.notes]
-        notes += [f"Reported: {first_few(reported, LISTED)}."] if reported else []
+        notes += [f"Reported: {several(reported, LISTED)}."] if reported else []
         wrong = (f"{c.title} on {clip}, seed {seed}: {reason}" for c, clip, seed, reason in self.failures)
         return [*notes, *(f"Counted as fully wrong: {each}." for each in wrong)]

@@ -18,9 +18,9 @@ import scipy
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, check_writable, parse_json, read_bytes, write_text
 from kt3dmoseg.io import dataset_paths, load
-from kt3dmoseg.io.predictions import first_few
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
 from kt3dmoseg.registry import strict
+from kt3dmoseg.text import several
 from kt3dmoseg.types import Clip, IntArray, Labels
 from mseg.benchmark.results import BenchmarkResult, Configuration
 from mseg.errors import SegmentationError
@@ -265,7 +265,7 @@ def predict(
 
 def _check_success(where: str, reasons: Sequence[str], n_runs: int) -> None:
     if len(reasons) == n_runs:
-        raise SegmentationError(where, expected="a run that succeeds", found=first_few(reasons, 3))
+        raise SegmentationError(where, expected="a run that succeeds", found=several(reasons, 3))
 
 
 def find_clips(
@@ -474,7 +474,7 @@ def _note(notes: Mapping[tuple[str, int], str], clip: str, seeds: Sequence[int])
     parts = []
     for text in dict.fromkeys(filter(None, runs.values())):
         those = [seed for seed in seeds if runs[seed] == text]
-        parts.append(text if len(those) == len(seeds) else f"seed {first_few(those)}: {text}")
+        parts.append(text if len(those) == len(seeds) else f"seed {several(those, 5)}: {text}")
     return "; ".join(parts)[:2000]
 
 
@@ -490,7 +490,7 @@ def _open_record(folder: Path, description: Mapping[str, Any]) -> dict[str, Any]
             return {"notes": {}, **record}
     else:
         files = prediction_files(folder)
-        found = f"{first_few([each.name for each in files])}, not written by 'mseg run'"
+        found = f"{several([each.name for each in files], 5)}, not written by 'mseg run'"
         if not files:
             return {"configuration": description, "done": {}, "notes": {}}
     raise InvalidValueError(

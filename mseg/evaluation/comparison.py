@@ -11,8 +11,8 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.text import count
 from mseg.evaluation.metrics import Metric, all_metrics
-from mseg.evaluation.protocol import count
 from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, failure_notes, plot_metric, unique_names
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p

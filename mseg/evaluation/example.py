@@ -20,10 +20,11 @@ from kt3dmoseg.io import save
 from kt3dmoseg.io.formats import first_bytes, recognise
 from kt3dmoseg.io.hdf5 import check_storage, open_hdf5
 from kt3dmoseg.io.matlab import Value, read_mat
-from kt3dmoseg.io.predictions import MAX_FILE_BYTES, first_few, is_zero_based, label_vector
+from kt3dmoseg.io.predictions import MAX_FILE_BYTES, is_zero_based, label_vector
 from kt3dmoseg.registry import strict
+from kt3dmoseg.text import count, several
 from kt3dmoseg.types import Clip, IntArray, Labels, Trajectories
-from mseg.evaluation.protocol import choose_protocol, count
+from mseg.evaluation.protocol import choose_protocol
 from mseg.evaluation.submission import FileFormat, SubmissionMeta, clip_checksum, write_submission
 from mseg.evaluation.validation import load_clips
 
@@ -186,7 +187,7 @@ def labels_and_note(
         return labels, ""
     contiguous = all(is_zero_based(label) and label.max() < clips[n].n_motions for n, label in others.items())
     if zero != "first" and not contiguous:
-        found = f"label 0 in {first_few(with_zero)} ({len(with_zero)} of {count(len(others), 'clip')})"
+        found = f"label 0 in {several(with_zero, 5)} ({len(with_zero)} of {count(len(others), 'clip')})"
         fix = "state what it is: zero='first' (1 is added to all labels) or zero='outlier'"
         raise InvalidValueError(f"{path}", expected="labels 1, 2, ...", found=found, fix=fix)
     note = f"labels count from 0: 1 was added to every label of {count(len(others), 'clip')}"
@@ -248,7 +249,7 @@ def _cells_by_name(
         raise FileFormatError(f"{path}", expected=_FORMATS, found=found)
     content = _matlab(path)
     if CELLS not in content:
-        raise FileFormatError(f"{path}", expected=f"the variable {CELLS}", found=first_few(list(content)))
+        raise FileFormatError(f"{path}", expected=f"the variable {CELLS}", found=several(list(content), 5))
     cells = content[CELLS] if isinstance(content[CELLS], list) else [content[CELLS]]
     order = list(names) if len(names) == len(cells) else sorted(clips)
     if len(order) != len(cells):
@@ -269,7 +270,7 @@ def _single_vector(path: Path) -> npt.NDArray[Any]:
         if value.dtype.kind in "iuf" and 1 < value.size == max(value.shape)
     }
     if len(vectors) != 1:
-        found = f"the vectors {first_few(list(vectors)) or 'none'}"
+        found = f"the vectors {several(list(vectors), 5) or 'none'}"
         raise FileFormatError(f"{path}", expected="one vector of labels", found=found)
     return next(iter(vectors.values()))
 

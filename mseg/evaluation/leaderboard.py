@@ -18,7 +18,7 @@ import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, check_target, write_text
-from kt3dmoseg.io.predictions import first_few
+from kt3dmoseg.text import several
 from mseg.evaluation.protocol import list_protocols, load_protocol, share
 from mseg.evaluation.results import ResultsTable, method_notes
 from mseg.evaluation.scoring import ScoreTable, from_json, to_json
@@ -316,7 +316,7 @@ def _board(tables: Mapping[Entry, ScoreTable]) -> Board:
     entries = {_row(e, table, complete=table.names == fullest.names): e for e, table in tables.items()}
     rows = DataRows(title, about, fullest.benchmark, fullest.motions, [*entries])
     ranked = [(rank, entries[row]) for rank, row, _ in rows.ranked]
-    notes = [f"{e.method}: {first_few(each, 1)}" for _, e in ranked if (each := method_notes(tables[e]))]
+    notes = [f"{e.method}: {several(each, 1)}" for _, e in ranked if (each := method_notes(tables[e]))]
     return Board(rows, ranked, notes)
 
 

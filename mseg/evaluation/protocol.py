@@ -10,6 +10,7 @@ from importlib.resources import files
 from itertools import pairwise
 
 from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.text import count
 
 
 @dataclass(frozen=True)
@@ -133,11 +134,6 @@ def bin_titles(bounds: Sequence[float]) -> tuple[str, ...]:
     """Name the bins between some bounds, and those below and above."""
     between = (f"{low:g} to {high:g}" for low, high in pairwise(bounds))
     return f"under {bounds[0]:g}", *between, f"{bounds[-1]:g} and over"
-
-
-def count(number: int, noun: str) -> str:
-    """Count something: "1 clip", "2 clips"."""
-    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def share(present: int, total: int) -> str:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kt3dmoseg.io.predictions import first_few
-from kt3dmoseg.tables import text_table
+from kt3dmoseg.text import several, text_table
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import Protocol, share
@@ -162,8 +161,8 @@ def clip_table(
     of = f" of {total}" if total else ""
     rows.append([f"mean{of}", "", *(_mean(v, scale) for v in values.values())])
     rows.append([f"median{of}", "", *(_median(v, scale) for v in values.values())])
-    several = any(v.shape[1] > 1 for v in values.values())
-    spread = ["mean over seeds ± standard deviation over seeds"] if several else []
+    seeds = max((v.shape[1] for v in values.values()), default=1)
+    spread = ["mean over seeds ± standard deviation over seeds"] * (seeds > 1)
     return ResultsTable(title, ["clip", "motions", *values], [*rows, *last], [*spread, *notes])
 
 
@@ -239,7 +238,7 @@ def method_notes(scores: ScoreTable) -> list[str]:
     found = [c for c in scores.clips if meta.n_motions_given and not c.reason and c.clip not in meta.notes]
     other = {f"{c.clip} ({c.n_found} of {c.n_motions})": 0 for c in found if c.n_found != c.n_motions}
     if other:
-        listed = first_few(list(other), LISTED)
+        listed = several(list(other), LISTED)
         notes.append(f"Other groups than motions, though their number was given: {listed}.")
     reported = [f"The method reports on {clip}: {note}." for clip, note in meta.notes.items()]
     more = len(reported) - LISTED

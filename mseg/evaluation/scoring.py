@@ -23,7 +23,6 @@ from kt3dmoseg.io.predictions import (
     SUFFIXES,
     Problem,
     clip_labels,
-    first_few,
     is_zero_based,
     label_table,
     label_vector,
@@ -31,6 +30,7 @@ from kt3dmoseg.io.predictions import (
     read_prediction,
 )
 from kt3dmoseg.registry import strict, unknown_name
+from kt3dmoseg.text import count, several
 from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels, Trajectories
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.contingency import Contingency, contingency
@@ -39,7 +39,6 @@ from mseg.evaluation.protocol import (
     Group,
     Protocol,
     choose_protocol,
-    count,
     list_protocols,
     load_protocol,
     protocol_of_clips,
@@ -268,7 +267,7 @@ def score(
         truths = {file.stem: truths[file.stem]}
         runs = {None: {file.stem: file}}
     else:
-        expected = f"a mapping of clip names to labels, for {first_few(list(truths))}"
+        expected = f"a mapping of clip names to labels, for {several(list(truths), 5)}"
         raise InvalidValueError("pred", expected=expected, found=type(pred).__name__)
     clips = []
     for seed, run in runs.items():
@@ -280,7 +279,7 @@ def score(
     protocol = choose_protocol(benchmark, truths) if benchmark else None
     foreign = [name for name in truths if protocol and not protocol.holds(name)]
     if foreign:
-        raise InvalidValueError("truth", expected=f"clips of {benchmark}", found=first_few(foreign))
+        raise InvalidValueError("truth", expected=f"clips of {benchmark}", found=several(foreign, 5))
     return ScoreTable(tuple(clips), protocol=protocol, provenance=provenance_of(truths))
 
 

@@ -46,11 +46,11 @@ from kt3dmoseg.io.predictions import (
     Prediction,
     Problem,
     clip_labels,
-    first_few,
     label_table,
     parse_prediction,
 )
 from kt3dmoseg.registry import nearest, strict
+from kt3dmoseg.text import several
 from kt3dmoseg.types import Clip, IntArray, Labels
 from mseg.evaluation.protocol import list_protocols
 from mseg.types import Segmentation
@@ -236,7 +236,7 @@ def write_submission(
     written = {file_of(folder, name, seed, "") for seed, name in labels}
     older = [path for path in prediction_files(folder) if path.with_suffix("") not in written]
     if older:
-        found = f"{first_few([p.relative_to(folder).as_posix() for p in older])} of an earlier one"
+        found = f"{several([p.relative_to(folder).as_posix() for p in older], 5)} of an earlier one"
         fix = "remove them, or write to another folder"
         raise InvalidValueError(f"{folder}", expected="no other predictions", found=found, fix=fix)
     (Path(folder) / META).unlink(missing_ok=True)  # until all is written, nothing counts
@@ -271,7 +271,7 @@ def prediction_runs(predictions: Any) -> dict[int | None, Mapping[str, Any]]:  #
     seeds = predictions if nested and all(nested) else [None]
     if not all(isinstance(s, (int, np.integer)) and not isinstance(s, bool) and s >= 0 for s in seeds):
         expected = "a mapping of clip names to their labels, or of seeds (0, 1, ...) to such mappings"
-        found = first_few(list(predictions)) if values else "nothing"
+        found = several(list(predictions), 5) if values else "nothing"
         raise InvalidValueError("predictions", expected=expected, found=found)
     return {int(seed): run for seed, run in predictions.items()}
 
@@ -282,9 +282,9 @@ def check_names(names: Iterable[str], clips: Iterable[str], where: str, *, compl
     extra = [name for name in given if name not in wanted]
     missing = [name for name in wanted if name not in given] if complete else []
     if extra or missing:
-        found = f"{first_few(extra)}, which is no clip" if extra else f"nothing for {first_few(missing)}"
+        found = f"{several(extra, 5)}, which is no clip" if extra else f"nothing for {several(missing, 5)}"
         fix = did_you_mean(str(extra[0]), wanted) if extra else ""
-        raise InvalidValueError(where, expected=f"labels of {first_few(wanted)}", found=found, fix=fix)
+        raise InvalidValueError(where, expected=f"labels of {several(wanted, 5)}", found=found, fix=fix)
 
 
 def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:

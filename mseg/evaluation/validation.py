@@ -11,10 +11,11 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import PathLike
-from kt3dmoseg.io.predictions import Problem, first_few, is_zero_based, join_labels, numbered
+from kt3dmoseg.io.predictions import Problem, is_zero_based, join_labels, numbered
 from kt3dmoseg.registry import nearest, strict
+from kt3dmoseg.text import count, several
 from kt3dmoseg.types import Clip, IntArray
-from mseg.evaluation.protocol import Protocol, choose_protocol, count
+from mseg.evaluation.protocol import Protocol, choose_protocol
 from mseg.evaluation.submission import (
     META,
     Submission,
@@ -109,7 +110,7 @@ def validate_submission(
     clips = {name: clip for name, clip in given.items() if protocol.holds(name) and clip.n_motions}
     out = Validation(read, protocol, clips, problems=list(read.problems))
     if not clips:
-        expected, found = f"labelled clips of {protocol.title}", first_few(list(given)) or "none"
+        expected, found = f"labelled clips of {protocol.title}", several(list(given), 5) or "none"
         fix = "give the data that the submission is for, or name another benchmark"
         out.problems.append(Problem("no-data", expected=expected, found=found, fix=fix))
     files = {clip: file for (_, clip), file in sorted(read.files.items(), reverse=True)}
@@ -162,7 +163,7 @@ def _label_problems(label: IntArray, clip: Clip, file: str, meta: SubmissionMeta
     groups = np.unique(label)
     if groups[0] == 0 and not meta.outliers:
         based = is_zero_based(label)
-        found = f"labels {first_few(groups.tolist())}" + (", which look 0-based" if based else "")
+        found = f"labels {several(groups.tolist(), 5)}" + (", which look 0-based" if based else "")
         fix = "add 1 to every label; if 0 is meant as outlier: outliers = true in meta.toml"
         code = "zero-based" if based else "zero-label"
         yield Problem(code, file, clip.name, "motions 1, 2, ...", found, fix)
@@ -188,7 +189,7 @@ def _check_extra(name: str, file: str, given: Mapping[str, Clip], out: Validatio
     code, fix = "extra-clip", f"did you mean {meant}?" if meant else "remove it"
     if meant.lower() == name.lower():
         code, fix = "wrong-case", f"rename the file to {meant}"
-    out.problems.append(Problem(code, file, name, f"one of {first_few(list(given))}", name, fix))
+    out.problems.append(Problem(code, file, name, f"one of {several(list(given), 5)}", name, fix))
 
 
 def _check_version(out: Validation) -> None:

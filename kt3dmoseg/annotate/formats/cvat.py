@@ -36,7 +36,8 @@ from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.geometry import arrays
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, MAX_POINTS, Annotation, Kind, Polygon, Visibility
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
-from kt3dmoseg.matching import number_in, several, stem
+from kt3dmoseg.matching import number_in, stem
+from kt3dmoseg.text import several
 
 Drawn: TypeAlias = tuple[Visibility, list[Polygon]]
 
