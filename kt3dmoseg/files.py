@@ -109,6 +109,11 @@ def listed(folder: Path) -> list[Path]:
     return paths
 
 
+def names_in(folder: Path) -> list[str]:
+    """Names of what `listed` lists; none where there is no folder."""
+    return [path.name for path in listed(folder)] if folder.is_dir() else []
+
+
 def check_target(path: PathLike) -> None:
     """Raise InputFileError when a file cannot take this name: there is a folder, pipe or device."""
     target = Path(path)

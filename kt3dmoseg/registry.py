@@ -111,7 +111,8 @@ def strict(call: CallT) -> CallT:
     if hasattr(call, "strict"):
         return call
     signature, hints = inspect.signature(call), dict[str, Any]()
-    parameters = signature.parameters
+    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    parameters = [name for name, each in signature.parameters.items() if each.kind not in several]
 
     @wraps(call)
     def checked(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401
@@ -119,11 +120,7 @@ def strict(call: CallT) -> CallT:
             known = ChainMap(call.__globals__, vars(builtins), defaultdict(lambda: Any))
             hints.update(dict.fromkeys(parameters, Any) | typing.get_type_hints(call, {}, known))
         for name, value in signature.bind(*args, **kwargs).arguments.items():
-            various = parameters[name].kind in (
-                inspect.Parameter.VAR_KEYWORD,
-                inspect.Parameter.VAR_POSITIONAL,
-            )
-            if not (various or _fits(value, hints[name])):
+            if name in parameters and not _fits(value, hints[name]):
                 raise InvalidValueError(name, expected=_in_words(hints[name]), found=_found(value))
         return call(*args, **kwargs)
 

@@ -20,8 +20,6 @@ from kt3dmoseg.options import from_mapping
 if TYPE_CHECKING:
     from kt3dmoseg.types import ByteArray, Trajectories
 
-_SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
-
 
 @flags(DrawOptions)
 def show(
@@ -78,12 +76,10 @@ def show(
     from kt3dmoseg.draw.painting import draw_frame, painting_of
     from kt3dmoseg.frames import frames_of
     from kt3dmoseg.io import load
-    from kt3dmoseg.io.images import MOVING_SUFFIXES, write_moving, write_png
+    from kt3dmoseg.io.images import MOVING_SUFFIXES, check_rate, write_moving, write_png
 
     chosen = from_mapping(DrawOptions, options)
-    if not _SLOWEST <= rate <= _FASTEST:  # nor NaN
-        expected = f"a number above 0, from {_SLOWEST:g} to {_FASTEST:g}"
-        raise InvalidValueError("rate", expected=expected, found=f"{rate}")
+    check_rate(rate)
     loaded = load(clip)
     target = Path(output or loaded.name)
     suffix = "" if target.is_dir() else target.suffix.lower()

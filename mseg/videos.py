@@ -10,8 +10,6 @@ from cyclopts import Parameter
 from kt3dmoseg.app import AnyEither, AnyFolder, Flag, Name, Positive, Range, Size, Whole, progress_bar
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 
-_SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
-
 
 def video(
     input: AnyEither,
@@ -80,6 +78,7 @@ def video(
     from kt3dmoseg.files import check_writable
     from kt3dmoseg.frames import one_source
     from kt3dmoseg.io.formats import CLIP_SUFFIXES
+    from kt3dmoseg.io.images import check_rate
     from mseg.methods import create
     from mseg.shots import clip_shot, segmented, tracked_shots, write_shot
 
@@ -88,9 +87,7 @@ def video(
     if folder.is_dir() and any(folder.iterdir()):
         fix = "give another folder, or remove it"
         raise InputFileError(f"{folder}", expected="a new or empty folder", found="files", fix=fix)
-    if not _SLOWEST <= rate <= _FASTEST:
-        expected = f"a number from {_SLOWEST:g} to {_FASTEST:g}"
-        raise InvalidValueError("rate", expected=expected, found=f"{rate}")
+    check_rate(rate)
     check_writable(folder)
     part, is_clip = (range_, step, size), source.is_file() and source.suffix.lower() in CLIP_SUFFIXES
     if is_clip and part != ("", 1, ""):

@@ -335,6 +335,7 @@ def _for_each(
     searched: AnyPath,
     wanted: str = "<clip>.json",
 ) -> Reports:
+    from kt3dmoseg.files import names_in
 
     out = Reports()
     for clip in clips:
@@ -346,7 +347,7 @@ def _for_each(
             out.append(done)
             report(done)
     if not out:
-        found = several(_inside(Path(searched))) or "none"
+        found = several(names_in(Path(searched))) or "none"
         raise InputFileError(f"{searched}", expected=f"{wanted} named as a clip", found=found)
     return out
 
@@ -355,19 +356,15 @@ def _report_rest(
     reports: Reports, source: Path, there: Mapping[str, bool], report: Callable[[ClipReport], object]
 ) -> None:
     """Report of which clips a source has nothing, and what it has of none."""
+    from kt3dmoseg.files import names_in
+
     rest = {
         "it has nothing of": [clip for clip, found in there.items() if not found],
-        "left out, of no clip:": [name for name in _inside(source) if Path(name).stem not in there],
+        "left out, of no clip:": [name for name in names_in(source) if Path(name).stem not in there],
     }
     if lines := tuple(f"{words} {several(names)}" for words, names in rest.items() if names):
         reports.append(ClipReport(f"{source}", ok=True, lines=lines))
         report(reports[-1])
-
-
-def _inside(path: Path) -> list[str]:
-    from kt3dmoseg.files import listed
-
-    return [inner.name for inner in listed(path)] if path.is_dir() else []
 
 
 def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) -> Iterator[_Clip]:

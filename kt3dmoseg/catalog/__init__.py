@@ -154,9 +154,13 @@ def parse_numbers(text: str) -> tuple[int, ...]:
 
 def format_numbers(numbers: Iterable[int]) -> str:
     """Write frame numbers as `parse_numbers` reads them: consecutive ones as ``first-last``."""
+    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs(numbers))
+
+
+def runs(numbers: Iterable[int]) -> list[list[int]]:
+    """Split numbers into runs of consecutive ones."""
     steady = groupby(enumerate(map(int, numbers)), lambda pair: pair[1] - pair[0])
-    runs = [[number for _, number in run] for _, run in steady]
-    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+    return [[number for _, number in run] for _, run in steady]
 
 
 def _require(holds: bool, what: str, expected: str, found: object) -> None:

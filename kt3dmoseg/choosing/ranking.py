@@ -1,6 +1,5 @@
 """From recordings to a ranked choice of windows: measured part by part, kept, compared, shown."""
 
-import base64
 import json
 import os
 import shlex
@@ -8,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from itertools import groupby
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -29,6 +28,7 @@ from kt3dmoseg.files import (
 )
 from kt3dmoseg.flow import backend_identity, create
 from kt3dmoseg.frames import Cut, FrameSource, KittiClip, choose_sources, source_names
+from kt3dmoseg.io.images import jpeg_address
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 
@@ -125,7 +125,7 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
         "versions": versions,
         "flow": backend_identity(create(settings.flow)),
     }
-    for run in _runs(numbers):
+    for run in catalog.runs(numbers):
         last = max(0, len(run) - settings.longest)
         starts = [*range(0, last, max(1, settings.longest // 2)), last]
         for start in starts if len(run) >= settings.shortest else []:
@@ -135,12 +135,6 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
             if isinstance(source, KittiClip):  # both may come later
                 about["known"] = [source.drive.has_tracklets, metres_between(part, *ends) is not None]
             yield part, f"{cache_key({**about, 'recording': frames, 'part': ends})}.json"
-
-
-def _runs(numbers: Sequence[int]) -> list[Sequence[int]]:
-    """Split frame numbers where some are missing on disk."""
-    groups = groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])
-    return [[number for _, number in group] for _, group in groups]
 
 
 def _measured(
@@ -261,10 +255,5 @@ def _page(
 def _strip(window: Window, source: Any, settings: ChooseOptions) -> list[str]:  # noqa: ANN401  # with a cut
     """Return pictures of a window as data for a page."""
     cut = Cut(window.first, window.last, max(1, (window.last - window.first) // (_STRIP - 1)))
-    out = []
-    for frame in replace(source, cut=cut).frames(settings.colour):
-        size = _THUMBNAIL, max(1, round(_THUMBNAIL * frame.shape[0] / frame.shape[1]))
-        small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
-        encoded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
-        out.append(base64.b64encode(encoded.tobytes()).decode())
-    return out[:_STRIP]
+    frames = replace(source, cut=cut).frames(settings.colour)
+    return [jpeg_address(frame, _THUMBNAIL, _QUALITY) for frame in islice(frames, _STRIP)]

@@ -1,5 +1,6 @@
 """Pictures: numbered frames of a folder as 8-bit gray, PNGs whose pixels are numbers, videos."""
 
+import base64
 import io
 import os
 import re
@@ -31,6 +32,7 @@ MOVING_SUFFIXES = (*_VIDEO, *_ANIMATION)
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 _MAX_FILE = 1 << 28
 MAX_PIXELS = 1 << 26
+_SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
 MOTS_IGNORE = 10_000
 # Ids up to this are numbers of objects; gray levels that a person chose to see are brighter. Next to void
 # no object has a number like the second: soft edges of a white object have.
@@ -360,6 +362,22 @@ def write_png(path: PathLike, picture: ByteArray) -> None:
     """Write one (H, W, 3) RGB or (H, W) gray picture atomically."""
     stored = picture[..., ::-1] if picture.ndim == 3 else picture
     write_bytes(path, bytes(cv2.imencode(".png", np.ascontiguousarray(stored))[1]))
+
+
+def jpeg_address(picture: ByteArray, width: int, quality: int) -> str:
+    """Return a picture (H, W) or (H, W, 3) BGR, at most so wide, as the address of data of a JPEG."""
+    height, across = picture.shape[:2]
+    size = width, max(1, round(height * width / across))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if across > width else picture
+    content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode()
+
+
+def check_rate(rate: float) -> None:
+    """Raise InvalidValueError for a rate of pictures per second that `write_moving` cannot write."""
+    if not _SLOWEST <= rate <= _FASTEST:  # nor NaN
+        expected = f"a number above 0, from {_SLOWEST:g} to {_FASTEST:g}"
+        raise InvalidValueError("rate", expected=expected, found=f"{rate}")
 
 
 def write_moving(path: PathLike, pictures: Iterable[ByteArray], rate: float) -> None:

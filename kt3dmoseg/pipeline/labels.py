@@ -13,7 +13,7 @@ import numpy as np
 from kt3dmoseg.annotate import label_tracks, load_annotation
 from kt3dmoseg.annotate.model import BUILT
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import PathLike, listed, read_bytes
+from kt3dmoseg.files import PathLike, names_in, read_bytes
 from kt3dmoseg.io.images import decode_indices, void_ids
 from kt3dmoseg.matching import match_frames
 from kt3dmoseg.text import several
@@ -48,8 +48,7 @@ def find_labels(
 
 
 def _unnamed(names: Sequence[str], annotations: Path) -> InputFileError:
-    files = [path.name for path in listed(annotations) if path.suffix.lower() == ".json"]
-    files = [name for name in files if not name.endswith(BUILT)]
+    files = [n for n in names_in(annotations) if n.lower().endswith(".json") and not n.endswith(BUILT)]
     expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
     fix = "rename it" if files else "give the folder that has some"
     fix += ", or give annotations=None for no labels"
@@ -67,17 +66,13 @@ def _masks_of(names: Sequence[str], masks: Path) -> dict[str, list[Path]]:
     below = {name: _masks_in(masks / name) or here for name in names}
     if not any(below.values()):
         expected = f"masks (.png) there, or in {masks / names[0]}"
-        there = next(filter(None, (_inside(folder) for folder in (masks / names[0], masks))), [])
+        there = next(filter(None, (names_in(folder) for folder in (masks / names[0], masks))), [])
         raise InputFileError(f"{masks}", expected=expected, found=several(there) or "none")
     return below
 
 
-def _inside(folder: Path) -> list[str]:
-    return [path.name for path in listed(folder)] if folder.is_dir() else []
-
-
 def _masks_in(folder: Path) -> list[Path]:
-    return [folder / name for name in _inside(folder) if name.lower().endswith(".png")]
+    return [folder / name for name in names_in(folder) if name.lower().endswith(".png")]
 
 
 def label_clip(

@@ -17,11 +17,11 @@ from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import PathLike, read_bytes, write_bytes, write_text, zip_bytes
 from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.io import dataset_paths, load
+from kt3dmoseg.io.images import jpeg_address
 from kt3dmoseg.types import Clip
 from mseg.benchmark.publishing import PublishedResult, collected, read_result, read_results
 from mseg.benchmark.runner import BASELINES, find_clips
 from mseg.errors import RejectedSubmissionError
-from mseg.evaluation.pages import jpeg
 from mseg.evaluation.protocol import load_protocol
 from mseg.evaluation.scoring import ScoreTable, score_submission
 from mseg.evaluation.site import DataRows, Row, Version, site_html
@@ -96,7 +96,7 @@ def _pictures(data: Sequence[PathLike], frames: PathLike | None) -> dict[str, st
                 middle = clip.n_frames // 2
                 picture = frames_of(clip, Path(frames or ""))[middle]
                 drawn = draw_frame(by_label(clip), middle, picture)
-                made[name] = jpeg(drawn[..., ::-1], _WIDTH, _QUALITY)
+                made[name] = jpeg_address(drawn[..., ::-1], _WIDTH, _QUALITY)
     return made
 
 

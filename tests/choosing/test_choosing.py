@@ -141,7 +141,7 @@ def test_parts_are_no_longer_than_the_longest_window(root):
 def test_missing_frames_and_cuts_are_in_no_clip_and_the_page_builds_a_name_with_spaces(rng, tmp_path):
     folder = tmp_path / "Bob's drive, 1732828415"
     folder.mkdir()
-    assert ranking._runs([3, 4, 5, 9, 10]) == [[3, 4, 5], [9, 10]]
+    assert catalog.runs([3, 4, 5, 9, 10]) == [[3, 4, 5], [9, 10]]
     scenes = [cv2.GaussianBlur(rng.integers(0, 255, (96, 160)).astype(np.uint8), (0, 0), 2) for _ in range(2)]
     for frame in range(20):
         picture = cv2.equalizeHist(np.roll(scenes[frame // 10], frame, axis=1))
