@@ -134,6 +134,8 @@ def _fits(value: object, hint: Any) -> bool:  # noqa: ANN401  # an annotation
         return any(_fits(value, each) for each in inner)
     if origin is typing.Annotated:
         return _fits(value, inner[0])
+    if origin is typing.Literal:
+        return isinstance(value, str) and value in inner
     kind = NoneType if hint is None else origin or hint
     if not isinstance(kind, type) or kind in _UNCHECKED or kind.__module__ == "numpy":
         return True
@@ -156,6 +158,8 @@ def _in_words(hint: Any) -> str:  # noqa: ANN401  # an annotation
     if origin in (typing.Union, UnionType):
         words = [_in_words(each) for each in inner]
         return " or ".join(word for word in dict.fromkeys(words) if word != "text" or "a path" not in words)
+    if origin is typing.Literal:
+        return " or ".join(inner)
     kind = origin or hint
     word = _WORDS.get(kind, getattr(kind, "__name__", "anything"))
     return f"{word} {_in_words(inner[0])}" if word == "several" else word

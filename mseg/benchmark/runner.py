@@ -134,8 +134,6 @@ def run(
     configurations = _configure([methods] if isinstance(methods, str) else methods, parameters or {})
     if not configurations:
         raise InvalidValueError("benchmark", expected="at least one method", found="none")
-    if number not in ("given", "found"):
-        raise InvalidValueError("number", expected="given or found", found=f"{number!r:.40}")
     paths, others = find_clips(protocol, data)
     clips = {name: load(path) for name, path in paths.items()}
     motions = {name: clip.n_motions for name, clip in clips.items()}

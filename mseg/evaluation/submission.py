@@ -20,7 +20,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -172,8 +172,6 @@ def write_prediction(
     the clip, or its name cannot be a file name.
     """
     label = clip_labels(bare_labels(labels, clip), clip, f"labels of {clip.name}")
-    if format not in get_args(FileFormat):
-        raise InvalidValueError("format", expected=" or ".join(get_args(FileFormat)), found=repr(format))
     path = file_of(folder, clip.name, seed, f".{format}")
     track = clip.dense.track_id[clip.evaluated]
     if format == "csv":

@@ -135,8 +135,6 @@ def segment(
         check_whole("n_motions", n_motions, 1)
     if not isinstance(method, str) and parameters:
         raise InvalidValueError("parameters", expected="none with a method object", found=str([*parameters]))
-    if rows not in ("evaluated", "all"):
-        raise InvalidValueError("rows", expected="evaluated or all", found=f"{rows!r:.40}")
     hidden = _clip(clip, visible).without_labels()
     if rows == "all":
         hidden = _sampled(hidden, seed)
