@@ -6,17 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
+from typing import Any
 
 import cv2
 import numpy as np
 
+from kt3dmoseg.compiled import compiled
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow import check_pair, smooth
+from kt3dmoseg.flow.variational import minimise
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
 _SIDE = 5
 _CAP = 20
+_REPLICATE = cv2.BORDER_REPLICATE
+_ZETA = 0.1
 _DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
@@ -26,13 +31,12 @@ class VariationalPyramid:
 
     DIS (Kroeger, Timofte, Dai, Van Gool, ECCV 2016) finds motions of any size. At each level the
     energy of Brox, Bruhn, Papenberg and Weickert (ECCV 2004) - robust constancy of gray values and
-    of gradients, robust smoothness - is minimised around the flow so far with OpenCV's
-    `VariationalRefinement`, which divides each constancy term by the squared gradient plus
-    0.1^2 (Zimmer, Bruhn, Weickert, IJCV 2011, section 3.1). `contrast` moves that 0.1: at the
+    of gradients, robust smoothness - is minimised around the flow so far (`minimise`), each
+    constancy term divided by the squared gradient plus 0.1^2. `contrast` moves that 0.1: at the
     default, edges steeper than 0.1 / 0.02 = 5 gray values per pixel count alike and fainter ones
     less, so that noise in flat regions has little weight. As soon as the flow has full size, motion that has
     spread over outlines is taken back (`sharpen`). The linear equations are relaxed far
-    beyond OpenCV's 1.6: near 2, successive overrelaxation converges fastest on a grid this large (Young,
+    beyond the usual 1.6: near 2, successive overrelaxation converges fastest on a grid this large (Young,
     "Iterative Solution of Large Linear Systems", 1971, chapter 6). Measured in docs/tracking.md.
     """
 
@@ -74,42 +78,45 @@ class VariationalPyramid:
         check_pair(a, b)
         field = _seed(a, b)
         frames = [smooth(frame * np.float32(self.contrast), self.smoothing) for frame in (a, b)]
-        solver = _solver(
-            get_ident(),
-            Alpha=self.alpha,
-            Delta=self.delta,
-            Gamma=self.gamma,
-            Epsilon=self.epsilon,
-            FixedPointIterations=self.iterations,
-            SorIterations=self.relaxations,
-            Omega=self.overrelaxation,
-        )
         for level, scale in enumerate(self.scales):
             size = round(a.shape[0] * scale), round(a.shape[1] * scale)
             # Smoothed as they are, the frames need no averaging at half size and above.
             first, second, field = (_resized(picture, size) for picture in (*frames, field))
             if level == self.scales.index(1):
                 field = sharpen(a, b, field, reach=self.reach, share=self.share, floor=self.floor)
-            field = np.asarray(solver.calc(first, second, field), np.float32)
+            field = self._refined(first, second, field)
         return field
 
-
-@lru_cache(maxsize=1)
-def _solver(_thread: int, **settings: float) -> cv2.VariationalRefinement:
-    """Make a thread's solver and keep it: fetching its 40 MB again would take a sixth of each call."""
-    solver = cv2.VariationalRefinement.create()
-    for name, value in settings.items():
-        getattr(solver, f"set{name}")(value)
-    return solver
+    def _refined(self, first: Float32Array, second: Float32Array, field: Float32Array) -> Float32Array:
+        """Warp the second frame by a flow once, and minimise the energy around it."""
+        u, v = cv2.split(field)
+        rows, columns = (np.arange(side, dtype=np.float32) for side in first.shape)
+        warped = cv2.remap(second, u + columns, v + rows[:, None], cv2.INTER_LINEAR, borderMode=_REPLICATE)
+        mean = cv2.addWeighted(first, 0.5, warped, 0.5, 0)
+        slopes = (cv2.Sobel(mean, -1, x, 1 - x, ksize=1, borderType=_REPLICATE) for x in (1, 0))
+        planes = np.zeros((7, first.shape[0] + 2, first.shape[1] + 2), np.float32)
+        for plane, padded in zip((*slopes, warped - first, u, v), planes, strict=False):
+            cv2.copyMakeBorder(plane, 1, 1, 1, 1, _REPLICATE, padded)
+        halved = self.alpha / 2, self.delta / 2, self.gamma / 2
+        weights = np.array([*halved, self.epsilon, _ZETA, self.overrelaxation], np.float32)
+        weights[3:5] **= 2
+        minimise(planes, weights, self.iterations, 2 * self.relaxations)
+        return np.asarray(cv2.merge(list(planes[3:5, 1:-1, 1:-1] + planes[5:, 1:-1, 1:-1])), np.float32)
 
 
 def _seed(a: ByteArray, b: ByteArray) -> Float32Array:
     """DIS medium on lightly smoothed frames, without its own refinement: the pyramid does better."""
     smooth_a, smooth_b = (cv2.GaussianBlur(frame, (5, 5), 0.8) for frame in (a, b))
+    field = _search(get_ident()).calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
+    return np.asarray(field, np.float32)
+
+
+@lru_cache(maxsize=1)
+def _search(_thread: int) -> cv2.DISOpticalFlow:
+    """Make a thread's solver and keep it, with its memory."""
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     solver.setVariationalRefinementIterations(0)
-    field = solver.calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
-    return np.asarray(field, np.float32)
+    return solver
 
 
 def _resized(picture: Float32Array, shape: tuple[int, int]) -> Float32Array:
@@ -139,27 +146,43 @@ def sharpen(
     change must bring the mean difference under ``share * difference - floor``, so that noise moves nothing;
     further ones need only be better.
     """
-    columns, rows = (np.arange(side, dtype=np.float32) for side in reversed(a.shape))
-    pixels = np.stack(np.meshgrid(columns, rows), axis=2)
-    target = np.empty_like(pixels)
+    target = np.empty_like(field)
 
-    def difference(candidate: Float32Array) -> Float32Array:
+    def difference(candidates: Float32Array, left: int = 0, top: int = 0) -> Float32Array:
         """Mean capped difference of patches; outside, the second frame is black."""
-        np.add(pixels, candidate, out=target)
+        _lead(candidates, left, top, target)
         seen = cv2.remap(b, target, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
         apart = cv2.min(cv2.absdiff(seen, a), _CAP)  # type: ignore[call-overload]  # nor numbers
         return np.asarray(cv2.boxFilter(apart, cv2.CV_32F, (_SIDE, _SIDE)), np.float32)
 
     limit = np.asarray(difference(field) * np.float32(share) - np.float32(floor), np.float32)
     result = field.copy()
-    height, width = a.shape
     for far in reach:
-        around = cv2.copyMakeBorder(result, far, far, far, far, cv2.BORDER_REPLICATE)
+        around: Any = cv2.copyMakeBorder(result, far, far, far, far, _REPLICATE)
         for x, y in _DIRECTIONS:
-            left, top = far * (1 + x), far * (1 + y)
-            candidate = np.asarray(around[top : top + height, left : left + width], np.float32)
-            now = difference(candidate)
-            better = cv2.compare(now, limit, cv2.CMP_LT)
-            cv2.copyTo(candidate, better, result)
-            cv2.copyTo(now, better, limit)
+            start = far * (1 + x), far * (1 + y)
+            _take(around, *start, difference(around, *start), limit, result)
     return result
+
+
+@compiled
+def _lead(candidates: Float32Array, left: int, top: int, target: Float32Array) -> None:
+    for i in range(target.shape[0]):
+        for j in range(target.shape[1]):
+            target[i, j, 0] = candidates[top + i, left + j, 0] + np.float32(j)
+            target[i, j, 1] = candidates[top + i, left + j, 1] + np.float32(i)
+
+
+@compiled
+def _take(
+    candidates: Float32Array,
+    left: int,
+    top: int,
+    now: Float32Array,
+    limit: Float32Array,
+    result: Float32Array,
+) -> None:
+    for i in range(now.shape[0]):
+        for j in range(now.shape[1]):
+            if now[i, j] < limit[i, j]:
+                limit[i, j], result[i, j] = now[i, j], candidates[top + i, left + j]

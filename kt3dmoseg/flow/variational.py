@@ -1,0 +1,164 @@
+"""The equations of variational flow and their solution, compiled: see `kt3dmoseg.flow.pyramid`.
+
+Equations, and the order of all operations on a pixel, are those of OpenCV's `VariationalRefinement`, so both
+give the same bits. Here rows stay in the processor's cache from their equations to the last sweep over them.
+"""
+
+import numpy as np
+
+from kt3dmoseg.compiled import compiled
+from kt3dmoseg.types import Float32Array as Array
+
+
+@compiled
+def minimise(planes: Array, weights: Array, iterations: int, halves: int) -> None:
+    """Find the change of a flow (u, v) that minimises the energy of Brox et al. around it.
+
+    That is the (du, dv) of least sum over the pixels of
+
+        delta psi((Iz + Ix du + Iy dv)^2 / n) + gamma psi(sum of the same for both derivatives of I)
+        + alpha psi(|grad (u + du)|^2 + |grad (v + dv)|^2) + z (du^2 + dv^2) / 2,    psi(s) = sqrt(s + e),
+
+    where n = Ix^2 + Iy^2 + z. Each of the `iterations` fixes the slopes of psi and relaxes the linear
+    equations by red-black successive overrelaxation: in `halves` half sweeps over the pixels of one colour.
+    Once row i has its equations, half sweep k can do row i - 1 - k, around which half sweep k - 1 has been.
+    So only the last rows are held, in a ring (rows, colours, 8, pixels): a11, a22, b1, b2, a12, the weight
+    of the links to the next pixels, du, dv. The first pixel of the frame has colour 0.
+
+    Parameters
+    ----------
+    planes : (7, H + 2, W + 2) float32
+        Ix, Iy, Iz, u, v, all with their edge repeated, and du, dv, which are 0 and are changed in place.
+    weights : (6,) float32
+        alpha / 2, delta / 2, gamma / 2, e, z, and the overrelaxation.
+    """
+    height, width = planes.shape[1] - 2, planes.shape[2] - 2
+    ring = np.empty((halves + 4, 2, 8, width // 2 + 3), np.float32)  # even: which colour has more alternates
+    row, links = np.empty((8, width + 2), np.float32), np.empty((2, 6, width + 2), np.float32)
+    for _ in range(iterations):
+        ring[:] = 0
+        links[:] = 0
+        for i in range(1, height + halves + 2):
+            if i <= height:
+                _equate(planes, i, weights, links[i % 2], links[1 - i % 2], row)
+                _split(row, ring[i % len(ring)], (i + 1) % 2)
+            else:
+                ring[i % len(ring)] = 0
+            for half in range(halves):
+                if 1 <= i - 1 - half <= height:
+                    _relax(ring, i - 1 - half, half % 2, width, weights[5])
+            if 1 <= i - halves <= height:
+                _merge(ring[(i - halves) % len(ring)], planes, i - halves)
+        planes[5:, height + 1] = planes[5:, height]
+
+
+@compiled
+def _equate(planes: Array, i: int, weights: Array, links: Array, above: Array, row: Array) -> None:
+    """Set up the equations of row i, and its links to the next pixels and the row below, three rows each.
+
+    These are weights, and weights times differences of u and v. Colour 0 adds its own links first.
+    """
+    _link(planes, i, weights, links)
+    row[5] = links[0]
+    links[3] = links[0]
+    links[0, -2] = 0  # nothing follows the last pixel
+    if i == planes.shape[1] - 2:
+        links[3] = 0
+    _fit(planes, i, weights, row)
+    for k in range(4):
+        part, sign = max(k - 1, 0), np.float32(1 if k < 2 else -1)
+        _join(links[part], links[3 + part], above[3 + part], sign, (i + 1) % 2, row[k])
+    row[6:] = planes[5:, i]
+
+
+@compiled
+def _link(planes: Array, i: int, weights: Array, links: Array) -> None:
+    u, v, du, dv = planes[3, i], planes[4, i], planes[5, i], planes[6, i]
+    below_u, below_v, below_du, below_dv = (
+        planes[3, i + 1],
+        planes[4, i + 1],
+        planes[5, i + 1],
+        planes[6, i + 1],
+    )
+    weight, right_u, right_v, down_u, down_v = links[0], links[1], links[2], links[4], links[5]
+    alpha, least = weights[0], weights[3]
+    for x in range(1, len(u) - 1):
+        here_u, here_v = u[x] + du[x], v[x] + dv[x]
+        ux, vx = u[x + 1] + du[x + 1] - here_u, v[x + 1] + dv[x + 1] - here_v
+        uy, vy = below_u[x] + below_du[x] - here_u, below_v[x] + below_dv[x] - here_v
+        w = alpha / np.sqrt(ux * ux + vx * vx + uy * uy + vy * vy + least)
+        weight[x] = w
+        right_u[x], right_v[x] = w * (u[x + 1] - u[x]), w * (v[x + 1] - v[x])
+        down_u[x], down_v[x] = w * (below_u[x] - u[x]), w * (below_v[x] - v[x])
+
+
+@compiled
+def _fit(planes: Array, i: int, weights: Array, row: Array) -> None:
+    above_x, above_y, above_z = planes[0, i - 1], planes[1, i - 1], planes[2, i - 1]
+    here_x, here_y, here_z = planes[0, i], planes[1, i], planes[2, i]
+    below_x, below_y, below_z = planes[0, i + 1], planes[1, i + 1], planes[2, i + 1]
+    du, dv, a11, a22, b1, b2, a12 = planes[5, i], planes[6, i], row[0], row[1], row[2], row[3], row[4]
+    delta, gamma, least, zeta = weights[1], weights[2], weights[3], weights[4]
+    for j in range(1, len(du) - 1):
+        x, y, z = here_x[j], here_y[j], here_z[j]
+        n, rest = x * x + y * y + zeta, z + x * du[j] + y * dv[j]
+        w = delta / np.sqrt(rest * rest / n + least) / n
+        xx, xy, yy = here_x[j + 1] - here_x[j - 1], below_x[j] - above_x[j], below_y[j] - above_y[j]
+        xz, yz = here_z[j + 1] - here_z[j - 1], below_z[j] - above_z[j]
+        nx, ny = xx * xx + xy * xy + zeta, yy * yy + xy * xy + zeta
+        rest_x, rest_y = xz + xx * du[j] + xy * dv[j], yz + xy * du[j] + yy * dv[j]
+        g = gamma / np.sqrt(rest_x * rest_x / nx + rest_y * rest_y / ny + least)
+        a11[j] = w * (x * x) + zeta + g * (xx * xx / nx + xy * xy / ny)
+        a22[j] = w * (y * y) + zeta + g * (xy * xy / nx + yy * yy / ny)
+        b1[j] = -(w * (z * x)) - g * (xx * xz / nx + xy * yz / ny)
+        b2[j] = -(w * (z * y)) - g * (xy * xz / nx + yy * yz / ny)
+        a12[j] = w * (x * y) + g * (xx * xy / nx + xy * yy / ny)
+
+
+@compiled
+def _join(right: Array, down: Array, up: Array, sign: np.float32, colour: int, row: Array) -> None:
+    for x in range(1, len(row) - 1):
+        before, above, own_first = sign * right[x - 1], sign * up[x], (x & 1) != colour
+        one, two = (right[x], before) if own_first else (before, right[x])
+        three, four = (down[x], above) if own_first else (above, down[x])
+        row[x] = row[x] + one + two + three + four
+
+
+@compiled
+def _split(row: Array, here: Array, colour: int) -> None:
+    width = row.shape[1] - 2
+    for k in range(8):
+        source, first, second = row[k, 1:], here[colour, k, 1:], here[1 - colour, k, 1:]
+        for j in range(width // 2):
+            first[j], second[j] = source[2 * j], source[2 * j + 1]
+        if width % 2:
+            first[width // 2] = source[width - 1]
+
+
+@compiled
+def _merge(here: Array, planes: Array, i: int) -> None:
+    width, colour = planes.shape[2] - 2, (i + 1) % 2
+    for k in range(2):
+        row, first, second = planes[5 + k, i, 1:], here[colour, 6 + k, 1:], here[1 - colour, 6 + k, 1:]
+        for j in range(width // 2):
+            row[2 * j], row[2 * j + 1] = first[j], second[j]
+        if width % 2:
+            row[width - 1] = first[width // 2]
+        row[width] = row[width - 1]
+
+
+@compiled
+def _relax(ring: Array, i: int, colour: int, width: int, step: np.float32) -> None:
+    here, start = ring[i % len(ring)], (i + 1 + colour) % 2
+    own, other = here[colour], here[1 - colour]
+    above, below = ring[(i - 1) % len(ring), 1 - colour], ring[(i + 1) % len(ring), 1 - colour]
+    a11, a22, b1, b2, a12 = own[0, 1:], own[1, 1:], own[2, 1:], own[3, 1:], own[4, 1:]
+    w, w_left, w_up, du, dv = own[5, 1:], other[5, start:], above[5, 1:], own[6, 1:], own[7, 1:]
+    left_u, right_u, up_u, down_u = other[6, start:], other[6, start + 1 :], above[6, 1:], below[6, 1:]
+    left_v, right_v, up_v, down_v = other[7, start:], other[7, start + 1 :], above[7, 1:], below[7, 1:]
+    for j in range((width - start + 1) // 2):
+        u = w_left[j] * left_u[j] + w[j] * right_u[j] + w_up[j] * up_u[j] + w[j] * down_u[j]
+        v = w_left[j] * left_v[j] + w[j] * right_v[j] + w_up[j] * up_v[j] + w[j] * down_v[j]
+        now = du[j] + step * ((u + b1[j] - dv[j] * a12[j]) / a11[j] - du[j])
+        du[j] = now
+        dv[j] += step * ((v + b2[j] - now * a12[j]) / a22[j] - dv[j])
