@@ -205,7 +205,7 @@ def test_command(tmp_path, capsys):
     assert "Counted as fully wrong: example_two" in capsys.readouterr().out
 
 
-HEAVY = ("sklearn", "cv2", "matplotlib", "pandas", "scipy", "h5py", "torch")
+HEAVY = ("sklearn", "cv2", "matplotlib", "pandas", "scipy", "h5py", "torch", "numba")
 
 
 @pytest.mark.parametrize("command", [["--help"], ["validate", "--help"], ["score", "--help"]])

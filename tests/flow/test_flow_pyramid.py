@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import pytest
 
@@ -52,6 +53,20 @@ def test_threads_and_other_sizes_in_between_change_nothing():
         other(a[:64, :80], b[:64, :80])
         np.testing.assert_array_equal(default(a, b), expected)
         np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(("height", "width"), [(40, 61), (45, 52), (33, 3), (3, 33)])
+def test_each_level_gives_the_bits_of_opencvs_solver(height, width):
+    rng = np.random.default_rng(height)
+    settings = {"alpha": 18, "delta": 2, "gamma": 6, "epsilon": 0.01}
+    pyramid, solver = flow.create("dis", **settings, iterations=2), cv2.VariationalRefinement.create()
+    settings |= {"omega": pyramid.overrelaxation, "fixedPointIterations": 2, "sorIterations": 5}
+    for name, value in settings.items():
+        getattr(solver, f"set{name[0].upper()}{name[1:]}")(value)
+    first, second = rng.normal(size=(2, height, width)).astype(np.float32)
+    field = rng.normal(0, 3, (height, width, 2)).astype(np.float32)
+    found = pyramid._refined(first, second, field)
+    np.testing.assert_array_equal(found, solver.calc(first, second, field.copy()))
 
 
 @pytest.mark.parametrize("scales", [(), (0.5, 0.7), (0.05, 1.0), (0.5, 1.2, 1.0)])
