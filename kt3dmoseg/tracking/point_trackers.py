@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.io.point_tracks import check_on_pictures, tracks_from
 from kt3dmoseg.networks import TorchNetwork, network
 from kt3dmoseg.options import from_mapping, option, option_names
 from kt3dmoseg.registry import Registry
@@ -155,6 +154,8 @@ def follow(
 
 
 def _followed(tracker: PointTracker, pictures: ByteArray, queries: FloatArray) -> Trajectories:
+    from kt3dmoseg.io.point_tracks import tracks_from
+
     where, wanted = f"tracker {type(tracker).__name__}", (len(queries), len(pictures))
     tracks = tracks_from(tracker(pictures, queries), where)
     if tracks.visible.shape != wanted:
@@ -170,6 +171,8 @@ def fitted(tracks: Trajectories, pictures: ByteArray, min_length: int) -> tuple[
     `pictures` are the first frames, up to `APART` after the first; InvalidValueError when the tracks follow
     them only with x and y exchanged, or scaled.
     """
+    from kt3dmoseg.io.point_tracks import check_on_pictures
+
     check_on_pictures("tracks", tracks, pictures[[0, -1]].astype(np.float64), len(pictures) - 1)
     shape = pictures.shape[1:]
     with np.errstate(invalid="ignore"):
