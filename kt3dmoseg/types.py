@@ -116,7 +116,6 @@ class Trajectories(Value):
         self._set(xy=xy, visible=visible, track_id=track_id, image_size=size)
 
     def __repr__(self) -> str:
-        """Show the counts only; the arrays would fill the screen."""
         return f"Trajectories({len(self)} over {self.n_frames} frames)"
 
     def _repr_html_(self) -> str:
@@ -132,7 +131,6 @@ class Trajectories(Value):
         return html_table(repr(self), ("", ""), facts)
 
     def __len__(self) -> int:
-        """Return the number of trajectories."""
         return len(self.xy)
 
     @property
@@ -250,11 +248,9 @@ class Labels(Value):
         self._set(label=frozen(raw, np.int64), names=names, background=background)
 
     def __repr__(self) -> str:
-        """Show the counts only; the array would fill the screen."""
         return f"Labels({len(self)} of {self.n_motions} motions)"
 
     def __len__(self) -> int:
-        """Return the number of labels."""
         return len(self.label)
 
     @property
@@ -370,7 +366,6 @@ class Clip(Value):
         self._set(evaluated=rows, provenance=MappingProxyType(dict(self.provenance)), **values)
 
     def __repr__(self) -> str:
-        """Summarise the clip in one line."""
         return (
             f"Clip({self.name!r}: {self.n_frames} frames, {len(self.dense)} trajectories, "
             f"{len(self.evaluated)} evaluated, {self.n_motions} motions)"

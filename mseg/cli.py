@@ -82,7 +82,6 @@ def methods(
 
 
 def _described(name: str) -> dict[str, Any]:
-    """Docstring and parameters of a method."""
     from mseg.methods import METHODS
 
     try:

@@ -48,7 +48,6 @@ class Shot:
     reason: str = ""  # why no motions were found; then there is no clip
 
     def __str__(self) -> str:
-        """One line."""
         start = f"{self.name}: {count(self.frames, 'frame')}"
         if self.clip is None:
             return f"{start}, not segmented: {self.reason}"

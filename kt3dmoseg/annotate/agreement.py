@@ -267,7 +267,6 @@ def _renumbered(
 
 
 def _label(item: AnnotatedObject | None) -> int:
-    """Return the label of an object that moves, else -1."""
     return -1 if item is None or item.motion in (BACKGROUND, REJECT) else int(item.motion) + 1
 
 

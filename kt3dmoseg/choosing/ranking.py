@@ -253,7 +253,6 @@ def _page(
 
 
 def _strip(window: Window, source: Any, settings: ChooseOptions) -> list[str]:  # noqa: ANN401  # with a cut
-    """Return pictures of a window as data for a page."""
     cut = Cut(window.first, window.last, max(1, (window.last - window.first) // (_STRIP - 1)))
     frames = replace(source, cut=cut).frames(settings.colour)
     return [jpeg_address(frame, _THUMBNAIL, _QUALITY) for frame in islice(frames, _STRIP)]

@@ -49,7 +49,6 @@ class Problem:
     fix: str = ""  # how to repair it
 
     def __str__(self) -> str:
-        """Give the problem in one line."""
         where = ", ".join(filter(None, (self.file, self.clip and f"clip {self.clip}"))) or "submission"
         facts = {"expected": self.expected, "found": self.found, "fix": self.fix}
         return str(KT3DMoSegError(f"[{self.code}] {where}", **facts))

@@ -425,7 +425,6 @@ class Archives:
 
 
 def _find(local: Path, packed: Packed) -> FileSet:
-    """Find the extracted files or their zip in a folder."""
     probe, name = "".join(packed.names[:1]), PurePosixPath(packed.zip).name
     if (local / packed.folder / probe).exists():
         return Extracted(local, packed.folder)

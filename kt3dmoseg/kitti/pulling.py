@@ -60,7 +60,6 @@ class PullReport:
     lacking: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
-        """Give it in one line."""
         text = (
             f"complete and verified: {self.files} files, {megabytes(self.bytes)}; "
             f"fetched {self.fetched}, {megabytes(self.transferred)} in {self.requests} requests"
@@ -216,7 +215,6 @@ def _plan(parts: list[_Part], target: TargetFolder) -> Iterator[str]:
 
 
 def _fetch_all(parts: list[_Part], origin: Archives, target: TargetFolder) -> None:
-    """Fetch what is missing, and keep a list of it."""
     target.check_space(sum(part.bytes(part.missing, _DISK_BLOCK) for part in parts))
     total = sum(part.bytes(part.missing) for part in parts)
     with tqdm(total=total, unit="B", unit_scale=True, desc="pull", disable=None) as bar:
@@ -292,5 +290,4 @@ def _verify(target: TargetFolder, clips: list[Entry], report: Callable[[str], ob
 
 
 def _holds(path: Path, sums: tuple[int, int]) -> bool:
-    """Whether a file is there with this size and CRC32."""
     return path.is_file() and path.stat().st_size == sums[0] and crc32_file(path) == sums[1]

@@ -168,7 +168,6 @@ class RawDrive(Calibration):
             raise InputFileError(f"{self._drive_folder}: no such folder", fix=_FIX)
 
     def __repr__(self) -> str:
-        """Name root, drive and camera."""
         return f"RawDrive({str(self.root)!r}, {self.drive.date!r}, {self.drive.number}, camera={self.camera})"
 
     @property

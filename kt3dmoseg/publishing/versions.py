@@ -117,7 +117,6 @@ def publish(
 
 
 def _splits(names: Sequence[str], rules: Sequence[str]) -> dict[str, list[str]]:
-    """Return the clips of every split."""
     pairs = [rule.partition("=")[::2] for rule in rules]
     for rule, (split, pattern) in zip(rules, pairs, strict=True):
         if not re.fullmatch(r"\w{1,40}", split) or not any(fnmatch(name, pattern) for name in names):
@@ -167,7 +166,6 @@ def _manifest(
 
 
 def _source(source: Mapping[str, Any], clip: Clip) -> str:
-    """Say where a clip's frames are from, in a few words."""
     numbers = f"frames {clip.frame_numbers[0]}-{clip.frame_numbers[-1]}" if clip.n_frames else "no frames"
     where = source.get("drive") or source.get("file") or source.get("kind") or clip.provenance.get("format")
     return f"{where or 'unknown'}, {numbers}"
@@ -198,7 +196,6 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _write_table(file: Path, what: str, clips: Sequence[Path]) -> None:
-    """Write a table of a split, clip by clip."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -254,11 +254,9 @@ class Scene:
         return self._mesh.moved(self.body_poses(frame))
 
     def _rays(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rays through image positions, see `cast`."""
         return (x - self.K[0, 2]) / self.K[0, 0], (y - self.K[1, 2]) / self.K[1, 1]
 
     def _pixels(self) -> tuple[FloatArray, FloatArray]:
-        """Rays through all pixel centres."""
         x, y = (np.arange(size, dtype=np.float64) for size in self.image_size)
         return self._rays(x[None], y[:, None])
 

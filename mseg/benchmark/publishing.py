@@ -175,7 +175,6 @@ def publish(result: BenchmarkResult, folder: PathLike) -> list[Path]:
 
 
 def _published(result: BenchmarkResult, m: int) -> PublishedResult:
-    """Collect what is published of configuration number `m`."""
     configuration, table = result.configurations[m], result.tables[m]
     if np.isnan(result.seconds[m]).any():
         where, fix = f"publish {configuration.title}", "run the same command again"

@@ -129,7 +129,6 @@ class WeightedSum:
         self.terms, self.shape = terms, terms[0][1].shape
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        """Write the matrix out."""
         return np.asarray(sum(weight * np.asarray(matrix) for weight, matrix in self.terms))
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:

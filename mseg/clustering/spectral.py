@@ -74,7 +74,6 @@ class GraphLaplacian:
         self._uniform = (np.sqrt(weight) * scale)[:, None]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> FloatArray:  # noqa: ANN401
-        """Write the matrix out, (N, N) float64."""
         sparse = not isinstance(self._adjacency, np.ndarray)
         out: FloatArray = -(self._adjacency.toarray() if sparse else self._adjacency)
         out -= self._uniform @ self._uniform.T
@@ -82,7 +81,6 @@ class GraphLaplacian:
         return out
 
     def __matmul__(self, vectors: FloatArray) -> FloatArray:
-        """Multiply with (N, b)."""
         # By rows: a symmetric full matrix is read in one pass.
         out: FloatArray = vectors - (vectors.T @ self._adjacency).T
         out -= self._uniform @ (self._uniform.T @ vectors)

@@ -49,7 +49,6 @@ class Comparison:
     pairs: list[Pair]
 
     def __repr__(self) -> str:
-        """Name what is compared; the scores would fill the screen."""
         return f"Comparison({self.metric} of {', '.join(self.names)})"
 
     def _repr_html_(self) -> str:

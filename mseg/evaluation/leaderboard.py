@@ -64,7 +64,6 @@ class Entry:
 
 
 def _schema() -> tuple[str, str]:
-    """Give the SQL that makes an empty leaderboard."""
     typed = [f"{each.name} {_TYPES[str(each.type)]}" for each in fields(Entry)[1:]]
     columns = ", ".join(["id INTEGER PRIMARY KEY", *typed, "sha256 TEXT NOT NULL", "scores TEXT NOT NULL"])
     return f"CREATE TABLE entries ({columns}, UNIQUE ({', '.join(_SAME)}))", "PRAGMA user_version = 2"

@@ -94,7 +94,6 @@ def write_report(
 
 
 def _tables_beside(scores: ScoreTable, stem: str, extras: Sequence[str]) -> dict[str, str]:
-    """Names and contents of the tables asked for."""
     contents = {
         f"{stem}.{ending}": results.rendered(scores, form) + "\n"
         for form, ending in _ENDINGS.items()

@@ -294,7 +294,6 @@ def _truths(truth: Any) -> dict[str, Clip | Labels]:  # noqa: ANN401  # checked
 
 
 def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401  # checked
-    """Return the true labels of one clip, those of a table with their tracks."""
     if isinstance(value, (Clip, Labels)):
         return value
     table = label_table(value, where)
@@ -416,7 +415,6 @@ def provenance_of(
 
 
 def _reason(checked: Validation, seed: int, name: str) -> str:
-    """Give the reason why a clip has no labels."""
     read, key = checked.submission, (seed, name)
     if key in read.failures:
         return f"failed: {read.failures[key]}"

@@ -378,7 +378,6 @@ def read_submission(path: PathLike, *, most: int = MAX_ROWS) -> Submission:
 
 
 def _files_of_folder(root: Path, out: Submission) -> tuple[list[str], Callable[[str], bytes]]:
-    """List the plain files of moderate size."""
     sizes: dict[str, int] = {}
     for path in sorted(root.rglob("*")):
         name, status = path.relative_to(root).as_posix(), path.lstat()

@@ -58,7 +58,6 @@ class Validation:
         return bool(self.clips) and all(problem.code in _SCORABLE for problem in self.problems)
 
     def __str__(self) -> str:
-        """Give the verdict, the numbered problems and the notes."""
         runs = count(len(self.submission.seeds), "seed")
         what = f"{count(len(self.clips), 'clip')}, {runs}, {self.protocol.title}"
         lines = [f"valid: {what}" if self.ok else f"invalid: {count(len(self.problems), 'problem')}"]

@@ -190,7 +190,6 @@ def check_whole(name: str, value: object, least: int) -> None:
 
 
 def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  # checked
-    """Return a clip, or make one of trajectories or arrays."""
     if not isinstance(value, (Clip, Trajectories)):
         pair = isinstance(value, tuple) and len(value) == 2
         value = _trajectories(*(value if pair else (value, visible)))

@@ -175,7 +175,6 @@ class _Task:
 
 
 def _own(tasks: Sequence[_Task], into: Import) -> _Task:
-    """Return the task of the clip's name."""
     clip, names = into.like.clip, several(task.name for task in tasks)
     own = [task for task in tasks if stem(task.name).casefold() == clip.casefold()]
     if len(own) != 1:

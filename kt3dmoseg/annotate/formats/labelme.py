@@ -50,7 +50,6 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
 
 
 def _read(content: bytes, into: Import) -> None:
-    """Read a zip of files, or a single one."""
     if not content.startswith(b"PK"):
         data = parse_document(content, "LabelMe")
         if not isinstance(data, dict) or "imagePath" not in data:
