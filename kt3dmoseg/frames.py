@@ -82,11 +82,8 @@ class Cut:
 
     def describe(self) -> dict[str, Any]:
         """State under ``cut`` what differs from taking all, as JSON values; nothing where nothing does."""
-        size = None if self.size is None else list(self.size)
-        given = {"first": (self.first, None), "last": (self.last, None), "step": (self.step, 1)}
-        cut = {
-            key: value for key, (value, usual) in (given | {"size": (size, None)}).items() if value != usual
-        }
+        given = vars(self) | {"size": self.size and [*self.size], "name": ""}
+        cut = {key: value for key, value in given.items() if value != getattr(Cut, key)}
         return {"cut": cut} if cut else {}
 
 

@@ -16,6 +16,7 @@ from kt3dmoseg.app import AnyEither, AnyFile, AnyFolder, Catalogs, Flag, Name, R
 from kt3dmoseg.draw import DrawOptions
 from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.options import from_mapping
+from kt3dmoseg.text import count
 
 if TYPE_CHECKING:
     from kt3dmoseg.types import ByteArray, Trajectories
@@ -104,7 +105,7 @@ def show(
     else:
         for path, frame in zip(paths, shown, strict=True):
             write_png(path, drawn(frame))
-    line = f"{target}: {loaded.name}, {len(shown)} picture{'s' * (len(shown) > 1)}"
+    line = f"{target}: {loaded.name}, {count(len(shown), 'picture')}"
     print(line, file=sys.stderr) if report is None else report(line)
     return paths
 
@@ -208,7 +209,7 @@ def label(
     tokens = {} if team is None else read_team(Path(team))
     folders: dict[str, Any] = {"other": other, "masks": mask_folder, "kitti": raw}
     routes = Routes(sessions, annotator=annotator, team=tokens.values(), **folders)
-    found = f"{len(sessions)} clip{'s' * (len(sessions) > 1)}; annotations in {Path(annotations).resolve()}"
+    found = f"{count(len(sessions), 'clip')}; annotations in {Path(annotations).resolve()}"
 
     def ready(addresses: dict[str, str]) -> None:
         lines = [f"{name} labels at {address}" for name, address in addresses.items() if name]

@@ -14,6 +14,7 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import PathLike
 from kt3dmoseg.io.predictions import read_prediction
 from kt3dmoseg.matching import match_labels
+from kt3dmoseg.text import count
 from kt3dmoseg.types import BoolArray, ByteArray, Clip, IntArray, Labels, Trajectories
 
 _SHIFT = 4  # OpenCV draws at 1/16 px
@@ -82,7 +83,7 @@ def by_length(trajectories: Trajectories) -> Painting:
     ends = [1, max(1, longest // 2), longest]
     share = np.rint(255.0 * np.append(trajectories.lengths, ends) / max(1, longest)).clip(0, 255)
     colours = cv2.applyColorMap(share.astype(np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
-    names = [f"{end} frame" + "s" * (end > 1) for end in ends]
+    names = [count(end, "frame") for end in ends]
     legend = list(zip(names, map(tuple, colours[-len(ends) :].tolist()), strict=True))
     return Painting(trajectories, np.asarray(colours[: -len(ends)], dtype=np.uint8), legend)
 

@@ -286,14 +286,8 @@ def _changes(a: Clip, b: Clip) -> tuple[int, int, int, int, int, str]:
     changed = int((common[known == 2].nunique(axis=1) == 2).sum())
     inputs = [recorded_inputs(clip.provenance) for clip in (a, b)]
     built = sorted(key for key in {*inputs[0], *inputs[1]} if inputs[0].get(key) != inputs[1].get(key))
-    counts = (
-        len(second) - len(common),
-        len(first) - len(common),
-        len(common),
-        changed,
-        int((known == 1).sum()),
-    )
-    return *counts, ", ".join(built)
+    added, removed, once = len(second) - len(common), len(first) - len(common), int((known == 1).sum())
+    return added, removed, len(common), changed, once, ", ".join(built)
 
 
 def _labels(clip: Clip) -> pd.Series[int]:

@@ -21,7 +21,6 @@ import numpy as np
 from kt3dmoseg.annotate.formats.foreign import (
     OF_TRACKS,
     AnnotationFormat,
-    ForeignObject,
     Import,
     Key,
     Regions,
@@ -226,7 +225,8 @@ def _note_returns(named: set[Key], into: Import) -> None:
     ends: dict[str, tuple[int, str]] = {}
     begins: list[tuple[int, str, str]] = []
     for where, item in into.found.items():
-        if isinstance(where, str) and where not in named and (seen := _seen(item)):
+        seen = sorted(frame for frame, how in item.visibility.items() if how != "outside")
+        if isinstance(where, str) and where not in named and seen:
             begins.append((seen[0], item.kind, where))
             if seen[-1] < max(item.visibility):
                 ends[item.kind] = min(ends.get(item.kind, (seen[-1], where)), (seen[-1], where))
@@ -237,10 +237,6 @@ def _note_returns(named: set[Key], into: Import) -> None:
             f"tracks of its label begin after {ended} has ended: {begun}; "
             "they are other objects, unless a track_id says that it returns"
         )
-
-
-def _seen(item: ForeignObject) -> list[int]:
-    return sorted(frame for frame, visibility in item.visibility.items() if visibility != "outside")
 
 
 def _placed(
