@@ -31,8 +31,8 @@ _SHORTEST, _FEWEST, _FRAMES = 4, 50, 30
 # Widths of the image: focal length (which hardly matters), least noise, noise at which bodies are adjusted;
 # noise per pixel of motion in a frame.
 _FOCAL, _NOISE, _ADJUSTED, _SLIP = 0.6, 8e-5, 2.5e-4, 0.02
-# Starts and sample for the scene; sample for other bodies; how many are adjusted at once.
-_STARTS, _SCENE, _SAMPLE, _BATCH = 3, 200, 48, 24
+# Starts and sample for the scene; sample for other bodies.
+_STARTS, _SCENE, _SAMPLE = 3, 200, 48
 # Residuals, in standard deviations, from which trajectories are gathered, and how strictly they move alike.
 _LEVELS, _STRICT = (2, 3, 5, 8, 14), (1.0, 2.0, 3.0)
 _SMALLEST, _APART = 8, 0.4  # trajectories of a candidate, and how much apart it is at least
@@ -81,7 +81,7 @@ class _Scene:
         width = tracks.image_size[0] if tracks.image_size else float(np.ptp(seen, axis=0).max()) or 1.0
         self.scale = _FOCAL * width
         xy = (self.tracks.xy - (seen.min(axis=0) + seen.max(axis=0)) / 2) / self.scale
-        self.image = np.where(self.tracks.visible[..., None], xy, 0.0).swapaxes(0, 1)
+        self.image = np.where(self.tracks.visible[..., None], xy, 0.0)
         steps = np.linalg.norm(np.diff(self.tracks.xy, axis=1), axis=2)
         motion = np.nansum(steps, axis=1) / np.maximum(np.isfinite(steps).sum(axis=1), 1)
         self.noise = np.hypot(_NOISE * width, _SLIP * motion)
@@ -90,9 +90,9 @@ class _Scene:
         self.links = [self.pairs[alike(self.tracks, self.pairs, strict)] for strict in _STRICT]
         self.static = self._static()
 
-    def residuals(self, cameras: rigid.Cameras, rows: IntArray) -> FloatArray:
-        """Residuals (B, n) of rows (n,) under bodies, in standard deviations."""
-        _, square = rigid.triangulate(cameras, self.image[:, rows], self.tracks.visible[rows].T)
+    def residuals(self, cameras: FloatArray, rows: IntArray) -> FloatArray:
+        """Residuals (n,) of rows (n,) under a body, in standard deviations."""
+        _, square = rigid.triangulate(cameras, self.image[rows], self.tracks.visible[rows])
         freedom = np.maximum(2 * self.length[rows] - 3, 1)
         return np.asarray(np.sqrt(square / freedom) * self.scale / self.noise[rows])
 
@@ -100,33 +100,28 @@ class _Scene:
         """Robust costs of residuals: what is far off costs little more."""
         return np.asarray(np.log1p((residuals / _UNEXPLAINED) ** 2))
 
-    def adjusted(self, sets: Sequence[IntArray], most: int) -> rigid.Cameras:
-        """Cameras of the bodies of sets of rows, of each of which at most so many are taken."""
-        parts = []
-        for first in range(0, len(sets), _BATCH):
-            batch = [self._drawn(rows, most) for rows in sets[first : first + _BATCH]]
-            image = np.zeros((len(batch), len(self.image), max(map(len, batch)), 2))
-            visible = np.zeros(image.shape[:3], dtype=np.bool_)
-            for b, rows in enumerate(batch):
-                image[b, :, : len(rows)] = self.image[:, rows]
-                visible[b, :, : len(rows)] = self.tracks.visible[rows].T
-            parts.append(rigid.adjust(image, visible, self.rng, noise=_ADJUSTED / _FOCAL)[0])
-        return rigid.Cameras(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-
-    def _drawn(self, rows: IntArray, most: int) -> IntArray:
-        """At most so many of the rows, long ones preferred."""
-        share = self.length[rows] / self.length[rows].sum()
-        return rows if len(rows) <= most else self.rng.choice(rows, most, replace=False, p=share)
+    def adjusted(self, rows: IntArray, most: int) -> FloatArray:
+        """Cameras of the body of some rows, of which at most so many are taken, long ones preferred."""
+        if len(rows) > most:
+            share = self.length[rows] / self.length[rows].sum()
+            rows = self.rng.choice(rows, most, replace=False, p=share)
+        image, visible = self.image[rows], self.tracks.visible[rows]
+        return rigid.adjust(image, visible, self.rng, noise=_ADJUSTED / _FOCAL)[0]
 
     def _static(self) -> FloatArray:
         """Residuals (N,) under the body that explains most, of several starts, then of what it explains."""
         every = np.arange(len(self.tracks))
-        tried = self.residuals(self.adjusted([self.rows] * _STARTS, _SCENE), every)
+
+        def tried(rows: IntArray, most: int) -> FloatArray:
+            return self.residuals(self.adjusted(rows, most), every)
+
+        def cost(residuals: FloatArray) -> float:
+            return float(self.costs(residuals[self.rows]).sum())
+
+        best = min((tried(self.rows, _SCENE) for _ in range(_STARTS)), key=cost)
         for _ in range(2):
-            best = tried[self.costs(tried[:, self.rows]).sum(axis=1).argmin()]
-            rows = self.rows[best[self.rows] < _LEVELS[2]]
-            tried = np.stack([best, self.residuals(self.adjusted([rows], 2 * _SCENE), every)[0]])
-        return np.asarray(tried[self.costs(tried[:, self.rows]).sum(axis=1).argmin()])
+            best = min(best, tried(self.rows[best[self.rows] < _LEVELS[2]], 2 * _SCENE), key=cost)
+        return best
 
     def apart(self, chosen: BoolArray) -> float:
         """Share, of the links of chosen trajectories (N,), of those among themselves."""
@@ -163,10 +158,9 @@ class _Scene:
     def judged(self, bodies: Sequence[_Body]) -> list[_Body]:
         """Bodies of the trajectories that they explain better than the scene, the most worth first."""
         found = []
-        cameras = self.adjusted([body.rows for body in bodies], _SAMPLE) if bodies else None
-        for k, body in enumerate(bodies):
+        for body in bodies:
             rows = self.around(body.rows)
-            own = self.residuals(rigid.Cameras(*(part[k : k + 1] for part in cameras or ())), rows)[0]
+            own = self.residuals(self.adjusted(body.rows, _SAMPLE), rows)
             gain = self.costs(self.static[rows]) - self.costs(own)
             better = np.isin(np.arange(len(self.tracks)), rows[gain > _BETTER])
             links = self.links[0]

@@ -43,10 +43,9 @@ _NOISE = 2.5e-4
 _LEAST_NOISE = 8e-5
 # Focal lengths tried where none is known, in widths of the image.
 _FOCAL = (0.6, 0.8, 1.1, 1.5, 2.1, 3.0)
-# Frames and trajectories of a body that are adjusted, bodies adjusted at once.
+# Frames and trajectories of a body that are adjusted.
 _FRAMES = 10
 _SAMPLE = 48
-_BATCH = 24
 # Residual, in standard deviations of a body, at which a trajectory begins to be unexplained; largest noise of
 # a body in noises of the clip.
 _UNEXPLAINED = 3.0
@@ -165,10 +164,8 @@ class _Scene:
         self.width = float(points.image_size[0]) if points.image_size else float(max(high - low)) or 1.0
         centre = (np.array(points.image_size) - 1) / 2 if points.image_size else (low + high) / 2
         frames = np.unique(np.linspace(0, points.n_frames - 1, _FRAMES).round().astype(np.int64))
-        visible = points.visible[:, frames]
-        self.visible = visible.T
-        image = np.where(visible[..., None], points.xy[:, frames] - centre, 0.0) / self.width
-        self.image = image.swapaxes(0, 1)
+        self.visible = visible = points.visible[:, frames]
+        self.image = np.where(visible[..., None], points.xy[:, frames] - centre, 0.0) / self.width
         self.freedom = np.maximum(2 * visible.sum(axis=1) - 3, 1)
         self.weight = np.minimum(points.lengths / _USUAL_LENGTH, _HEAVIEST)
         # Where a trajectory is short, its graph's edges tell as little as its residuals.
@@ -228,38 +225,29 @@ class _Scene:
                 kept.append(atoms)
         return kept[len(known) :]
 
-    def _sample(self, sets: list[BoolArray]) -> tuple[FloatArray, BoolArray]:
-        """Images (B, F, n, 2) and visibility (B, F, n) of some trajectories per set, long ones preferred."""
-        length = self.visible.sum(axis=0)
-        rows = [np.flatnonzero(self.member[atoms].any(axis=0) & (length > 1)) for atoms in sets]
-        n = min(_SAMPLE, max(map(len, rows)))
-        image = np.zeros((len(sets), len(self.visible), n, 2))
-        visible = np.zeros((len(sets), len(self.visible), n), dtype=np.bool_)
-        for b, of in enumerate(rows):
-            share = length[of] / length[of].sum()
-            drawn = of if len(of) <= n else self.rng.choice(of, n, replace=False, p=share)
-            image[b, :, : len(drawn)] = self.image[:, drawn]
-            visible[b, :, : len(drawn)] = self.visible[:, drawn]
-        return image, visible
+    def _sample(self, atoms: BoolArray) -> IntArray:
+        """Draw some trajectories of a set of atoms, long ones preferred."""
+        length = self.visible.sum(axis=1)
+        rows = np.flatnonzero(self.member[atoms].any(axis=0) & (length > 1))
+        share = length[rows] / length[rows].sum()
+        return rows if len(rows) <= _SAMPLE else self.rng.choice(rows, _SAMPLE, replace=False, p=share)
 
     def _focal(self, sets: list[BoolArray]) -> float:
         """Focal length, in widths, that lets the largest sets be rigid best."""
-        image, visible = self._sample(sorted(sets, key=lambda atoms: -int(self.size[atoms].sum()))[:6])
-        return rigid.focal_length(image, visible, self.rng, noise=_NOISE, lengths=_FOCAL)
+        largest = sorted(sets, key=lambda atoms: -int(self.size[atoms].sum()))[:6]
+        samples = [(self.image[rows], self.visible[rows]) for rows in map(self._sample, largest)]
+        return rigid.focal_length(samples, self.rng, noise=_NOISE, lengths=_FOCAL)
 
     def _bodies(self, sets: list[BoolArray]) -> list[_Body]:
         """Adjust a body to each set of atoms."""
+        image, noise = self.image / self.focal, _NOISE / self.focal
         bodies = []
-        for first in range(0, len(sets), _BATCH):
-            part = sets[first : first + _BATCH]
-            image, visible = self._sample(part)
-            cameras, _ = rigid.adjust(image / self.focal, visible, self.rng, noise=_NOISE / self.focal)
-            _, residual = rigid.triangulate(cameras, self.image / self.focal, self.visible)
+        for atoms in sets:
+            rows = self._sample(atoms)
+            cameras, _ = rigid.adjust(image[rows], self.visible[rows], self.rng, noise=noise)
+            _, residual = rigid.triangulate(cameras, image, self.visible)
             square = residual * self.focal**2 / self.freedom
-            bodies += [
-                _Body(row, float(np.median(row[self.member[atoms].any(axis=0)])))
-                for row, atoms in zip(square, part, strict=True)
-            ]
+            bodies.append(_Body(square, float(np.median(square[self.member[atoms].any(axis=0)]))))
         return bodies
 
     def _measure_noise(self, bodies: list[_Body]) -> None:
