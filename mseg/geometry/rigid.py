@@ -136,7 +136,7 @@ def triangulate(cameras: FloatArray, image: FloatArray, visible: BoolArray) -> t
         Sum of squared image residuals of each trajectory.
     """
     points, residual = np.empty((len(image), 3)), np.empty(len(image))
-    _locate(cameras, np.array(image), np.array(visible), points, residual)
+    _locate(cameras, np.array(image, order="C"), np.array(visible, order="C"), points, residual)
     return points, residual
 
 
