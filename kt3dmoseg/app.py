@@ -340,6 +340,11 @@ def _unknown_option(error: cyclopts.UnknownOptionError) -> str:
     return str(unknown_name("option", name.strip("[]"), keys, where=error.token.source))
 
 
+def warn(text: str) -> None:
+    """Print a warning of `kt3dmoseg` on standard error."""
+    print(f"kt3dmoseg: warning: {text}", file=sys.stderr)
+
+
 @contextmanager
 def progress_bar(unit: str, *, quiet: bool = False) -> Iterator[Callable[..., None]]:
     """Give a function (done, total, text="") that draws progress on standard error, on a terminal only.

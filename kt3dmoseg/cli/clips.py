@@ -138,19 +138,15 @@ def build(
     if empty:
         shown = ", ".join(f"{outcome.name} ({outcome.counts['frames']} frames)" for outcome in empty)
         least = options.get("min_length", TrackOptions.min_length)
-        _warn(
+        app.warn(
             f"no trajectories in {shown}; a track must live --min-length {least} frames, and starts only "
             "where the picture has structure"
         )
     unlabelled = [o.name for o in outcomes if o.status != "failed" and not o.labels]
     if unlabelled and (given := annotations or masks):
         more = " ..." * (len(unlabelled) > 9)
-        _warn(f"nothing in {given} labels {', '.join(unlabelled[:9])}{more}")
+        app.warn(f"nothing in {given} labels {', '.join(unlabelled[:9])}{more}")
     return _code(outcomes)
-
-
-def _warn(text: str) -> None:
-    print(f"kt3dmoseg: warning: {text}", file=sys.stderr)
 
 
 def _run(make: Callable[..., list[Outcome]], total: int, output: Path) -> list[Outcome]:
@@ -266,7 +262,7 @@ def track(
     check_writable(output.parent)
     source = one_source(frames, drive=drive, frames=range_, step=step, size=size)
     for note in source.inspect().notes:
-        _warn(f"{frames}: {note}")
+        app.warn(f"{frames}: {note}")
     with progress_bar("frame") as progress:
         clip = track_clip(source, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)

@@ -1,7 +1,6 @@
 """The state of each clip on the server: frames, trajectories once they are there, labelling, progress."""
 
 import os
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -31,6 +30,7 @@ from kt3dmoseg.annotate.one_click import outline_clicks
 from kt3dmoseg.annotate.propagation import Region, TrackMotion
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog, file_version
+from kt3dmoseg.app import warn
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import listed
 from kt3dmoseg.frames import ClipFiles, check_frames
@@ -198,7 +198,7 @@ class ClipSession:
         try:
             self.log.add_save(by, before, saved)
         except KT3DMoSegError as error:  # the annotation itself is saved
-            _warn(f"{self.source.name}: not logged: {error}")
+            warn(f"{self.source.name}: not logged: {error}")
         return saved
 
     def trouble(self) -> str:
@@ -292,19 +292,15 @@ def sessions_of(clips: Mapping[str, ClipFiles], tracker: Tracker) -> dict[str, C
             if len(sessions) == 1:
                 raise
             session.doubt = str(error)
-            _warn(f"{name}: {error}")
+            warn(f"{name}: {error}")
     files = {source.annotation.name for source in clips.values()}
     (folder,) = {source.annotation.parent for source in clips.values()}
     for path in listed(folder) if folder.is_dir() else []:
         if path.name not in files and path.name.lower() in {file.lower() for file in files}:
-            _warn(f"{path} is of none of the clips by its case")
+            warn(f"{path} is of none of the clips by its case")
     return sessions
 
 
 @lru_cache(_KEPT_FRAMES)
 def _gray(path: Path) -> ByteArray:
     return read_frame(path, "luma")
-
-
-def _warn(message: str) -> None:
-    print(f"kt3dmoseg: warning: {message}", file=sys.stderr)
