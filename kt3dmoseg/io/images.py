@@ -33,7 +33,8 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 _MAX_FILE = 1 << 28
 MAX_PIXELS = 1 << 26
 _SLOWEST, _FASTEST = 0.1, 240.0  # pictures per second
-MOTS_IGNORE = 10_000
+# Of KITTI MOTS, whose ids are 1000 * class + instance.
+MOTS_CLASS, MOTS_VOID = 1000, 10_000
 # Ids up to this are numbers of objects; gray levels that a person chose to see are brighter. Next to void
 # no object has a number like the second: soft edges of a white object have.
 _DARK, _BRIGHT = 20, 127
@@ -189,7 +190,7 @@ def void_ids(used: Collection[int], bits: int, where: str) -> list[int]:
         expected, fix = "0 for the background", "number the background 0, and the objects from 1 on"
         raise FileFormatError(where, expected=expected, found=f"only {sorted(used)[:5]}", fix=fix)
     if bits == 16:
-        return [MOTS_IGNORE]
+        return [MOTS_VOID]
     others = set(used) - {0, 255}
     if not others:
         return []

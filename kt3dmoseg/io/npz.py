@@ -56,8 +56,7 @@ def read_npy(stream: IO[bytes], size: int, where: str, rows: int | None = None) 
     FileFormatError when it is damaged, declares a wrong size, or holds Python objects that would be read.
     """
     try:
-        read_header = _HEADERS[np.lib.format.read_magic(stream)]
-        shape, fortran, dtype = read_header(stream, max_header_size=_MAX_HEADER)
+        shape, fortran, dtype = read_header(stream)
     except Exception as error:  # a header is a Python literal: numpy raises anything on a damaged one
         found = f"damage: {str(error)[:200]}"
         raise FileFormatError(where, expected="an intact .npy of version 1 or 2", found=found) from None
@@ -76,6 +75,11 @@ def read_npy(stream: IO[bytes], size: int, where: str, rows: int | None = None) 
         found = f"{len(content)}" if needed <= size else f"at most {size}"
         raise FileFormatError(where, expected=f"{needed} bytes for {shape}", found=found)
     return np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C").copy()
+
+
+def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read shape, order (whether Fortran's) and type of a .npy; on a damaged one numpy raises anything."""
+    return _HEADERS[np.lib.format.read_magic(stream)](stream, max_header_size=_MAX_HEADER)
 
 
 def write_npz(path: PathLike, arrays: Mapping[str, npt.ArrayLike]) -> None:

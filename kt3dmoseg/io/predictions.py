@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, read_bytes
+from kt3dmoseg.io.npz import read_header
 from kt3dmoseg.text import several
 from kt3dmoseg.types import Clip, IntArray
 
@@ -26,8 +27,6 @@ MAX_ROWS = 200_000
 _NAMES = ("track", "label")
 _WHOLE = re.compile(r"\s*[+-]?[0-9]{1,16}\s*")
 _MAX_CELL = 64
-_NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-_MAX_NPY_HEADER = 4096
 _HUGE = 2**53
 _SAME = 0.5
 _FIX_NAN = "give every trajectory a label; if 0 is meant as outlier, set outliers = true in meta.toml"
@@ -291,8 +290,7 @@ def _npz(content: bytes, out: Prediction) -> None:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         for name in out.named([file.removesuffix(".npy") for file in archive.namelist()]):
             with archive.open(f"{name}.npy") as stream:
-                read_header = _NPY_HEADERS[np.lib.format.read_magic(stream)]
-                shape, _, dtype = read_header(stream, max_header_size=_MAX_NPY_HEADER)
+                shape, _, dtype = read_header(stream)
                 if out.accepts(name, shape, dtype):
                     values = stream.read(dtype.itemsize * shape[0])
                     out.columns[name] = np.frombuffer(values, dtype, count=shape[0])

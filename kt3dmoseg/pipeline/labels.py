@@ -14,13 +14,12 @@ from kt3dmoseg.annotate import label_tracks, load_annotation
 from kt3dmoseg.annotate.model import BUILT
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, names_in, read_bytes
-from kt3dmoseg.io.images import decode_indices, void_ids
+from kt3dmoseg.io.images import MOTS_CLASS, decode_indices, void_ids
 from kt3dmoseg.matching import match_frames
 from kt3dmoseg.text import several
 from kt3dmoseg.types import IntArray, Labels, Trajectories
 
 BACKGROUND = 1
-_MOTS_CLASS = 1000
 _SHARE = 0.75
 _MAX_FILE = 1 << 26
 
@@ -145,5 +144,5 @@ def label_by_masks(trajectories: Trajectories, masks: Mapping[int, Path]) -> Lab
 
 
 def _name(identity: int) -> str:
-    kind, instance = divmod(identity, _MOTS_CLASS)
+    kind, instance = divmod(identity, MOTS_CLASS)
     return f"class {kind} instance {instance}" if kind else f"object {identity}"

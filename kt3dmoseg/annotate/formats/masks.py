@@ -33,7 +33,7 @@ from kt3dmoseg.annotate.model import (
 )
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.files import zip_bytes
-from kt3dmoseg.io.images import davis_palette, decode_indices, encode_indices, void_ids
+from kt3dmoseg.io.images import MOTS_CLASS, MOTS_VOID, davis_palette, decode_indices, encode_indices, void_ids
 from kt3dmoseg.matching import number_in
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 
@@ -44,10 +44,8 @@ _BLOCK = 1 << 20
 # Of one region; a car that fills a large picture has some thousand.
 _MOST_CORNERS = 300_000
 _PART = 5_000
-_MOTS_IGNORE = 10_000
-_MOTS_STEP = 1000
 _MOTS_LINE = re.compile(r"(\d{1,9})\s+(\d{1,9})\s+\S+\s+(\d{1,9})\s+(\d{1,9})\s+(\S+)")
-_MOTS_CLASS = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
+_MOTS_CLASSES = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
 _MOTS_KIND = {1: "car", 2: "pedestrian", 3: "other"}
 
 
@@ -225,15 +223,15 @@ def _write_davis(annotation: Annotation, regions: Regions, names: Sequence[str])
 
 
 def _write_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
-    images = _painted(annotation, regions, _mots_values(annotation), "MOTS", _MOTS_STEP - 1)
+    images = _painted(annotation, regions, _mots_values(annotation), "MOTS", MOTS_CLASS - 1)
     return _zipped((cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images), names)
 
 
 def _write_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     width, height = annotation.image_size
-    images = _painted(annotation, regions, _mots_values(annotation), "MOTS", _MOTS_STEP - 1)
+    images = _painted(annotation, regions, _mots_values(annotation), "MOTS", MOTS_CLASS - 1)
     lines = [
-        f"{number_in(name)} {value} {value // _MOTS_STEP} {height} {width} {encode_rle(image == value)}\n"
+        f"{number_in(name)} {value} {value // MOTS_CLASS} {height} {width} {encode_rle(image == value)}\n"
         for name, image in zip(names, images, strict=True)
         for value in np.unique(image[image > 0]).tolist()
     ]
@@ -243,9 +241,9 @@ def _write_mots_text(annotation: Annotation, regions: Regions, names: Sequence[s
 def _mots_values(annotation: Annotation) -> dict[int, int]:
     values = {}
     for item in annotation.objects:
-        number = _MOTS_IGNORE if item.motion == REJECT else int(item.motion)
-        kind = 0 if item.motion in (REJECT, BACKGROUND) else _MOTS_CLASS.get(item.kind, 1)
-        values[item.id] = _MOTS_STEP * kind + number
+        number = MOTS_VOID if item.motion == REJECT else int(item.motion)
+        kind = 0 if item.motion in (REJECT, BACKGROUND) else _MOTS_CLASSES.get(item.kind, 1)
+        values[item.id] = MOTS_CLASS * kind + number
     return values
 
 
@@ -333,11 +331,11 @@ def _in_order(into: Import) -> list[tuple[int, ForeignObject]]:
 
 def _name_mots(into: Import) -> None:
     found = _in_order(into)
-    ignored = _MOTS_IGNORE // _MOTS_STEP
-    instances = [value % _MOTS_STEP for value, _ in found if value // _MOTS_STEP != ignored]
+    ignored = MOTS_VOID // MOTS_CLASS
+    instances = [value % MOTS_CLASS for value, _ in found if value // MOTS_CLASS != ignored]
     unique = len(set(instances)) == len(instances) and min(instances, default=1) > 0
     for number, (value, item) in enumerate(found, start=1):
-        kind, instance = divmod(value, _MOTS_STEP)
+        kind, instance = divmod(value, MOTS_CLASS)
         item.kind = _MOTS_KIND.get(kind, "other")
         item.motion = REJECT if kind == ignored else instance if unique else number
         item.name = "rejected" if kind == ignored else f"{item.kind} {value}"
