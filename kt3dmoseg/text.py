@@ -1,5 +1,6 @@
-"""Texts for people: short lists, counted things, tables for a terminal."""
+"""Texts for people: short lists, counted things, tables for a terminal, values in TOML files."""
 
+import json
 from collections.abc import Iterable, Sequence
 
 
@@ -17,6 +18,12 @@ def several(items: Iterable[object], most: int = 3) -> str:
 def count(number: int, noun: str) -> str:
     """Count something: "1 clip", "2 clips"."""
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def toml_text(value: object) -> str:
+    """Write a value as TOML does: numbers, texts and lists as JSON does, all else as a text."""
+    known = value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
+    return json.dumps(known, ensure_ascii=False, default=str).replace("\x7f", "\\u007f")
 
 
 def text_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:

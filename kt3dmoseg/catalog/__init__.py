@@ -19,7 +19,6 @@ decoded image, (H, W) uint8 gray or (H, W, 3) uint8 RGB.
 """
 
 import datetime
-import json
 import re
 import zlib
 from collections.abc import Iterable, Iterator
@@ -31,6 +30,7 @@ from typing import Any
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, check_target, parse_toml, read_bytes, sha256_arrays, write_text
 from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.text import toml_text
 from kt3dmoseg.types import ByteArray
 
 BUILT_IN = Path(__file__).with_name("catalog.toml")
@@ -272,10 +272,8 @@ def _fingerprint(frame: Any, index: int) -> Fingerprint:  # noqa: ANN401
 def _toml(clip: Entry) -> str:
     numbers = format_numbers(clip.numbers or ())
     values = vars(clip) | {"date": clip.drive.date, "drive": clip.drive.number, "numbers": numbers}
-    # What JSON writes is TOML, but for one character.
     given = {key: values[key] for key in _KEYS if key != "frames" and values[key] not in (None, "")}
-    texts = {key: json.dumps(value, ensure_ascii=False) for key, value in given.items()}
-    lines = [f"{key} = {text}".replace("\x7f", "\\u007f") for key, text in texts.items()]
+    lines = [f"{key} = {toml_text(value)}" for key, value in given.items()]
     rows = [f'crc32 = "{f.crc32:08x}", bytes = {f.bytes}, pixels = "{f.pixels}"' for f in clip.frames]
     lines += ["frames = [", *(f"  {{ {row} }}," for row in rows), "]"] if rows else []
     return "\n".join([f"[clips.{clip.name}]", *lines]) + "\n"

@@ -13,7 +13,6 @@ Predictions of several seeds lie in one folder per seed, ``seed-0/Seq005_Clip01.
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import stat
 import sys
@@ -50,7 +49,7 @@ from kt3dmoseg.io.predictions import (
     parse_prediction,
 )
 from kt3dmoseg.registry import nearest, strict
-from kt3dmoseg.text import several
+from kt3dmoseg.text import several, toml_text
 from kt3dmoseg.types import Clip, IntArray, Labels
 from mseg.evaluation.protocol import list_protocols
 from mseg.types import Segmentation
@@ -148,10 +147,10 @@ def write_meta(folder: PathLike, meta: SubmissionMeta) -> Path:
     path = Path(folder) / META
     values = asdict(meta)
     lines = [f"format_version = {FORMAT_VERSION}"]
-    lines += [f"{key} = {_toml(value)}" for key, value in values.items() if not isinstance(value, dict)]
+    lines += [f"{key} = {toml_text(value)}" for key, value in values.items() if not isinstance(value, dict)]
     for key, value in values.items():
         if isinstance(value, dict) and value:
-            lines += ["", f"[{key}]", *(f"{_toml(k)} = {_toml(v)}" for k, v in sorted(value.items()))]
+            lines += ["", f"[{key}]", *(f"{toml_text(k)} = {toml_text(v)}" for k, v in sorted(value.items()))]
     write_text(path, "\n".join([*lines, ""]))
     return path
 
@@ -308,12 +307,6 @@ def file_of(folder: PathLike, clip: str, seed: int | None, ending: str) -> Path:
         expected = "a plain file name: letters, digits, space, '.', '_', '-'"
         raise InvalidValueError("clip name", expected=expected, found=repr(clip), fix="rename the clip")
     return (Path(folder) if seed is None else Path(folder) / f"seed-{seed}") / f"{clip}{ending}"
-
-
-def _toml(value: object) -> str:
-    """Write a value as TOML does: of numbers, texts and lists, as JSON does."""
-    known = value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
-    return json.dumps(known, ensure_ascii=False, default=str).replace("\x7f", "\\u007f")
 
 
 @dataclass(eq=False)
