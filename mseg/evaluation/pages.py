@@ -29,7 +29,6 @@ def _environment() -> Any:  # noqa: ANN401  # a jinja2 environment
     made.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     made.filters["mean"] = np.mean
     made.filters["percent"] = lambda value, digits=2: f"{100 * value:.{digits}f}"
-    made.filters["min_one"] = lambda value: min(1.0, value)
     made.filters["points"] = lambda value: f"{value:+.2f}" if round(value, 2) else "0.00"
     # The round distance of the lines of a bar's axis, four of which hold all values, and where a value lies.
     made.filters["step"] = lambda top: next((step for step in _STEPS if 4 * step >= top), _STEPS[-1])

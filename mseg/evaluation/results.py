@@ -123,22 +123,6 @@ def error_table(
     return ResultsTable(title, [*columns, *more], rows, notes)
 
 
-def axis_table(
-    title: str, protocol: Protocol, motions: Mapping[str, int], errors: Mapping[str, FloatArray]
-) -> ResultsTable | None:
-    """One row per bin of every axis of a benchmark; None where the benchmark has no axes."""
-    rows = [
-        [
-            f"{axis.title}: {part}",
-            str(len(clips)),
-            *(_mean(v[_positions(clips, motions)]) for v in errors.values()),
-        ]
-        for axis in protocol.axes
-        for part, clips in protocol.bins_of(axis, motions).items()
-    ]
-    return ResultsTable(title, ["part", "clips", *errors], rows) if rows else None
-
-
 def clip_table(
     title: str,
     values: Mapping[str, FloatArray],
@@ -253,8 +237,13 @@ def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:
 
 def by_axis(*tables: ScoreTable, title: str = f"By what makes clips hard: {_ERROR}") -> ResultsTable | None:
     """Break the classification error down by the axes of the benchmark; None where it has none."""
-    errors = {name: table.matrix() for name, table in zip(unique_names(tables), tables, strict=True)}
-    return axis_table(title, tables[0].benchmark, tables[0].motions, errors)
+    protocol, motions, errors = tables[0].benchmark, tables[0].motions, [table.matrix() for table in tables]
+    rows = [
+        [f"{axis.title}: {part}", str(len(clips)), *(_mean(e[_positions(clips, motions)]) for e in errors)]
+        for axis in protocol.axes
+        for part, clips in protocol.bins_of(axis, motions).items()
+    ]
+    return ResultsTable(title, ["part", "clips", *unique_names(tables)], rows) if rows else None
 
 
 def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> ResultsTable:

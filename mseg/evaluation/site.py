@@ -129,8 +129,6 @@ def site_html(boards: Sequence[DataRows], *, title: str = "Leaderboard", notes: 
         boards=boards,
         title=title,
         notes=notes,
-        facets={
-            "kind": sorted({row.kind for row in rows} | {"printed" for b in boards if b.printed}),
-        },
+        kinds=sorted({row.kind for row in rows} | {"printed" for b in boards if b.printed}),
         most_seeds=max((row.errors.shape[1] for row in rows), default=1),
     )

@@ -1,10 +1,10 @@
 """Breaking the error down by what makes clips hard."""
 
-import numpy as np
 import pytest
 
 from mseg.evaluation.protocol import Axis, Group, Protocol, load_protocol
-from mseg.evaluation.results import axis_table
+from mseg.evaluation.results import by_axis
+from mseg.evaluation.scoring import ClipScore, ScoreTable
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,14 @@ def test_clips_are_sorted_into_bins(bounds, values, bins):
     assert list(found) == list(bins)
 
 
+def _scores(protocol, **clips):
+    runs = (
+        ClipScore(name, 0, motions, 10, motions, 0.5, "", {"error": e})
+        for name, (motions, e) in clips.items()
+    )
+    return ScoreTable(tuple(runs), protocol=protocol)
+
+
 def test_every_clip_with_a_value_counts_once_in_each_axis():
     clips = ("a", "b", "c")
     protocol = Protocol(
@@ -29,8 +37,7 @@ def test_every_clip_with_a_value_counts_once_in_each_axis():
         axes=(Axis("motions", "motions"), Axis("size", "size", (10,))),
         attributes={"a": {"size": 3}, "b": {"size": 30}},
     )  # fmt: skip
-    errors = {"m": np.array([[0.1], [0.2], [0.6]])}
-    table = axis_table("T", protocol, {"a": 2, "b": 3, "c": 2}, errors)
+    table = by_axis(_scores(protocol, a=(2, 0.1), b=(3, 0.2), c=(2, 0.6)))
     assert [list(row) for row in table.rows] == [
         ["motions: 2", "2", "35.00"],
         ["motions: 3", "1", "20.00"],
@@ -40,4 +47,4 @@ def test_every_clip_with_a_value_counts_once_in_each_axis():
 
 
 def test_a_benchmark_without_axes_has_no_such_table():
-    assert axis_table("T", load_protocol("hopkins155"), {"cars1": 2}, {"m": np.zeros((1, 1))}) is None
+    assert by_axis(_scores(load_protocol("hopkins155"), cars1=(2, 0.0))) is None
