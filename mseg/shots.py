@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from kt3dmoseg.draw.painting import Painting, draw_frame, groups
+from kt3dmoseg.draw.painting import Painting, by_label, draw_frame
 from kt3dmoseg.draw.palette import label_colour
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, write_bytes
@@ -203,10 +203,5 @@ def _painted(clip: Clip, pictures: _Pictures | None, masks: Path, bar: _Progress
 
 
 def _painting(clip: Clip) -> Painting:
-
-    rows = np.unique(np.linspace(0, len(clip.dense) - 1, _DRAWN).astype(np.int64))
-    colours = [label_colour(label, 1) for label in clip.labels.label[rows].tolist()]
-    legend = [
-        (f"{value} {name}: {size}", label_colour(value, 1)) for value, name, size in groups(clip.labels)
-    ]
-    return Painting(clip.dense.select(rows), np.array(colours, dtype=np.uint8), legend)
+    whole, rows = by_label(clip), np.unique(np.linspace(0, len(clip.dense) - 1, _DRAWN).astype(np.int64))
+    return Painting(whole.trajectories.select(rows), whole.colours[rows], whole.legend)

@@ -9,7 +9,7 @@ from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.files import write_text
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.report import report_html
-from mseg.evaluation.scoring import ScoreTable, score_validated
+from mseg.evaluation.scoring import score_validated
 from mseg.evaluation.validation import validate_submission
 
 
@@ -30,15 +30,11 @@ def main(arguments: Sequence[str], *, benchmark: str = "") -> int:
         if not checked.scorable:
             return 1
         scores = score_validated(checked)
-        write_text(target / "scores.json", json.dumps(leaderboard_values(scores)) + "\n")
+        columns = {name: scores[name] * metric.scale for name, metric in all_metrics().items()}
+        columns |= {"error_median": 100 * scores.summary().median, "failed": float(len(scores.failures))}
+        write_text(target / "scores.json", json.dumps(columns) + "\n")
         write_text(target / "detailed_results.html", report_html([checked], [scores], overlays=False))
     except KT3DMoSegError as error:
         print(error, file=sys.stderr)
         return error.exit_code
     return 0
-
-
-def leaderboard_values(scores: ScoreTable) -> dict[str, float]:
-    """Give the numbers of the leaderboard's columns; fractions in per cent, failed = clip runs."""
-    out = {name: scores[name] * metric.scale for name, metric in all_metrics().items()}
-    return out | {"error_median": 100 * scores.summary().median, "failed": float(len(scores.failures))}
