@@ -153,8 +153,7 @@ def view_kernel(
 def covisible_frames(trajectories: Trajectories) -> Float32Array:
     """Count (N, N) the frames in which both of two trajectories are visible."""
     seen = trajectories.visible.astype(np.float32)
-    together: Float32Array = seen @ seen.T
-    return together
+    return np.asarray(seen @ seen.T)
 
 
 def count_parts(visible: BoolArray, gap: int) -> int:
@@ -257,8 +256,7 @@ def _kept_neighbours(kernel: FloatArray, alpha: float) -> BoolArray:
     np.divide(distance, total, out=distance, where=total > 0)
     logarithm = np.log(distance + np.finfo(np.float64).eps)
     mean = np.einsum("ij,ij->i", distance, logarithm)
-    kept: BoolArray = (logarithm < mean[:, None]) & (total > 0)
-    return kept
+    return np.asarray((logarithm < mean[:, None]) & (total > 0))
 
 
 def _power(base: FloatArray, exponent: float) -> FloatArray:

@@ -62,8 +62,7 @@ def _homogeneous(points: _Array) -> FloatArray:
 
 def _outer(second: FloatArray, first: FloatArray) -> FloatArray:
     """Coefficients (..., p, 9) of x2^T F x1 in the row-major entries of F, x1 and x2 homogeneous."""
-    out: FloatArray = (second[..., :, None] * first[..., None, :]).reshape(*first.shape[:-1], 9)
-    return out
+    return np.asarray((second[..., :, None] * first[..., None, :]).reshape(*first.shape[:-1], 9))
 
 
 def _null_vectors(design: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -109,8 +108,7 @@ def _nearest_rank_2(matrices: FloatArray) -> FloatArray:
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    out: FloatArray = a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
-    return out
+    return np.asarray(a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]])
 
 
 def _product(left: FloatArray, right: FloatArray) -> FloatArray:

@@ -75,8 +75,7 @@ def change_frame(kind: ModelKind, models: FloatArray, t1: FloatArray, t2: FloatA
 def unit_norm(models: FloatArray) -> FloatArray:
     """Scale models (K, 3, 3) to Frobenius norm 1; a matrix of zeros stays."""
     size = np.linalg.norm(models, axis=(1, 2), keepdims=True)
-    out: FloatArray = models / np.where(size > 0, size, 1.0)
-    return out
+    return np.asarray(models / np.where(size > 0, size, 1.0))
 
 
 @dataclass(frozen=True, eq=False)

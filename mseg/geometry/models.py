@@ -105,8 +105,7 @@ def _inverse_factor(metric: _Array) -> _Array:
 
 
 def _determinant(matrices: _Array) -> _Array:
-    out: _Array = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
-    return out
+    return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
 
 
 def _swapped(matrices: _Array) -> _Array:
@@ -180,8 +179,7 @@ def _projective_basis(points: FloatArray) -> tuple[FloatArray, BoolArray]:
 def _adjugate(matrices: _Array) -> _Array:
     """Transposed cofactors of 3 x 3 matrices: inverses up to scale, also where nearly singular."""
     a, b, c = matrices[:, 0], matrices[:, 1], matrices[:, 2]
-    out: _Array = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    return out
+    return np.asarray(np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2))
 
 
 def _transfer(models: _Array, x1: _Array, x2: _Array) -> _Array:
@@ -229,8 +227,8 @@ def _gradient_products(
 
 def _products(left: list[FloatArray], right: list[FloatArray], dtype: npt.DTypeLike) -> _Array:
     """Concatenate along the last axis and multiply, (P, m) by (K, m), to (P, K)."""
-    out: _Array = np.concatenate(left, axis=1).astype(dtype) @ np.concatenate(right, axis=1).astype(dtype).T
-    return out
+    first, second = (np.concatenate(side, axis=1).astype(dtype) for side in (left, right))
+    return np.asarray(first @ second.T)
 
 
 MODELS: dict[ModelKind, Model] = {
