@@ -13,19 +13,11 @@ from typing import Any, TypeAlias
 
 import cv2
 
-from kt3dmoseg import __version__, catalog, choosing, tracking
+from kt3dmoseg import __version__, catalog, choosing, files, tracking
 from kt3dmoseg.choosing import ChooseOptions
 from kt3dmoseg.choosing.windows import Window, measure_windows, metres_between
 from kt3dmoseg.errors import InputFileError, InvalidValueError
-from kt3dmoseg.files import (
-    JSON_BYTES,
-    PathLike,
-    check_writable,
-    hold_folder,
-    parse_json,
-    read_bytes,
-    write_text,
-)
+from kt3dmoseg.files import PathLike
 from kt3dmoseg.flow import backend_identity, create
 from kt3dmoseg.frames import Cut, FrameSource, KittiClip, choose_sources, source_names
 from kt3dmoseg.io.images import jpeg_address
@@ -94,8 +86,8 @@ def choose(
         raise InvalidValueError("recordings", expected=expected, found=", ".join(sources) or "none")
     if output is None:
         return select(_measured(parts, settings, None, workers, dask, progress), settings)
-    check_writable(Path(output))
-    with hold_folder(output, alone="choice") as folder:
+    files.check_writable(Path(output))
+    with files.hold_folder(output, alone="choice") as folder:
         windows = _measured(parts, settings, folder / _PARTS, workers, dask, progress)
         chosen = select(windows, settings)
         _write(folder, windows, chosen, sources, settings)
@@ -168,12 +160,12 @@ def _measure_part(
     del progress
     source, kept = part
     if folder is not None and (folder / kept).is_file():
-        rows = parse_json(read_bytes(folder / kept, JSON_BYTES), f"{folder / kept}")
+        rows = files.parse_json(files.read_bytes(folder / kept, files.JSON_BYTES), f"{folder / kept}")
         return [Window(**row | {"sizes": tuple(row["sizes"])}) for row in rows]
     cv2.setNumThreads(1)  # also with one worker, which is the calling process
     windows = measure_windows(source, settings)
     if folder is not None:
-        write_text(folder / kept, json.dumps(list(map(asdict, windows))))
+        files.write_text(folder / kept, json.dumps(list(map(asdict, windows))))
     return windows
 
 
@@ -218,11 +210,11 @@ def _write(
 
     ranked = sorted(found, key=lambda window: -window.score)
     table = pd.DataFrame(map(row, ranked), columns=list(COLUMNS))
-    write_text(folder / "candidates.csv", table.to_csv(index=False))
+    files.write_text(folder / "candidates.csv", table.to_csv(index=False))
     entries = [entry for window in chosen if (entry := _entry(window, sources[window.recording]))]
     comment = f"Chosen by kt3dmoseg choose {__version__}, the best first; index.html shows them."
     catalog.save(folder / "candidates.toml", entries, comment=comment)
-    write_text(folder / "index.html", _page(chosen, len(found), sources, settings))
+    files.write_text(folder / "index.html", _page(chosen, len(found), sources, settings))
 
 
 def _entry(window: Window, source: FrameSource) -> catalog.Entry | None:

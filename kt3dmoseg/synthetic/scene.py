@@ -9,18 +9,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import check, option
-from kt3dmoseg.synthetic.render import (
-    NEAR,
-    SKY,
-    Face,
-    Mesh,
-    Painter,
-    cast,
-    expose,
-    gather,
-    ray_offsets,
-    rotation,
-)
+from kt3dmoseg.synthetic import render
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.vehicles import CROSSING_AHEAD, Drive, Vehicle, traffic, vehicle_faces
 from kt3dmoseg.types import (
@@ -74,7 +63,7 @@ class Layout(NamedTuple):
 
     camera: Drive  # time 0 is the middle of the clip
     vehicles: list[Vehicle]
-    faces: list[Face]  # of the static scene
+    faces: list[render.Face]  # of the static scene
     shake: float = 1.0  # how much the camera car nods and rolls on its springs; 0: not at all
 
 
@@ -114,11 +103,11 @@ class Scene:
         self.camera, self.vehicles, faces, self._shake = layout or usual_layout(options, rng)
         for body, vehicle in enumerate(self.vehicles, start=1):
             faces = [*faces, *(face._replace(body=body) for face in vehicle_faces(vehicle.kind, rng))]
-        self._faces, self._mesh = faces, Mesh.of(faces)
+        self._faces, self._mesh = faces, render.Mesh.of(faces)
 
     @cached_property
-    def _painter(self) -> Painter:
-        return Painter(np.random.default_rng([self.options.seed, 0, 1]), self._faces)
+    def _painter(self) -> render.Painter:
+        return render.Painter(np.random.default_rng([self.options.seed, 0, 1]), self._faces)
 
     @property
     def n_frames(self) -> int:
@@ -159,7 +148,7 @@ class Scene:
         pitch = self._shake * _PITCH * np.sin(7.0 * time + phase)
         roll = self._shake * _ROLL * np.sin(5.0 * time + 2 * phase)
         mount = np.eye(4)
-        mount[:3, :3] = rotation(0, pitch) @ rotation(2, roll)
+        mount[:3, :3] = render.rotation(0, pitch) @ render.rotation(2, roll)
         mount[1, 3] = -_CAMERA_HEIGHT + self._shake * _BOUNCE * np.sin(9.0 * time + 3 * phase)
         return self.camera.pose(time) @ mount
 
@@ -174,13 +163,13 @@ class Scene:
         spacing = 1.0 / (self.options.samples * self.K[0, 0])
         # One pixel more on each side: pixels also gather their neighbours' light.
         x, y = (np.arange(-1, size + 1, dtype=np.float64) for size in self.image_size)
-        offsets = ray_offsets(self.options.samples)
+        offsets = render.ray_offsets(self.options.samples)
         light = np.zeros(self.image_size[::-1])
         for offset in offsets:
             rays = self._rays((x + offset[0])[None], (y + offset[1])[:, None])
-            light += gather(self._painter.paint(mesh, *rays, camera, spacing), offset)
+            light += render.gather(self._painter.paint(mesh, *rays, camera, spacing), offset)
         rng = np.random.default_rng([self.options.seed, 1 + frame])
-        return expose(light / len(offsets), self.options.noise, rng)
+        return render.expose(light / len(offsets), self.options.noise, rng)
 
     def frames(self) -> list[ByteArray]:
         """All frames."""
@@ -188,12 +177,12 @@ class Scene:
 
     def ids(self, frame: int) -> ByteArray:
         """Object id at every pixel centre, (H, W) uint8."""
-        face = cast(self._mesh_at(frame), *self._pixels())[1]
-        return np.where(face == SKY, 0, self._mesh.body[face] + BACKGROUND).astype(np.uint8)
+        face = render.cast(self._mesh_at(frame), *self._pixels())[1]
+        return np.where(face == render.SKY, 0, self._mesh.body[face] + BACKGROUND).astype(np.uint8)
 
     def depth(self, frame: int) -> FloatArray:
         """Depth (z in metres) at every pixel centre, (H, W) float64; infinite in the sky."""
-        return cast(self._mesh_at(frame), *self._pixels())[0]
+        return render.cast(self._mesh_at(frame), *self._pixels())[0]
 
     def flow(self, i: int, j: int) -> tuple[Float32Array, BoolArray]:
         """Exact optical flow from frame `i` to frame `j`.
@@ -249,7 +238,7 @@ class Scene:
         tracks = self.trajectories(points)
         return Clip(name, tracks, np.arange(len(tracks)), self.labels(points))
 
-    def _mesh_at(self, frame: int) -> Mesh:
+    def _mesh_at(self, frame: int) -> render.Mesh:
         """All faces in camera coordinates."""
         return self._mesh.moved(self.body_poses(frame))
 
@@ -266,8 +255,8 @@ class Scene:
         Points are homogeneous, in the coordinates of their bodies. The sky is at infinity and part of the
         static scene: its points are directions, with last coordinate 0.
         """
-        depth, face = (part.ravel() for part in cast(self._mesh_at(frame), x, y))
-        sky, (x, y) = face == SKY, (part.ravel() for part in np.broadcast_arrays(x, y))
+        depth, face = (part.ravel() for part in render.cast(self._mesh_at(frame), x, y))
+        sky, (x, y) = face == render.SKY, (part.ravel() for part in np.broadcast_arrays(x, y))
         z = np.where(sky, 1.0, depth)
         seen = np.stack([x * z, y * z, z, np.where(sky, 0.0, 1.0)], axis=1)
         body = np.where(sky, 0, self._mesh.body[face])
@@ -277,10 +266,10 @@ class Scene:
     def project(self, frame: int, points: FloatArray, body: IntArray) -> tuple[FloatArray, BoolArray]:
         """Find where surface points are in a frame, (R, 2), NaN behind the camera, and which are seen."""
         seen = _transform(self.body_poses(frame), body, points)
-        z = np.where(seen[:, 2] > np.maximum(NEAR * seen[:, 3], 0), seen[:, 2], np.nan)
+        z = np.where(seen[:, 2] > np.maximum(render.NEAR * seen[:, 3], 0), seen[:, 2], np.nan)
         xy = np.stack([seen[:, k] / z * self.K[k, k] + self.K[k, 2] for k in (0, 1)], axis=1)
         inside = np.flatnonzero(((xy >= -0.5) & (xy < np.array(self.image_size) - 0.5)).all(axis=1))
-        nearest, _ = cast(self._mesh_at(frame), *self._rays(*xy[inside].T))
+        nearest, _ = render.cast(self._mesh_at(frame), *self._rays(*xy[inside].T))
         with np.errstate(divide="ignore"):
             own = seen[inside, 2] / seen[inside, 3]  # infinite in the sky
         visible = np.zeros(len(xy), dtype=np.bool_)

@@ -22,17 +22,9 @@ from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
 from kt3dmoseg.registry import strict
 from kt3dmoseg.text import several
 from kt3dmoseg.types import Clip, IntArray, Labels
+from mseg import evaluation
 from mseg.benchmark.results import BenchmarkResult, Configuration
 from mseg.errors import SegmentationError
-from mseg.evaluation import (
-    Protocol,
-    SubmissionMeta,
-    clip_checksum,
-    load_protocol,
-    write_failure,
-    write_meta,
-    write_prediction,
-)
 from mseg.evaluation.scoring import ScoreTable, clip_score, provenance_of
 from mseg.evaluation.submission import FAILED, file_of, prediction_files
 from mseg.evaluation.validation import load_clips
@@ -130,7 +122,7 @@ def run(
         For a benchmark, method or parameter that does not exist; without clips; when every run failed (with a
         `cache`, the reasons are kept there).
     """
-    protocol, wanted = load_protocol(benchmark), _seeds(seeds)
+    protocol, wanted = evaluation.load_protocol(benchmark), _seeds(seeds)
     configurations = _configure([methods] if isinstance(methods, str) else methods, parameters or {})
     if not configurations:
         raise InvalidValueError("benchmark", expected="at least one method", found="none")
@@ -144,7 +136,7 @@ def run(
     for key, outcome in runs.outcomes(set(outcomes), progress, **where):
         outcomes[key] = outcome
         keep_outcome(store, key, outcome)
-    checksums = {name: clip_checksum(clip) for name, clip in clips.items()}
+    checksums = {name: evaluation.clip_checksum(clip) for name, clip in clips.items()}
     source = provenance_of(clips, checksums, protocol.version_of(checksums))
     tables, notes = [], []
     for m, made in enumerate(configurations):
@@ -153,7 +145,7 @@ def run(
             clip_score(name, seed, clips[name].labels, None if out.reason else out.labels, out.reason)
             for (name, seed), out in runs_of.items()
         )
-        tables.append(ScoreTable(tuple(scores), SubmissionMeta(made.title), protocol, source))
+        tables.append(ScoreTable(tuple(scores), evaluation.SubmissionMeta(made.title), protocol, source))
         notes += [(made, name, seed, out.notes) for (name, seed), out in runs_of.items() if out.notes]
     seconds = np.array([outcomes[key].seconds for key in runs.keys.values()])
     shape = (len(configurations), len(clips), len(wanted))
@@ -242,7 +234,7 @@ def predict(
         write_text(folder / _RECORD, json.dumps(record, indent=1))
     seconds = sum(record["done"].get(key, 0.0) for key in runs.keys.values()) / len(wanted)
     noted = {(name, seed): record["notes"].get(key, "") for (_, name, seed), key in runs.keys.items()}
-    meta = SubmissionMeta(
+    meta = evaluation.SubmissionMeta(
         configuration.title,
         authors=("mseg",),
         n_motions_given=all(given.values()),
@@ -250,11 +242,11 @@ def predict(
         seconds=round(seconds, 3),
         baseline=method in BASELINES,
         outliers=True,
-        fingerprints={name: clip_checksum(clip) for name, clip in clips.items()},
+        fingerprints={name: evaluation.clip_checksum(clip) for name, clip in clips.items()},
         parameters={name: str(value) for name, value in values.items()},
         notes={name: text for name in clips if (text := _note(noted, name, wanted))},
     )
-    write_meta(folder, meta)
+    evaluation.write_meta(folder, meta)
     failed = [path for path in prediction_files(folder) if path.suffix == FAILED]
     reasons = [f"{path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
     _check_success(f"{folder}", reasons, len(runs.keys))
@@ -267,7 +259,7 @@ def _check_success(where: str, reasons: Sequence[str], n_runs: int) -> None:
 
 
 def find_clips(
-    protocol: Protocol, data: PathLike | Sequence[PathLike] = ()
+    protocol: evaluation.Protocol, data: PathLike | Sequence[PathLike] = ()
 ) -> tuple[dict[str, Path], list[str]]:
     """Find the clips of a benchmark: paths by sorted name, and names of clips there that are not its.
 
@@ -287,7 +279,7 @@ def find_clips(
     return clips, sorted(set(found) - set(clips))
 
 
-def _default_folders(protocol: Protocol) -> list[Path]:
+def _default_folders(protocol: evaluation.Protocol) -> list[Path]:
     root = Path(os.environ.get(VARIABLE) or _SHARED)
     folder = _named(root, protocol.data)
     if not folder.is_dir():
@@ -457,13 +449,13 @@ def _write_outcome(folders: Sequence[Path], clip: Clip, outcome: Outcome, seed: 
     if outcome.reason:
         for folder in folders:
             file_of(folder, clip.name, seed, ".csv").unlink(missing_ok=True)
-        write_failure(folders[0], clip, outcome.reason, seed=seed)
+        evaluation.write_failure(folders[0], clip, outcome.reason, seed=seed)
     elif len(folders) == 1:
-        write_prediction(folders[0], clip, outcome.labels, seed=seed)
+        evaluation.write_prediction(folders[0], clip, outcome.labels, seed=seed)
     else:
-        write_prediction(folders[0], clip, outcome.labels[clip.evaluated], seed=seed)
+        evaluation.write_prediction(folders[0], clip, outcome.labels[clip.evaluated], seed=seed)
         whole = replace(clip, evaluated=np.arange(len(clip.dense)), labels=Labels(outcome.labels))
-        write_prediction(folders[1], whole, outcome.labels, seed=seed)
+        evaluation.write_prediction(folders[1], whole, outcome.labels, seed=seed)
 
 
 def _note(notes: Mapping[tuple[str, int], str], clip: str, seeds: Sequence[int]) -> str:

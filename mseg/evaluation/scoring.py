@@ -18,17 +18,8 @@ import numpy as np
 from kt3dmoseg import __version__
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import PathLike, parse_json, read_bytes
+from kt3dmoseg.io import predictions
 from kt3dmoseg.io.fields import check_name
-from kt3dmoseg.io.predictions import (
-    SUFFIXES,
-    Problem,
-    clip_labels,
-    is_zero_based,
-    label_table,
-    label_vector,
-    numbered,
-    read_prediction,
-)
 from kt3dmoseg.registry import strict, unknown_name
 from kt3dmoseg.text import count, several
 from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels, Trajectories
@@ -98,7 +89,7 @@ class ScoreTable:
     meta: SubmissionMeta = _BARE
     protocol: Protocol | None = None  # the benchmark; None = the clips scored, one group
     provenance: Provenance = _UNKNOWN
-    problems: tuple[Problem, ...] = ()  # what was wrong but did not prevent scoring
+    problems: tuple[predictions.Problem, ...] = ()  # what was wrong but did not prevent scoring
 
     def __repr__(self) -> str:
         where = f"{self.benchmark.title}, {self.benchmark.coverage(self.names)}"
@@ -255,11 +246,11 @@ def score(
     0.2
     """
     file = Path(pred) if isinstance(pred, (str, os.PathLike)) else None
-    if file is not None and file.suffix.lower() not in (*SUFFIXES, ".txt"):
+    if file is not None and file.suffix.lower() not in (*predictions.SUFFIXES, ".txt"):
         data = [truth] if isinstance(truth, Clip) else truth
         return score_submission(file, data, benchmark=benchmark, force=force)
     truths = _truths(truth)
-    if isinstance(pred, Mapping) and label_table(pred, "pred") is None:
+    if isinstance(pred, Mapping) and predictions.label_table(pred, "pred") is None:
         runs = prediction_runs(pred)
     elif len(truths) == 1:
         runs = {None: dict.fromkeys(truths, pred)}
@@ -285,7 +276,7 @@ def score(
 
 def _truths(truth: Any) -> dict[str, Clip | Labels]:  # noqa: ANN401  # checked
     """Clips, or bare labels, by name."""
-    if isinstance(truth, Mapping) and label_table(truth, "truth") is None:
+    if isinstance(truth, Mapping) and predictions.label_table(truth, "truth") is None:
         return {name: _truth(value, f"truth of {name}", name) for name, value in truth.items()}
     clips = truth if isinstance(truth, (list, tuple)) else [truth]
     if isinstance(truth, (str, os.PathLike)) or (clips and all(isinstance(each, Clip) for each in clips)):
@@ -296,10 +287,10 @@ def _truths(truth: Any) -> dict[str, Clip | Labels]:  # noqa: ANN401  # checked
 def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401  # checked
     if isinstance(value, (Clip, Labels)):
         return value
-    table = label_table(value, where)
+    table = predictions.label_table(value, where)
     if table is None:
-        label = label_vector(value, where)
-        if is_zero_based(label) and np.bincount(label).argmax() == 0:
+        label = predictions.label_vector(value, where)
+        if predictions.is_zero_based(label) and np.bincount(label).argmax() == 0:
             found, fix = (
                 "mostly label 0, which is not scored",
                 "add 1 if they count from 0, or give Labels(truth)",
@@ -325,15 +316,15 @@ def _predicted(value: Any, truth: Clip | Labels, where: str, *, outliers: bool) 
         label = _labels_of(Path(value), truth)
     elif isinstance(truth, Clip):
         shuffled = truth.provenance.get("format") == _TABLE and np.any(np.diff(truth.dense.track_id) < 0)
-        if shuffled and label_table(value, where) is None:
+        if shuffled and predictions.label_table(value, where) is None:
             expected = "a table of tracks, as truth is one in no order"
             raise InvalidValueError(where, expected=expected, found="a vector")
-        label = clip_labels(value, truth, where)
-    elif label_table(value, where) is not None:
+        label = predictions.clip_labels(value, truth, where)
+    elif predictions.label_table(value, where) is not None:
         expected, fix = "a vector, as truth is", "give truth as a clip, or as a table with the same tracks"
         raise InvalidValueError(where, expected=expected, found="a table of tracks", fix=fix)
     else:
-        label = label_vector(value, where)
+        label = predictions.label_vector(value, where)
     if not outliers and (label == 0).any():
         found = f"label 0 of {int((label == 0).sum())} in {len(label)} trajectories"
         fix = "add 1 to all labels if they count from 0; if 0 is an outlier: outliers=True"
@@ -350,7 +341,7 @@ def _labels_of(file: Path, clip: Clip | Labels) -> IntArray:
 
         return fit_to_clip(read_label_text(file), clip, f"{file}")
     try:
-        return read_prediction(file, clip)
+        return predictions.read_prediction(file, clip)
     except FileFormatError as error:
         raise RejectedSubmissionError(str(error)) from None
 
@@ -388,9 +379,8 @@ def score_submission(
 def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     """Score what `validate_submission` found; see `score_submission`."""
     if not checked.scorable and not (force and checked.clips):
-        raise RejectedSubmissionError(
-            f"submission rejected, {count(len(checked.problems), 'problem')}: {numbered(checked.problems)}"
-        )
+        wrong = f"{count(len(checked.problems), 'problem')}: {predictions.numbered(checked.problems)}"
+        raise RejectedSubmissionError(f"submission rejected, {wrong}")
     clips = []
     for seed in checked.submission.seeds or [0]:
         for name, clip in checked.clips.items():
@@ -493,7 +483,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         meta: SubmissionMeta
         provenance: Provenance
         clips: Annotated[list[ClipScore], FailFast()] = Field(min_length=1)
-        problems: list[Problem] = []
+        problems: list[predictions.Problem] = []
         # What follows from the others; None claims nothing.
         seeds: Any = None
         coverage: Any = None

@@ -226,8 +226,8 @@ CROWDS = [
 
 @pytest.mark.parametrize(("name", "content", "limit"), CROWDS)
 def test_crowds_are_refused_before_they_fill_the_memory(name, content, limit, monkeypatch):
-    for module in ("masks", "coco", "foreign"):
-        monkeypatch.setattr(f"kt3dmoseg.annotate.formats.{module}.MAX_OBJECTS", 10)
+    for module in ("model", "formats.coco", "formats.foreign"):
+        monkeypatch.setattr(f"kt3dmoseg.annotate.{module}.MAX_OBJECTS", 10)
     with pytest.raises(KT3DMoSegError, match=f"at most {limit}"):
         formats.load(name).parse(content, EMPTY)
 

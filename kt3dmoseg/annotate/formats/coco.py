@@ -13,21 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.formats.foreign import (
-    OF_TRACKS,
-    AnnotationFormat,
-    Import,
-    Key,
-    Regions,
-    identity_in,
-    unpacked,
-)
+from kt3dmoseg.annotate.formats import foreign
 from kt3dmoseg.annotate.formats.masks import decode_rle, encode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, REJECT, Annotation, Polygon, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 
 
-def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
+def _write(annotation: Annotation, regions: foreign.Regions, names: Sequence[str]) -> bytes:
     width, height = annotation.image_size
     shapes: list[dict[str, Any]] = []
     for item in annotation.objects:
@@ -59,8 +51,8 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
     return (json.dumps(data, separators=(",", ":")) + "\n").encode()
 
 
-def _read(content: bytes, into: Import) -> None:
-    data = parse_document(unpacked(content, ".json", "COCO"), "COCO")
+def _read(content: bytes, into: foreign.Import) -> None:
+    data = parse_document(foreign.unpacked(content, ".json", "COCO"), "COCO")
     if not isinstance(data, dict):
         raise FileFormatError("COCO", expected="images, annotations, categories", found=f"{data!r:.40}")
     try:
@@ -85,9 +77,9 @@ def _read(content: bytes, into: Import) -> None:
             if (file := files[identity]) in frames:
                 label = kinds.get(_identity({"category_id": 0} | shape, "category_id"), "other")
                 polygons = _outlines(shape, images[identity], file, into)
-                given = {key: shape[key] for key in OF_TRACKS if shape.get(key) is not None}
+                given = {key: shape[key] for key in foreign.OF_TRACKS if shape.get(key) is not None}
                 fields = (shape.get("attributes") or {}) | given
-                if crowds and shape.get("iscrowd") and identity_in(fields)[0] is None:
+                if crowds and shape.get("iscrowd") and foreign.identity_in(fields)[0] is None:
                     into.note("crowds are rejected: no trajectory in them is labelled")
                     label, fields = f"crowd of {label}", fields | {"motion": REJECT}
                 into.add(frames[file], label, polygons, fields)
@@ -96,11 +88,11 @@ def _read(content: bytes, into: Import) -> None:
     into.list_frames([frame for file, frame in frames.items() if file not in surely])
 
 
-COCO = AnnotationFormat(".json", "application/json", _write, _read)
+COCO = foreign.AnnotationFormat(".json", "application/json", _write, _read)
 
 
-def _identity(values: Mapping[str, Any], name: str) -> Key:
-    key, _ = identity_in(values, (name,))
+def _identity(values: Mapping[str, Any], name: str) -> foreign.Key:
+    key, _ = foreign.identity_in(values, (name,))
     if key is None:
         raise KeyError(name)
     return key
@@ -119,7 +111,9 @@ def _files(data: Mapping[str, Any]) -> list[str]:
     return files
 
 
-def _outlines(shape: Mapping[str, Any], image: Mapping[str, Any], file: str, into: Import) -> list[Polygon]:
+def _outlines(
+    shape: Mapping[str, Any], image: Mapping[str, Any], file: str, into: foreign.Import
+) -> list[Polygon]:
     found = shape.get("segmentation")
     if not found:
         expected = "polygons or run lengths"

@@ -18,19 +18,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from kt3dmoseg.annotate.formats.foreign import (
-    OF_TRACKS,
-    AnnotationFormat,
-    Import,
-    Key,
-    Regions,
-    described,
-    ellipse,
-    identity_in,
-    kind_of,
-    unpacked,
-    with_corner_origin,
-)
+from kt3dmoseg.annotate.formats import foreign
 from kt3dmoseg.annotate.formats.masks import decode_rle, mask_of, outlines_of
 from kt3dmoseg.annotate.geometry import arrays
 from kt3dmoseg.annotate.model import KINDS, MAX_OBJECTS, MAX_POINTS, Annotation, Kind, Polygon, Visibility
@@ -55,7 +43,7 @@ _COARSE = 128
 _NOWHERE = "0.00,0.00;1.00,0.00;0.00,1.00"
 
 
-def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
+def _write(annotation: Annotation, regions: foreign.Regions, names: Sequence[str]) -> bytes:
     fields = [
         {"name": name, "mutable": "False", "input_type": "text"}
         for name in ("object", "name", "motion", "note")
@@ -77,7 +65,7 @@ def _write(annotation: Annotation, regions: Regions, names: Sequence[str]) -> by
             track = ET.SubElement(root, "track", id=str(number), label=item.kind, source="manual")
             for frame, region in enumerate(regions[item.id]):
                 drawn, hidden = part < len(region.polygons), region.visibility == "occluded"
-                corners = with_corner_origin(region.polygons[part]) if drawn else []
+                corners = foreign.with_corner_origin(region.polygons[part]) if drawn else []
                 shape = ET.SubElement(
                     track,
                     "polygon",
@@ -106,9 +94,9 @@ def _put(parent: ET.Element, content: Mapping[str, Any]) -> None:
                 child.text = str(value)
 
 
-def _read(content: bytes, into: Import) -> None:
+def _read(content: bytes, into: foreign.Import) -> None:
     """Read one XML file, or the zip file with one that CVAT offers."""
-    root = _parsed(unpacked(content, ".xml", _WHAT))
+    root = _parsed(foreign.unpacked(content, ".xml", _WHAT))
     tasks = [_Task.of(node) for tag in ("task", "job") for node in root.iterfind(f"meta//{tag}")]
     tracks = {f"track[{k}]": node for k, node in enumerate(root.findall("track"))}
     images = root.findall("image")
@@ -126,7 +114,7 @@ def _read(content: bytes, into: Import) -> None:
         _read_images(images, into)
 
 
-CVAT = AnnotationFormat(".xml", "application/xml", _write, _read)
+CVAT = foreign.AnnotationFormat(".xml", "application/xml", _write, _read)
 
 
 def _parsed(content: bytes) -> ET.Element:
@@ -173,7 +161,7 @@ class _Task:
         return cls(node.findtext("id") or "", node.findtext("name") or "", size, first, step, pictures)
 
 
-def _own(tasks: Sequence[_Task], into: Import) -> _Task:
+def _own(tasks: Sequence[_Task], into: foreign.Import) -> _Task:
     clip, names = into.like.clip, several(task.name for task in tasks)
     own = [task for task in tasks if stem(task.name).casefold() == clip.casefold()]
     if len(own) != 1:
@@ -187,11 +175,11 @@ def _own(tasks: Sequence[_Task], into: Import) -> _Task:
 class _Known:
     """Of the tracks so far: which objects end in a frame, and where; which have an id, and when."""
 
-    ends: dict[tuple[Kind, int], dict[Key, int]]
-    named: dict[tuple[Kind, Key], tuple[Key, set[int]]]
+    ends: dict[tuple[Kind, int], dict[foreign.Key, int]]
+    named: dict[tuple[Kind, foreign.Key], tuple[foreign.Key, set[int]]]
 
 
-def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) -> None:
+def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: foreign.Import) -> None:
     numbered = [_numbered(where, track, into) for where, track in tracks.items()]
     frames = _frames(sorted({n for shapes in numbered for n, _ in shapes}), task, into)
     scale = into.scale(task.pictures, _WHAT)
@@ -209,18 +197,18 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: Import) ->
                 drawn[frame] = _shape(shape, scale, into)
         if drawn:
             label, fields = track.get("label", ""), _fields(placed[0][1])
-            key = _key(where, kind_of(label), fields, drawn, known, into)
+            key = _key(where, foreign.kind_of(label), fields, drawn, known, into)
             name = fields.get("name") or f"{label or 'object'} {len(into.found) + 1}"
             # Before the task nothing is known, so the track's first outline is carried there.
             if min(frame for frame, _ in placed) > frames.get(task.first, 0) and key not in into.found:
                 drawn.setdefault(0, ("outside", []))
-            item = into.object(key, described(label, {**fields, "name": name}))
+            item = into.object(key, foreign.described(label, {**fields, "name": name}))
             for frame, (visibility, polygons) in drawn.items():
                 item.add(frame, polygons, visibility)
     _note_returns({key for key, _ in known.named.values()}, into)
 
 
-def _note_returns(named: set[Key], into: Import) -> None:
+def _note_returns(named: set[foreign.Key], into: foreign.Import) -> None:
     """Say which tracks without an id begin after another of their label has ended."""
     ends: dict[str, tuple[int, str]] = {}
     begins: list[tuple[int, str, str]] = []
@@ -260,7 +248,7 @@ def _is_set(shape: ET.Element, flag: str, default: str = "0") -> bool:
     return shape.get(flag, default).lower() in ("1", "true")
 
 
-def _numbered(where: str, track: ET.Element, into: Import) -> list[tuple[int, ET.Element]]:
+def _numbered(where: str, track: ET.Element, into: foreign.Import) -> list[tuple[int, ET.Element]]:
     shapes = []
     for shape in (child for child in track if child.tag != "attribute"):
         with into.skipping(f"{where}.{shape.tag}"):
@@ -276,16 +264,16 @@ def _key(
     fields: Mapping[str, str],
     drawn: Mapping[int, Drawn],
     known: _Known,
-    into: Import,
-) -> Key:
+    into: foreign.Import,
+) -> foreign.Key:
     """Return the object of a track: as stated, that which ends where and when it begins, or a new one."""
-    key, _ = identity_in(fields, ("object",))
+    key, _ = foreign.identity_in(fields, ("object",))
     if key is not None:
         return key
     into.note("ids are the tracks")
     into.count("tracks", 1, 2 * MAX_OBJECTS)
     begin, end = min(drawn), max(drawn)
-    stated, source = identity_in(fields, OF_TRACKS)
+    stated, source = foreign.identity_in(fields, foreign.OF_TRACKS)
     if stated is not None:
         other, taken = known.named.setdefault((kind, stated), (where, set()))
         span = {*range(begin, end if drawn[end][0] == "outside" else into.like.n_frames)}
@@ -317,7 +305,7 @@ def _place(polygons: Sequence[Polygon], like: Annotation) -> int:
     return int.from_bytes(np.packbits(mask).tobytes())
 
 
-def _frames(numbers: Sequence[int], task: _Task, into: Import) -> dict[int, int]:
+def _frames(numbers: Sequence[int], task: _Task, into: foreign.Import) -> dict[int, int]:
     """Find the clip's frame of each frame number of CVAT; raises FileFormatError when none has one."""
     total, shift = into.like.n_frames, into.choices.shift
     if shift is not None:
@@ -333,7 +321,7 @@ def _frames(numbers: Sequence[int], task: _Task, into: Import) -> dict[int, int]
     return found
 
 
-def _frames_of_task(numbers: Sequence[int], task: _Task, into: Import) -> dict[int, int]:
+def _frames_of_task(numbers: Sequence[int], task: _Task, into: foreign.Import) -> dict[int, int]:
     """Find the clip's frames of a task.
 
     CVAT numbers the pictures of the task's source from 0, also those that the task leaves out. The task is
@@ -363,7 +351,7 @@ def _frames_of_task(numbers: Sequence[int], task: _Task, into: Import) -> dict[i
     return {number: known[number] for number in numbers if number in known}
 
 
-def _read_images(images: Sequence[ET.Element], into: Import) -> None:
+def _read_images(images: Sequence[ET.Element], into: foreign.Import) -> None:
     named = [(node.get("name") or node.get("id") or "", node) for node in images]
     frames = into.match([name for name, _ in named], "CVAT images")
     for name, node in named:
@@ -382,7 +370,7 @@ def _fields(shape: ET.Element) -> dict[str, str]:
     return {node.get("name", ""): node.text or "" for node in shape.findall("attribute")}
 
 
-def _shape(shape: ET.Element, scale: tuple[float, float], into: Import) -> Drawn:
+def _shape(shape: ET.Element, scale: tuple[float, float], into: foreign.Import) -> Drawn:
     """Visibility and outlines of a shape."""
     if _is_set(shape, "outside"):
         return "outside", []
@@ -393,7 +381,7 @@ def _shape(shape: ET.Element, scale: tuple[float, float], into: Import) -> Drawn
     return "occluded" if _is_set(shape, "occluded") else "visible", polygons
 
 
-def _polygon(shape: ET.Element, scale: tuple[float, float], into: Import) -> list[Polygon]:
+def _polygon(shape: ET.Element, scale: tuple[float, float], into: foreign.Import) -> list[Polygon]:
     # Of more, a part is as wrong.
     corners = shape.get("points", "").split(";", MAX_POINTS + 1)[: MAX_POINTS + 1]
     try:
@@ -404,12 +392,12 @@ def _polygon(shape: ET.Element, scale: tuple[float, float], into: Import) -> lis
     return [into.outline(pairs, scale)]
 
 
-def _ellipse(shape: ET.Element, scale: tuple[float, float], into: Import) -> list[Polygon]:
+def _ellipse(shape: ET.Element, scale: tuple[float, float], into: foreign.Import) -> list[Polygon]:
     values = [float(shape.get(name, "0")) for name in ("cx", "cy", "rx", "ry", "rotation")]
-    return [into.outline(ellipse(*values), scale)]
+    return [into.outline(foreign.ellipse(*values), scale)]
 
 
-def _mask(shape: ET.Element, scale: tuple[float, float], into: Import) -> list[Polygon]:
+def _mask(shape: ET.Element, scale: tuple[float, float], into: foreign.Import) -> list[Polygon]:
     """Run lengths, row by row, in a box."""
     left, top, width, height = (_number(shape, name) for name in ("left", "top", "width", "height"))
     columns, rows = into.like.image_size

@@ -21,16 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from kt3dmoseg.annotate import model
 from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, ForeignObject, Import, Regions
-from kt3dmoseg.annotate.model import (
-    BACKGROUND,
-    MAX_OBJECTS,
-    MAX_POINTS,
-    MAX_POLYGONS,
-    REJECT,
-    Annotation,
-    Polygon,
-)
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.io.images import MOTS_CLASS, MOTS_VOID, davis_palette, decode_indices, encode_indices, void_ids
@@ -80,7 +72,7 @@ def _count_crossings(
     crossings += np.bincount(row * (width + 1) + column, minlength=len(crossings))
 
 
-def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
+def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[model.Polygon]:
     """Return the outlines of a mask (H, W), one polygon per 4-connected part.
 
     Of more parts than a region may have, the largest; of more corners than a polygon may have, every
@@ -88,21 +80,21 @@ def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[Polygon]:
     """
     _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     out = []
-    for k in 1 + np.sort(np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:MAX_POLYGONS]):
+    for k in 1 + np.sort(np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[: model.MAX_POLYGONS]):
         left, top, width, height = stats[k, : cv2.CC_STAT_AREA].tolist()
         part = parts[top : top + height, left : left + width] == k
         outline = _joined(_loops(part)) + np.array([left, top]) - 0.5
         if tolerance > 0:  # Douglas and Peucker (1973)
             simple = cv2.approxPolyDP(outline.astype(np.float32)[:, None], tolerance, True)
             outline = np.asarray(simple[:, 0], dtype=np.float64)
-        outline = outline[:: -(-len(outline) // MAX_POINTS)]
+        outline = outline[:: -(-len(outline) // model.MAX_POINTS)]
         if len(outline) >= 3:
             out.append(tuple((x, y) for x, y in outline.tolist()))
     return out
 
 
 def label_images(
-    annotation: Annotation, regions: Regions, values: Mapping[int, int]
+    annotation: model.Annotation, regions: Regions, values: Mapping[int, int]
 ) -> Iterator[npt.NDArray[np.int64]]:
     """Paint the visible objects of every frame into an (H, W) image, each with its value; 0 = background.
 
@@ -110,7 +102,7 @@ def label_images(
     `label_tracks`.
     """
     width, height = annotation.image_size
-    layers = {REJECT: 2, BACKGROUND: 1}
+    layers = {model.REJECT: 2, model.BACKGROUND: 1}
     ordered = sorted(annotation.objects, key=lambda item: layers.get(item.motion, 0))
     for frame in range(annotation.n_frames):
         image = np.zeros((height, width), dtype=np.int64)
@@ -151,7 +143,7 @@ def _joined(loops: list[FloatArray]) -> FloatArray:
     The slit to a hole runs along pixel edges only: there no pixel centre can fall on it.
     """
     outer, *holes = loops
-    holes = holes if len(holes) <= MAX_POLYGONS else sorted(holes, key=len)[-MAX_POLYGONS:]
+    holes = holes if len(holes) <= model.MAX_POLYGONS else sorted(holes, key=len)[-model.MAX_POLYGONS :]
     pieces = [outer, outer[:1]]
     for hole in holes:
         corner = np.array([[outer[0, 0], hole[0, 1]]])
@@ -204,30 +196,30 @@ def _decoded(text: str) -> list[int]:
     return numbers
 
 
-def outlines_of(mask: BoolArray, into: Import, corner: tuple[int, int] = (0, 0)) -> list[Polygon]:
+def outlines_of(mask: BoolArray, into: Import, corner: tuple[int, int] = (0, 0)) -> list[model.Polygon]:
     """Return the outlines of a mask that begins at the pixel `corner` (x, y), and count them."""
     left, top, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
     part = mask[top : top + height, left : left + width]
     polygons = polygons_of(part) if part.size else []
     into.count("pixels in masks", part.size + _PART * len(polygons))
     into.count("corners", sum(map(len, polygons)))
-    if len(polygons) == MAX_POLYGONS or max(map(len, polygons), default=0) > MAX_POINTS // 4:
+    if len(polygons) == model.MAX_POLYGONS or max(map(len, polygons), default=0) > model.MAX_POINTS // 4:
         into.note("where a mask has very many parts, holes or corners, the largest are kept")
     return [tuple((x + corner[0] + left, y + corner[1] + top) for x, y in polygon) for polygon in polygons]
 
 
-def _write_davis(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
-    values = {o.id: _DAVIS_VOID if o.motion == REJECT else int(o.motion) for o in annotation.objects}
+def _write_davis(annotation: model.Annotation, regions: Regions, names: Sequence[str]) -> bytes:
+    values = {o.id: _DAVIS_VOID if o.motion == model.REJECT else int(o.motion) for o in annotation.objects}
     images, palette = _painted(annotation, regions, values, "DAVIS", _DAVIS_VOID - 1), davis_palette()
     return _zipped((encode_indices(image.astype(np.uint8), palette) for image in images), names)
 
 
-def _write_mots_png(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
+def _write_mots_png(annotation: model.Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     images = _painted(annotation, regions, _mots_values(annotation), "MOTS", MOTS_CLASS - 1)
     return _zipped((cv2.imencode(".png", image.astype(np.uint16))[1].tobytes() for image in images), names)
 
 
-def _write_mots_text(annotation: Annotation, regions: Regions, names: Sequence[str]) -> bytes:
+def _write_mots_text(annotation: model.Annotation, regions: Regions, names: Sequence[str]) -> bytes:
     width, height = annotation.image_size
     images = _painted(annotation, regions, _mots_values(annotation), "MOTS", MOTS_CLASS - 1)
     lines = [
@@ -238,17 +230,17 @@ def _write_mots_text(annotation: Annotation, regions: Regions, names: Sequence[s
     return "".join(lines).encode()
 
 
-def _mots_values(annotation: Annotation) -> dict[int, int]:
+def _mots_values(annotation: model.Annotation) -> dict[int, int]:
     values = {}
     for item in annotation.objects:
-        number = MOTS_VOID if item.motion == REJECT else int(item.motion)
-        kind = 0 if item.motion in (REJECT, BACKGROUND) else _MOTS_CLASSES.get(item.kind, 1)
+        number = MOTS_VOID if item.motion == model.REJECT else int(item.motion)
+        kind = 0 if item.motion in (model.REJECT, model.BACKGROUND) else _MOTS_CLASSES.get(item.kind, 1)
         values[item.id] = MOTS_CLASS * kind + number
     return values
 
 
 def _painted(
-    annotation: Annotation, regions: Regions, values: Mapping[int, int], name: str, most: int
+    annotation: model.Annotation, regions: Regions, values: Mapping[int, int], name: str, most: int
 ) -> Iterator[npt.NDArray[np.int64]]:
     if (largest := max(annotation.motions, default=0)) > most:
         raise InvalidValueError("motion", expected=f"at most {most}, as {name} can hold", found=str(largest))
@@ -264,7 +256,7 @@ def _read_davis(content: bytes, into: Import) -> None:
     voids = _read_images(content, into, "DAVIS masks", bits=8)
     into.note("ids are the values of the masks")
     for value, item in _in_order(into):
-        item.motion = REJECT if value in voids else 1 if value == 255 else value
+        item.motion = model.REJECT if value in voids else 1 if value == 255 else value
         item.name = "rejected" if value in voids else f"motion {item.motion}"
         if value in voids:
             into.note(f"{value} is void and rejected")
@@ -277,7 +269,7 @@ def _read_mots_png(content: bytes, into: Import) -> None:
 
 def _read_mots_text(content: bytes, into: Import) -> None:
     lines = content.decode("utf-8-sig", "replace").splitlines()
-    into.count("lines", len(lines), MAX_OBJECTS * into.like.n_frames)
+    into.count("lines", len(lines), model.MAX_OBJECTS * into.like.n_frames)
     found: list[tuple[str, tuple[int, int, int, int], str]] = []
     for number, line in enumerate(lines, start=1):
         with into.skipping(f"line {number}"):
@@ -337,5 +329,5 @@ def _name_mots(into: Import) -> None:
     for number, (value, item) in enumerate(found, start=1):
         kind, instance = divmod(value, MOTS_CLASS)
         item.kind = _MOTS_KIND.get(kind, "other")
-        item.motion = REJECT if kind == ignored else instance if unique else number
+        item.motion = model.REJECT if kind == ignored else instance if unique else number
         item.name = "rejected" if kind == ignored else f"{item.kind} {value}"

@@ -12,20 +12,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from kt3dmoseg import io
-from kt3dmoseg.annotate import propagation
+from kt3dmoseg.annotate import model, propagation
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
-from kt3dmoseg.annotate.model import (
-    BUILT,
-    FORMAT,
-    PROPOSALS,
-    Annotation,
-    Clicks,
-    KeyFrame,
-    Motion,
-    Polygon,
-    load_annotation,
-    save_revision,
-)
 from kt3dmoseg.annotate.one_click import outline_clicks
 from kt3dmoseg.annotate.propagation import Region, TrackMotion
 from kt3dmoseg.annotate.proposals.residual import moving_groups
@@ -87,7 +75,7 @@ class ClipSession:
     @property
     def built(self) -> Path:
         """Where a build writes proposals."""
-        return self.source.annotation.with_suffix(BUILT)
+        return self.source.annotation.with_suffix(model.BUILT)
 
     def check_files(self, *, thoroughly: bool) -> None:
         """Check that the trajectories are of the frames; thoroughly, that everything can be read, too."""
@@ -99,17 +87,17 @@ class ClipSession:
         if tracks and (thoroughly or recognise(tracks).name in ("hdf5", "npz")):
             check_frames(io.load(tracks).provenance, self.source.name, frames)
 
-    def annotation(self) -> Annotation:
+    def annotation(self) -> model.Annotation:
         """Read the annotation file, which must be of this clip; an empty annotation when there is none."""
         if not self.source.annotation.exists():
-            return Annotation(self.source.name, self.image_size, len(self.source.frames))
+            return model.Annotation(self.source.name, self.image_size, len(self.source.frames))
         return self.load(self.source.annotation)
 
-    def load(self, path: Path, form: str = FORMAT) -> Annotation:
+    def load(self, path: Path, form: str = model.FORMAT) -> model.Annotation:
         """Read an annotation, which must be of this clip; errors name the file."""
-        return self.checked(load_annotation(path, form), f"{path}: ")
+        return self.checked(model.load_annotation(path, form), f"{path}: ")
 
-    def checked(self, annotation: Annotation, where: str = "") -> Annotation:
+    def checked(self, annotation: model.Annotation, where: str = "") -> model.Annotation:
         """Return the annotation; InvalidValueError, which names the field, when it is of another clip."""
         name, frames = self.source.name, len(self.source.frames)
         return annotation.expect(where, clip=name, image_size=self.image_size, n_frames=frames)
@@ -127,16 +115,16 @@ class ClipSession:
             raise NotTrackedError(*found)
         return found
 
-    def labelled(self, annotation: Annotation) -> LabelledTracks:
+    def labelled(self, annotation: model.Annotation) -> LabelledTracks:
         """Label the clip's trajectories; the last few answers are kept."""
         # Who saved it, and as which revision, changes no label.
         return self._labelled(replace(annotation, revision=0, annotator=""))
 
-    def regions(self, annotation: Annotation) -> dict[int, list[Region]]:
+    def regions(self, annotation: model.Annotation) -> dict[int, list[Region]]:
         """Return every object's region in every frame; computed only for objects that were edited."""
         return {item.id: self._carried(item.key_frames, item.motion) for item in annotation.objects}
 
-    def weak(self, annotation: Annotation) -> dict[int, list[str]]:
+    def weak(self, annotation: model.Annotation) -> dict[int, list[str]]:
         """Return why each object's region is in doubt in each frame; see `overlaps` and `weak_frames`."""
         weak = {item.id: self._doubted(item.key_frames, item.motion) for item in annotation.objects}
         return propagation.overlaps(annotation, self.regions(annotation), weak)
@@ -154,10 +142,10 @@ class ClipSession:
         """Group (N,) of each trajectory by the proposals that a build made, 1 = scene; None without any."""
         if not self.built.exists():
             return None
-        built = self.load(self.built, PROPOSALS)
+        built = self.load(self.built, model.PROPOSALS)
         return label_tracks_detailed(self.trajectories(wait=True), built).labels.label
 
-    def outline(self, asked: Clicks) -> list[Polygon]:
+    def outline(self, asked: model.Clicks) -> list[model.Polygon]:
         """Outline what moves with the clicked places; InvalidValueError when they are not in the clip."""
         frames, (width, height) = self.source.frames, self.image_size
         if asked.frame >= len(frames):
@@ -191,10 +179,10 @@ class ClipSession:
         self.log.add(by, **what)
         return self.work()
 
-    def save(self, annotation: Annotation, by: str) -> Annotation:
+    def save(self, annotation: model.Annotation, by: str) -> model.Annotation:
         """Save a revision of the annotation, and log what changed; see `save_revision`."""
         before = self.annotation()
-        saved = save_revision(self.source.annotation, annotation)
+        saved = model.save_revision(self.source.annotation, annotation)
         try:
             self.log.add_save(by, before, saved)
         except KT3DMoSegError as error:  # the annotation itself is saved
@@ -251,15 +239,15 @@ class ClipSession:
         counts, weak = session.labelled(annotation).counts(), session.weak(annotation)
         return out | {"counts": counts, "weak": sum(map(bool, chain(*weak.values())))}
 
-    def _label(self, annotation: Annotation) -> LabelledTracks:
+    def _label(self, annotation: model.Annotation) -> LabelledTracks:
         tracks = self.trajectories(wait=True)
         return label_tracks_detailed(tracks, annotation, regions=self.regions(annotation))
 
-    def _carry(self, keys: tuple[KeyFrame, ...], number: Motion) -> list[Region]:
+    def _carry(self, keys: tuple[model.KeyFrame, ...], number: model.Motion) -> list[Region]:
         tracks = TrackMotion(self.trajectories(wait=True))
         return propagation.propagate_keys(keys, len(self.source.frames), tracks, number)
 
-    def _doubt(self, keys: tuple[KeyFrame, ...], number: Motion) -> list[str]:
+    def _doubt(self, keys: tuple[model.KeyFrame, ...], number: model.Motion) -> list[str]:
         return propagation.weak_frames(self._carried(keys, number), TrackMotion(self.trajectories(wait=True)))
 
     def _work(self) -> None:
