@@ -50,7 +50,6 @@ class ALC(CompleteDataMethod):
     largest_distortion: float = option(1e3, "greatest distortion, pixels of a 640 x 480 image", low=1e-12)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points = project(data.pixels, self.dimension or _sparsity_preserving_dimension(len(data.pixels)))
         points /= data.unit

@@ -208,7 +208,6 @@ class SingleView(ViewMethod):
     """Spectral clustering of the graph of one view."""
 
     def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
-        """Cluster the view's smallest eigenvectors."""
         embedding = smallest_eigenvectors(self.laplacian(views[0]), n_motions)
         return self.read_out(unit_rows(embedding), n_motions, rng)
 
@@ -292,7 +291,6 @@ class KerAdd(ViewMethod):
     add: Literal["kernels", "laplacians"] = option("kernels", "what is summed over the views")
 
     def group(self, views: Sequence[csr_array], n_motions: int, rng: np.random.Generator) -> Grouping:
-        """Cluster the smallest eigenvectors of the sum."""
         affine, homography, fundamental = views
         if self.add == "kernels":
             total: Any = self.laplacian(affine + homography + fundamental)
@@ -367,7 +365,6 @@ class CoReg(FusedViews):
     max_sweeps: int = option(16, "most sweeps over the views", low=1)
 
     def fuse(self, graphs: Sequence[GraphLaplacian], n_motions: int) -> Fusion:
-        """Co-regularise."""
         return coregularise(
             graphs, n_motions, weight=self.lam, tolerance=self.tolerance, max_sweeps=self.max_sweeps
         )
@@ -387,7 +384,6 @@ class Subset(FusedViews):
     max_sweeps: int = option(21, "most sweeps over the views", low=1)
 
     def fuse(self, graphs: Sequence[GraphLaplacian], n_motions: int) -> Fusion:
-        """Impose the subset constraint."""
         return constrain_subsets(
             graphs, n_motions, weight=self.gamma, tolerance=self.tolerance, max_sweeps=self.max_sweeps
         )

@@ -66,7 +66,6 @@ class TLinkage(CompleteDataMethod):
     reject_outliers: bool = option(False, "label clusters that are small by step 6 as outliers")
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         points, residuals = _flat_residuals(data.pixels / data.unit, self.dimension, self.samples, rng)
         several = self.choose_epsilon and n_motions is not None
         found = [
@@ -242,7 +241,6 @@ class RPA(CompleteDataMethod):
     reject_outliers: bool = option(False, "label trajectories beyond 5 sigma of all motions as outliers")
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points, residuals = _flat_residuals(data.pixels / data.unit, self.dimension, self.samples, rng)
         preferences = 1 / (1 + (residuals / (_INLIER * self.sigma)) ** 2)

@@ -49,7 +49,6 @@ class RSIM(CompleteDataMethod):
     starts: int = option(10, "starts of the discretisation", low=1)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         # The row space of all homogeneous positions: a row of ones for each frame, as one.
         ones = np.full(data.n_points, np.sqrt(data.normalised.shape[0] // 2))
         matrix = np.vstack([data.normalised, ones])

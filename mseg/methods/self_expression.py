@@ -76,7 +76,6 @@ class SSC(SparseMethod):
     tolerance: float = option(2e-4, "largest residual of the constraints at convergence", low=0)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         solved = sparse_representation(
             data.normalised, alpha=self.alpha, tolerance=self.tolerance, max_iterations=self.max_iterations
         )
@@ -108,7 +107,6 @@ class S3C(SparseMethod):
     tolerance: float = option(2e-4, "largest residual of the constraints at convergence of a pass", low=0)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         start: FloatArray | None = None
         labels: IntArray = np.ones(data.n_points, dtype=np.int64)
         report: dict[str, Any] = {"n_motions": n_motions}
@@ -156,7 +154,6 @@ class LRR(CompleteDataMethod):
     restarts: int = option(20, "restarts of k-means", low=1)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         solved = low_rank_representation(
             data.homogeneous,
             weight=self.weight,
@@ -193,7 +190,6 @@ class LRSSC(SparseMethod):
     weight: float = option(4.0, "weight of LRR's errors (cascade)", low=0)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         low_rank_report: dict[str, Any] = {}
         cap = self.max_iterations
         if self.variant == "joint":

@@ -44,7 +44,6 @@ class LSA(CompleteDataMethod):
     restarts: int = option(10, "restarts of k-means", low=1)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         if data.n_points <= self.n_neighbours:
             raise TooFewPointsError(
@@ -94,7 +93,6 @@ class GPCA(CompleteDataMethod):
     restarts: int = option(10, "restarts of k-means", low=1)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points = unit_rows(leading_row_space(data.pixels, self.dimension))
         powers = exponents(n_motions, points.shape[1])
@@ -164,7 +162,6 @@ class Ransac(CompleteDataMethod):
     max_trials: int = option(3000, "cap on samples per motion", low=1)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        """Label the columns of the trajectory matrix."""
         assert n_motions is not None
         points = leading_row_space(data.pixels, self.dimension)
         size = min(self.subspace, points.shape[1] - 1, len(points))
