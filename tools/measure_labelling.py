@@ -8,7 +8,7 @@ frames in which its region overlaps least. Things that are drawn to be rejected 
 python tools/measure_labelling.py DATA/kt3dmoseg/frames DATA/kt3dmoseg/release [CLIP ...]
 
 With a proposer's name for the frames, its proposals on empty annotations are counted instead: shown, true
-(half of the trajectories inside are of one mover), movers of 16 trajectories and more, those among the true.
+(half of the trajectories inside are of one mover), movers of 16 trajectories and more, those among the true. Frames are in the folder `frames` beside the release.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from kt3dmoseg.annotate.geometry import arrays, bounds  # noqa: E402
 from kt3dmoseg.annotate.labelling import label_tracks_detailed  # noqa: E402
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate  # noqa: E402
 from kt3dmoseg.annotate.proposals import PROPOSERS, Request, propose  # noqa: E402
+from kt3dmoseg.io.images import frame_paths  # noqa: E402
 from kt3dmoseg.types import BoolArray, Trajectories  # noqa: E402
 
 Regions = dict[int, list[Region]]
@@ -153,7 +154,8 @@ def proposals(proposer: str, name: str, path: Path) -> tuple[int, int, int, int]
     dense, truth = kt3dmoseg.load(path).dense, load_annotation(ROOT / "annotations" / f"{name}.json")
     tracks = Trajectories(dense.xy, dense.visible, dense.track_id, truth.image_size)
     empty, exact = truth.emptied(), label_tracks_detailed(tracks, truth).labels.label
-    items, right = propose(proposer, Request(name, empty, tracks, ())), []
+    frames = tuple(frame_paths(path.parents[1] / "frames" / name))
+    items, right = propose(proposer, Request(name, empty, tracks, frames)), []
     for item in items:
         alone = replace(empty, objects=(replace(item, motion=1),))
         inside = exact[label_tracks_detailed(tracks, alone).labels.label == 2]
