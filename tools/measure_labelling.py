@@ -8,7 +8,8 @@ frames in which its region overlaps least. Things that are drawn to be rejected 
 python tools/measure_labelling.py DATA/kt3dmoseg/frames DATA/kt3dmoseg/release [CLIP ...]
 
 With a proposer's name for the frames, its proposals on empty annotations are counted instead: shown, true
-(half of the trajectories inside are of one mover), movers of 16 trajectories and more, those among the true. Frames are in the folder `frames` beside the release.
+(half of the trajectories inside are of one mover), movers of 16 trajectories and more,
+those among the true. The folder `frames` lies beside the release.
 """
 
 from __future__ import annotations
