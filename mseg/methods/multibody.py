@@ -29,6 +29,7 @@ from scipy.cluster.hierarchy import linkage
 from scipy.sparse import csr_array, diags_array
 from scipy.spatial.distance import squareform
 
+from kt3dmoseg.compiled import compiled
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
 from mseg.clustering.kmeans import kmeans
@@ -281,7 +282,7 @@ class _Scene:
         best: dict[int, _Choice] = {}
 
         def improve(options: IntArray) -> bool:
-            found = self._swap(table, options)
+            found = _Choice(*_swapped(table, self.atom_edges, options))
             if found.cost >= best.get(len(found.bodies), _Choice()).cost - _GAIN:
                 return False
             best[len(found.bodies)] = found
@@ -298,23 +299,6 @@ class _Scene:
                 if known in best:
                     better |= improve(np.stack([np.delete(best[known].bodies, k) for k in range(known)]))
         return best
-
-    def _swap(self, table: FloatArray, options: IntArray) -> _Choice:
-        """Swap bodies, one at a time, from the best of choices (C, M) on."""
-        number, found = options.shape[1], _Choice()
-        while True:
-            group = table[options].argmin(axis=1)
-            data = np.take_along_axis(table[options], group[:, None], axis=1)[:, 0].sum(axis=1)
-            cut = (self.atom_edges * (group[:, :, None] != group[:, None])).sum(axis=(1, 2)) / 2
-            idle = (group[:, None] != np.arange(number)[:, None]).all(axis=2).any(axis=1)
-            cost = np.where(idle, np.inf, data + cut)
-            at = int(cost.argmin())
-            if cost[at] >= found.cost - _GAIN:
-                return found
-            found = _Choice(float(cost[at]), options[at], group[at])
-            options = np.tile(found.bodies, (number, len(table), 1))
-            options[np.arange(number), :, np.arange(number)] = np.arange(len(table))
-            options = options.reshape(-1, number)
 
     def _refine(self, bodies: list[_Body], group: IntArray, price: float) -> _Grouping:
         """Let single trajectories change their motion (iterated conditional modes)."""
@@ -336,6 +320,44 @@ class _Scene:
         scale = np.array([self._scale(body) for body in bodies])[labels]
         cost = float(costs[labels, every].sum() + cut + price * number)
         return _Grouping(cost, labels, np.sqrt(square / scale))
+
+
+@compiled
+def _swapped(table: FloatArray, edges: FloatArray, options: IntArray) -> tuple[float, IntArray, IntArray]:
+    """Swap bodies, one at a time, from the best of choices (C, M) on; see `_Choice`."""
+    group, cost, bodies = np.zeros(table.shape[1], np.int64), np.inf, options[0]
+    for start in options:
+        found = _follow(table, edges, start, group)
+        if found < cost:
+            cost, bodies = found, start
+    better = True
+    while better:
+        start, better = bodies, False
+        for k in range(len(start)):
+            for body in range(len(table)):
+                tried = start.copy()
+                tried[k] = body
+                found = _follow(table, edges, tried, group)
+                if found < cost - _GAIN:
+                    cost, bodies, better = found, tried, True
+    return _follow(table, edges, bodies, group), bodies, group
+
+
+@compiled
+def _follow(table: FloatArray, edges: FloatArray, bodies: IntArray, group: IntArray) -> float:
+    """Write which of some bodies each atom follows, and return the cost: infinite if none follows one."""
+    cost, followed = 0.0, np.zeros(len(bodies), np.bool_)
+    for atom in range(len(group)):
+        best = 0
+        for k in range(1, len(bodies)):
+            if table[bodies[k], atom] < table[bodies[best], atom]:
+                best = k
+        group[atom], followed[best] = best, True
+        cost += table[bodies[best], atom]
+        for other in range(atom):
+            if group[other] != best:
+                cost += edges[atom, other]
+    return cost if followed.all() else np.inf
 
 
 def code_lengths(
