@@ -91,12 +91,13 @@ class MultiBody:
 
         The report holds `n_motions`, the `costs` of each number of motions and the `margin` to the next best.
         """
-        fused = Subset(alpha=_ALPHA)
+        fused = Subset(alpha=_ALPHA, max_sweeps=1)
         *streams, body_rng = rng.spawn(len(KINDS) + 1)
         views, used = fused.views(clip, streams, n_motions or 1)
         count = min(max(self.atoms, 2 * (n_motions or 1)), int(used.sum()))
         fusion = fused.fuse([fused.laplacian(view) for view in views], count)
-        atoms = kmeans(fusion.joint(), count, body_rng, n_restarts=_RESTARTS).labels
+        embedding = fusion.joint().astype(np.float32)
+        atoms = kmeans(embedding, count, body_rng, n_restarts=_RESTARTS).labels
         points = clip.evaluated_trajectories.select(used)
         scene = _Scene(points, _edges(views, self.coherence), atoms, body_rng)
         found = scene.groupings(max(self.most, n_motions or 1), self.price)
@@ -114,7 +115,6 @@ class MultiBody:
             "margin": min(others) - costs[best] if others else None,
             "noise": scene.noise * scene.width,
             "focal": scene.focal * scene.width,
-            "converged": fusion.converged,
             "trajectories_left_out": int((~used).sum()),
         }
         return Segmentation.of_part(labels, used, report)
