@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.types import Float32Array, FloatArray, IntArray
 from mseg.errors import TooFewPointsError
 
 
@@ -18,7 +18,9 @@ class KMeans:
     inertia: float  # sum of squared distances of the points to their centres
 
 
-def kmeans(points: FloatArray, n_clusters: int, rng: np.random.Generator, *, n_restarts: int = 20) -> KMeans:
+def kmeans(
+    points: FloatArray | Float32Array, n_clusters: int, rng: np.random.Generator, *, n_restarts: int = 20
+) -> KMeans:
     """Cluster points (N, d) by Lloyd's algorithm from several k-means++ starts.
 
     The start of least inertia wins, the first of equals. Where there are fewer distinct points than clusters,
