@@ -210,11 +210,14 @@ class Clicks:
         In pixels, and whether it adds to the outline or takes away; without a box, the first adds.
     box : (left, top, right, bottom), optional
         Around what moves, in pixels, at least 3 wide and high.
+    like : sequence of polygons
+        The shape to expect in the box, in pixels.
     """
 
     frame: _Frame
     clicks: Annotated[tuple[Click, ...], Field(max_length=MAX_CLICKS), FailFast()]
     box: Box | None = None
+    like: Annotated[tuple[Polygon, ...], Field(max_length=MAX_POLYGONS), FailFast()] = ()
 
     def __post_init__(self) -> None:
         if self.box is not None:

@@ -4,11 +4,11 @@
    it. For a click, those nearest to it that move alike are seeds. Where motions were found before (`groups`),
    those of the seeds' group that chains of neighbours join to them belong to it, too; else the seeds grow by
    what follows their common affine motion, over up to four frames back and forth. Their bounds are the box.
-2. **Pixels.** What speaks for the object: the middle of the box, the hull of the trajectories, and that the
-   frames before and after, moved by the object's motion, fit better than moved by that of the scene around
-   it; the weights are those of a logistic regression. A random walker (Grady, "Multilabel random walks using
-   prior models", CVPR 2005) spreads this up to edges of the image; once more with the gray levels of what it
-   found, and of what lies around.
+2. **Pixels.** What speaks for the object: the middle of the box, a shape known from other frames, the hull of
+   the trajectories, and that the frames before and after, moved by the object's motion, fit better than moved
+   by that of the scene around it; weights are those of a logistic regression. A random walker (Grady,
+   "Multilabel random walks using prior models", CVPR 2005) spreads this up to edges of the image; once more
+   with the gray levels of what it found, and of what lies around.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
-from kt3dmoseg.annotate.geometry import arrays, median
+from kt3dmoseg.annotate.geometry import arrays, bounds, median
 from kt3dmoseg.annotate.model import Box, Click, Polygon, Stroke
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
@@ -57,6 +57,9 @@ _PAIRS, _CONVINCING, _MOST_GRAY, _SQUARE = (1, 2, 3), 4.0, 60.0, 7
 _MIDDLE, _SIDES, _TAPER, _EVIDENCE, _HULL, _HULL_SHARE, _NEAR = 2.1, 3.2, 1.0, 1.0, 0.5, 0.12, 4.0
 # A box this near to the picture's edge goes on beyond it, by a share of its side.
 _AT_EDGE, _BEYOND = 4.0, 0.4
+# A known shape, fitted to the box: its odds, the share of the box's size over which they change, and what
+# part of the odds of a box is kept beside them.
+_SHAPE, _SHAPE_SHARE, _BESIDE_SHAPE = 2.0, 0.15, 0.5
 # Gray levels of the outline found first: their weight, how many count as one, their largest odds.
 _GRAYS, _LEVEL, _MOST_GRAY_ODDS = 1.0, 8, 2.0
 # Strength of the odds next to the picture's edges; a click: its strength and reach, in shares of the box.
@@ -199,6 +202,7 @@ def outline_clicks(
     clicks: Sequence[Click],
     box: Box | None = None,
     groups: Sequence[IntArray] = (),
+    like: Sequence[Polygon] = (),
 ) -> list[Polygon]:
     """Outline what moves in a box, or with the clicked places of a frame.
 
@@ -217,6 +221,8 @@ def outline_clicks(
     groups : sequence of (N,) int64
         Motions of the trajectories, 1 = scene, the most trusted first; without a box, those of the first are
         taken by which the clicked place moves by itself.
+    like : sequence of polygons
+        The shape to expect in a box, such as the region that is carried there from other frames.
 
     Returns
     -------
@@ -238,7 +244,8 @@ def outline_clicks(
         corners = box_around(steps, added)
     last = np.array(frames(frame).shape[::-1]) - 1
     low, high = np.clip([corners.min(axis=0), corners.max(axis=0)], 0, last).tolist()
-    return _outlined(_cut(frames, steps, boxed(steps, (*low, *high)), frame, (*low, *high), clicks))
+    shape = [] if box is None else _fitted(like, last, np.array([low, high]))
+    return _outlined(_cut(frames, steps, boxed(steps, (*low, *high)), frame, (*low, *high), clicks, shape))
 
 
 def painted(stroke: Stroke, image_size: tuple[int, int]) -> list[Polygon]:
@@ -251,6 +258,16 @@ def painted(stroke: Stroke, image_size: tuple[int, int]) -> list[Polygon]:
     mask = mask | disc if stroke.adds else mask & ~disc
     found = polygons_of(mask, tolerance=0.4 * _FINE)
     return [tuple(((x + 0.5) / _FINE - 0.5, (y + 0.5) / _FINE - 0.5) for x, y in p) for p in found]
+
+
+def _fitted(shape: Sequence[Polygon], last: IntArray, box: FloatArray) -> list[FloatArray]:
+    """Fit what the picture shows of a shape to the corners (2, 2) of a box."""
+    shown = [np.clip(polygon, 0, last) for polygon in arrays(shape)]
+    if not shown:
+        return []
+    left, top, right, bottom = bounds(shown)
+    scale = (box[1] - box[0]) / np.maximum((right - left, bottom - top), 1.0)
+    return [(polygon - (left, top)) * scale + box[0] for polygon in shown]
 
 
 def _outlined(mask: BoolArray) -> list[Polygon]:
@@ -267,8 +284,9 @@ def _cut(
     frame: int,
     box: Box,
     clicks: Sequence[Click],
+    shape: Sequence[FloatArray],
 ) -> BoolArray:
-    """Mask (H, W) of what is in the box and moves with the members."""
+    """Mask (H, W) of what is in the box, moves with the members and is like a shape, if there is one."""
     height, width = frames(frame).shape
     out, view = np.zeros((height, width), dtype=np.bool_), _View(box, (width, height))
     here = cv2.remap(frames(frame), view.x, view.y, cv2.INTER_LINEAR).astype(np.float32)
@@ -282,8 +300,11 @@ def _cut(
     centre, half = (low + high) / 2, (high - low + 1) / 2
     u, v = (view.x - centre[0]) / half[0], (view.y - centre[1]) / half[1]
     odds = _MIDDLE - _SIDES * (u**4 + v**4) + _TAPER * u**2 * v
+    if shape:
+        odds = _BESIDE_SHAPE * odds + _SHAPE * np.clip(view.depth(shape) / (_SHAPE_SHARE * size), -1, 1)
     if member.any():
-        odds += _HULL * np.clip(view.depth(steps.xy[member]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
+        hull = cv2.convexHull(steps.xy[member].astype(np.float32))[:, 0]
+        odds += _HULL * np.clip(view.depth([hull]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
         odds += _EVIDENCE * _evidence(frames, steps, member, frame, view, here)
     inside = _walk(here, _field(odds, view, clicks, size)) > 0
     odds += _GRAYS * _gray_odds(here, inside)
@@ -335,12 +356,12 @@ class _View:
         """Whether a pixel is the clicked one, or near it."""
         return np.asarray(np.hypot(self.x - x, self.y - y) <= max(3.0, 0.8 / self.scale))
 
-    def depth(self, points: FloatArray) -> Float32Array:
-        """How deep a pixel is in the convex hull of points, in pixels of the image; negative outside."""
-        hull = np.zeros((self.height + 2, self.width + 2), dtype=np.uint8)
-        corners = cv2.convexHull(points.astype(np.float32))[:, 0]
-        cv2.fillPoly(hull, [np.rint((corners - self.box[:2] + 0.5) * self.scale + 0.5).astype(int)], 1)
-        deep, off = (cv2.distanceTransform(part, cv2.DIST_L2, 5) for part in (hull, 1 - hull))
+    def depth(self, polygons: Sequence[Any]) -> Float32Array:
+        """How deep a pixel is in polygons, in pixels of the image; negative outside."""
+        inside = np.zeros((self.height + 2, self.width + 2), dtype=np.uint8)
+        corners = [np.rint((p - self.box[:2] + 0.5) * self.scale + 0.5).astype(int) for p in polygons]
+        cv2.fillPoly(inside, corners, 1)
+        deep, off = (cv2.distanceTransform(part, cv2.DIST_L2, 5) for part in (inside, 1 - inside))
         return np.asarray((deep - off)[1:-1, 1:-1] / self.scale, dtype=np.float32)
 
 

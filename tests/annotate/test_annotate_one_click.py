@@ -50,6 +50,18 @@ def test_a_box_is_outlined_without_trajectories():
     assert iou > 0.8
 
 
+def test_a_box_takes_the_shape_that_is_expected_there_where_the_picture_shows_none():
+    tracks = Trajectories(np.zeros((0, 1, 2)), np.zeros((0, 1), bool), image_size=SIZE)
+    flat, triangle = np.full(SIZE[::-1], 90, np.uint8), ((10.0, 70.0), (50.0, 70.0), (50.0, 30.0))
+    exact = mask_of(arrays([((60, 130), (140, 130), (140, 70))]), SIZE)
+    found = [
+        mask_of(arrays(outline_clicks(lambda _: flat, tracks, 0, [], (60, 70, 140, 130), (), like)), SIZE)
+        for like in ([], [triangle])
+    ]
+    without, shaped = ((mask & exact).sum() / (mask | exact).sum() for mask in found)
+    assert shaped > without + 0.15
+
+
 def test_the_brush_adds_a_disc_along_a_line_and_takes_it_away():
     square = ((10, 10), (50, 10), (50, 50), (10, 50))
     before = mask_of(arrays([square]), SIZE)
@@ -131,3 +143,9 @@ def test_a_box_makes_an_outline_and_the_brush_changes_it_by_mouse_and_by_keys(pa
     assert (found[155, 100], found[140, 100]) == (False, True)
     page.press("Control+z", "Control+z")
     assert page.objects() == [first]
+    page.press("End")
+    page.until("labeller.state.frame > 0")
+    page.press("Shift+O", "]")
+    with page.tab.expect_request("**/outline") as asked:
+        page.drag((57 + 4 * 7, 67), (143 + 4 * 7, 133))
+    assert asked.value.post_data_json["like"]  # what is carried here is the shape to expect

@@ -160,7 +160,7 @@ class ClipSession:
         tracks = self.trajectories()
         groups = [known for known in (self.proposed, self.moving) if known is not None]
         return outline_clicks(
-            lambda k: _gray(frames[k]), tracks, asked.frame, asked.clicks, asked.box, groups
+            lambda k: _gray(frames[k]), tracks, asked.frame, asked.clicks, asked.box, groups, asked.like
         )
 
     def work(self) -> dict[str, Any]:

@@ -114,11 +114,16 @@ function inTurn(action) {
 /** Outline what moves with a point, or in a box: the selected object, else a new one. Further clicks add to the
  *  outline or take away. */
 export const click = (point, adds) => inTurn((frame) => {
-  const { clicks = [], box = null } = askedAt(frame) ?? {};
-  return outline({ frame, box, clicks: [...clicks, [...point, adds]] });
+  const { clicks = [], ...before } = askedAt(frame) ?? {};
+  return outline({ ...before, frame, clicks: [...clicks, [...point, adds]] });
 });
 
-export const outlineBox = (box) => inTurn((frame) => outline({ frame, box, clicks: [] }));
+/** In a box, what is carried there from other frames is the shape to expect. */
+export const outlineBox = (box) => inTurn((frame) => {
+  const item = selectedObject();
+  const like = !item || keyAt(item, frame) ? [] : regionOf(item, frame).polygons;
+  return outline({ frame, box, clicks: [], like });
+});
 
 async function outline(asked) {
   const item = selectedObject();
