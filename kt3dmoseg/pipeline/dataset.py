@@ -20,7 +20,15 @@ from kt3dmoseg.annotate.model import BUILT, PROPOSALS
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
 from kt3dmoseg.files import PathLike, check_writable, hold_folder, sha256_file, sha256_files
 from kt3dmoseg.flow import backend_identity, create
-from kt3dmoseg.frames import FrameSource, find_sources, one_source, recorded_inputs, source_names
+from kt3dmoseg.frames import (
+    FrameFolder,
+    FrameSource,
+    KittiClip,
+    find_sources,
+    one_source,
+    recorded_inputs,
+    source_names,
+)
 from kt3dmoseg.io import hdf5
 from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
@@ -271,7 +279,12 @@ def _build_and_propose(
     try:
         dense = hdf5.read(outcome.path).dense
         empty = Annotation(name, dense.image_size or (0, 0), dense.n_frames, annotator="build --propose")
-        objects = proposals.propose("mseg", proposals.Request(name, empty, dense, ()))
+        # Frames as they are on disk only: proposers read them where the tracks are.
+        source, paths = task[0], list[Path]()
+        if isinstance(source, FrameFolder | KittiClip) and source.cut.size is None:
+            paths = source.paths()
+        request = proposals.Request(name, empty, dense, tuple(paths))
+        objects = proposals.propose("mseg", request)
         save_annotation(file, replace(empty, objects=tuple(objects)), PROPOSALS)
     except KT3DMoSegError as error:
         return replace(outcome, reason=f"{outcome.reason}; nothing proposed: {error}".removeprefix("; "))

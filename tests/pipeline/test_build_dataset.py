@@ -231,6 +231,7 @@ class Named(FrameFolder):
 
 def test_proposals_of_unlabelled_clips_are_written_but_no_labels(frames, tmp_path, monkeypatch, capsys):
     def on_the_patch(request):
+        assert len(request.frames) == FRAMES
         return Labels(1 + (on_patch(request.trajectories) == 1).astype(np.int64), background=1)
 
     monkeypatch.setattr(proposals.PROPOSERS, "load", lambda name: on_the_patch)

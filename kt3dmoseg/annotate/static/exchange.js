@@ -11,12 +11,12 @@ const NAMES = {
   cvat: "CVAT for video 1.1 (XML)", davis: "DAVIS indexed PNG (zip)", mots_txt: "KITTI MOTS (text)",
   mots_png: "KITTI MOTS PNG (zip)", coco: "COCO with RLE masks (JSON)", labelme: "LabelMe (zip)",
 };
-const MEANING = {
+const MEANING = { // in the order of the dialogue: the best first
+  mseg: "rigid bodies that move by themselves, the surest first; takes some seconds",
+  built: "what kt3dmoseg build --propose found",
   residual: "what does not move with the static scene, from the trajectories",
   tracklets: "KITTI's 3D boxes, projected into the frames",
   masks: "masks from a folder",
-  mseg: "rigid bodies that move by themselves, the surest first; takes some seconds",
-  built: "what kt3dmoseg build --propose found",
 };
 
 const inform = (title, text, ...more) => open(title, paragraph(text), ...more, row(button("Close", close)));
@@ -49,7 +49,10 @@ function strip(id, text, ...buttons) {
 // Proposals: a person accepts, corrects or rejects each
 
 export function propose() {
-  const choices = Object.entries(state.clip.proposers).map(([name, lacking]) => {
+  const { proposers } = state.clip;
+  const names = Object.keys({ ...MEANING, ...proposers }).filter((name) => name in proposers);
+  const choices = names.map((name) => {
+    const lacking = proposers[name];
     const meaning = MEANING[name] ?? "a method of an installed package";
     return [button(name, () => start(name), "", { disabled: Boolean(lacking) }),
       faint(lacking ? `${meaning}: ${lacking}` : meaning)];
