@@ -113,9 +113,9 @@ def test_failure_to_converge_is_reported(make_scene, name):
     assert report["residual"] > 0
 
 
-# Nothing is iterated, or to the end: greedy merging (ALC), k-means.
+# Nothing is iterated, or to the end: greedy merging (ALC), k-means; or a set number of times (multibody).
 WITHOUT_CAP = {"one_motion", "prevalence", "affine", "homography", "fundamental", "keradd", "mssc"}
-WITHOUT_CAP |= {"lsa", "gpca", "alc"}
+WITHOUT_CAP |= {"lsa", "gpca", "alc", "multibody"}
 
 
 @pytest.mark.parametrize("name", methods.list())
