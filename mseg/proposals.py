@@ -23,7 +23,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 from scipy.spatial import cKDTree
 
-from kt3dmoseg.io.images import read_frame
+from kt3dmoseg.io.images import picture_size, read_frame
 from kt3dmoseg.neighbours import alike, connected, near_pairs
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
 from mseg.errors import TooFewPointsError
@@ -103,7 +103,9 @@ class _Scene:
         steps = np.linalg.norm(np.diff(self.tracks.xy, axis=1), axis=2)
         motion = np.nansum(steps, axis=1) / np.maximum(np.isfinite(steps).sum(axis=1), 1)
         self.noise = np.hypot(_NOISE * width, _SLIP * motion)
-        self.whiten = self._whiten([paths[frame] for frame in frames] if paths else ())
+        # Pictures of another size do not show what is at the tracks.
+        fit = bool(paths) and picture_size(paths[0]) == tracks.image_size
+        self.whiten = self._whiten([paths[frame] for frame in frames] if fit else ())
         self.rng = np.random.default_rng(0)
         self.pairs = near_pairs(self.tracks, self.rows)
         self.links = [self.pairs[alike(self.tracks, self.pairs, strict)] for strict in _STRICT]

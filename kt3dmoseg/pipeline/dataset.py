@@ -279,10 +279,8 @@ def _build_and_propose(
     try:
         dense = hdf5.read(outcome.path).dense
         empty = Annotation(name, dense.image_size or (0, 0), dense.n_frames, annotator="build --propose")
-        # Frames as they are on disk only: proposers read them where the tracks are.
-        source, paths = task[0], list[Path]()
-        if isinstance(source, FrameFolder | KittiClip) and source.cut.size is None:
-            paths = source.paths()
+        source = task[0]  # proposers read pictures, not videos
+        paths = source.paths() if isinstance(source, FrameFolder | KittiClip) else []
         request = proposals.Request(name, empty, dense, tuple(paths))
         objects = proposals.propose("mseg", request)
         save_annotation(file, replace(empty, objects=tuple(objects)), PROPOSALS)

@@ -122,16 +122,17 @@ def test_movers_that_one_label_holds_are_proposed_one_by_one(spacing, found):
     assert len(items) == found
 
 
-def test_mseg_proposes_what_moves_by_itself_the_surest_first():
+@pytest.mark.parametrize(("every", "first", "last"), [(30, 3, 2), (50, 2, 3)])
+def test_mseg_proposes_what_moves_by_itself_the_surest_first(every, first, last):
     trajectories, walker = tracks()
-    second = trajectories.xy[~walker][::50].copy()  # a few of the scene's points that drift
+    second = trajectories.xy[~walker][::every].copy()  # a few of the scene's points that drift
     second = second * 0.1 + (330, 30) + np.arange(FRAMES)[:, None] * (-4.0, 2.5)
     xy = np.concatenate([trajectories.xy, second])
     seen = np.isfinite(xy[..., 0])
     label = propose_mseg(request(Trajectories(xy, seen, image_size=SIZE))).label
-    assert (label[: len(walker)][walker & (trajectories.lengths > 3)] == 2).mean() > 0.9
+    assert (label[: len(walker)][walker & (trajectories.lengths > 3)] == first).mean() > 0.9
     assert (label[: len(walker)][~walker] > 1).mean() < 0.02
-    assert (label[len(walker) :][trajectories.lengths[~walker][::50] > 3] == 3).mean() > 0.9
+    assert (label[len(walker) :][trajectories.lengths[~walker][::every] > 3] == last).mean() > 0.9
     assert (propose_mseg(request(trajectories.select(~walker))).label == 1).all()
     with pytest.raises(KT3DMoSegError, match="50"):
         propose_mseg(request(trajectories.select(np.arange(9))))
@@ -182,6 +183,9 @@ def test_mseg_takes_what_slides_along_edges_for_static_where_it_sees_the_frames(
     asked = request(Trajectories(xy, np.isfinite(xy[..., 0]), image_size=SIZE))
     assert (propose_mseg(asked).label[-60:] > 1).all()
     assert (propose_mseg(replace(asked, frames=paths)).label == 1).all()
+    for path in paths:  # of another size
+        write_png(path, picture[:-1])
+    assert (propose_mseg(replace(asked, frames=paths)).label[-60:] > 1).all()
 
 
 def test_outline_follows_concave_shapes():
