@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh
 
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
@@ -18,6 +17,7 @@ from mseg.clustering.kmeans import kmeans
 from mseg.clustering.spectral import count_by_eigengap, spectral_clustering, spectral_embedding, unit_rows
 from mseg.completion import shrink
 from mseg.errors import SegmentationError
+from mseg.geometry.subspaces import leading_row_space
 from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
 from mseg.types import Grouping
@@ -160,7 +160,7 @@ class LRR(CompleteDataMethod):
             tolerance=self.tolerance,
             max_iterations=self.max_iterations,
         )
-        affinity = low_rank_affinity(solved.coefficients, self.power)
+        affinity = low_rank_affinity(solved.coefficients, data.homogeneous, self.power)
         count = n_motions or count_by_eigengap(affinity)
         # Eigenvectors of the random walk: von Luxburg, "A tutorial on spectral clustering", proposition 3.
         degree = affinity.sum(axis=1, keepdims=True)
@@ -331,11 +331,12 @@ def sparse_affinity(coefficients: FloatArray, share: float = 0.7) -> FloatArray:
     return np.asarray(scaled + scaled.T)
 
 
-def low_rank_affinity(coefficients: FloatArray, power: int = 4) -> FloatArray:
-    """Step 2 of `LRR`."""
-    left, values, _ = np.linalg.svd(coefficients)
+def low_rank_affinity(coefficients: FloatArray, data: FloatArray, power: int = 4) -> FloatArray:
+    """Step 2 of `LRR`; the columns of the coefficients lie in the row space of the data (D, N)."""
+    basis = leading_row_space(data, len(data))
+    left, values, _ = np.linalg.svd(basis.T @ coefficients, full_matrices=False)
     kept = values > _RELATIVE_RANK * values[0]
-    rows = unit_rows(left[:, kept] * np.sqrt(values[kept]))
+    rows = unit_rows(basis @ left[:, kept] * np.sqrt(values[kept]))
     return np.asarray(np.minimum(np.abs(rows @ rows.T), 1) ** power)
 
 
@@ -360,11 +361,14 @@ def _shrink_columns(matrix: FloatArray, threshold: float) -> FloatArray:
 def _shrink_leading(matrix: FloatArray, threshold: float) -> FloatArray:
     """Soft threshold of the singular values of a matrix (D, N), D <= N, through ``M M^T``.
 
-    Only the eigenvectors above the threshold are computed. Squaring costs half of the digits of values
-    near zero, but those fall below the threshold of an iteration that has not converged.
+    Squaring costs half of the digits of values near zero, but those fall below the threshold of an iteration
+    that has not converged.
     """
-    squares, left = eigh(matrix @ matrix.T, subset_by_value=(threshold**2, np.inf), check_finite=False)
-    gain = 1 - threshold / np.sqrt(squares)
+    # All eigenvectors: LAPACK's solver for some of them takes three times as long.
+    squares, left = np.linalg.eigh(matrix @ matrix.T)
+    kept = squares > threshold**2
+    left = left[:, kept]
+    gain = 1 - threshold / np.sqrt(squares[kept])
     return np.asarray((left * gain) @ (left.T @ matrix))
 
 

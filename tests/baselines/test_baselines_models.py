@@ -80,7 +80,7 @@ def test_low_rank_coefficients_of_clean_data_are_the_shape_interaction_matrix(rn
     right = np.linalg.svd(data)[2][:6]
     assert solved.convergence.converged
     np.testing.assert_allclose(solved.coefficients, right.T @ right, atol=1e-4)
-    assert across(low_rank_affinity(solved.coefficients), labels) < 1e-6
+    assert across(low_rank_affinity(solved.coefficients, data), labels) < 1e-6
 
 
 def test_low_rank_sparse_coefficients(rng):
