@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from kt3dmoseg.compiled import compiled
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray
 from mseg.clustering.kmeans import kmeans
@@ -126,32 +127,44 @@ def tanimoto_distance(preferences: FloatArray) -> FloatArray:
 
 
 def _linkage(preferences: FloatArray) -> IntArray:
-    """Clusters 1, 2, ... of step 4, the largest first; a merge costs one product of (N, M)."""
+    """Clusters 1, 2, ... of step 4, the largest first, of preferences (N, M)."""
     n = len(preferences)
     cluster, owner = np.arange(n), np.arange(n)
     squares = np.einsum("nm,nm->n", preferences, preferences)
     distance = tanimoto_distance(preferences)
     np.fill_diagonal(distance, np.inf)
-    alive = np.ones(n, dtype=bool)
+    by_flat = np.ascontiguousarray(preferences.T)
     while n > 1:
         i, j = divmod(int(distance.argmin()), len(distance))
         if not distance[i, j] < _ORTHOGONAL:
             break
         cluster[cluster == owner[j]] = owner[i]
-        np.minimum(preferences[i], preferences[j], out=preferences[i])
-        alive[j] = False
-        squares[i] = preferences[i] @ preferences[i]
-        inner = preferences @ preferences[i]
+        inner = _merged_products(by_flat, i, j)
+        squares[i] = inner[i]
         union = squares + squares[i] - inner
-        alike = np.divide(inner, union, out=np.zeros_like(inner), where=union > 0)
-        alike[~alive], alike[i] = -np.inf, -np.inf
-        distance[i] = distance[:, i] = 1 - alike
-        distance[j] = distance[:, j] = np.inf
+        distance[i] = distance[:, i] = 1 - np.divide(inner, union, out=np.zeros_like(inner), where=union > 0)
+        distance[i, i] = distance[j] = distance[:, j] = np.inf
+        owner[j] = -1
+        alive = owner >= 0
         if 2 * alive.sum() < len(alive):
-            preferences, owner, squares = preferences[alive], owner[alive], squares[alive]
+            by_flat, owner, squares = np.ascontiguousarray(by_flat[:, alive]), owner[alive], squares[alive]
             distance = np.ascontiguousarray(distance[np.ix_(alive, alive)])
-            alive = np.ones(len(owner), dtype=bool)
     return by_size(cluster)
+
+
+@compiled
+def _merged_products(by_flat: FloatArray, i: int, j: int) -> FloatArray:
+    """Merge column j of preferences (M, N) into column i by minimum; products (N,) of it with all columns."""
+    flats, n = by_flat.shape
+    inner = np.zeros(n)
+    for flat in range(flats):
+        row = by_flat[flat]
+        least = min(row[i], row[j])
+        row[i], row[j] = least, 0.0
+        if least > 0:
+            for k in range(n):
+                inner[k] += least * row[k]
+    return inner
 
 
 def _count_large(sizes: IntArray) -> int:
