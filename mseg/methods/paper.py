@@ -39,7 +39,7 @@ from mseg.clustering.spectral import GraphLaplacian, smallest_eigenvectors, unit
 from mseg.errors import TooFewPointsError
 from mseg.geometry.models import MODELS
 from mseg.kernels import GUARD, covisible_frames, sample_hypotheses, sparsify, view_kernel
-from mseg.methods.kernel_cache import current_cache
+from mseg.methods.kernel_cache import shared
 from mseg.types import Grouping, ModelKind, Segmentation
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")
@@ -138,7 +138,7 @@ class ViewMethod(ABC):
         """Kernel (n, n) of `points` in one view, out of the cache in force if it is there."""
         sampled = points if self.sample_from == "evaluated" else clip.dense
 
-        def make() -> Float32Array:
+        def make() -> dict[str, Float32Array]:
             hypotheses = sample_hypotheses(sampled, kind, rng, per_pair=self.hypotheses, gap=self.gap)
             if not len(hypotheses.models):
                 raise TooFewPointsError(
@@ -146,18 +146,15 @@ class ViewMethod(ABC):
                     expected=f"a frame pair with {MODELS[kind].minimal} points in general position",
                     found="none",
                 )
-            return view_kernel(points, hypotheses, fraction=self.fraction, distance=self.distance)
+            return {"kernel": view_kernel(points, hypotheses, fraction=self.fraction, distance=self.distance)}
 
-        cache = current_cache.get()
-        if cache is None:
-            return make()
         depends_on = {
             "points": [points.xy, points.visible],
             "sampled": [sampled.xy, sampled.visible],
             "options": [kind, self.hypotheses, self.gap, self.distance, self.fraction],
             "random state": rng.bit_generator.state,
         }
-        return cache.get(depends_on, make)
+        return shared(depends_on, make)["kernel"]
 
     def rescale(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
         """Change what a kernel (n, n) of `points` is divided by, in methods that differ from the paper there.

@@ -6,13 +6,16 @@ through a thin singular value decomposition of the data, so that an iteration co
 D x N data rather than ``O(N^3)``.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from kt3dmoseg.options import option
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.parallel import algorithm_version
+from kt3dmoseg.types import FloatArray
 from mseg.clustering.kmeans import kmeans
 from mseg.clustering.spectral import count_by_eigengap, spectral_clustering, spectral_embedding, unit_rows
 from mseg.completion import shrink
@@ -20,6 +23,7 @@ from mseg.errors import SegmentationError
 from mseg.geometry.subspaces import leading_row_space
 from mseg.iteration import Convergence, iterate
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
+from mseg.methods.kernel_cache import shared
 from mseg.types import Grouping
 
 # Factor by which a penalty grows from one iteration to the next.
@@ -76,9 +80,8 @@ class SSC(SparseMethod):
     tolerance: float = option(2e-4, "largest residual of the constraints at convergence", low=0)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        solved = sparse_representation(
-            data.normalised, alpha=self.alpha, tolerance=self.tolerance, max_iterations=self.max_iterations
-        )
+        caps: dict[str, Any] = {"tolerance": self.tolerance, "max_iterations": self.max_iterations}
+        solved = shared_representation(sparse_representation, data.normalised, alpha=self.alpha, **caps)
         return self.read_out(solved, n_motions, rng)
 
 
@@ -107,23 +110,23 @@ class S3C(SparseMethod):
     tolerance: float = option(2e-4, "largest residual of the constraints at convergence of a pass", low=0)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        start: FloatArray | None = None
-        labels: IntArray = np.ones(data.n_points, dtype=np.int64)
-        report: dict[str, Any] = {"n_motions": n_motions}
-        passes, stable, nu = 0, False, 1.0
+        caps: dict[str, Any] = {"tolerance": self.tolerance, "max_iterations": self.max_iterations}
+        solved = shared_representation(sparse_representation, data.normalised, alpha=self.alpha, **caps)
+        labels, report = self.read_out(solved, n_motions, rng)
+        passes, stable, nu = 1, False, 1.0
         while passes < self.max_passes and not stable:
+            nu *= self.growth
             solved = sparse_representation(
                 data.normalised,
                 alpha=self.alpha,
                 weights=1 / nu + nu * self.gamma * (labels[:, None] != labels).astype(np.float64),
-                start=start,
-                tolerance=self.tolerance,
-                max_iterations=self.max_iterations,
+                start=solved.coefficients,
+                **caps,
             )
-            before, start = labels, solved.coefficients
+            before = labels
             labels, report = self.read_out(solved, report["n_motions"], rng)
-            stable = passes > 0 and np.array_equal(labels[:, None] == labels, before[:, None] == before)
-            passes, nu = passes + 1, nu * self.growth
+            stable = np.array_equal(labels[:, None] == labels, before[:, None] == before)
+            passes += 1
         return labels, report | {"passes": passes, "converged": stable and report["converged"]}
 
 
@@ -154,7 +157,8 @@ class LRR(CompleteDataMethod):
     restarts: int = option(20, "restarts of k-means", low=1)
 
     def group(self, data: CompleteData, n_motions: int | None, rng: np.random.Generator) -> Grouping:
-        solved = low_rank_representation(
+        solved = shared_representation(
+            low_rank_representation,
             data.homogeneous,
             weight=self.weight,
             tolerance=self.tolerance,
@@ -193,15 +197,35 @@ class LRSSC(SparseMethod):
         low_rank_report: dict[str, Any] = {}
         cap = self.max_iterations
         if self.variant == "joint":
-            solved = low_rank_sparse_representation(
-                data.homogeneous, sparsity=self.sparsity, alpha=self.alpha, max_iterations=cap
-            )
+            given = {"sparsity": self.sparsity, "alpha": self.alpha, "max_iterations": cap}
+            solved = shared_representation(low_rank_sparse_representation, data.homogeneous, **given)
         else:
             low_rank = low_rank_representation(data.normalised, weight=self.weight)
             low_rank_report = low_rank.convergence.report("low_rank_")
             solved = sparse_representation(low_rank.coefficients, alpha=self.alpha, max_iterations=cap)
         labels, report = self.read_out(solved, n_motions, rng)
         return labels, low_rank_report | report
+
+
+def shared_representation(
+    solve: Callable[..., Representation],
+    data: FloatArray,
+    **options: Any,  # noqa: ANN401  # of `solve`
+) -> Representation:
+    """Solve a programme that draws nothing, once in a `kernel_cache` for all seeds and numbers of motions."""
+
+    def make() -> dict[str, npt.NDArray[Any]]:
+        solved = solve(data, **options)
+        return {
+            "coefficients": solved.coefficients,
+            "convergence": np.array(astuple(solved.convergence), dtype=np.float64),
+        }
+
+    version = algorithm_version(Representation)
+    depends_on = {"programme": solve.__name__, "version": version, "data": data, "options": options}
+    found = shared(depends_on, make)
+    converged, iterations, residual = found["convergence"].tolist()
+    return Representation(found["coefficients"], Convergence(bool(converged), int(iterations), residual))
 
 
 def sparse_representation(

@@ -17,7 +17,7 @@ from mseg.errors import SegmentationError, TooFewPointsError
 from mseg.geometry import hartley
 from mseg.geometry.models import MODELS
 from mseg.iteration import Convergence, iterate
-from mseg.methods.self_expression import Representation, sparse_affinity
+from mseg.methods.self_expression import Representation, shared_representation, sparse_affinity
 from mseg.types import ModelKind, Segmentation
 
 _PIECES = (4, 6, 8, 12)
@@ -91,8 +91,13 @@ class TPV:
         views = views[:, :, used]
         if np.ptp(views, axis=2).max() == 0:
             raise SegmentationError(clip.name, expected="trajectories that differ", found="one, repeated")
-        solved = _collaborative_representation(
-            views, self.alpha, self.penalty, self.tolerance, self.max_iterations
+        solved = shared_representation(
+            _collaborative_representation,
+            views,
+            alpha=self.alpha,
+            penalty=self.penalty,
+            tolerance=self.tolerance,
+            max_iterations=self.max_iterations,
         )
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)

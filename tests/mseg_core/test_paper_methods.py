@@ -140,6 +140,19 @@ def test_cached_kernels_change_nothing(make_clip, tmp_path):
     assert len(list(tmp_path.glob("**/*.npz"))) == 3
 
 
+@pytest.mark.parametrize("method", ["ssc", "s3c", "lrr", "lrssc", "tpv"])
+def test_what_draws_nothing_is_solved_once_for_all_seeds(make_clip, tmp_path, method):
+    clip = make_clip(points=40)
+    plain = [mseg.segment(clip, method, n_motions=2, seed=seed) for seed in (0, 1)]
+    for seed in (0, 1):
+        with kernel_cache(tmp_path) as cache:
+            found = mseg.segment(clip, method, n_motions=2, seed=seed)
+        assert_array_equal(found.labels, plain[seed].labels)
+        assert found.report == plain[seed].report
+        assert (cache.saved_seconds > 0) == (seed == 1)
+    assert len(list(tmp_path.glob("**/*.npz"))) == 1
+
+
 def test_sweeps_do_not_sample_again(make_clip, tmp_path):
     clip = make_clip()
     with kernel_cache(tmp_path):
