@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,7 +15,7 @@ import numpy as np
 from kt3dmoseg.compiled import compiled
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow import check_pair, smooth
-from kt3dmoseg.flow.variational import minimise
+from kt3dmoseg.flow.variational import expand, minimise
 from kt3dmoseg.options import option
 from kt3dmoseg.types import ByteArray, Float32Array
 
@@ -88,35 +89,45 @@ class VariationalPyramid:
         return field
 
     def _refined(self, first: Float32Array, second: Float32Array, field: Float32Array) -> Float32Array:
-        """Warp the second frame by a flow once, and minimise the energy around it."""
-        u, v = cv2.split(field)
-        rows, columns = (np.arange(side, dtype=np.float32) for side in first.shape)
-        warped = cv2.remap(second, u + columns, v + rows[:, None], cv2.INTER_LINEAR, borderMode=_REPLICATE)
-        mean = cv2.addWeighted(first, 0.5, warped, 0.5, 0)
-        slopes = (cv2.Sobel(mean, -1, x, 1 - x, ksize=1, borderType=_REPLICATE) for x in (1, 0))
-        planes = np.zeros((7, first.shape[0] + 2, first.shape[1] + 2), np.float32)
-        for plane, padded in zip((*slopes, warped - first, u, v), planes, strict=False):
-            cv2.copyMakeBorder(plane, 1, 1, 1, 1, _REPLICATE, padded)
+        """Warp the second frame by a flow, minimise the energy around it, and change it in place."""
+        height, width = first.shape
+        planes, target = _array("planes", 7, height + 2, width + 2), _array("target", height, width, 2)
+        _lead(field, 0, 0, target)
+        warped = cv2.remap(second, target, None, cv2.INTER_LINEAR, borderMode=_REPLICATE)  # type: ignore[call-overload]  # its stub forgets None
+        expand(first, warped, field, planes)
         halved = self.alpha / 2, self.delta / 2, self.gamma / 2
         weights = np.array([*halved, self.epsilon, _ZETA, self.overrelaxation], np.float32)
         weights[3:5] **= 2
         minimise(planes, weights, self.iterations, 2 * self.relaxations)
-        return np.asarray(cv2.merge(list(planes[3:5, 1:-1, 1:-1] + planes[5:, 1:-1, 1:-1])), np.float32)
+        for axis in (0, 1):
+            field[..., axis] += planes[5 + axis, 1:-1, 1:-1]
+        return field
+
+
+class _Memory:
+    """A thread's solver and arrays, kept: to fetch memory from the system takes as long as to compute in it."""
+
+    def __init__(self, _thread: int) -> None:
+        self.search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self.search.setVariationalRefinementIterations(0)
+        self.arrays: dict[str, Float32Array] = {}
+
+
+_memory = lru_cache(maxsize=1)(_Memory)
+
+
+def _array(name: str, *shape: int) -> Float32Array:
+    arrays, size = _memory(get_ident()).arrays, math.prod(shape)
+    if name not in arrays or arrays[name].size < size:
+        arrays[name] = np.empty(size, np.float32)
+    return arrays[name][:size].reshape(shape)
 
 
 def _seed(a: ByteArray, b: ByteArray) -> Float32Array:
     """DIS medium on lightly smoothed frames, without its own refinement: the pyramid does better."""
     smooth_a, smooth_b = (cv2.GaussianBlur(frame, (5, 5), 0.8) for frame in (a, b))
-    field = _search(get_ident()).calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
+    field = _memory(get_ident()).search.calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
     return np.asarray(field, np.float32)
-
-
-@lru_cache(maxsize=1)
-def _search(_thread: int) -> cv2.DISOpticalFlow:
-    """Make a thread's solver and keep it, with its memory."""
-    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    solver.setVariationalRefinementIterations(0)
-    return solver
 
 
 def _resized(picture: Float32Array, shape: tuple[int, int]) -> Float32Array:
@@ -146,7 +157,7 @@ def sharpen(
     change must bring the mean difference under ``share * difference - floor``, so that noise moves nothing;
     further ones need only be better.
     """
-    target = np.empty_like(field)
+    target = _array("target", *field.shape)
 
     def difference(candidates: Float32Array, left: int = 0, top: int = 0) -> Float32Array:
         """Mean capped difference of patches; outside, the second frame is black."""
@@ -161,28 +172,25 @@ def sharpen(
         around: Any = cv2.copyMakeBorder(result, far, far, far, far, _REPLICATE)
         for x, y in _DIRECTIONS:
             start = far * (1 + x), far * (1 + y)
-            _take(around, *start, difference(around, *start), limit, result)
+            better = difference(around, *start)
+            _take(around.view(np.uint64)[..., 0], *start, better, limit, result.view(np.uint64)[..., 0])
     return result
 
 
 @compiled
 def _lead(candidates: Float32Array, left: int, top: int, target: Float32Array) -> None:
     for i in range(target.shape[0]):
-        for j in range(target.shape[1]):
-            target[i, j, 0] = candidates[top + i, left + j, 0] + np.float32(j)
-            target[i, j, 1] = candidates[top + i, left + j, 1] + np.float32(i)
+        source, row, y = candidates[top + i, left:], target[i], np.float32(i)
+        for j in range(len(row)):
+            row[j, 0], row[j, 1] = source[j, 0] + np.float32(j), source[j, 1] + y
 
 
 @compiled
-def _take(
-    candidates: Float32Array,
-    left: int,
-    top: int,
-    now: Float32Array,
-    limit: Float32Array,
-    result: Float32Array,
-) -> None:
+def _take(vectors: Any, left: int, top: int, now: Float32Array, limit: Float32Array, result: Any) -> None:  # noqa: ANN401
+    """Take vectors, of 64 bits each: loops without branches are vectorised."""
     for i in range(now.shape[0]):
-        for j in range(now.shape[1]):
-            if now[i, j] < limit[i, j]:
-                limit[i, j], result[i, j] = now[i, j], candidates[top + i, left + j]
+        new, least, source, row = now[i], limit[i], vectors[top + i, left:], result[i]
+        for j in range(len(new)):
+            better = new[j] < least[j]
+            row[j] = source[j] if better else row[j]
+            least[j] = new[j] if better else least[j]

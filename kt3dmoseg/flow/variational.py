@@ -11,6 +11,30 @@ from kt3dmoseg.types import Float32Array as Array
 
 
 @compiled
+def expand(first: Array, warped: Array, field: Array, planes: Array) -> None:
+    """Set up the `planes` of `minimise` about a flow (H, W, 2), by which the second frame (H, W) was warped."""
+    height, width = first.shape
+    for i in range(height):
+        above, below, half, row = max(i - 1, 0), min(i + 1, height - 1), np.float32(0.5), planes[:, i + 1, 1:]
+        a, b, a0, b0, a1, b1 = first[i], warped[i], first[above], warped[above], first[below], warped[below]
+        x, y, z, u, v, du, dv = row[0], row[1], row[2], row[3], row[4], row[5], row[6]
+        for j in range(1, width - 1):
+            x[j] = half * (a[j + 1] + b[j + 1] - (a[j - 1] + b[j - 1]))
+        for j in (0, width - 1):
+            right, left = min(j + 1, width - 1), max(j - 1, 0)
+            x[j] = half * (a[right] + b[right] - (a[left] + b[left]))
+        for j in range(width):
+            y[j], z[j] = half * (a1[j] + b1[j] - (a0[j] + b0[j])), b[j] - a[j]
+        for j in range(width):
+            u[j], v[j], du[j], dv[j] = field[i, j, 0], field[i, j, 1], 0, 0
+    for plane in planes:
+        for i in range(1, height + 1):
+            plane[i, 0], plane[i, -1] = plane[i, 1], plane[i, -2]
+        for j in range(width + 2):
+            plane[0, j], plane[-1, j] = plane[1, j], plane[-2, j]
+
+
+@compiled
 def minimise(planes: Array, weights: Array, iterations: int, halves: int) -> None:
     """Find the change of a flow (u, v) that minimises the energy of Brox et al. around it.
 
