@@ -73,26 +73,26 @@ def minimise(planes: Array, weights: Array, iterations: int, halves: int) -> Non
                     _relax(ring, i - 1 - half, half % 2, width, weights[5])
             if 1 <= i - halves <= height:
                 _merge(ring[(i - halves) % len(ring)], planes, i - halves)
-        planes[5:, height + 1] = planes[5:, height]
+        for x in range(width + 2):
+            for plane in planes[5:]:
+                plane[height + 1, x] = plane[height, x]
 
 
 @compiled
 def _equate(planes: Array, i: int, weights: Array, links: Array, above: Array, row: Array) -> None:
     """Set up the equations of row i, and its links to the next pixels and the row below, three rows each.
 
-    These are weights, and weights times differences of u and v. Colour 0 adds its own links first.
+    These are weights, and weights times differences of u and v.
     """
     _link(planes, i, weights, links)
-    row[5] = links[0]
-    links[3] = links[0]
-    links[0, -2] = 0  # nothing follows the last pixel
-    if i == planes.shape[1] - 2:
-        links[3] = 0
+    right, down, w, du, dv = links[0], links[3], row[5], row[6], row[7]
+    last = planes.shape[1] - 2
+    for x in range(len(w)):
+        w[x], du[x], dv[x] = right[x], planes[5, i, x], planes[6, i, x]
+        down[x] = right[x] if i < last else 0
+    right[-2] = 0  # nothing follows the last pixel
     _fit(planes, i, weights, row)
-    for k in range(4):
-        part, sign = max(k - 1, 0), np.float32(1 if k < 2 else -1)
-        _join(links[part], links[3 + part], above[3 + part], sign, (i + 1) % 2, row[k])
-    row[6:] = planes[5:, i]
+    _join(links, above, (i + 1) % 2, row)
 
 
 @compiled
@@ -140,12 +140,23 @@ def _fit(planes: Array, i: int, weights: Array, row: Array) -> None:
 
 
 @compiled
-def _join(right: Array, down: Array, up: Array, sign: np.float32, colour: int, row: Array) -> None:
-    for x in range(1, len(row) - 1):
-        before, above, own_first = sign * right[x - 1], sign * up[x], (x & 1) != colour
-        one, two = (right[x], before) if own_first else (before, right[x])
-        three, four = (down[x], above) if own_first else (above, down[x])
-        row[x] = row[x] + one + two + three + four
+def _join(links: Array, above: Array, colour: int, row: Array) -> None:
+    """Add the links to the equations of a row: colour 0 adds its own first."""
+    w, u, v, w_down, u_down, v_down = links[0], links[1], links[2], links[3], links[4], links[5]
+    w_up, u_up, v_up, a11, a22, b1, b2 = above[3], above[4], above[5], row[0], row[1], row[2], row[3]
+    for x in range(1, len(w) - 1):
+        own_first = (x & 1) != colour
+        right, left, down, up = w[x], w[x - 1], w_down[x], w_up[x]
+        one, two, three, four = (right, left, down, up) if own_first else (left, right, up, down)
+        a11[x], a22[x] = a11[x] + one + two + three + four, a22[x] + one + two + three + four
+    for x in range(1, len(w) - 1):
+        own_first = (x & 1) != colour
+        one, two = (u[x], -u[x - 1]) if own_first else (-u[x - 1], u[x])
+        three, four = (u_down[x], -u_up[x]) if own_first else (-u_up[x], u_down[x])
+        b1[x] = b1[x] + one + two + three + four
+        one, two = (v[x], -v[x - 1]) if own_first else (-v[x - 1], v[x])
+        three, four = (v_down[x], -v_up[x]) if own_first else (-v_up[x], v_down[x])
+        b2[x] = b2[x] + one + two + three + four
 
 
 @compiled
