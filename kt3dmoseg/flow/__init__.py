@@ -44,6 +44,10 @@ __all__ = ["FLOWS", "Flow", "cached_flow", "check_pair", "create", "flow_pair", 
 _MIN_SIDE = 32
 _NEGLIGIBLE = 12.0  # radius of the kernel of `smooth`, in its decay lengths
 
+# glibc gives freed memory back to the system beyond twice the largest block that was freed, of up to 32 MB.
+# To fetch it again for every frame takes as long as to compute in it.
+np.empty((32 << 20) - (1 << 16), np.uint8)
+
 
 @runtime_checkable
 class Flow(Protocol):

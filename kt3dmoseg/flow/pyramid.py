@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -91,7 +90,7 @@ class VariationalPyramid:
     def _refined(self, first: Float32Array, second: Float32Array, field: Float32Array) -> Float32Array:
         """Warp the second frame by a flow, minimise the energy around it, and change it in place."""
         height, width = first.shape
-        planes, target = _array("planes", 7, height + 2, width + 2), _array("target", height, width, 2)
+        planes, target = np.empty((7, height, width + 2), np.float32), np.empty_like(field)
         _lead(field, 0, 0, target)
         warped = cv2.remap(second, target, None, cv2.INTER_LINEAR, borderMode=_REPLICATE)  # type: ignore[call-overload]  # its stub forgets None
         expand(first, warped, field, planes)
@@ -100,34 +99,23 @@ class VariationalPyramid:
         weights[3:5] **= 2
         minimise(planes, weights, self.iterations, 2 * self.relaxations)
         for axis in (0, 1):
-            field[..., axis] += planes[5 + axis, 1:-1, 1:-1]
+            field[..., axis] += planes[5 + axis, :, 1:-1]
         return field
-
-
-class _Memory:
-    """A thread's solver and arrays, kept: to fetch memory from the system takes as long as to compute in it."""
-
-    def __init__(self, _thread: int) -> None:
-        self.search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        self.search.setVariationalRefinementIterations(0)
-        self.arrays: dict[str, Float32Array] = {}
-
-
-_memory = lru_cache(maxsize=1)(_Memory)
-
-
-def _array(name: str, *shape: int) -> Float32Array:
-    arrays, size = _memory(get_ident()).arrays, math.prod(shape)
-    if name not in arrays or arrays[name].size < size:
-        arrays[name] = np.empty(size, np.float32)
-    return arrays[name][:size].reshape(shape)
 
 
 def _seed(a: ByteArray, b: ByteArray) -> Float32Array:
     """DIS medium on lightly smoothed frames, without its own refinement: the pyramid does better."""
     smooth_a, smooth_b = (cv2.GaussianBlur(frame, (5, 5), 0.8) for frame in (a, b))
-    field = _memory(get_ident()).search.calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
+    field = _search(get_ident()).calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
     return np.asarray(field, np.float32)
+
+
+@lru_cache(maxsize=1)
+def _search(_thread: int) -> cv2.DISOpticalFlow:
+    """Make a thread's solver and keep it, with its memory."""
+    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    solver.setVariationalRefinementIterations(0)
+    return solver
 
 
 def _resized(picture: Float32Array, shape: tuple[int, int]) -> Float32Array:
@@ -157,7 +145,7 @@ def sharpen(
     change must bring the mean difference under ``share * difference - floor``, so that noise moves nothing;
     further ones need only be better.
     """
-    target = _array("target", *field.shape)
+    target = np.empty_like(field)
 
     def difference(candidates: Float32Array, left: int = 0, top: int = 0) -> Float32Array:
         """Mean capped difference of patches; outside, the second frame is black."""

@@ -12,26 +12,24 @@ from kt3dmoseg.types import Float32Array as Array
 
 @compiled
 def expand(first: Array, warped: Array, field: Array, planes: Array) -> None:
-    """Set up the `planes` of `minimise` about a flow (H, W, 2), by which the second frame (H, W) was warped."""
+    """Make the `planes` of `minimise` from the first and the warped second frame (H, W) and the flow."""
     height, width = first.shape
     for i in range(height):
-        above, below, half, row = max(i - 1, 0), min(i + 1, height - 1), np.float32(0.5), planes[:, i + 1, 1:]
-        a, b, a0, b0, a1, b1 = first[i], warped[i], first[above], warped[above], first[below], warped[below]
-        x, y, z, u, v, du, dv = row[0], row[1], row[2], row[3], row[4], row[5], row[6]
+        h, k, half = max(i - 1, 0), min(i + 1, height - 1), np.float32(0.5)
+        a, b, a0, b0, a1, b1 = first[i], warped[i], first[h], warped[h], first[k], warped[k]
+        x, y, z = planes[0, i, 1:], planes[1, i, 1:], planes[2, i, 1:]
+        u, v, du, dv = planes[3, i, 1:], planes[4, i, 1:], planes[5, i, 1:], planes[6, i, 1:]
+        for j in range(width):
+            y[j], z[j] = half * (a1[j] + b1[j] - (a0[j] + b0[j])), b[j] - a[j]
+        for j in range(width):
+            u[j], v[j], du[j], dv[j] = field[i, j, 0], field[i, j, 1], 0, 0
         for j in range(1, width - 1):
             x[j] = half * (a[j + 1] + b[j + 1] - (a[j - 1] + b[j - 1]))
         for j in (0, width - 1):
             right, left = min(j + 1, width - 1), max(j - 1, 0)
             x[j] = half * (a[right] + b[right] - (a[left] + b[left]))
-        for j in range(width):
-            y[j], z[j] = half * (a1[j] + b1[j] - (a0[j] + b0[j])), b[j] - a[j]
-        for j in range(width):
-            u[j], v[j], du[j], dv[j] = field[i, j, 0], field[i, j, 1], 0, 0
-    for plane in planes:
-        for i in range(1, height + 1):
+        for plane in planes:
             plane[i, 0], plane[i, -1] = plane[i, 1], plane[i, -2]
-        for j in range(width + 2):
-            plane[0, j], plane[-1, j] = plane[1, j], plane[-2, j]
 
 
 @compiled
@@ -51,31 +49,29 @@ def minimise(planes: Array, weights: Array, iterations: int, halves: int) -> Non
 
     Parameters
     ----------
-    planes : (7, H + 2, W + 2) float32
-        Ix, Iy, Iz, u, v, all with their edge repeated, and du, dv, which are 0 and are changed in place.
+    planes : (7, H, W + 2) float32
+        Ix, Iy, Iz, u, v, and du, dv, which are 0 and changed in place; all with their first and last column
+        repeated.
     weights : (6,) float32
         alpha / 2, delta / 2, gamma / 2, e, z, and the overrelaxation.
     """
-    height, width = planes.shape[1] - 2, planes.shape[2] - 2
+    height, width = planes.shape[1], planes.shape[2] - 2
     ring = np.empty((halves + 4, 2, 8, width // 2 + 3), np.float32)  # even: which colour has more alternates
     row, links = np.empty((8, width + 2), np.float32), np.empty((2, 6, width + 2), np.float32)
     for _ in range(iterations):
         ring[:] = 0
         links[:] = 0
-        for i in range(1, height + halves + 2):
-            if i <= height:
+        for i in range(height + halves + 1):
+            if i < height:
                 _equate(planes, i, weights, links[i % 2], links[1 - i % 2], row)
-                _split(row, ring[i % len(ring)], (i + 1) % 2)
+                _split(row, ring[i % len(ring)], i % 2)
             else:
                 ring[i % len(ring)] = 0
             for half in range(halves):
-                if 1 <= i - 1 - half <= height:
+                if 0 <= i - 1 - half < height:
                     _relax(ring, i - 1 - half, half % 2, width, weights[5])
-            if 1 <= i - halves <= height:
+            if 0 <= i - halves < height:
                 _merge(ring[(i - halves) % len(ring)], planes, i - halves)
-        for x in range(width + 2):
-            for plane in planes[5:]:
-                plane[height + 1, x] = plane[height, x]
 
 
 @compiled
@@ -86,24 +82,18 @@ def _equate(planes: Array, i: int, weights: Array, links: Array, above: Array, r
     """
     _link(planes, i, weights, links)
     right, down, w, du, dv = links[0], links[3], row[5], row[6], row[7]
-    last = planes.shape[1] - 2
     for x in range(len(w)):
         w[x], du[x], dv[x] = right[x], planes[5, i, x], planes[6, i, x]
-        down[x] = right[x] if i < last else 0
+        down[x] = right[x] if i + 1 < planes.shape[1] else 0
     right[-2] = 0  # nothing follows the last pixel
     _fit(planes, i, weights, row)
-    _join(links, above, (i + 1) % 2, row)
+    _join(links, above, i % 2, row)
 
 
 @compiled
 def _link(planes: Array, i: int, weights: Array, links: Array) -> None:
-    u, v, du, dv = planes[3, i], planes[4, i], planes[5, i], planes[6, i]
-    below_u, below_v, below_du, below_dv = (
-        planes[3, i + 1],
-        planes[4, i + 1],
-        planes[5, i + 1],
-        planes[6, i + 1],
-    )
+    u, v, du, dv, k = planes[3, i], planes[4, i], planes[5, i], planes[6, i], min(i + 1, planes.shape[1] - 1)
+    below_u, below_v, below_du, below_dv = planes[3, k], planes[4, k], planes[5, k], planes[6, k]
     weight, right_u, right_v, down_u, down_v = links[0], links[1], links[2], links[4], links[5]
     alpha, least = weights[0], weights[3]
     for x in range(1, len(u) - 1):
@@ -118,9 +108,10 @@ def _link(planes: Array, i: int, weights: Array, links: Array) -> None:
 
 @compiled
 def _fit(planes: Array, i: int, weights: Array, row: Array) -> None:
-    above_x, above_y, above_z = planes[0, i - 1], planes[1, i - 1], planes[2, i - 1]
+    h, k = max(i - 1, 0), min(i + 1, planes.shape[1] - 1)
+    above_x, above_y, above_z = planes[0, h], planes[1, h], planes[2, h]
     here_x, here_y, here_z = planes[0, i], planes[1, i], planes[2, i]
-    below_x, below_y, below_z = planes[0, i + 1], planes[1, i + 1], planes[2, i + 1]
+    below_x, below_y, below_z = planes[0, k], planes[1, k], planes[2, k]
     du, dv, a11, a22, b1, b2, a12 = planes[5, i], planes[6, i], row[0], row[1], row[2], row[3], row[4]
     delta, gamma, least, zeta = weights[1], weights[2], weights[3], weights[4]
     for j in range(1, len(du) - 1):
@@ -172,7 +163,7 @@ def _split(row: Array, here: Array, colour: int) -> None:
 
 @compiled
 def _merge(here: Array, planes: Array, i: int) -> None:
-    width, colour = planes.shape[2] - 2, (i + 1) % 2
+    width, colour = planes.shape[2] - 2, i % 2
     for k in range(2):
         row, first, second = planes[5 + k, i, 1:], here[colour, 6 + k, 1:], here[1 - colour, 6 + k, 1:]
         for j in range(width // 2):
@@ -184,7 +175,7 @@ def _merge(here: Array, planes: Array, i: int) -> None:
 
 @compiled
 def _relax(ring: Array, i: int, colour: int, width: int, step: np.float32) -> None:
-    here, start = ring[i % len(ring)], (i + 1 + colour) % 2
+    here, start = ring[i % len(ring)], (i + colour) % 2
     own, other = here[colour], here[1 - colour]
     above, below = ring[(i - 1) % len(ring), 1 - colour], ring[(i + 1) % len(ring), 1 - colour]
     a11, a22, b1, b2, a12 = own[0, 1:], own[1, 1:], own[2, 1:], own[3, 1:], own[4, 1:]
