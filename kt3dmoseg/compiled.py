@@ -15,17 +15,17 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 _lock, _held = threading.RLock(), threading.local()
 
 
-def compiled(function: FunctionT) -> FunctionT:
-    """Compile a function of arrays and numbers on its first call.
+def compiled(function: FunctionT, **options: Any) -> FunctionT:  # noqa: ANN401
+    """Compile a function of arrays and numbers on its first call, with further options of numba.
 
     The code is kept beside the function's module, else in the user's cache folder; where neither can be
     written every process compiles for itself. Of processes that start together one compiles, the others load.
     Divisions by zero give infinities, as in arrays.
     """
     try:
-        kernel: Any = njit(cache=True, error_model="numpy", nogil=True)(function)
+        kernel: Any = njit(cache=True, error_model="numpy", nogil=True, **options)(function)
     except RuntimeError:  # no folder can be written
-        return cast("FunctionT", njit(error_model="numpy", nogil=True)(function))
+        return cast("FunctionT", njit(error_model="numpy", nogil=True, **options)(function))
     make = kernel.compile
 
     def compile_alone(signature: Any) -> Any:  # noqa: ANN401

@@ -194,8 +194,9 @@ def sample(field: npt.NDArray[Any], xy: npt.ArrayLike) -> FloatArray:
     top = np.minimum(np.nan_to_num(y).astype(np.intp), height - 2)
     shape = (-1,) + (1,) * (field.ndim - 2)
     fx, fy = (x - left).reshape(shape), (y - top).reshape(shape)
-    upper = field[top, left] * (1 - fx) + field[top, left + 1] * fx
-    lower = field[top + 1, left] * (1 - fx) + field[top + 1, left + 1] * fx
+    values, at = field.reshape(height * width, *field.shape[2:]), top * width + left
+    upper = values.take(at, axis=0) * (1 - fx) + values.take(at + 1, axis=0) * fx
+    lower = values.take(at + width, axis=0) * (1 - fx) + values.take(at + width + 1, axis=0) * fx
     return np.asarray(upper * (1 - fy) + lower * fy)
 
 

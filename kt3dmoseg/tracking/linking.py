@@ -5,12 +5,11 @@ Equations are those of Sundaram, Brox, Keutzer, ECCV 2010 (SBK).
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
 from typing import cast
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from kt3dmoseg.flow import sample, smooth
 from kt3dmoseg.tracking.options import TrackOptions
@@ -23,47 +22,56 @@ _ROUNDING = np.float32(1e-6)  # gray values squared; a single pixel that is one 
 
 def new_seeds(frame: ByteArray, live: FloatArray, options: TrackOptions) -> FloatArray:
     """Start points (S, 2) in a frame (H, W), where the trajectories at `live` (L, 2) are alive."""
-    height, width = frame.shape
-    cells = grid(height, width, options)
-    column, row = cells.astype(np.intp).T
-    return uncovered(cells[structured(frame, options)[row, column]], live, options.coverage)
+    cells = grid(*frame.shape, options)
+    return cells[structured(frame, cells, options) & uncovered(*frame.shape, live, options)]
 
 
 def grid(height: int, width: int, options: TrackOptions) -> FloatArray:
     """Points (G, 2) at offset, offset + spacing, ..., strictly inside the frame less the offset, by rows."""
-    sides = (np.arange(options.offset, side - options.offset, options.spacing) for side in (width, height))
-    return np.stack(np.meshgrid(*sides), axis=2).reshape(-1, 2).astype(np.float64)
+    return np.stack(np.meshgrid(*_sides(height, width, options)), axis=2).reshape(-1, 2)
 
 
-def uncovered(cells: FloatArray, live: FloatArray, radius: float) -> FloatArray:
-    """Keep the cells (G, 2) that no live trajectory (L, 2) is closer to than `radius`.
+def _sides(height: int, width: int, options: TrackOptions) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows of the grid."""
+    offset, spacing = options.offset, options.spacing
+    return np.arange(offset, width - offset, spacing, float), np.arange(
+        offset, height - offset, spacing, float
+    )
+
+
+def uncovered(height: int, width: int, live: FloatArray, options: TrackOptions) -> BoolArray:
+    """Whether no live trajectory (L, 2) is closer to a cell of the grid than `coverage`, (G,).
 
     Live positions are truncated to whole pixels first: so the release's start cells come out.
     """
-    if not len(live) or not len(cells):
-        return cells
-    tree = cKDTree(np.trunc(live), compact_nodes=False, balanced_tree=False)
-    nearest, _ = tree.query(cells, distance_upper_bound=radius + 1)
-    return cells[nearest >= radius]
+    sides, radius = _sides(height, width, options), options.coverage
+    most = math.ceil(2 * radius / options.spacing)
+    free = np.ones([len(side) + most for side in sides], np.bool_)  # with cells beyond the last ones
+    near, apart = [], []
+    for side, at in zip(sides, np.trunc(live).T, strict=True):
+        index = np.searchsorted(side, at - radius, side="right") + np.arange(most)[:, None]
+        near.append(index)
+        apart.append((np.r_[side, np.full(most, np.inf)][index] - at) ** 2)
+    for i, j in np.ndindex(most, most):
+        covered = apart[0][i] + apart[1][j] < radius**2
+        free[near[0][i, covered], near[1][j, covered]] = False
+    return free[: len(sides[0]), : len(sides[1])].T.ravel()
 
 
-def structured(frame: ByteArray, options: TrackOptions) -> BoolArray:
-    """Pixels (H, W) where a trajectory may start.
+def structured(frame: ByteArray, cells: FloatArray, options: TrackOptions) -> BoolArray:
+    """Whether a trajectory may start at whole pixels (G, 2) of a frame (H, W).
 
     The smaller eigenvalue must reach a fraction of its mean over the frame (SBK eq. 3). The fraction grows
     towards the border, where a track is soon lost: structure + border_gain * exp(-border_decay * distance).
     """
+    column, row = cells.astype(np.intp).T
+    distance = np.minimum.reduce([column, row, frame.shape[1] - 1 - column, frame.shape[0] - 1 - row])
+    gain = options.border_gain * np.exp(-options.border_decay * distance)
+    fraction = np.asarray(options.structure + gain, dtype=np.float32)
     eigenvalue = smaller_eigenvalue(frame, options.presmoothing, options.integration)
-    fraction = _fraction(*frame.shape, options.structure, options.border_gain, options.border_decay)
     # The floor: of an even frame, what rounding leaves would be its mean, and every pixel structured.
-    least = np.maximum(fraction * float(eigenvalue.mean(dtype=np.float64)), _ROUNDING)
-    return cast(BoolArray, eigenvalue >= least)
-
-
-@lru_cache(maxsize=1)  # the same for all frames of a clip
-def _fraction(height: int, width: int, structure: float, gain: float, decay: float) -> Float32Array:
-    down, across = (np.minimum(np.arange(side), np.arange(side)[::-1]) for side in (height, width))
-    return (structure + gain * np.exp(-decay * np.minimum.outer(down, across))).astype(np.float32)
+    least = np.maximum(fraction * cv2.mean(eigenvalue)[0], _ROUNDING)
+    return cast(BoolArray, eigenvalue[row, column] >= least)
 
 
 def smaller_eigenvalue(frame: ByteArray, presmoothing: float, integration: float) -> Float32Array:
@@ -129,10 +137,11 @@ def gradient(forward: Float32Array, xy: FloatArray, reach: int) -> FloatArray:
 
     By differences between the pixels `reach` to either side of the nearest one.
     """
-    last = np.array(forward.shape[1::-1]) - 1
-    nearest = np.clip(np.rint(xy).astype(np.intp), 0, last)
-    slopes = []
-    for axis in np.eye(2, dtype=np.intp) * reach:
-        (x1, y1), (x0, y0) = np.minimum(nearest + axis, last).T, np.maximum(nearest - axis, 0).T
-        slopes.append(forward[y1, x1] - forward[y0, x0])
-    return np.nan_to_num(np.stack(slopes, axis=2) / (2 * reach))
+    height, width = forward.shape[:2]
+    x, y = np.rint(xy).astype(np.intp).T
+    x, y, vectors = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1), forward.reshape(-1, 2)
+    ends = [
+        vectors.take(np.clip(y + down, 0, height - 1) * width + np.clip(x + right, 0, width - 1), axis=0)
+        for right, down in ((reach, 0), (-reach, 0), (0, reach), (0, -reach))
+    ]
+    return np.nan_to_num(np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=2) / (2 * reach))

@@ -22,15 +22,14 @@ def test_the_grid_of_a_kitti_frame():
 
 
 def test_covered_means_closer_than_the_radius_to_the_truncated_position():
-    cells = np.array([[12.0, 12.0]])
+    cell = grid(64, 64, DEFAULT).tolist().index([12, 12])
     live = {(20.0, 12.0): True, (20.9, 12.9): True, (19.99, 12.0): False, (6.4, 17.7): False, (6, 6): True}
     for position, free in live.items():
-        assert bool(len(uncovered(cells, np.array([position]), 8.0))) == free, position
+        assert uncovered(64, 64, np.array([position]), DEFAULT)[cell] == free, position
 
 
 def test_no_live_track_covers_nothing():
-    cells = grid(64, 64, DEFAULT)
-    np.testing.assert_array_equal(uncovered(cells, np.zeros((0, 2)), 8.0), cells)
+    assert uncovered(64, 64, np.zeros((0, 2)), DEFAULT).all()
 
 
 def test_eigenvalue_of_a_plane_wave_and_of_a_corner():
@@ -73,17 +72,23 @@ def test_flat_frames_have_nothing_to_start_on(rng):
     assert (seeds[:, 0] > 56).all()
 
 
+def everywhere(frame, **options):
+    """Whether each pixel is structured, (H, W)."""
+    pixels = np.argwhere(np.ones(frame.shape))[:, ::-1]
+    return structured(frame, pixels, TrackOptions(**options)).reshape(frame.shape)
+
+
 @pytest.mark.parametrize("value", [0, 7, 100, 255])
 def test_an_even_frame_has_no_structure(value):
     frame = np.full((96, 128), value, np.uint8)
-    assert not structured(frame, DEFAULT).any()
+    assert not everywhere(frame).any()
     frame[40, 60] = value ^ 1  # the least that a frame can hold
-    assert structured(frame, DEFAULT)[36:45, 56:65].any()
+    assert everywhere(frame)[36:45, 56:65].any()
 
 
 def test_the_border_requires_more_structure(rng):
     frame = cv2.GaussianBlur(rng.integers(0, 255, (96, 128), dtype=np.uint8), (0, 0), 1.5)
-    with_border = structured(frame, DEFAULT)
-    without = structured(frame, TrackOptions(border_gain=0.0))
+    with_border = everywhere(frame)
+    without = everywhere(frame, border_gain=0.0)
     assert (with_border <= without).all()
     assert with_border[:4].mean() < without[:4].mean()
