@@ -22,8 +22,9 @@ _ROUNDING = np.float32(1e-6)  # gray values squared; a single pixel that is one 
 
 def new_seeds(frame: ByteArray, live: FloatArray, options: TrackOptions) -> FloatArray:
     """Start points (S, 2) in a frame (H, W), where the trajectories at `live` (L, 2) are alive."""
-    cells = grid(*frame.shape, options)
-    return cells[structured(frame, cells, options) & uncovered(*frame.shape, live, options)]
+    height, width = frame.shape
+    cells = grid(height, width, options)
+    return cells[structured(frame, cells, options) & uncovered(height, width, live, options)]
 
 
 def grid(height: int, width: int, options: TrackOptions) -> FloatArray:
@@ -33,10 +34,8 @@ def grid(height: int, width: int, options: TrackOptions) -> FloatArray:
 
 def _sides(height: int, width: int, options: TrackOptions) -> tuple[FloatArray, FloatArray]:
     """Columns and rows of the grid."""
-    offset, spacing = options.offset, options.spacing
-    return np.arange(offset, width - offset, spacing, float), np.arange(
-        offset, height - offset, spacing, float
-    )
+    first, step = float(options.offset), options.spacing
+    return np.arange(first, width - first, step), np.arange(first, height - first, step)
 
 
 def uncovered(height: int, width: int, live: FloatArray, options: TrackOptions) -> BoolArray:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kt3dmoseg.tracking import TrackOptions
-from kt3dmoseg.tracking.appearance import Appearance, Window, doubled, prepare
+from kt3dmoseg.tracking.appearance import Appearance, Window, doubled
 
 OPTIONS = TrackOptions(anchor=1.0)
 SHAPE = (64, 96)
@@ -170,7 +170,7 @@ def test_a_start_has_its_slopes():
 def test_the_equations_are_those_of_the_eight_slopes(rng):
     options, window = TrackOptions(anchor_stiffness=50.0), Window(3)
     patch = rng.normal(0, 20, (70, 3, len(window.weight))).astype(np.float32)
-    known = prepare(patch.copy(), window, options)
+    known = window.prepare(patch.copy(), options)
     value, dx, dy = patch[69].astype(float)
     value -= value @ window.weight
     x, y, one = window.lattice
