@@ -200,19 +200,19 @@ def sample(field: npt.NDArray[Any], xy: npt.ArrayLike) -> FloatArray:
     return np.asarray(upper * (1 - fy) + lower * fy)
 
 
-def smooth(image: Float32Array, sigma: float) -> Float32Array:
+def smooth(image: Float32Array, sigma: float, out: Float32Array | None = None) -> Float32Array:
     """Smooth an image as the release's tracker did; sigma 0 leaves it as it is.
 
     A Gaussian is approximated: the kernel is (1 + a |x|) exp(-a |x|) with a = 2.5 / (sqrt(pi) sigma),
     normalised (Deriche, "Fast algorithms for low-level vision", PAMI 1990). Its tails are longer
     than a Gaussian's: its standard deviation is 2 / a = 1.42 sigma. It is usually run as a recursive filter;
     at these widths a finite kernel cut where it has fallen to about 1e-4 is quicker. Beyond its
-    border the image (H, W) is mirrored; `sigma` is in pixels.
+    border the image (H, W) is mirrored; `sigma` is in pixels. `out` is filled, and may be the image.
     """
     if sigma <= 0:
         return image
     kernel = _kernel(sigma)
-    smoothed = cv2.sepFilter2D(image, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    smoothed = cv2.sepFilter2D(image, cv2.CV_32F, kernel, kernel, out, borderType=cv2.BORDER_REFLECT)
     return np.asarray(smoothed, np.float32)
 
 

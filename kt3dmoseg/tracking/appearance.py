@@ -13,7 +13,7 @@ import numpy as np
 
 from kt3dmoseg.tracking.linking import gradient
 from kt3dmoseg.tracking.options import TrackOptions
-from kt3dmoseg.tracking.registration import Starts, View, begin, compare, look, prepare
+from kt3dmoseg.tracking.registration import Starts, View, begin, compare, prepare
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 _POLE = np.sqrt(8) - 3  # of the inverse of (1, 6, 1) / 8
@@ -52,15 +52,6 @@ class Window:
         weight = np.exp(-2 * (self.lattice[:2] ** 2).sum(axis=0) / radius**2)
         self.weight = cast(Float32Array, weight / weight.sum())
         self.pixels = np.array([*self.lattice, self.weight])
-
-    def look(self, image: Float32Array, pose: FloatArray) -> Float32Array:
-        """Gray values (N, P) at A d + x for all offsets d in a `doubled` frame, whose edge is continued.
-
-        `pose` (N, 2, 3) float64 holds A and x in pixels, side by side.
-        """
-        seen = np.empty((len(pose), len(self.weight)), np.float32)
-        look(_view(image), pose, self.pixels, seen)
-        return seen
 
     def start(self, image: Float32Array, xy: FloatArray) -> Float32Array:
         """Upright patches about points (N, 2) and their x- and y-derivatives, (N, 3, P)."""

@@ -82,11 +82,16 @@ def smaller_eigenvalue(frame: ByteArray, presmoothing: float, integration: float
     image = smooth(frame.astype(np.float32), presmoothing)
     dx = cv2.sepFilter2D(image, cv2.CV_32F, _CENTRAL, _ONE, borderType=cv2.BORDER_REFLECT)
     dy = cv2.sepFilter2D(image, cv2.CV_32F, _ONE, _CENTRAL, borderType=cv2.BORDER_REFLECT)
-    xx, xy, yy = (smooth(product, integration) for product in (dx * dx, dx * dy, dy * dy))
-    twice = xx + yy  # from here in place: to fetch memory can take longer than to compute
+    xx, yy = np.asarray(dx, np.float32), np.asarray(dy, np.float32)
+    xy = np.multiply(xx, yy, out=image)  # from here in place: to fetch memory can take longer than to compute
+    xx *= xx
+    yy *= yy
+    for product in (xx, xy, yy):
+        smooth(product, integration, product)
+    twice = xx + yy
     xx -= yy
     xy *= 2
-    twice -= cv2.magnitude(xx, xy)
+    twice -= cv2.magnitude(xx, xy, yy)
     twice /= 2
     return twice
 

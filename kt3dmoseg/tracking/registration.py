@@ -40,16 +40,11 @@ class Starts(NamedTuple):
 
 
 @_summed
-def look(view: View, pose: FloatArray, window: Array, seen: Array) -> None:
-    """Gray values (N, P) at A d + x for all offsets d; `pose` (N, 2, 3) is [A x]. The edge is continued."""
-    at, part = np.empty(window.shape[1], np.uint32), np.empty((2, window.shape[1]), np.float32)
-    for n in range(len(pose)):
-        _see(view, pose[n], window, at, part, seen[n])
-
-
-@_summed
 def _see(view: View, pose: FloatArray, window: Array, at: Indices, part: Array, seen: Array) -> None:
-    """See one patch. Where its pixels lie is found first, in a loop that is vectorised."""
+    """Gray values (P,) at A d + x for all offsets d; `pose` (2, 3) is [A x]. The edge is continued.
+
+    Where they lie is found first, in a loop that is vectorised.
+    """
     right, bottom, zero = np.float32(view.width - 1), np.float32(view.height - 1), np.float32(0)
     a, b, c = np.float32(2 * pose[0, 0]), np.float32(2 * pose[0, 1]), np.float32(2 * pose[0, 2])
     d, e, f = np.float32(2 * pose[1, 0]), np.float32(2 * pose[1, 1]), np.float32(2 * pose[1, 2])
@@ -64,6 +59,17 @@ def _see(view: View, pose: FloatArray, window: Array, at: Indices, part: Array, 
         k, m = at[p], at[p] + stride
         upper = values[k] + fx[p] * (values[k + np.uint32(1)] - values[k])
         seen[p] = upper + fy[p] * (values[m] + fx[p] * (values[m + np.uint32(1)] - values[m]) - upper)
+
+
+@_summed
+def _fetch(view: View, pose: FloatArray, radius: int) -> np.float32:
+    """Sum some gray values of each line of a patch: they are in the cache when it is seen next."""
+    left, top, total = int(2 * (pose[0, 2] - radius)), int(2 * (pose[1, 2] - radius)), np.float32(0)
+    for k in range(0, 4 * radius + 1, 2 * radius):
+        line = view.values[min(max(left + k, 0), view.width - 1) :]
+        for i in range(max(top, 0), min(top + 4 * radius + 1, view.height)):
+            total += line[np.uint32(i) * view.stride]
+    return total
 
 
 @_summed
@@ -147,10 +153,12 @@ def compare(
     Patch n started as row[n] of `starts`. The limits are those of `Appearance.follow`.
     """
     anchor, anchor_change, gain, scale, appearance, floor = limits
+    radius = round(np.sqrt(window.shape[1] / np.pi))
     at, part = np.empty(window.shape[1], np.uint32), np.empty((2, window.shape[1]), np.float32)
     rest, step, tried = np.empty(window.shape[1], np.float32), np.empty((2, 3)), np.empty((2, 3))
     for n in range(len(pose)):
         start, here = starts.patch[row[n]], pose[n]
+        rest[0] = _fetch(view, pose[min(n + 1, len(pose) - 1)], radius)
         change = _change(view, here, start[0], window, at, part, rest)
         if anchor > 0:
             _correct(rest, start, starts.inverse[row[n]], window, np.float32(scale), part[0], step)

@@ -149,14 +149,6 @@ def test_many_points_give_what_single_points_give(rng):
         np.testing.assert_allclose(alone[0], every[row], atol=1e-6)
 
 
-def test_a_window_takes_more_points_than_opencv_does_at_once():
-    window, count, frame = Window(1), 40_000, gray(picture())
-    pose = np.broadcast_to(np.c_[np.eye(2), (20.0, 10.0)], (count, 2, 3))
-    seen = window.look(doubled(frame), pose)
-    assert seen.shape == (count, 9)
-    np.testing.assert_allclose(seen[-1], frame[9:12, 19:22].ravel(), atol=0.05)
-
-
 def test_a_start_has_its_slopes():
     y, x = np.mgrid[:30, :40].astype(float)
     window, xy = Window(2), np.array([[12.0, 10.0], [20.25, 15.5]])
