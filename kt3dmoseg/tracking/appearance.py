@@ -6,14 +6,14 @@ Gray values are seen through an affine map in windows about points (`Window`), r
 
 from __future__ import annotations
 
-from typing import cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
 
 from kt3dmoseg.tracking.linking import gradient
 from kt3dmoseg.tracking.options import TrackOptions
-from kt3dmoseg.tracking.registration import Starts, View, begin, compare, prepare
+from kt3dmoseg.tracking.registration import begin, compare, prepare
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 
 _POLE = np.sqrt(8) - 3  # of the inverse of (1, 6, 1) / 8
@@ -37,6 +37,14 @@ def doubled(frame: ByteArray) -> Float32Array:
     return cast(Float32Array, cv2.pyrUp(coefficients)[: 2 * height, : 2 * width])
 
 
+class Starts(NamedTuple):
+    """What is known of N patches from their start."""
+
+    patch: Float32Array  # (N, 3, P): T less its weighted mean, its x- and its y-derivative
+    variance: Float32Array  # (N,): weighted mean of T^2
+    inverse: Float32Array  # (N, 6, 6): from the right side in `_correct` to the change of pose
+
+
 class Window:
     """A disc of P pixels with weights that fall off with the distance from its centre.
 
@@ -56,21 +64,15 @@ class Window:
     def start(self, image: Float32Array, xy: FloatArray) -> Float32Array:
         """Upright patches about points (N, 2) and their x- and y-derivatives, (N, 3, P)."""
         patch = np.empty((len(xy), 3, len(self.weight)), np.float32)
-        begin(_view(image), xy, self._square, self.pixels, patch)
+        begin(image, xy, self._square, self.pixels, patch)
         return patch
 
     def prepare(self, patch: Float32Array, options: TrackOptions) -> Starts:
         """Make ready for registration what `start` has seen, (N, 3, P)."""
         count = len(patch)
         known = Starts(patch, np.empty(count, np.float32), np.empty((count, 6, 6), np.float32))
-        prepare(known, self.pixels, options.anchor_stiffness)
+        prepare(patch, self.pixels, options.anchor_stiffness, *known[1:])
         return known
-
-
-def _view(image: Float32Array) -> View:
-    (height, width), stride = image.shape, image.strides[0] // image.itemsize
-    values = np.lib.stride_tricks.as_strided(image, ((height - 1) * stride + width,), (image.itemsize,))
-    return View(values, np.uint32(stride), height, width)
 
 
 class Appearance:
@@ -126,7 +128,7 @@ class Appearance:
             options.appearance,
             options.appearance_floor,
         )
-        compare(_view(self._image), pose, row, self._starts, self.window.pixels, limits, alike)
+        compare(self._image, pose, row, *self._starts, self.window.pixels, limits, alike)
         target, alive = target.copy(), alive.copy()
         target[live], alive[live] = pose[..., 2], alike
         self._row, self._affine, self._new = row[alike], pose[alike, :, :2], (self._image, start[:0])

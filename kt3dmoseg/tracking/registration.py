@@ -6,7 +6,7 @@ A patch has P pixels; `window` (4, P) holds their x and y from its centre, 1, an
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -22,67 +22,53 @@ _LEAST = 1e-3  # keeps the equations of a flat patch solvable: it then stays whe
 _summed = partial(compiled, fastmath={"contract", "reassoc"})  # sums are taken in the quickest order
 
 
-class View(NamedTuple):
-    """Gray values of a doubled frame, one line after the other, and how they lie there."""
-
-    values: Array
-    stride: np.uint32  # from a line to the next
-    height: int
-    width: int
-
-
-class Starts(NamedTuple):
-    """What is known of N patches from their start."""
-
-    patch: Array  # (N, 3, P): T less its weighted mean, its x- and its y-derivative
-    variance: Array  # (N,): weighted mean of T^2
-    inverse: Array  # (N, 6, 6): from the right side in `_correct` to the change of pose
-
-
 @_summed
-def _see(view: View, pose: FloatArray, window: Array, at: Indices, part: Array, seen: Array) -> None:
+def _see(image: Array, pose: FloatArray, window: Array, at: Indices, part: Array, seen: Array) -> None:
     """Gray values (P,) at A d + x for all offsets d; `pose` (2, 3) is [A x]. The edge is continued.
 
     Where they lie is found first, in a loop that is vectorised.
     """
-    right, bottom, zero = np.float32(view.width - 1), np.float32(view.height - 1), np.float32(0)
+    height, width = image.shape
+    right, bottom, zero = np.float32(width - 1), np.float32(height - 1), np.float32(0)
     a, b, c = np.float32(2 * pose[0, 0]), np.float32(2 * pose[0, 1]), np.float32(2 * pose[0, 2])
     d, e, f = np.float32(2 * pose[1, 0]), np.float32(2 * pose[1, 1]), np.float32(2 * pose[1, 2])
-    along, down, fx, fy, values, stride = window[0], window[1], part[0], part[1], view.values, view.stride
+    along, down, fx, fy, row, column = window[0], window[1], part[0], part[1], at[0], at[1]
     for p in range(len(seen)):
         x, y = a * along[p] + b * down[p] + c, d * along[p] + e * down[p] + f
         x, y = x if x > zero else zero, y if y > zero else zero  # also where it is NaN
         x, y = x if x < right else right, y if y < bottom else bottom
-        j, i = min(np.int32(x), np.int32(view.width - 2)), min(np.int32(y), np.int32(view.height - 2))
-        fx[p], fy[p], at[p] = x - np.float32(j), y - np.float32(i), i * stride + j
+        row[p], column[p] = min(np.int32(y), np.int32(height - 2)), min(np.int32(x), np.int32(width - 2))
+        fx[p], fy[p] = x - np.float32(column[p]), y - np.float32(row[p])
+    one = np.uint32(1)
     for p in range(len(seen)):
-        k, m = at[p], at[p] + stride
-        upper = values[k] + fx[p] * (values[k + np.uint32(1)] - values[k])
-        seen[p] = upper + fy[p] * (values[m] + fx[p] * (values[m + np.uint32(1)] - values[m]) - upper)
+        i, k = row[p], column[p]
+        upper = image[i, k] + fx[p] * (image[i, k + one] - image[i, k])
+        lower = image[i + one, k] + fx[p] * (image[i + one, k + one] - image[i + one, k])
+        seen[p] = upper + fy[p] * (lower - upper)
 
 
 @_summed
-def _fetch(view: View, pose: FloatArray, radius: int) -> np.float32:
+def _fetch(image: Array, pose: FloatArray, radius: int) -> np.float32:
     """Sum some gray values of each line of a patch: they are in the cache when it is seen next."""
     left, top, total = int(2 * (pose[0, 2] - radius)), int(2 * (pose[1, 2] - radius)), np.float32(0)
     for k in range(0, 4 * radius + 1, 2 * radius):
-        line = view.values[min(max(left + k, 0), view.width - 1) :]
-        for i in range(max(top, 0), min(top + 4 * radius + 1, view.height)):
-            total += line[np.uint32(i) * view.stride]
+        column = min(max(left + k, 0), image.shape[1] - 1)
+        for i in range(max(top, 0), min(top + 4 * radius + 1, image.shape[0])):
+            total += image[i, column]
     return total
 
 
 @_summed
-def begin(view: View, xy: FloatArray, square: Array, window: Array, patch: Array) -> None:
+def begin(image: Array, xy: FloatArray, square: Array, window: Array, patch: Array) -> None:
     """Upright patches about points (N, 2) and their x- and y-derivatives, from the `square` about them."""
     size, side, half = square.shape[1], round(np.sqrt(square.shape[1])), np.float32(0.5)
-    at, part, seen = np.empty(size, np.uint32), np.empty((2, size), np.float32), np.empty(size, np.float32)
+    at, part, seen = np.empty((2, size), np.uint32), np.empty((2, size), np.float32), np.empty_like(square[0])
     index, pose = np.empty(window.shape[1], np.int64), np.eye(2, 3)
     for p in range(len(index)):
         index[p] = size // 2 + side * window[1, p] + window[0, p]
     for n in range(len(xy)):
         pose[0, 2], pose[1, 2] = xy[n, 0], xy[n, 1]
-        _see(view, pose, square, at, part, seen)
+        _see(image, pose, square, at, part, seen)
         value, right, down = patch[n, 0], patch[n, 1], patch[n, 2]
         for p in range(len(index)):
             k = index[p]
@@ -91,25 +77,25 @@ def begin(view: View, xy: FloatArray, square: Array, window: Array, patch: Array
 
 
 @_summed
-def prepare(start: Starts, window: Array, stiffness: float) -> None:
-    """Take the mean from patches, and fill in the rest of their start."""
+def prepare(patch: Array, window: Array, stiffness: float, variance: Array, inverse: Array) -> None:
+    """Take the mean from patches, and fill in the rest of what `Starts` holds of them."""
     slopes, normal, weight = np.empty((8, window.shape[1]), np.float32), np.empty((8, 8)), window[3]
-    for n in range(len(start.patch)):
-        value, mean = start.patch[n, 0], np.float32(0)
+    for n in range(len(patch)):
+        value, mean = patch[n, 0], np.float32(0)
         for p in range(len(weight)):
             mean += weight[p] * value[p]
         for p in range(len(weight)):
             value[p] -= mean
             slopes[6, p], slopes[7, p] = value[p], 1
         for k in range(6):
-            slope, axis, row = start.patch[n, 1 + k // 3], window[k % 3], slopes[k]
+            slope, axis, row = patch[n, 1 + k // 3], window[k % 3], slopes[k]
             for p in range(len(weight)):
                 row[p] = slope[p] * axis[p]
         _multiply(slopes, weight, normal)
-        start.variance[n] = normal[6, 6]
+        variance[n] = normal[6, 6]
         for k in range(8):
             normal[k, k] += _LEAST + 1e-4 * normal[k, k] + (stiffness if k in (0, 1, 3, 4) else 0)
-        _invert(normal, start.inverse[n])
+        _invert(normal, inverse[n])
 
 
 @_summed
@@ -140,48 +126,50 @@ def _invert(normal: FloatArray, inverse: Array) -> None:
 
 @_summed
 def compare(
-    view: View,
+    image: Array,
     pose: FloatArray,
     row: IntArray,
-    starts: Starts,
+    patch: Array,
+    variance: Array,
+    inverse: Array,
     window: Array,
     limits: tuple[float, ...],
     alike: BoolArray,
 ) -> None:
     """Correct poses (N, 2, 3) in place where that is better; which patches look alike (N,).
 
-    Patch n started as row[n] of `starts`. The limits are those of `Appearance.follow`.
+    Pose n is of start row[n]; the starts are those of `Starts`, the limits those of `Appearance.follow`.
     """
     anchor, anchor_change, gain, scale, appearance, floor = limits
     radius = round(np.sqrt(window.shape[1] / np.pi))
-    at, part = np.empty(window.shape[1], np.uint32), np.empty((2, window.shape[1]), np.float32)
+    at, part = np.empty((2, window.shape[1]), np.uint32), np.empty((2, window.shape[1]), np.float32)
     rest, step, tried = np.empty(window.shape[1], np.float32), np.empty((2, 3)), np.empty((2, 3))
     for n in range(len(pose)):
-        start, here = starts.patch[row[n]], pose[n]
-        rest[0] = _fetch(view, pose[min(n + 1, len(pose) - 1)], radius)
-        change = _change(view, here, start[0], window, at, part, rest)
+        start, here = patch[row[n]], pose[n]
+        rest[0] = _fetch(image, pose[min(n + 1, len(pose) - 1)], radius)
+        change = _change(image, here, start[0], window, at, part, rest)
         if anchor > 0:
-            _correct(rest, start, starts.inverse[row[n]], window, np.float32(scale), part[0], step)
+            _correct(rest, start, inverse[row[n]], window, np.float32(scale), part[0], step)
             for k in range(6):
                 i, j = k // 3, k % 3
                 tried[i, j] = here[i, j] - here[i, 0] * step[0, j] - here[i, 1] * step[1, j]
             x, y = tried[0, 2], tried[1, 2]
             near = np.hypot(x - here[0, 2], y - here[1, 2]) <= anchor
-            if near and -1 <= 2 * x <= view.width - 1 and -1 <= 2 * y <= view.height - 1:
-                after = _change(view, tried, start[0], window, at, part, rest)
-                if after < min(change, anchor_change * starts.variance[row[n]] + floor):
+            if near and -1 <= 2 * x <= image.shape[1] - 1 and -1 <= 2 * y <= image.shape[0] - 1:
+                after = _change(image, tried, start[0], window, at, part, rest)
+                if after < min(change, anchor_change * variance[row[n]] + floor):
                     change = after
                     for k in range(6):
                         here[k // 3, k % 3] += gain * (tried[k // 3, k % 3] - here[k // 3, k % 3])
-        alike[n] = appearance <= 0 or change <= appearance * starts.variance[row[n]] + floor
+        alike[n] = appearance <= 0 or change <= appearance * variance[row[n]] + floor
 
 
 @_summed
 def _change(
-    view: View, pose: FloatArray, start: Array, window: Array, at: Indices, part: Array, rest: Array
+    image: Array, pose: FloatArray, start: Array, window: Array, at: Indices, part: Array, rest: Array
 ) -> np.float32:
     """Find what differs from a start, less its weighted mean; return its weighted mean square."""
-    _see(view, pose, window, at, part, rest)
+    _see(image, pose, window, at, part, rest)
     weight = window[3]
     mean, square = np.float32(0), np.float32(0)
     for p in range(len(weight)):
