@@ -53,9 +53,9 @@ def test_brightness_and_faint_noise_do_not_count(picture, rng):
 def test_the_living_keep_their_own_start(picture):
     looks = looking_at(picture, POINTS)
     looks.follow(np.zeros((*picture.shape, 2), np.float32), POINTS, POINTS, np.array([False, True]))
-    looks.add(POINTS[:1])
-    assert alike(looks, picture, POINTS[::-1]).all()
-    assert not alike(looks, picture, POINTS).any()
+    looks.add(POINTS[[0, 1, 0]])  # more than have ended
+    assert alike(looks, picture, POINTS[[1, 0, 1, 0]]).all()
+    assert not alike(looks, picture, POINTS[[0, 1, 0, 1]]).any()
 
 
 def constant(a, b):
