@@ -33,7 +33,7 @@ FILES = sorted((ROOT / "results").glob("*/*/*.json"))
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
 SLOW = {"alc", "lrssc", "consistent"}
 LACKING = {  # alc draws nothing: one seed is all
-    ("synth", "data-5177bd34"): SLOW | {"tpv", "tlinkage", "s3c", "rpa"},
+    ("synth", "data-5177bd34"): SLOW | {"tpv", "tlinkage", "rpa"},
 }
 SUBSET = Configuration("subset", {"alpha": 8})
 
