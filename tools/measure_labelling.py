@@ -86,7 +86,7 @@ class Labeller:
         """Do something, and wait until it has changed the document."""
         before = self.page.value(DONE)
         action()
-        self.page.until(f"{DONE} > {before}", 20)
+        self.page.until(f"{DONE} > {before} && !labeller.state.making", 60)
 
     def asked(self, what: str) -> dict[str, Any]:
         """Return what the server answers the page about the present document: regions or labels."""
@@ -137,14 +137,16 @@ class Labeller:
         if seen[-1] + 1 < self.frames:
             self.go_to(seen[-1] + 1)
             self.edit(lambda: self.page.press("e"))
+        drawn = {frame}
         for corrections in range(CORRECTIONS + 1):
             regions = self.asked("regions")["regions"][str(self.page.value("labeller.state.selected"))]
             exact = {k: self.mask(truth[k].polygons) for k in seen}
             ious = {k: overlap(self.mask(regions[k]["polygons"]), exact[k]) for k in seen}
-            loose = [k for k in seen if not regions[k]["key"] and ious[k] < 0.85]
+            loose = [k for k in seen if k not in drawn and ious[k] < 0.85]
             if not loose or corrections == CORRECTIONS:
                 break
             worst = min(loose, key=ious.__getitem__)
+            drawn.add(worst)
             self.go_to(worst)
             self.outline(worst, truth[worst].polygons, 2)
         return used, corrections, first, float(np.median(list(ious.values())))

@@ -25,8 +25,8 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
-from kt3dmoseg.annotate.geometry import arrays, bounds, median
-from kt3dmoseg.annotate.model import Box, Click, Polygon, Stroke
+from kt3dmoseg.annotate.geometry import arrays, bounds, median, signed_distance
+from kt3dmoseg.annotate.model import LEAST_BOX, Box, Click, Polygon, Stroke
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
 Frames: TypeAlias = Callable[[int], ByteArray]
@@ -60,6 +60,8 @@ _AT_EDGE, _BEYOND = 4.0, 0.4
 # A known shape, fitted to the box: its odds, the share of the box's size over which they change, and what
 # part of the odds of a box is kept beside them.
 _SHAPE, _SHAPE_SHARE, _BESIDE_SHAPE = 2.0, 0.15, 0.5
+# A shape without a box: its odds, which change over this many pixels at least.
+_CARRIED, _BLURRED = 4.0, 3.0
 # Gray levels of the outline found first: their weight, how many count as one, their largest odds.
 _GRAYS, _LEVEL, _MOST_GRAY_ODDS = 1.0, 8, 2.0
 # Strength of the odds next to the picture's edges; a click: its strength and reach, in shares of the box.
@@ -248,6 +250,22 @@ def outline_clicks(
     return _outlined(_cut(frames, steps, boxed(steps, (*low, *high)), frame, (*low, *high), clicks, shape))
 
 
+def sharpened(frames: Frames, tracks: Trajectories, frame: int, shape: Sequence[FloatArray]) -> list[Polygon]:
+    """Outline anew polygons (P, 2) that were carried to a frame, by its edges and motion.
+
+    Empty where less than 3 pixels of it are in the picture.
+    """
+    last = np.array(frames(frame).shape[::-1]) - 1
+    left, top, right, bottom = bounds(shape)
+    low, high = np.clip([(left, top), (right, bottom)], 0, last).tolist()
+    if min(np.subtract(high, low)) < LEAST_BOX:
+        return []
+    steps = Steps(tracks, frame, None)
+    member = signed_distance(steps.xy, shape, 0.0) >= 0
+    member &= member.sum() >= _ENOUGH
+    return _outlined(_cut(frames, steps, member, frame, (*low, *high), (), shape, carried=True))
+
+
 def painted(stroke: Stroke, image_size: tuple[int, int]) -> list[Polygon]:
     """Return the outline after a stroke of the brush; accurate to a third of a pixel."""
     fine = [(polygon + 0.5) * _FINE - 0.5 for polygon in arrays(stroke.polygons)]
@@ -285,26 +303,18 @@ def _cut(
     box: Box,
     clicks: Sequence[Click],
     shape: Sequence[FloatArray],
+    carried: bool = False,
 ) -> BoolArray:
     """Mask (H, W) of what is in the box, moves with the members and is like a shape, if there is one."""
     height, width = frames(frame).shape
     out, view = np.zeros((height, width), dtype=np.bool_), _View(box, (width, height))
     here = cv2.remap(frames(frame), view.x, view.y, cv2.INTER_LINEAR).astype(np.float32)
-    low, high, last = np.array(box[:2]), np.array(box[2:]), np.array([width, height]) - 1
-    size = np.sqrt((high - low).prod())
-    beyond = _BEYOND * (high - low)  # what the picture's edge cuts goes on there
-    low, high = (
-        np.where(low < _AT_EDGE, low - beyond, low),
-        np.where(high > last - _AT_EDGE, high + beyond, high),
-    )
-    centre, half = (low + high) / 2, (high - low + 1) / 2
-    u, v = (view.x - centre[0]) / half[0], (view.y - centre[1]) / half[1]
-    odds = _MIDDLE - _SIDES * (u**4 + v**4) + _TAPER * u**2 * v
-    if shape:
-        odds = _BESIDE_SHAPE * odds + _SHAPE * np.clip(view.depth(shape) / (_SHAPE_SHARE * size), -1, 1)
+    size = np.sqrt((box[2] - box[0]) * (box[3] - box[1]))
+    odds = _expected(view, box, shape, carried)
     if member.any():
-        hull = cv2.convexHull(steps.xy[member].astype(np.float32))[:, 0]
-        odds += _HULL * np.clip(view.depth([hull]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
+        if not carried:
+            hull = cv2.convexHull(steps.xy[member].astype(np.float32))[:, 0]
+            odds += _HULL * np.clip(view.depth([hull]) / max(_NEAR, _HULL_SHARE * size), -1, 1)
         odds += _EVIDENCE * _evidence(frames, steps, member, frame, view, here)
     inside = _walk(here, _field(odds, view, clicks, size)) > 0
     odds += _GRAYS * _gray_odds(here, inside)
@@ -313,6 +323,26 @@ def _cut(
     soft = cv2.resize(found, (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
     out[top:bottom, left:right] = soft > 0
     return out
+
+
+def _expected(view: _View, box: Box, shape: Sequence[FloatArray], carried: bool) -> FloatArray:
+    """Logarithm of the odds of the object by its box and shape; by the shape alone where that was carried."""
+    low, high, last = np.array(box[:2]), np.array(box[2:]), np.array(view.image_size) - 1
+    odds: Any = 0.0
+    if shape:
+        share = max(_BLURRED, _SHAPE_SHARE * np.sqrt((high - low).prod()))
+        odds = (_CARRIED if carried else _SHAPE) * np.clip(view.depth(shape) / share, -1, 1)
+    if carried:
+        return np.asarray(odds)
+    beyond = _BEYOND * (high - low)  # what the picture's edge cuts goes on there
+    low, high = (
+        np.where(low < _AT_EDGE, low - beyond, low),
+        np.where(high > last - _AT_EDGE, high + beyond, high),
+    )
+    centre, half = (low + high) / 2, (high - low + 1) / 2
+    u, v = (view.x - centre[0]) / half[0], (view.y - centre[1]) / half[1]
+    middle = _MIDDLE - _SIDES * (u**4 + v**4) + _TAPER * u**2 * v
+    return np.asarray(odds + (_BESIDE_SHAPE if shape else 1.0) * middle)
 
 
 def _field(odds: FloatArray, view: _View, clicks: Sequence[Click], size: float) -> FloatArray:
@@ -340,6 +370,7 @@ class _View:
     """What is in and around a box of the image, at a scale at which it has few enough pixels."""
 
     def __init__(self, box: Box, image_size: tuple[int, int]) -> None:
+        self.image_size = image_size
         low, high = np.array(box[:2]), np.array(box[2:])
         border = _BORDER + _BORDER_SHARE * (high - low)
         left, top = np.maximum(low - border, 0).astype(int).tolist()

@@ -22,6 +22,7 @@ import numpy as np
 
 from kt3dmoseg.annotate import Annotation, label_tracks
 from kt3dmoseg.annotate.proposals import PROPOSERS, Request
+from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.choosing import ChooseOptions
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.frames import FrameSource, KittiClip
@@ -163,6 +164,8 @@ def _moving(
     empty = Annotation(source.name, tracks.image_size or (0, 0), tracks.n_frames)
     root = None if kitti is None else kitti.root
     try:
+        if movers == "residual":
+            return moving_groups(tracks), movers
         found = PROPOSERS.load(movers)(Request(source.name, empty, tracks, tuple(paths), kitti=root))
     except KT3DMoSegError as error:
         if movers == "tracklets":

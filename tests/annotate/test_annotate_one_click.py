@@ -12,7 +12,7 @@ from kt3dmoseg import io
 from kt3dmoseg.annotate.formats.masks import mask_of
 from kt3dmoseg.annotate.geometry import arrays
 from kt3dmoseg.annotate.model import Stroke
-from kt3dmoseg.annotate.one_click import outline_clicks, painted
+from kt3dmoseg.annotate.one_click import outline_clicks, painted, sharpened
 from kt3dmoseg.types import Trajectories
 
 SIZE = (320, 200)
@@ -149,3 +149,33 @@ def test_a_box_makes_an_outline_and_the_brush_changes_it_by_mouse_and_by_keys(pa
     with page.tab.expect_request("**/outline") as asked:
         page.drag((57 + 4 * 7, 67), (143 + 4 * 7, 133))
     assert asked.value.post_data_json["like"]  # what is carried here is the shape to expect
+
+
+def test_a_carried_region_is_outlined_anew_by_the_edges_there():
+    tracks = Trajectories(np.zeros((0, 1, 2)), np.zeros((0, 1), bool), image_size=SIZE)
+    frame = np.full(SIZE[::-1], 40, np.uint8)
+    frame[70:130, 60:140] = 200
+    carried = np.array([(64.0, 74), (144, 74), (144, 134), (64, 134)])
+    before = overlap([carried], 0)[0]
+    assert before < 0.85
+    assert overlap(sharpened(lambda _: frame, tracks, 0, [carried]), 0)[0] > 0.95
+    assert sharpened(lambda _: frame, tracks, 0, [carried + 400]) == []
+
+
+@pytest.mark.browser
+def test_key_frames_are_made_where_propagation_is_weak_and_stay_in_doubt(page):
+    page.press("Shift+O")
+    page.drag((90, 90), (106, 106))  # fewer than 8 trajectories: in doubt wherever it is carried to
+    page.until("labeller.state.doc.objects.length === 1 && !labeller.state.making")
+    frames = "labeller.state.doc.objects[0].key_frames.map((key) => key.frame)"
+    made = page.value(frames)
+    assert len(made) > 1
+    page.press("Escape", "Shift+W")
+    page.shows("#hint", "outlined by itself: follows")
+    page.press("End", "]", "e")  # it leaves here: what was made is made anew, and none comes back after it
+    page.until("!labeller.state.making")
+    assert page.value("labeller.state.doc.objects[0].key_frames.at(-1).visibility") == "outside"
+    page.press("Control+z")
+    assert page.value(frames) == made
+    page.press("Control+z")
+    assert page.objects() == []

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kt3dmoseg import synthetic
-from kt3dmoseg.annotate import Annotation, KeyFrame, label_tracks, proposals
+from kt3dmoseg.annotate import Annotation, KeyFrame, proposals
 from kt3dmoseg.annotate.formats.masks import encode_rle, mask_of
 from kt3dmoseg.annotate.proposals import outline, residual, tracklets
 from kt3dmoseg.catalog import Drive, Entry
@@ -48,18 +48,11 @@ def request(trajectories, **options):
 
 def test_residual_finds_what_moves_by_itself():
     trajectories, moving = tracks()
-    asked = request(trajectories)
-    found = proposals.propose("residual", asked)
-    labels = label_tracks(trajectories, replace(asked.annotation, objects=(found[0],)))
+    taken = residual.moving_groups(trajectories) > 1
     seen = trajectories.lengths > 3
-    taken = labels.label[seen] == 2
-    assert taken[moving[seen]].mean() > 0.9
-    assert taken[~moving[seen]].mean() < 0.1
-
-
-def test_residual_finds_nothing_where_nothing_moves():
-    trajectories, moving = tracks()
-    assert proposals.propose("residual", request(trajectories.select(~moving))) == []
+    assert taken[moving & seen].mean() > 0.9
+    assert taken[~moving & seen].mean() < 0.1
+    assert not (residual.moving_groups(trajectories.select(~moving)) > 1).any()
 
 
 def test_residual_finds_what_moves_before_a_camera_at_rest():
@@ -78,7 +71,7 @@ def test_residual_goes_on_where_no_epipolar_geometry_is_found():
 def test_residual_needs_trajectories():
     trajectories, _ = tracks()
     with pytest.raises(InvalidValueError, match="trajectories"):
-        proposals.propose("residual", request(trajectories.select(np.arange(9))))
+        residual.moving_groups(trajectories.select(np.arange(9)))
 
 
 def test_proposals_take_numbers_that_are_free_and_leave_out_what_is_there():

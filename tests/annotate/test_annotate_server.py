@@ -282,7 +282,7 @@ def test_clip(page):
     assert reply["n_frames"] == 3
     assert reply["annotation"]["revision"] == 0
     assert reply["formats"]["cvat"] == ".xml"
-    assert {"residual", "tracklets", "masks"} <= set(reply["proposers"])
+    assert {"mseg", "tracklets", "masks"} <= set(reply["proposers"])
 
 
 def test_frames(page, clips):
@@ -343,7 +343,7 @@ def test_tracks_that_fail_say_why(clips, tmp_path):
     answer = wait(page)
     assert answer.status_code == 500
     assert "courage" in answer.json()["error"]
-    assert "courage" in page.post("/api/clips/one/proposals/residual", json=drawn(page)).json()["error"]
+    assert "courage" in page.post("/api/clips/one/proposals/mseg", json=drawn(page)).json()["error"]
 
 
 def test_tracks_of_another_clip_are_refused(clips, tmp_path):
@@ -407,7 +407,7 @@ def test_if_match_is_required_and_checked(page):
     ("body", "word"),
     [(b"", "JSON"), (b"{", "JSON"), (b"[]", "annotation"), (b"[" * 90_000, "JSON"), (b"\xff", "JSON")],
 )
-@pytest.mark.parametrize("route", ["labels", "regions", "proposals/residual", "export/cvat"])
+@pytest.mark.parametrize("route", ["labels", "regions", "proposals/mseg", "export/cvat"])
 def test_bodies_that_are_no_annotation(page, route, body, word):
     wait(page)
     answer = page.post(f"/api/clips/one/{route}", content=body)
@@ -475,9 +475,9 @@ def test_labels_are_those_of_label_tracks(page, clips):
         assert reply == label_tracks(load(clips / "tracks" / "one.npz").dense, from_json(doc)).label.tolist()
 
 
-def test_residual_proposals_accept_nothing_by_themselves(page, tmp_path):
+def test_proposals_accept_nothing_by_themselves(page, tmp_path):
     wait(page)
-    answer = page.post("/api/clips/one/proposals/residual", json=drawn(page))
+    answer = page.post("/api/clips/one/proposals/mseg", json=drawn(page))
     assert answer.status_code == 200
     assert all(item["id"] > 1 for item in answer.json()["objects"])
     assert not (tmp_path / "notes" / "one.json").exists()
@@ -499,7 +499,7 @@ def test_a_proposer_is_stopped_when_nobody_waits_for_it(clips, tmp_path, monkeyp
     scope = {
         "type": "http",
         "method": "POST",
-        "path": "/api/clips/one/proposals/residual",
+        "path": "/api/clips/one/proposals/mseg",
         "query_string": b"",
         "headers": [(b"host", HOST.encode())],
     }

@@ -35,7 +35,6 @@ from kt3dmoseg.types import FloatArray, Labels, Trajectories
 PROPOSERS = Registry(
     "proposer",
     {
-        "residual": "kt3dmoseg.annotate.proposals.residual:propose",
         "tracklets": "kt3dmoseg.annotate.proposals.tracklets:propose",
         "masks": "kt3dmoseg.annotate.proposals:propose_masks",
         "built": "kt3dmoseg.annotate.proposals:propose_built",

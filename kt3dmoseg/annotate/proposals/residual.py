@@ -10,10 +10,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from kt3dmoseg.annotate.proposals import Request
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.neighbours import groups
-from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
+from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Trajectories
 
 _GAP = 4
 _FEWEST = 8
@@ -21,11 +20,6 @@ _FEWEST = 8
 _TOLERANCE = 1.2
 _AT_REST = 0.3
 _SHARE = 0.6
-
-
-def propose(request: Request) -> Labels:
-    """Label groups of trajectories that move by themselves; see `kt3dmoseg.annotate.proposals`."""
-    return Labels(moving_groups(request.trajectories), background=1)
 
 
 def moving_groups(tracks: Trajectories) -> IntArray:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from kt3dmoseg import io
 from kt3dmoseg.annotate import model, propagation
 from kt3dmoseg.annotate.labelling import LabelledTracks, label_tracks_detailed
-from kt3dmoseg.annotate.one_click import outline_clicks
+from kt3dmoseg.annotate.one_click import outline_clicks, sharpened
 from kt3dmoseg.annotate.propagation import Region, TrackMotion
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.annotate.server.clip_log import WORK_STATES, ClipLog, file_version
@@ -33,6 +33,7 @@ Tracker: TypeAlias = Callable[[Iterator[ByteArray], Callable[[int, int | None], 
 _KEPT_LABELLINGS = 4
 _KEPT_OBJECTS = 256
 _KEPT_FRAMES = 16
+_MOST_MADE = 40
 
 
 class NotTrackedError(Exception):
@@ -162,6 +163,18 @@ class ClipSession:
         return outline_clicks(
             lambda k: _gray(frames[k]), tracks, asked.frame, asked.clicks, asked.box, groups, asked.like
         )
+
+    def made(self, item: model.AnnotatedObject) -> list[tuple[int, list[model.Polygon], str]]:
+        """Outline an object in the nearest frames it is carried to with doubt: frame, outline, doubt."""
+        frames, tracks = self.source.frames, self.trajectories()
+        regions, drawn = self._carried(item.key_frames, item.motion), [key.frame for key in item.key_frames]
+        doubts = [(k, why) for k, why in enumerate(self._doubted(item.key_frames, item.motion)) if why]
+        doubts.sort(key=lambda doubt: min(abs(doubt[0] - frame) for frame in drawn))
+        found = [
+            (k, sharpened(lambda i: _gray(frames[i]), tracks, k, regions[k].polygons), why)
+            for k, why in doubts[:_MOST_MADE]
+        ]
+        return [(k, polygons, why) for k, polygons, why in found if polygons]
 
     def work(self) -> dict[str, Any]:
         """Return the last ``state`` set, with its ``by``, ``time`` and ``revision``, and ``assigned``.

@@ -89,9 +89,8 @@ class Routes:
             self._route("GET", "/annotation", self._annotation),  # as saved, its revision as ETag
             self._route("PUT", "/annotation", self._save),  # If-Match: the revision that was edited
             self._route("POST", "/regions", self._regions, quick),  # in each frame, and why in doubt
-            self._route(
-                "POST", "/outline", self._outline, quick
-            ),  # {"frame", "clicks": [[x, y, adds], ...], "box"}
+            self._route("POST", "/outline", self._outline, quick),  # `Clicks`
+            self._route("POST", "/made", self._made, quick),  # key frames where regions are in doubt
             self._route("POST", "/paint", self._paint, quick),  # {"polygons", "stroke", "radius", "adds"}
             self._route("POST", "/labels", self._labels, quick),
             self._route("POST", "/proposals/{proposer}", self._propose, slow),
@@ -193,6 +192,9 @@ class Routes:
         with model.within("body"):
             asked = model.checked(model.Clicks, model.parse_document(body, "body"))
             return {"polygons": session.outline(asked)}
+
+    def _made(self, _: Request, session: ClipSession, body: bytes) -> Answer:
+        return {"made": [made for item in _given(session, body).objects for made in session.made(item)]}
 
     def _paint(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         with model.within("body"):

@@ -1,7 +1,7 @@
 // What a person can do to the annotation, by key, button or pointer.
 
 import {
-  addObject, changeObject, clamp, distance, inside, keyAt, middle, rounded, setKey, simplify, splice,
+  addObject, changeObject, clamp, distance, inside, keyAt, middle, objectOf, rounded, setKey, simplify, splice,
 } from "./annotation.js";
 import { nextOf } from "./dom.js";
 import { ask } from "./saving.js";
@@ -28,7 +28,14 @@ const withObject = (action) => (...given) => {
   return item && action(item, ...given);
 };
 
-const withKey = (doc, frame, ...region) => setKey(doc, state.selected, frame, ...region);
+/** With a region drawn in a frame; what was outlined by itself elsewhere is, anew. */
+function withKey(doc, frame, ...region) {
+  const id = state.selected;
+  const drawn = objectOf(doc, id).key_frames.filter((key) => key.frame === frame || !doubts.has(key.polygons));
+  if (drawn.length === objectOf(doc, id).key_frames.length) return setKey(doc, id, frame, ...region);
+  makeKeysSoon(id);
+  return setKey(changeObject(doc, id, { key_frames: drawn }), id, frame, ...region);
+}
 
 /** Make the selected object's region here a key frame. */
 export const draw = (polygons, visibility) => edit(withKey(state.doc, state.frame, polygons, visibility));
@@ -121,9 +128,42 @@ export const click = (point, adds) => inTurn((frame) => {
 /** In a box, what is carried there from other frames is the shape to expect. */
 export const outlineBox = (box) => inTurn((frame) => {
   const item = selectedObject();
-  const like = !item || keyAt(item, frame) ? [] : regionOf(item, frame).polygons;
+  const drawn = item && keyAt(item, frame);
+  const like = !item || (drawn && !doubts.has(drawn.polygons)) ? [] : regionOf(item, frame).polygons;
   return outline({ frame, box, clicks: [], like });
 });
+
+// Key frames made by themselves where a region is in doubt, and why it is; each outline makes them anew.
+const doubts = new WeakMap();
+const QUIET = 400;
+let quiet = 0;
+
+async function makeKeys(id) {
+  const before = objectOf(state.doc, id);
+  const { made } = await ask(state.clip.name, "made", { ...state.doc, objects: [before] });
+  if (state.dragging || !made.length || objectOf(state.doc, id)?.key_frames !== before.key_frames) return;
+  set({ doc: made.reduce((doc, [frame, outlined, why]) => {
+    const polygons = outlined.map(rounded);
+    doubts.set(polygons, `outlined by itself: ${why}`);
+    return setKey(doc, id, frame, polygons);
+  }, state.doc) });
+  notify(`Outlined by itself in ${made.length} more frames, where it was in doubt: Shift+W shows them`);
+}
+
+/** Make them once it is quiet: further clicks do not wait for it. */
+function makeKeysSoon(id) {
+  const { clip } = state;
+  clearTimeout(quiet);
+  set({ making: true });
+  const own = quiet = setTimeout(async () => {
+    if (clip === state.clip && objectOf(state.doc, id)) await attempt(() => makeKeys(id));
+    if (own === quiet) set({ making: false });
+  }, QUIET);
+}
+
+/** Why an object's region is in doubt in a frame, if it is. */
+export const doubtAt = (item, frame) =>
+  state.weak?.[item.id]?.[frame] || doubts.get(keyAt(item, frame)?.polygons);
 
 async function outline(asked) {
   const item = selectedObject();
@@ -137,8 +177,9 @@ async function outline(asked) {
   if (!answer.polygons.length) return notify("No outline there: click on what moves, where trajectories are");
   const polygons = answer.polygons.map(rounded);
   askedOf.set(polygons, asked);
-  if (item) return edit(setKey(doc, item.id, frame, polygons));
-  return editLast(addObject(doc, { key_frames: [{ frame, visibility: "visible", polygons }] }));
+  if (item) edit(withKey(doc, frame, polygons));
+  else editLast(addObject(doc, { key_frames: [{ frame, visibility: "visible", polygons }] }));
+  return makeKeysSoon(state.selected);
 }
 
 // Brush and eraser
@@ -280,7 +321,8 @@ export const shiftKey = withObject((item, by) => {
 });
 
 /** Frames that an object was carried to with doubt: [frame, why]. */
-export const weakFrames = (item) => [...(state.weak?.[item.id] ?? []).entries()].filter(([, why]) => why);
+export const weakFrames = (item) =>
+  Array.from({ length: state.clip.n_frames }, (_, frame) => [frame, doubtAt(item, frame)]).filter(([, why]) => why);
 
 /** Go to the next of them, of this object or the next one. */
 export function nextWeak() {

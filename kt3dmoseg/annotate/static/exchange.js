@@ -14,7 +14,6 @@ const NAMES = {
 const MEANING = { // in the order of the dialogue: the best first
   mseg: "rigid bodies that move by themselves, the surest first; takes some seconds",
   built: "what kt3dmoseg build --propose found",
-  residual: "what does not move with the static scene, from the trajectories",
   tracklets: "KITTI's 3D boxes, projected into the frames",
   masks: "masks from a folder",
 };

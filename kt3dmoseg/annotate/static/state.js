@@ -6,7 +6,7 @@ import { keyAt, objectOf } from "./annotation.js";
 const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
   pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null,
-  computing: "loading", proposals: null, review: null, compared: null, dragging: null,
+  computing: "loading", proposals: null, review: null, compared: null, dragging: null, making: false,
   span: null, flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [],
   unseen: new Set(), locked: new Set(), brightness: 1, contrast: 1, brush: 8,
 };

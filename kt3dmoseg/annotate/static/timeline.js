@@ -1,7 +1,7 @@
 // The timeline: the regions of every object over the frames, its key frames, which can be dragged, and what is in
 // doubt; above them a map of all frames; and the same as text.
 
-import { moveKey, weakFrames } from "./actions.js";
+import { doubtAt, moveKey, weakFrames } from "./actions.js";
 import { clamp, keyAt } from "./annotation.js";
 import { begin, byId, colourOfMotion, element, fill, hatch } from "./dom.js";
 import { edit, now, on, preview, regionOf, select, set, state } from "./state.js";
@@ -103,7 +103,7 @@ function drawRow(item, top) {
     const half = { visible: 3, occluded: 0.5, outside: -1 }[visibility];
     bar(colours.faint, 0.7, left, middle - half - 1, column + 0.5, 2 * half + 2);
     if (half > 0) bar(colour, 0.7, left, middle - half, column + 0.5, 2 * half);
-    if (state.weak?.[item.id]?.[frame]) bar(colours.doubt, 0.7, left, top + 3, column, ROW - 6);
+    if (doubtAt(item, frame)) bar(colours.doubt, 0.7, left, top + 3, column, ROW - 6);
     if (key) drawKey(left + column / 2, middle, visibility === "visible", colour);
   }
 }
