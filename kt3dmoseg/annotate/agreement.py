@@ -194,17 +194,7 @@ class ObjectPair:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two annotations of a clip.
-
-    Parameters
-    ----------
-    clip : str
-        Its name.
-    agreement : Agreement or None
-        Of the labels that both give its trajectories; None without trajectories.
-    objects : list of ObjectPair
-        What each drew in one place, and how that differs.
-    """
+    """Two annotations of a clip: how labels agree, where there are trajectories, and the objects."""
 
     clip: str
     agreement: Agreement | None

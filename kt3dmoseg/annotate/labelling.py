@@ -56,18 +56,9 @@ class LabelRule:
 
 @dataclass(frozen=True, eq=False)
 class LabelledTracks:
-    """Labels and the reasons for them.
+    """Labels (1 = background, m + 1 = motion m, 0 = unlabelled), and the reasons (N,) for them, of `REASONS`.
 
-    Parameters
-    ----------
-    labels : Labels
-        1 = background, m + 1 = motion m of the annotation, 0 = unlabelled.
-    reason : (N,) int64
-        Index into `REASONS`.
-    votes : (N, K) float64
-        Weight of the votes per candidate.
-    candidates : tuple of (0, motions..., "reject")
-        What the columns of `votes` are for.
+    `votes` (N, K) are the weights of the votes per candidate: 0, motions..., "reject".
     """
 
     labels: Labels
@@ -128,13 +119,7 @@ def label_tracks_detailed(
     regions: Mapping[int, list[Region]] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> LabelledTracks:
-    """Label trajectories, with reasons; other parameters and errors as for `label_tracks`.
-
-    Parameters
-    ----------
-    regions : mapping of int to list of Region, optional
-        What `propagate` returned for the annotation, when that is known already.
-    """
+    """Label trajectories, with reasons, as `label_tracks`; `regions` of `propagate`, when they are known."""
     rule = from_mapping(LabelRule, options, where="label_tracks")
     _check_clip(trajectories, annotation)
     if regions is None:

@@ -206,30 +206,11 @@ def outline_clicks(
     groups: Sequence[IntArray] = (),
     like: Sequence[Polygon] = (),
 ) -> list[Polygon]:
-    """Outline what moves in a box, or with the clicked places of a frame.
+    """Outline what moves in a box, or with the clicked places (x, y, adds) of a frame, all in pixels.
 
-    Parameters
-    ----------
-    frames : callable
-        The gray frame (H, W) of an index.
-    tracks : Trajectories
-        Of the clip.
-    frame : int
-        Where it was clicked.
-    clicks : sequence of (x, y, adds)
-        In pixels; without a box the first adds.
-    box : (left, top, right, bottom), optional
-        Around the object, in pixels.
-    groups : sequence of (N,) int64
-        Motions of the trajectories, 1 = scene, the most trusted first; without a box, those of the first are
-        taken by which the clicked place moves by itself.
-    like : sequence of polygons
-        The shape to expect in a box, such as the region that is carried there from other frames.
-
-    Returns
-    -------
-    list of polygons
-        Empty where nothing is left; without a box, where fewer than six trajectories are seen.
+    Without a box the first click adds, and of `groups` (N,), motions of trajectories with 1 = scene, the
+    first counts by which that place moves by itself. `like` is the shape to expect in a box, such as what is
+    carried there. No polygon: nothing is left or, without a box, fewer than six trajectories are seen.
     """
     added = np.array([click[:2] for click in clicks if click[2]]).reshape(-1, 2)
     steps, corners = Steps(tracks, frame, None), added

@@ -53,16 +53,9 @@ _TINY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """One object in one frame.
+    """One object in one frame: the visibility that holds there, and polygons (P, 2) in pixels.
 
-    Parameters
-    ----------
-    visibility : {"visible", "occluded", "outside"}
-        That of the key frame that holds there.
-    polygons : tuple of (P, 2) float64
-        The region in pixels; empty when outside, or occluded somewhere unknown.
-    key : bool
-        Whether a person drew it in this very frame.
+    None when outside, or occluded somewhere unknown. `key`: whether the region is of this very frame.
     """
 
     visibility: Visibility
@@ -71,19 +64,9 @@ class Region:
 
 
 def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict[int, list[Region]]:
-    """Return every object's region in every frame.
+    """Return the regions of every object, by its id, one per frame of the clip.
 
-    Parameters
-    ----------
-    annotation : Annotation
-        The key frames.
-    motion : ImageMotion, optional
-        `TrackMotion` or `FlowMotion`; without it regions are interpolated in straight lines.
-
-    Returns
-    -------
-    dict of int to list of Region
-        Object id to its regions, one per frame of the clip.
+    `motion` is a `TrackMotion` or `FlowMotion`; without it regions are interpolated in straight lines.
     """
     frames, objects = annotation.n_frames, annotation.objects
     return {item.id: propagate_keys(item.key_frames, frames, motion, item.motion) for item in objects}
@@ -181,15 +164,9 @@ class TrackMotion:
 
 @dataclass(frozen=True, eq=False)
 class FlowMotion:
-    """The image motion of an optical flow.
+    """The image motion of an optical flow, sampled every `spacing` pixels.
 
-    Parameters
-    ----------
-    flow : callable
-        ``flow(i, j)`` gives the displacement field of frame `i` towards its neighbour `j`,
-        (H, W, 2) in pixels, NaN where unknown.
-    spacing : float
-        Distance of the sampled points in pixels.
+    ``flow(i, j)`` is the displacement (H, W, 2) from frame `i` to its neighbour, in pixels; NaN: unknown.
     """
 
     flow: Callable[[int, int], Float32Array]

@@ -38,21 +38,9 @@ def load(name: str) -> AnnotationFormat:
 def plan(
     name: str, content: bytes, like: Annotation, names: Sequence[str] = (), choices: Choices | None = None
 ) -> Import:
-    """Return what importing a file would do, and what of it is doubtful.
+    """Return what importing a file in a format would do, and what of it is doubtful; see `Import`.
 
-    Parameters
-    ----------
-    name : str
-        The format, a name of `FORMATS`.
-    content : bytes
-        The file.
-    like, names, choices
-        As of `Import`.
-
-    Raises
-    ------
-    FileFormatError, InvalidValueError
-        When nothing of the file can be imported, or it does not fit the clip.
+    FileFormatError or InvalidValueError when nothing of it can be imported, or it does not fit the clip.
     """
     chosen = load(name)
     if hasattr(chosen, "plan"):

@@ -89,15 +89,7 @@ class ForeignObject:
 
 @dataclass(frozen=True)
 class Choices:
-    """What a person decides about an import; None = as the file says.
-
-    Parameters
-    ----------
-    shift : int, optional
-        Added to the frame numbers in the file.
-    scale : float, optional
-        Factor from the file's coordinates to pixels of the clip.
-    """
+    """What a person adds to frame numbers of a file, and its pixels are multiplied by; None = as it says."""
 
     shift: int | None = None
     scale: float | None = None

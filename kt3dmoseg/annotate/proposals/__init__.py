@@ -19,13 +19,7 @@ from kt3dmoseg.annotate.formats import content_of, load
 from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
 from kt3dmoseg.annotate.geometry import arrays, size
-from kt3dmoseg.annotate.model import (
-    PROPOSALS,
-    AnnotatedObject,
-    Annotation,
-    Polygon,
-    load_annotation,
-)
+from kt3dmoseg.annotate.model import PROPOSALS, AnnotatedObject, Annotation, Polygon, load_annotation
 from kt3dmoseg.annotate.propagation import TrackMotion, propagate
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.neighbours import groups
