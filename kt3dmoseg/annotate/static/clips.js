@@ -1,5 +1,6 @@
 // Opening clips, the list of them, and how far this one and all are.
 
+import { weakFrames } from "./actions.js";
 import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { proposeBuilt } from "./exchange.js";
 import { ask, flush, listClips, saver, startFrom, yourName } from "./saving.js";
@@ -88,7 +89,7 @@ async function refresh() {
 function drawProgress() {
   const { clip, work, labels } = state;
   const summaries = state.summaries ?? [];
-  const weak = Object.values(state.weak ?? {}).flat().filter(Boolean).length;
+  const weak = state.doc.objects.flatMap(weakFrames).length;
   byId("progress").textContent = labels ? doubtOf(labels.counts, weak) : "…";
   const done = summaries.filter((summary) => isDone(stateOf(summary).now)).length;
   byId("clips").title = `${done} of ${summaries.length} clips are done. Open: trajectories too short or in conflict `
