@@ -147,7 +147,7 @@ async function makeKeys(id) {
     doubts.set(polygons, `outlined by itself: ${why}`);
     return setKey(doc, id, frame, polygons);
   }, state.doc) });
-  notify(`Outlined by itself in ${made.length} more frames, where it was in doubt: Shift+W shows them`);
+  notify(`Outlined by itself where it was in doubt, in frames: ${made.length}; Shift+W shows them`);
 }
 
 /** Make them once it is quiet: further clicks do not wait for it. */

@@ -175,7 +175,7 @@ for (const b of document.querySelectorAll("[data-key]")) {
 // The menu: actions on what is under the pointer, or on what is selected
 
 const OF_OBJECT = "r p c o e Shift+E Backspace z Shift+H Shift+R Delete Shift+Delete".split(" ");
-const OF_PLACE = "n q s Shift+Z h t y".split(" ");
+const OF_PLACE = "Shift+O n q s Shift+Z h t y".split(" ");
 
 const menu = byId("menu");
 
