@@ -50,8 +50,8 @@ const isDone = (name) => ["done", "reviewed"].includes(name);
 
 /** What the labels leave in doubt: trajectories that got none, regions that were carried with doubt. */
 function doubtOf({ short, conflict }, weak) {
-  const parts = [[short + conflict, "open tracks"], [weak, "weak frames"]].filter(([count]) => count);
-  return parts.map((part) => part.join(" ")).join(" · ") || "nothing in doubt";
+  const parts = [[short + conflict, "open track"], [weak, "weak frame"]].filter(([count]) => count);
+  return parts.map(([count, what]) => `${count} ${what}${count > 1 ? "s" : ""}`).join(" · ") || "nothing in doubt";
 }
 
 /** Set the state of a clip, or to whom it is assigned: { state } or { assigned }. */

@@ -102,6 +102,7 @@ export function open(title, ...content) {
   fill(dialog, element("h2", {}, title), ...content);
   if (!dialog.open) dialog.showModal();
   else dialog.querySelector("button:enabled")?.focus();
+  dialog.scrollTop = 0; // a button that got the focus may be at the end of a long text
   dialog.onclose = () => byId("stage").focus();
 }
 
