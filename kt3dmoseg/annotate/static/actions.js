@@ -163,7 +163,7 @@ function makeKeysSoon(id) {
 
 /** Why an object's region is in doubt in a frame, if it is. */
 export const doubtAt = (item, frame) =>
-  state.weak?.[item.id]?.[frame] || doubts.get(keyAt(item, frame)?.polygons);
+  doubts.get(keyAt(item, frame)?.polygons) ?? state.weak?.[item.id]?.[frame];
 
 async function outline(asked) {
   const item = selectedObject();
