@@ -11,11 +11,12 @@
    trajectory joins the body that explains it and its neighbours best.
 
 The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price * mean(w) * motions``:
-``c = log(1 + q / (9 s^2)) + 0.28 log(s^2 / s_0^2)`` for a mean squared residual q of trajectory i under a
-body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals. (0.28 and
-not 1/2: what a lens or a tracker gets wrong is alike in neighbours, so there are fewer witnesses.) w_i grows
-with the length of the trajectory; the cut is the weight of edges between motions in the mean of the views'
-graphs, each with unit degrees, times the lesser w of both ends.
+``c = min(3, log(1 + q / (9 s^2)) + 0.28 log(s^2 / s_0^2))`` for a mean squared residual q of trajectory i
+under a body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals.
+(0.28 and not 1/2: what a lens or a tracker gets wrong is alike in neighbours, so there are fewer witnesses.
+At most 3: a tracker that loses its point may end anywhere, whatever the body.) w_i grows with the length of
+the trajectory; the cut is the weight of edges between motions in the mean of the views' graphs, each with
+unit degrees, times the lesser w of both ends.
 """
 
 from __future__ import annotations
@@ -53,11 +54,11 @@ _UNEXPLAINED = 3.0
 _NOISIEST = 10.0
 # Cost of a body's noise, per trajectory and logarithm of its variance over the clip's.
 _NOISIER = 0.28
+# Cost of a trajectory that fits no motion, at most.
+_MISFIT = 3.0
 # A trajectory of this many frames weighs 1, the heaviest one 1.5.
 _USUAL_LENGTH = 10
 _HEAVIEST = 1.5
-# Residual, in standard deviations, beyond which a trajectory fits no motion.
-_OUTLIER = 10.0
 # Power of the kernel and restarts of k-means for the atoms. The weak ties of the paper's methods, which keep
 # few clusters whole, would tie small motions to the static scene.
 _ALPHA = 8.0
@@ -81,7 +82,7 @@ class MultiBody:
     """
 
     atoms: int = option(20, "clusters of the over-segmentation", low=2)
-    price: float = option(20.0, "cost of a motion, for trajectories of ten frames", low=0)
+    price: float = option(17.0, "cost of a motion, for trajectories of ten frames", low=0)
     coherence: float = option(12.0, "cost of an edge between motions, per unit of degree", low=0)
     most: int = option(7, "largest number of motions that is looked for", low=1)
     reject_outliers: bool = option(False, "label 0 for trajectories that fit no motion")
@@ -95,8 +96,7 @@ class MultiBody:
         *streams, body_rng = rng.spawn(len(KINDS) + 1)
         views, used = fused.views(clip, streams, n_motions or 1)
         count = min(max(self.atoms, 2 * (n_motions or 1)), int(used.sum()))
-        fusion = fused.fuse([fused.laplacian(view) for view in views], count)
-        embedding = fusion.joint().astype(np.float32)
+        embedding = fused.fuse([fused.laplacian(view) for view in views], count).joint().astype(np.float32)
         atoms = kmeans(embedding, count, body_rng, n_restarts=_RESTARTS).labels
         points = clip.evaluated_trajectories.select(used)
         scene = _Scene(points, _edges(views, self.coherence), atoms, body_rng)
@@ -107,7 +107,7 @@ class MultiBody:
         others = [cost for number, cost in costs.items() if number != best]
         labels = found[best].labels + 1
         if self.reject_outliers:
-            labels[found[best].deviation > _OUTLIER] = 0
+            labels[found[best].misfit] = 0
         report: dict[str, Any] = {
             "views": [*KINDS],
             "n_motions": best,
@@ -147,15 +147,17 @@ class _Choice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Grouping:
-    """Labels (N,), 0..M-1, their cost, and residuals (N,) in standard deviations of the bodies' noise."""
+    """Labels (N,), 0..M-1, their cost, and which trajectories (N,) fit no motion."""
 
     cost: float
     labels: IntArray
-    deviation: FloatArray
+    misfit: BoolArray
 
 
 class _Scene:
     """A clip's trajectories and atoms, and the search among groupings of the atoms into bodies."""
+
+    misfit = _MISFIT
 
     def __init__(
         self, points: Trajectories, edges: csr_array, atoms: IntArray, rng: np.random.Generator
@@ -194,11 +196,10 @@ class _Scene:
         self.focal = self._focal(sets)
         bodies = self._bodies(sets)
         self._measure_noise(bodies)
-        grown = self._distinct([self._explained(body) for body in bodies], sets)
-        bodies += self._bodies(grown)
+        bodies += self._bodies(self._distinct([self._explained(body) for body in bodies], sets))
         choices = self._choose(bodies, most)
         groups = [choice.group == k for choice in choices.values() for k in range(len(choice.bodies))]
-        bodies += self._bodies(self._distinct(groups, []))
+        bodies += self._bodies(self._distinct(groups))
         choices = self._choose(bodies, most)
         return {
             number: self._refine([bodies[b] for b in choice.bodies], choice.group, price)
@@ -215,9 +216,9 @@ class _Scene:
             np.fill_diagonal(distance, 0)
             for first, second, _, _ in linkage(squareform(distance, checks=False), "average"):
                 sets.append(sets[int(first)] | sets[int(second)])
-        return self._distinct(sets, [])
+        return self._distinct(sets)
 
-    def _distinct(self, sets: list[BoolArray], known: list[BoolArray]) -> list[BoolArray]:
+    def _distinct(self, sets: list[BoolArray], known: Sequence[BoolArray] = ()) -> list[BoolArray]:
         """Those of the sets of atoms that are large enough and unlike the known ones and the ones before."""
         kept = list(known)
         for atoms in sets:
@@ -269,7 +270,7 @@ class _Scene:
         scale = np.array([self._scale(body) for body in bodies])[:, None]
         square = np.stack([body.square for body in bodies])
         residual = np.log1p(square / (_UNEXPLAINED**2 * scale))
-        return self.weight * (residual + _NOISIER * np.log(scale / self.noise**2))
+        return self.weight * np.minimum(residual + _NOISIER * np.log(scale / self.noise**2), self.misfit)
 
     def _choose(self, bodies: list[_Body], most: int) -> dict[int, _Choice]:
         """Choose M bodies and the one that each atom follows, for each M.
@@ -307,19 +308,16 @@ class _Scene:
         for _ in range(_SWEEPS):
             support = self.edges @ (labels[:, None] == np.arange(number)).astype(np.float64)
             wanted = (costs.T - support).argmin(axis=1)
-            change = wanted != labels
-            if not change.any():
+            if (wanted == labels).all():
                 break
             # Half of them at a time: neighbours that change together undo each other.
-            labels = np.where(change & (self.rng.random(len(labels)) < 0.5), wanted, labels)
+            labels = np.where(self.rng.random(len(labels)) < 0.5, wanted, labels)
         if len(np.unique(labels)) < number:
             labels = start
         rows, columns = self.edges.nonzero()
         cut = self.edges.data[labels[rows] != labels[columns]].sum() / 2
-        square = np.stack([body.square for body in bodies])[labels, every]
-        scale = np.array([self._scale(body) for body in bodies])[labels]
-        cost = float(costs[labels, every].sum() + cut + price * number)
-        return _Grouping(cost, labels, np.sqrt(square / scale))
+        paid = costs[labels, every]
+        return _Grouping(float(paid.sum() + cut + price * number), labels, paid >= self.misfit * self.weight)
 
 
 @compiled
@@ -375,7 +373,9 @@ def code_lengths(
 
 
 class _Partitions(_Scene):
-    """A clip whose atoms are the trajectories that no partition parts."""
+    """A clip whose atoms are the trajectories that no partition parts, which need not fit at all."""
+
+    misfit = np.inf
 
     def costs_of(self, partitions: Mapping[int, IntArray]) -> dict[int, float]:
         of_atoms = np.unique(self.atom, return_index=True)[1]
