@@ -232,7 +232,7 @@ def outline_clicks(
 
 
 def sharpened(frames: Frames, tracks: Trajectories, frame: int, shape: Sequence[FloatArray]) -> list[Polygon]:
-    """Outline anew polygons (P, 2) that were carried to a frame, by its edges and motion.
+    """Outline again polygons (P, 2) that were carried to a frame, by its edges and motion.
 
     Empty where less than 3 pixels of it are in the picture.
     """

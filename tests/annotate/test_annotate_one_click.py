@@ -172,7 +172,7 @@ def test_key_frames_are_made_where_propagation_is_weak_and_stay_in_doubt(page):
     assert len(made) > 1
     page.press("Escape", "Shift+W")
     page.shows("#hint", "outlined by itself")
-    page.press("End", "]", "e")  # it leaves here: what was made is made anew, and none comes back after it
+    page.press("End", "]", "e")  # it leaves here: what was made is made again, and none comes back after it
     page.until("!labeller.state.making")
     assert page.value("labeller.state.doc.objects[0].key_frames.at(-1).visibility") == "outside"
     page.press("Control+z")

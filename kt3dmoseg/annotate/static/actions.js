@@ -28,7 +28,7 @@ const withObject = (action) => (...given) => {
   return item && action(item, ...given);
 };
 
-/** With a region drawn in a frame; what was outlined by itself elsewhere is, anew. */
+/** With a region drawn in a frame; what was outlined by itself elsewhere is outlined again. */
 function withKey(doc, frame, ...region) {
   const id = state.selected;
   const drawn = objectOf(doc, id).key_frames.filter((key) => key.frame === frame || !doubts.has(key.polygons));
@@ -133,7 +133,7 @@ export const outlineBox = (box) => inTurn((frame) => {
   return outline({ frame, box, clicks: [], like });
 });
 
-// Key frames made by themselves where a region is in doubt, and why it is; each outline makes them anew.
+// Key frames made by themselves where a region is in doubt, and why it is; each outline makes them again.
 const doubts = new WeakMap();
 const QUIET = 400;
 let quiet = 0;
