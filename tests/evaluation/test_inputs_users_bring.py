@@ -201,10 +201,10 @@ def test_a_hostile_table_is_refused_in_one_line_within_bounds(tmp_path, kind):
 
 
 def refused_within_bounds(script, path):
-    """300 MB of memory and 10 s of processor time, which no machine needs, end the process."""
+    """The bounds are the harness's: 300 MB of memory and 3 s of processor time kill the process."""
 
     def limit():
-        resource.setrlimit(resource.RLIMIT_CPU, (10, 11))
+        resource.setrlimit(resource.RLIMIT_CPU, (3, 4))
 
     done = subprocess.run(
         [sys.executable, "-c", script + PEAK, str(path)],
