@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from kt3dmoseg.compiled import compiled
 from kt3dmoseg.options import option
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.geometry.subspaces import project
@@ -108,126 +108,116 @@ def _compress(points: FloatArray, distortion: float) -> IntArray:
     If coding everything as one group is shorter still, it is one group.
     """
     # Ma, Derksen, Hong, Wright, TPAMI 2007, algorithm 1.
-    state = _Groups(points, distortion)
-    while state.merge():
-        pass
-    labels = by_size(state.owner)
+    n, total = points.shape
+    squares = np.einsum("nm,nm->m", points, points)
+    length = _bits(1.0, np.log1p(n / distortion**2 * squares), n, total)
+    # |w_i|^2 |w_j|^2 - (w_i . w_j)^2 first: it may be tiny compared with either term.
+    area = np.maximum(np.multiply.outer(squares, squares) - (points.T @ points) ** 2, 0)
+    a = n / (2 * distortion**2)
+    determinant = 1 + a * np.add.outer(squares, squares) + a * a * area
+    change = _bits(2.0, np.log(determinant), n, total) - length[:, None] - length
+    np.fill_diagonal(change, np.inf)
+    labels = by_size(_merged(np.ascontiguousarray(points.T), distortion, length, change))
     single = np.ones_like(labels)
     separate, together = (_coding_lengths(points, x, np.array([distortion]))[0] for x in (labels, single))
     return single if together < separate else labels
 
 
-class _Groups:
-    """Groups under merging, with the bits that each union would add (negative: save).
+@compiled
+def _bits(size: float, logarithm: FloatArray, n: int, total: int) -> FloatArray:
+    """Bits of a group of `size` whose ``det(I + n/(epsilon^2 size) S)`` has this logarithm."""
+    bits: FloatArray = (size + n) / (2 * _LN2) * logarithm - size * np.log2(size / total)
+    return bits
 
-    Scatter matrices add up under merging. Unions with single points all have the same size, so their
-    determinants follow from one inverse (matrix determinant lemma); those with larger groups take one
-    batch of Cholesky factorisations.
+
+@compiled
+def _merged(points: FloatArray, distortion: float, length: FloatArray, change: FloatArray) -> IntArray:
+    """Merge points (M, n) given their bits and those that each union adds (negative: saves): owners (M,).
+
+    Scatter matrices add up under merging.
     """
-
-    def __init__(self, points: FloatArray, distortion: float) -> None:
-        self.points, self.distortion = points, distortion
-        n, total = points.shape
-        self.owner, self.size = np.arange(total), np.ones(total)
-        self.scatter = points.T[:, :, None] * points.T[:, None, :]
-        gram = points.T @ points
-        squares = np.diagonal(gram)
-        self.length = self._bits(1.0, np.log1p(n / distortion**2 * squares))
-        a = n / (2 * distortion**2)
-        grown = 1 + a * squares
-        # |w_i|^2 |w_j|^2 - (w_i . w_j)^2 first: it may be tiny compared with either term.
-        area = np.maximum(np.multiply.outer(squares, squares) - gram**2, 0)
-        determinant = grown[:, None] + grown - 1 + a * a * area
-        self.change = self._bits(2.0, np.log(determinant)) - self.length[:, None] - self.length
-        np.fill_diagonal(self.change, np.inf)
-        self.partner = self.change.argmin(axis=1)
-        self.best = self.change[np.arange(total), self.partner]
-
-    def merge(self) -> bool:
-        """Merge the best two groups; False when no union saves bits."""
-        i = int(self.best.argmin())
-        j = int(self.partner[i])
-        if not self.best[i] <= 0:
-            return False
-        self.owner[self.owner == j] = i
-        self.size[i] += self.size[j]
-        self.size[j] = 0
-        self.scatter[i] += self.scatter[j]
-        self.length[i] += self.length[j] + self.best[i]
-        self.change[i] = self.change[:, i] = self._unions(i)
-        self.change[j] = self.change[:, j] = np.inf
-        self.best[j] = np.inf
-        # Whose best partner was one of the two looks for another, unless the union is better still.
-        better = self.change[i] < self.best
-        stale = np.flatnonzero(((self.partner == i) | (self.partner == j)) & ~better & (self.size > 0))
-        self.best[better], self.partner[better] = self.change[i][better], i
-        stale = np.append(stale, i)
-        self.partner[stale] = self.change[stale].argmin(axis=1)
-        self.best[stale] = self.change[stale, self.partner[stale]]
-        return True
-
-    def _unions(self, i: int) -> FloatArray:
-        """Bits that unions of group i with all others add."""
-        bits = np.full(len(self.size), np.inf)
-        single = np.flatnonzero(self.size == 1)
-        if len(single):
-            logarithm, squares = self._factor(i, self.size[i] + 1, self.points[:, single])
-            bits[single] = self._bits(self.size[i] + 1, logarithm + np.log1p(squares))
-        groups = np.flatnonzero(self.size > 1)
-        groups = groups[groups != i]
-        if len(groups):
-            sizes = self.size[i] + self.size[groups]
-            unions = self.scatter[groups]
-            unions += self.scatter[i]
-            bits[groups] = self._bits(sizes, _log_determinants(self._identity_plus(unions, sizes)))
-        return np.asarray(bits - (self.length[i] + self.length))
-
-    def _identity_plus(self, scatter: FloatArray, sizes: FloatArray) -> FloatArray:
-        """Turn (B, n, n) scatters S of groups into I + a S, a = n / (epsilon^2 size), in place."""
-        n = scatter.shape[1]
-        scatter *= (n / (self.distortion**2 * sizes))[:, None, None]
-        scatter.reshape(len(scatter), n * n)[:, :: n + 1] += 1
-        return scatter
-
-    def _factor(self, i: int, size: float, points: FloatArray) -> tuple[float, FloatArray]:
-        """Return log det B and ``a w^T B^-1 w`` of points w: B = I + a S_i."""
-        matrix = self._identity_plus(self.scatter[[i]], np.array([size]))[0]
-        right = points * (np.sqrt(len(self.points) / size) / self.distortion)
-        factor, failed = dpotrf(matrix, lower=1)
-        if not failed and np.diagonal(factor).min() >= 1:
-            half, _ = dtrtrs(factor, right, lower=1)
-            return 2 * float(np.log(np.diagonal(factor)).sum()), np.einsum("kj,kj->j", half, half)
-        logarithm, squares = _eliminate(matrix[None], right[None])
-        return float(logarithm[0]), squares[0]
-
-    def _bits(self, size: FloatArray | float, logarithm: FloatArray) -> FloatArray:
-        n, total = self.points.shape
-        return np.asarray((size + n) / (2 * _LN2) * logarithm - size * np.log2(size / total))
+    total, n = points.shape
+    owner, size = np.arange(total), np.ones(total)
+    scatter = np.empty((total, n, n))
+    partner, best = np.empty(total, np.int64), np.empty(total)
+    for k in range(total):
+        scatter[k] = np.outer(points[k], points[k])
+        partner[k] = change[k].argmin()
+        best[k] = change[k, partner[k]]
+    while True:
+        i = int(best.argmin())
+        j = int(partner[i])
+        if not best[i] <= 0:
+            return owner
+        owner[owner == j] = i
+        length[i] += length[j] + best[i]
+        size[i] += size[j]
+        scatter[i] += scatter[j]
+        size[j], best[j] = 0, np.inf
+        added = _union_bits(i, points, scatter, size, distortion) - length[i] - length
+        added[i] = np.inf
+        for k in range(total):
+            change[i, k] = change[k, i] = added[k]
+            change[j, k] = change[k, j] = np.inf
+        for k in range(total):
+            # Whose best partner was one of the two looks for another, unless the union is better still.
+            if size[k] > 0 and k != i and added[k] < best[k]:
+                best[k], partner[k] = added[k], i
+            elif k == i or (size[k] > 0 and (partner[k] == i or partner[k] == j)):
+                partner[k] = change[k].argmin()
+                best[k] = change[k, partner[k]]
 
 
-def _log_determinants(matrices: FloatArray) -> FloatArray:
-    """Logarithms of the determinants of (B, n, n) matrices I + S, S positive semi-definite."""
-    try:
-        pivots = np.diagonal(np.linalg.cholesky(matrices), axis1=1, axis2=2)
-        if (pivots >= 1).all():
-            return np.asarray(2 * np.log(pivots).sum(axis=1))
-    except np.linalg.LinAlgError:
-        pass
-    return _eliminate(matrices, np.zeros((len(matrices), matrices.shape[1], 0)))[0]
+@compiled
+def _union_bits(
+    i: int, points: FloatArray, scatter: FloatArray, size: FloatArray, distortion: float
+) -> FloatArray:
+    """Bits (M,) of the unions of group i with each other group; those of none are infinite.
+
+    Unions with single points all have the same size, so their determinants follow from one elimination
+    (matrix determinant lemma).
+    """
+    total, n = points.shape
+    bits = np.full(total, np.inf)
+    a = n / (distortion**2 * (size[i] + 1))
+    single = a * scatter[i]
+    logarithm = _eliminate(single)
+    right = np.empty(n)
+    for k in range(total):
+        if k == i or size[k] == 0:
+            continue
+        if size[k] == 1:
+            square = 0.0
+            for row in range(n):
+                value = points[k, row]
+                for column in range(row):
+                    value -= single[row, column] * right[column]
+                right[row] = value
+                square += value * value / single[row, row]
+            found = logarithm + np.log1p(a * square)
+        else:
+            union = (scatter[i] + scatter[k]) * (n / (distortion**2 * (size[i] + size[k])))
+            found = _eliminate(union)
+        bits[k] = _bits(size[i] + size[k], found, n, total)
+    return bits
 
 
-def _eliminate(matrices: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return log det B (b,) and ``w^T B^-1 w`` (b, m) of B = I + S (b, n, n) that rounding made indefinite.
+@compiled
+def _eliminate(matrix: FloatArray) -> float:
+    """Return log det (I + S); S (n, n) becomes the factors of its elimination, the pivots on its diagonal.
 
     Elimination leaves pivots of 1 plus something >= 0; less is rounding, in a direction without scatter.
     """
-    matrices, right = matrices.transpose(1, 2, 0).copy(), right.transpose(1, 2, 0).copy()
-    logarithm, squares = np.zeros(matrices.shape[2]), np.zeros(right.shape[1:])
-    for k in range(len(matrices)):
-        pivot = np.maximum(matrices[k, k], 1)
-        logarithm += np.log(pivot)
-        squares += right[k] ** 2 / pivot
-        factor = np.where(matrices[k, k] > 1, matrices[k + 1 :, k] / pivot, 0)
-        right[k + 1 :] -= factor[:, None] * right[k]
-        matrices[k + 1 :, k + 1 :] -= factor[:, None] * matrices[k, k + 1 :]
-    return logarithm, squares.T
+    n = len(matrix)
+    logarithm = 0.0
+    for k in range(n):
+        pivot = matrix[k, k] + 1
+        for row in range(k + 1, n):
+            factor = matrix[row, k] / pivot if pivot > 1 else 0.0
+            for column in range(k + 1, row + 1):
+                matrix[row, column] -= factor * matrix[column, k]
+        for row in range(k + 1, n):
+            matrix[row, k] = matrix[row, k] / pivot if pivot > 1 else 0.0
+        matrix[k, k] = max(pivot, 1.0)
+        logarithm += np.log(matrix[k, k])
+    return logarithm

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
+from kt3dmoseg.compiled import compiled
 from kt3dmoseg.options import option
-from kt3dmoseg.types import Float32Array, FloatArray, Trajectories
+from kt3dmoseg.types import Float32Array, FloatArray, IntArray, Trajectories
 from mseg.clustering.spectral import smallest_eigenvectors, smallest_subspace, unit_rows
 from mseg.iteration import Convergence, iterate
 from mseg.kernels import GUARD, covisible_frames
@@ -77,34 +78,62 @@ class ConsistentMoSeg(ViewMethod):
         change of C, or that of all D_v together if it is larger.
         """
         first, second = np.nonzero(np.triu(views.any(axis=0), 1))
-        weights = views[:, first, second].astype(np.float64)
-        c, d = np.ones(weights.shape[1]), np.zeros_like(weights)
+        weights = np.ascontiguousarray(views[:, first, second].T, dtype=np.float64)
+        c, d = np.ones(len(weights)), np.zeros_like(weights)
         # Of W, at first the identity, W_ii + W_jj - 2 W_ij is needed: squared distances of its factors.
-        apart = np.full_like(c, 2.0)
-        subspace: FloatArray | None = None
-
-        def graph() -> FloatArray:
-            full = np.zeros(views.shape[1:])
-            full[first, second] = full[second, first] = c
-            return full
+        factors, subspace = np.eye(views.shape[1]), None
+        laplacian = np.empty(views.shape[1:])
 
         def sweep() -> float:
-            nonlocal c, d, apart, subspace
-            c_before, d_before = c, d
-            d = np.maximum(c / (c**2 + self.specific_weight) * weights, _SMALLEST)
-            explained, weight = np.einsum("ve,ve->e", d, weights), np.einsum("ve,ve->e", d, d)
-            numerator = 2 * explained - self.rank_weight * apart
-            c = np.clip(numerator / (2 * weight + _RIDGE), 0, _LARGEST)
-            laplacian = -graph()
-            np.fill_diagonal(laplacian, -laplacian.sum(axis=1))
+            nonlocal factors, subspace
+            moved = _sweep(
+                c, d, laplacian, weights, first, second, factors, self.specific_weight, self.rank_weight
+            )
             factors, subspace = _component_factors(laplacian, n_clusters, subspace)
-            apart = ((factors[first] - factors[second]) ** 2).sum(axis=1)
-            return 2 * float(max(((c - c_before) ** 2).sum(), ((d - d_before) ** 2).sum()))
+            return float(moved)
 
         convergence = iterate(sweep, tolerance=self.tolerance, max_iterations=self.max_iterations)
         specific = np.full(views.shape, _SMALLEST)
-        specific[:, first, second] = specific[:, second, first] = d
-        return graph(), specific, convergence
+        specific[:, first, second] = specific[:, second, first] = d.T
+        np.fill_diagonal(laplacian, 0)
+        return -laplacian, specific, convergence
+
+
+@compiled
+def _sweep(
+    c: FloatArray,
+    d: FloatArray,
+    laplacian: FloatArray,
+    weights: FloatArray,
+    first: IntArray,
+    second: IntArray,
+    factors: FloatArray,
+    specific_weight: float,
+    rank_weight: float,
+) -> float:
+    """Update C (E,), D_v (E, V) and the Laplacian of C (N, N); twice the larger squared change."""
+    moved_c = moved_d = 0.0
+    laplacian[:] = 0
+    for e in range(len(c)):
+        i, j = first[e], second[e]
+        scale = c[e] / (c[e] ** 2 + specific_weight)
+        explained, weight, apart = 0.0, 0.0, 0.0
+        for v in range(weights.shape[1]):
+            value = max(scale * weights[e, v], _SMALLEST)
+            moved_d += (value - d[e, v]) ** 2
+            d[e, v] = value
+            explained += value * weights[e, v]
+            weight += value * value
+        for k in range(factors.shape[1]):
+            apart += (factors[i, k] - factors[j, k]) ** 2
+        value = (2 * explained - rank_weight * apart) / (2 * weight + _RIDGE)
+        value = min(max(value, 0.0), _LARGEST)
+        moved_c += (value - c[e]) ** 2
+        c[e] = value
+        laplacian[i, j] = laplacian[j, i] = -value
+        laplacian[i, i] += value
+        laplacian[j, j] += value
+    return 2 * max(moved_c, moved_d)
 
 
 def symmetric_parts(shared: FloatArray, specific: FloatArray) -> FloatArray:
@@ -122,7 +151,7 @@ def _component_factors(
     eigenvectors of that value share what is left of the trace, so that the result does not depend on the
     basis that the solver happened to choose.
     """
-    subspace = smallest_subspace(laplacian, n_clusters, start=start)
+    subspace = smallest_subspace(laplacian, n_clusters, start=start, tolerance=1e-6)
     last = subspace[:, n_clusters - 1 : n_clusters + 1]
     values = np.einsum("ik,ik->k", last, laplacian @ last)
     if n_clusters == len(laplacian) or values[1] - values[0] >= _TIE:

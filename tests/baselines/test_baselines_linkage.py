@@ -12,7 +12,7 @@ from mseg.errors import SegmentationError
 from mseg.geometry import fundamental
 from mseg.geometry.subspaces import best_flat_distances, flat_distances, trajectory_matrix
 from mseg.kernels import draw_near_subsets
-from mseg.methods.alc import _coding_lengths, _compress, _elect, _Groups, _sparsity_preserving_dimension
+from mseg.methods.alc import _coding_lengths, _compress, _elect, _sparsity_preserving_dimension
 from mseg.methods.complete_data import by_size, complete_data
 from mseg.methods.preferences import _code_length, _count_large, _factors, _linkage, _reassign
 from mseg.methods.tpv import (
@@ -92,17 +92,29 @@ def test_coding_length_of_the_definition(rng):
     np.testing.assert_allclose(_coding_lengths(points, labels, np.array([0.5])), expected)
 
 
-@pytest.mark.parametrize("distortion", [1e-8, 0.05, 1.0])
-def test_changes_under_merging_are_those_of_the_coding_length(rng, distortion):
-    points = rng.normal(size=(3, 14)) * 30
-    groups = _Groups(points, distortion)
+def greedily_merged(points, distortion):
+    """Merge by the definition: of all unions the one that saves most."""
     at = np.array([distortion])
-    for _ in range(9):
-        before, expected = _coding_lengths(points, groups.owner, at)[0], groups.best.min()
-        if not groups.merge():
-            break
-        change = _coding_lengths(points, groups.owner, at)[0] - before
-        assert change == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+    def bits(labels):
+        return _coding_lengths(points, labels, at)[0]
+
+    labels = np.arange(points.shape[1])
+    while True:
+        pairs = [(i, j) for i in np.unique(labels) for j in np.unique(labels) if i < j]
+        unions = [np.where(labels == j, i, labels) for i, j in pairs]
+        best = min(unions, key=bits, default=labels)
+        if not unions or bits(best) > bits(labels):
+            return labels if bits(labels) <= bits(np.zeros_like(labels)) else np.zeros_like(labels)
+        labels = best
+
+
+@pytest.mark.parametrize("distortion", [1e-8, 0.05, 1.0, 20.0, 300.0])
+def test_merging_is_greedy_by_the_coding_length(rng, distortion):
+    for _ in range(3):
+        planes = [rng.normal(size=(3, 2)) @ rng.normal(size=(2, 7)) * 30 for _ in range(2)]
+        points = np.hstack(planes) + 0.5 * rng.normal(size=(3, 14))
+        assert agree(_compress(points, distortion), greedily_merged(points, distortion))
 
 
 def test_compression_finds_planes(rng):
