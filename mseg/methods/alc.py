@@ -146,9 +146,13 @@ def _merged(points: FloatArray, distortion: float, length: FloatArray, change: F
         best[k] = change[k, partner[k]]
     while True:
         i = int(best.argmin())
-        j = int(partner[i])
         if not best[i] <= 0:
             return owner
+        j = int(partner[i])
+        if j < 0:
+            partner[i] = change[i].argmin()
+            best[i] = change[i, partner[i]]
+            continue
         owner[owner == j] = i
         length[i] += length[j] + best[i]
         size[i] += size[j]
@@ -159,13 +163,13 @@ def _merged(points: FloatArray, distortion: float, length: FloatArray, change: F
         for k in range(total):
             change[i, k] = change[k, i] = added[k]
             change[j, k] = change[k, j] = np.inf
-        for k in range(total):
-            # Whose best partner was one of the two looks for another, unless the union is better still.
-            if size[k] > 0 and k != i and added[k] < best[k]:
+            # Whose best partner was one of the two needs another; what it saved bounds what it can save.
+            if size[k] > 0 and added[k] < best[k]:
                 best[k], partner[k] = added[k], i
-            elif k == i or (size[k] > 0 and (partner[k] == i or partner[k] == j)):
-                partner[k] = change[k].argmin()
-                best[k] = change[k, partner[k]]
+            elif partner[k] == i or partner[k] == j:
+                partner[k] = -1
+        partner[i] = change[i].argmin()
+        best[i] = change[i, partner[i]]
 
 
 @compiled
