@@ -26,7 +26,7 @@ from kt3dmoseg.files import PathLike, read_bytes, write_text
 from kt3dmoseg.parallel import algorithm_version
 from kt3dmoseg.text import count
 from kt3dmoseg.types import FloatArray
-from mseg.benchmark.results import BenchmarkResult
+from mseg.benchmark.results import RECIPE, BenchmarkResult
 from mseg.evaluation.protocol import Protocol, list_protocols, load_protocol
 from mseg.evaluation.results import published_name
 from mseg.evaluation.scoring import ScoreTable, read_model
@@ -85,6 +85,12 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
     def protocol(self) -> Protocol:
         """The benchmark."""
         return load_protocol(self.benchmark)
+
+    @property
+    def data(self) -> tuple[str, dict[str, int]]:
+        """What results of one dataset version have in common."""
+        made = self.dataset_version.startswith(RECIPE)
+        return "" if made else self.dataset_sha256, self.motions
 
     @property
     def motions(self) -> dict[str, int]:
@@ -240,7 +246,7 @@ def read_results(folder: PathLike) -> dict[tuple[str, str], list[PublishedResult
         if path != Path(folder) / one.path:
             raise FileFormatError(str(path), expected=f"the name {one.path}", found="another")
         group = found.setdefault((one.benchmark, one.dataset_version), [])
-        if group and (one.dataset_sha256, one.motions) != (group[0].dataset_sha256, group[0].motions):
+        if group and one.data != group[0].data:
             raise FileFormatError(str(path), expected=f"the clips of {group[0].path}", found="others")
         group.append(one)
     if not found:

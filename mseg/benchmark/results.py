@@ -14,6 +14,9 @@ from mseg.evaluation.protocol import share
 from mseg.evaluation.results import LISTED, ResultsTable, by_axis, clip_table, error_table, published_name
 from mseg.evaluation.scoring import ScoreTable
 
+RECIPE = "recipe-"
+"""How the name of a dataset version begins that is made, not read: `mseg.benchmark.runner.recipe`."""
+
 
 @dataclass(frozen=True)
 class Configuration:

@@ -17,13 +17,14 @@ import scipy
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, check_writable, parse_json, read_bytes, write_text
+from kt3dmoseg.frames import recorded_inputs, recorded_source
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
 from kt3dmoseg.registry import strict
 from kt3dmoseg.text import several
 from kt3dmoseg.types import Clip, IntArray, Labels
 from mseg import evaluation
-from mseg.benchmark.results import BenchmarkResult, Configuration
+from mseg.benchmark.results import RECIPE, BenchmarkResult, Configuration
 from mseg.errors import SegmentationError
 from mseg.evaluation.scoring import ScoreTable, clip_score, provenance_of
 from mseg.evaluation.submission import FAILED, file_of, prediction_files
@@ -39,6 +40,8 @@ BASELINES = ("one_motion", "prevalence")  # one label for a whole clip is meant
 _THIS_PROCESS = uuid4().hex
 # Which configuration made the predictions of a folder; hidden, so no part of the submission.
 _RECORD = ".mseg-run.json"
+# Of what made a synthetic drive, all but the versions of libraries and of the flow.
+_RECIPE = "source", "options", "algorithms"
 _LARGEST_RECORD = 64 << 20
 
 Rows: TypeAlias = Literal["evaluated", "all"]
@@ -137,7 +140,7 @@ def run(
         outcomes[key] = outcome
         keep_outcome(store, key, outcome)
     checksums = {name: evaluation.clip_checksum(clip) for name, clip in clips.items()}
-    source = provenance_of(clips, checksums, protocol.version_of(checksums))
+    source = provenance_of(clips, checksums, protocol.version_of(checksums) or recipe(clips))
     tables, notes = [], []
     for m, made in enumerate(configurations):
         runs_of = {(name, seed): outcomes[runs.keys[m, name, seed]] for name in clips for seed in wanted}
@@ -155,6 +158,17 @@ def run(
     reasons = [f"{made.title} on {name}: {reason}" for made, name, _, reason in result.failures]
     _check_success(protocol.name, reasons, len(runs.keys))
     return result
+
+
+def recipe(clips: Mapping[str, Clip]) -> str:
+    """Name the version of drives that `kt3dmoseg synth` made by what made them; empty for other clips.
+
+    Processors differ in how they round a grey level, so positions of the same drives differ a little.
+    """
+    if not all(recorded_source(clip.provenance, "synthetic") for clip in clips.values()):
+        return ""
+    made = {name: recorded_inputs(clip.provenance) for name, clip in sorted(clips.items())}
+    return RECIPE + cache_key({n: [i.get(key) for key in _RECIPE] for n, i in made.items()})[:8]
 
 
 @strict

@@ -1,6 +1,7 @@
 """The drives of the synthetic benchmark: planned alike in both halves, measured and labelled exactly."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from kt3dmoseg.synthetic.scene import Layout, Scene
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.vehicles import Drive, Vehicle
 from kt3dmoseg.types import Trajectories
+from mseg.benchmark.runner import recipe
 from mseg.evaluation import load_protocol
 
 PUBLIC, TEST = plan_drives()[:100], plan_drives()[100:]
@@ -101,6 +103,9 @@ def test_the_benchmark_is_built_once_and_keeps_what_was_measured(tmp_path, monke
     clip = load(made.path)
     assert clip.n_motions == 2
     assert clip.provenance["attributes"] == {"camera": PUBLIC[0].camera} | dict(measure_drive(scene))
+    rounded = replace(clip, dense=replace(clip.dense, xy=clip.dense.xy + 1e-4))
+    assert recipe({"a": rounded}) == recipe({"a": clip}) != ""
+    assert recipe({"a": clip, "b": replace(clip, provenance={})}) == ""
     before = SyntheticDrive(PUBLIC[0]).inspect().description
     monkeypatch.setattr(synthetic, "ALGORITHM_VERSION", 0)
     assert SyntheticDrive(PUBLIC[0]).inspect().description != before
