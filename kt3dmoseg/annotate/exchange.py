@@ -246,7 +246,16 @@ def check_annotations(
         if (annotation := clip.read()) is None:
             return None
         regions = annotate.formats.regions(annotation, clip.trajectories)
-        problems = [*_problems(annotation, regions)]
+        overlap = annotate.agreement.overlaps(regions, regions, annotation.image_size)
+        problems = []
+        for i, item in enumerate(annotation.objects):
+            if not overlap[i, i]:  # no pixel
+                shown = any(region.visibility == "visible" for region in regions[item.id])
+                wrong = "lies off the picture" if shown else "is seen nowhere"
+                problems.append(f"{item.name} (object {item.id}) {wrong}")
+            for other, shared in zip(annotation.objects[:i], overlap[i, :i], strict=True):
+                if shared > _SAME_OBJECT and item.motion != other.motion:
+                    problems.append(f"{other.name} and {item.name} have different motions in the same place")
         lines = [f"{len(annotation.objects)} objects, {len(annotation.motions)} motions"]
         if (labelled := clip.labelled(annotation, regions)) is not None:
             counts = ", ".join(f"{count} {name}" for name, count in labelled.counts().items() if count)
@@ -256,17 +265,6 @@ def check_annotations(
         return ClipReport(clip.name, not problems, (*lines, *problems))
 
     return _for_each(_clips(clips, annotations, tracks), work, report, annotations)
-
-
-def _problems(annotation: Annotation, regions: Mapping[int, list[Region]]) -> Iterator[str]:
-    overlap = annotate.agreement.overlaps(regions, regions, annotation.image_size)
-    for i, item in enumerate(annotation.objects):
-        if not overlap[i, i]:  # no pixel
-            shown = any(region.visibility == "visible" for region in regions[item.id])
-            yield f"{item.name} (object {item.id}) {'lies off the picture' if shown else 'is seen nowhere'}"
-        for j, other in enumerate(annotation.objects[:i]):
-            if overlap[i, j] > _SAME_OBJECT and item.motion != other.motion:
-                yield f"{other.name} and {item.name} have different motions in the same place"
 
 
 def compare_annotations(

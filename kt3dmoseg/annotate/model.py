@@ -112,7 +112,7 @@ def _checked(cls: type[T]) -> type[T]:
 
     @wraps(plain)
     def init(self: object, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401  # whatever is to be checked
-        with _errors_of_this_package():
+        with within():
             plain(self, *args, **kwargs)
 
     made.__init__ = init
@@ -439,19 +439,19 @@ def from_json(data: object, form: str = FORMAT) -> Annotation:
             fix = "nobody has checked them: 'kt3dmoseg label' shows them, to be accepted one by one"
         if found != expected:
             raise InvalidValueError(name, expected=repr(expected), found=repr(found)[:80], fix=fix)
-    with _errors_of_this_package():
+    with within():
         return _ANNOTATION.validate_python(rest)
 
 
 def polygon_from(points: Sequence[Sequence[float]], where: str) -> Polygon:
     """Check one polygon and return it as a tuple of pairs of floats; `where` names it in the error."""
-    with within(where), _errors_of_this_package():
+    with within(where):
         return _POLYGON.validate_python(points)
 
 
 def checked(kind: type[T], data: object) -> T:
     """Build `Clicks` or a `Stroke` from parsed JSON; raises InvalidValueError, which names the field."""
-    with _errors_of_this_package():
+    with within():
         return TypeAdapter(kind).validate_python(data)
 
 
@@ -471,12 +471,13 @@ def json_schema() -> dict[str, Any]:
 
 
 @contextmanager
-def within(path: str) -> Iterator[None]:
-    """Put `path` before the field that a validation error names."""
+def within(path: str = "") -> Iterator[None]:
+    """Put `path` before the field that an InvalidValueError names, or the first error of pydantic's."""
     try:
         yield
-    except InvalidValueError as error:
-        raise _moved(error, f"{path}.{error.where}".strip(".").replace(".[", "[")) from None
+    except (ValidationError, InvalidValueError) as error:
+        first = _refusal(error.errors(include_url=False)[0]) if isinstance(error, ValidationError) else error
+        raise _moved(first, f"{path}.{first.where}".strip(".").replace(".[", "[")) from None
 
 
 def _moved(
@@ -496,15 +497,6 @@ _EXPECTED = {
     "string_pattern_mismatch": "a text that is not blank",
     "string_unicode": "whole characters",
 }
-
-
-@contextmanager
-def _errors_of_this_package() -> Iterator[None]:
-    """Raise the first thing that pydantic objects to as InvalidValueError, which names the field."""
-    try:
-        yield
-    except ValidationError as error:
-        raise _refusal(error.errors(include_url=False)[0]) from None
 
 
 def _refusal(detail: ErrorDetails) -> KT3DMoSegError:

@@ -215,7 +215,7 @@ def test_the_log_says_who_changed_what_and_for_whom_a_clip_is(page, tmp_path, mo
         def now(cls, zone=None):
             return datetime.fromtimestamp(next(times), zone)
 
-    monkeypatch.setattr("kt3dmoseg.annotate.server.clip_log.datetime", Clock)
+    monkeypatch.setattr("kt3dmoseg.annotate.server.clip_session.datetime", Clock)
     doc = drawn(page) | {"annotator": "Ada"}
     save(page, doc, 0)
     doc["objects"][0]["motion"] = 4

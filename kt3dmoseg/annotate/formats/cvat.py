@@ -186,8 +186,8 @@ def _read_tracks(tracks: Mapping[str, ET.Element], task: _Task, into: foreign.Im
     known = _Known({}, {})
     for (where, track), shapes in zip(tracks.items(), numbered, strict=True):
         placed = _placed(shapes, frames, into.like.n_frames)
-        keys = [pair for pair in placed if _is_key(pair[1])]
-        if not keys or len(keys) < sum(_is_key(shape) for _, shape in shapes):
+        keys = [pair for pair in placed if _is_set(pair[1], "keyframe", "1")]
+        if not keys or len(keys) < sum(_is_set(shape, "keyframe", "1") for _, shape in shapes):
             keys = placed  # a key frame that the clip has not: what lies between counts
         drawn: dict[int, Drawn] = {}
         if len(last := dict(keys)) < len(keys):
@@ -238,10 +238,6 @@ def _placed(
         elif placed and placed[-1][0] + 1 < total and _is_set(shape, "outside"):
             placed.append((placed[-1][0] + 1, shape))
     return placed
-
-
-def _is_key(shape: ET.Element) -> bool:
-    return _is_set(shape, "keyframe", "1")
 
 
 def _is_set(shape: ET.Element, flag: str, default: str = "0") -> bool:

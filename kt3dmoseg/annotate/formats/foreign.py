@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -16,22 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.model import (
-    KINDS,
-    MAX_FRAMES,
-    MAX_OBJECTS,
-    MAX_POINTS,
-    REJECT,
-    AnnotatedObject,
-    Annotation,
-    KeyFrame,
-    Kind,
-    Motion,
-    Polygon,
-    Visibility,
-    polygon_from,
-    within,
-)
+from kt3dmoseg.annotate import model
+from kt3dmoseg.annotate.model import MAX_OBJECTS, MAX_POINTS, Annotation, Kind, Motion, Polygon, Visibility
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
@@ -97,8 +83,8 @@ class Choices:
     def __post_init__(self) -> None:
         if self.scale is not None and not (isfinite(self.scale) and 0.001 <= self.scale <= 1000):
             raise InvalidValueError("scale", expected="a factor of 0.001 to 1000", found=str(self.scale))
-        if self.shift is not None and abs(self.shift) > MAX_FRAMES:
-            raise InvalidValueError("shift", expected=f"at most {MAX_FRAMES}", found=str(self.shift))
+        if self.shift is not None and abs(self.shift) > model.MAX_FRAMES:
+            raise InvalidValueError("shift", expected=f"at most {model.MAX_FRAMES}", found=str(self.shift))
 
 
 @dataclass(frozen=True)
@@ -193,7 +179,7 @@ class Import:
     def skipping(self, where: str) -> Iterator[None]:
         """Skip one shape, and note why, when it is wrong."""
         try:
-            with within(where):
+            with model.within(where):
                 yield
         except InvalidValueError as error:
             self.skip(str(error))
@@ -230,14 +216,17 @@ class Import:
         if (chosen := self.choices.scale) is not None:
             self.note(f"coordinates times {chosen:g}")
             return chosen, chosen
-        size = size_from(*sides)
-        if size is None:
-            self._sized = False
+        try:
+            across, down = (int(side) for side in sides)
+        except (TypeError, ValueError, OverflowError):
+            across, down = 0, 0
+        if not (0 < across < _MAX_SIDE and 0 < down < _MAX_SIDE):
+            self._sized, across, down = False, width, height
             self.note(f"the file does not say the size of its pictures; taken as {width}x{height}")
-        return self._factors(size or (width, height), where)
+        return self._factors(across, down, where)
 
-    def _factors(self, size: tuple[int, int], where: str) -> tuple[float, float]:
-        (across, down), (width, height) = size, self.like.image_size
+    def _factors(self, across: int, down: int, where: str) -> tuple[float, float]:
+        width, height = self.like.image_size
         if abs(across * height / (down * width) - 1) > _SAME_SHAPE:
             expected = f"pictures of {width}x{height}, or the same in another scale"
             raise FileFormatError(where, expected=expected, found=f"{across}x{down}")
@@ -247,7 +236,9 @@ class Import:
 
     def outline(self, points: Iterable[Sequence[float]], scale: tuple[float, float] = (1.0, 1.0)) -> Polygon:
         """Return an outline from the top-left corner as one from the centre of that pixel, scaled."""
-        given = polygon_from(list(islice(points, MAX_POINTS + 1)), "points")  # of more, a part is as wrong
+        given = model.polygon_from(
+            list(islice(points, MAX_POINTS + 1)), "points"
+        )  # of more, a part is as wrong
         moved = np.round(np.array(given) * scale - 0.5, _DECIMALS)
         self.count("corners", max(20, len(moved)))
         return tuple(map(tuple, moved.tolist()))
@@ -258,7 +249,7 @@ class Import:
         if not 0 < width * height <= _MOST_PIXELS * columns * rows:
             expected = f"at most {_MOST_PIXELS} times the pixels of {columns}x{rows}"
             raise FileFormatError(where, expected=expected, found=f"{width}x{height}")
-        self._factors((width, height), where)
+        self._factors(width, height, where)
 
     def fit(self, mask: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
         """Return a mask of ids (H, W) at the size of the clip's frames; errors as of `check_shape`."""
@@ -352,10 +343,10 @@ class Import:
 
     def _check_ids(self) -> None:
         """Say where several shapes in one frame have one id, and doubt it where their labels differ."""
-        parts: dict[tuple[int, Key], list[str]] = {}
+        parts = defaultdict(list)
         for frame, key, label, _ in self._shapes:
             if key is not None:
-                parts.setdefault((frame, key), []).append(label)
+                parts[frame, key].append(label)
         if parted := [place for place, labels in parts.items() if len(labels) > 1]:
             (frame, key), more = parted[0], f" (and in {len(parted) - 1} more places)" * (len(parted) > 1)
             shapes = f"{len(parts[parted[0]])} shapes of id {key} in frame {frame}{more}"
@@ -401,36 +392,37 @@ def assemble(
         name = item.name.strip()[:500] or f"object {identity}"
         motion = next(free) if item.motion is None else item.motion
         keys = _key_frames(item, frames)
-        objects.append(AnnotatedObject(identity, name, kind_of(item.kind), motion, keys, item.note[:500]))
+        kind, note = kind_of(item.kind), item.note[:500]
+        objects.append(model.AnnotatedObject(identity, name, kind, motion, keys, note))
     return replace(like, objects=tuple(objects))
 
 
-def _key_frames(item: ForeignObject, annotated: Collection[int]) -> tuple[KeyFrame, ...]:
+def _key_frames(item: ForeignObject, annotated: Collection[int]) -> tuple[model.KeyFrame, ...]:
     """Those frames in which the object is seen, and of the `annotated` ones those from which it is gone."""
     seen = item.visibility
-    keys = [KeyFrame(k, visibility, tuple(item.polygons.get(k, ()))) for k, visibility in seen.items()]
+    keys = [model.KeyFrame(k, visibility, tuple(item.polygons.get(k, ()))) for k, visibility in seen.items()]
     before = True
     for frame in sorted({*annotated, *seen}):
         if before and frame not in seen:
-            keys.append(KeyFrame(frame, "outside"))
+            keys.append(model.KeyFrame(frame, "outside"))
         before = frame in seen
     return tuple(keys)
 
 
 def described(label: str, fields: Mapping[str, Any]) -> ForeignObject:
     """Make an object of what our exports keep in a shape's fields: name, motion and note."""
-    name, motion, note = (
-        "" if fields.get(key) is None else str(fields[key]) for key in ("name", "motion", "note")
-    )
+    found = {key: str(value) for key, value in fields.items() if value is not None}
+    name, motion, note = (found.get(key, "") for key in ("name", "motion", "note"))
     known = motion.isdecimal() and len(motion) <= 4 and int(motion) <= MAX_OBJECTS
-    return ForeignObject(name, label, REJECT if motion == REJECT else int(motion) if known else None, note)
+    number = model.REJECT if motion == model.REJECT else int(motion) if known else None
+    return ForeignObject(name, label, number, note)
 
 
 def kind_of(label: str) -> Kind:
     """Return the kind that a label of another tool names, with or without a number: ``Car 2``."""
     word = label.strip().lower().rstrip("0123456789 _-#.")
     word = _SYNONYMS.get(word, word)
-    return next((kind for kind in KINDS if kind == word), "other")
+    return next((kind for kind in model.KINDS if kind == word), "other")
 
 
 def identity_in(values: Mapping[str, Any], names: Sequence[str] = _IDENTITIES) -> tuple[Key | None, str]:
@@ -448,15 +440,6 @@ def identity_in(values: Mapping[str, Any], names: Sequence[str] = _IDENTITIES) -
 def names_of(like: Annotation, names: Sequence[str], pattern: str = _FRAME_NAME) -> list[str]:
     """Return the file names of a clip's frames, by default numbered from 0."""
     return list(names) or [pattern.format(frame) for frame in range(like.n_frames)]
-
-
-def size_from(*sides: Any) -> tuple[int, int] | None:  # noqa: ANN401  # whatever a file holds
-    """Return width and height as a file states them; None where it does not."""
-    try:
-        width, height = (int(side) for side in sides)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return (width, height) if 0 < width < _MAX_SIDE and 0 < height < _MAX_SIDE else None
 
 
 def ellipse(x: float, y: float, rx: float, ry: float, turn: float = 0.0) -> list[list[float]]:

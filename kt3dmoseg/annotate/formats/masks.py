@@ -27,7 +27,7 @@ from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependen
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.io.images import MOTS_CLASS, MOTS_VOID, davis_palette, decode_indices, encode_indices, void_ids
 from kt3dmoseg.matching import number_in
-from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, FloatArray
 
 _RUNS = re.compile("(?:[P-o]{0,5}[0-O])++")  # numbers of up to 6 digits
 _MORE, _SIGN = 32, 16
@@ -44,32 +44,21 @@ _MOTS_KIND = {1: "car", 2: "pedestrian", 3: "other"}
 def mask_of(polygons: Sequence[FloatArray], image_size: tuple[int, int]) -> BoolArray:
     """Return the pixels whose centres lie in the union of the polygons by the even-odd rule, (H, W) bool."""
     width, height = image_size
-    mask = np.zeros((height, width), dtype=np.bool_)
+    mask, rows = np.zeros((height, width), dtype=np.bool_), np.arange(height)
     step = max(1, _BLOCK // height)
     for polygon in polygons:
         crossings = np.zeros(height * (width + 1), dtype=np.int64)
-        starts, ends = polygon, np.roll(polygon, -1, axis=0)
-        for k in range(0, len(polygon), step):
-            _count_crossings(starts[k : k + step], ends[k : k + step], crossings, (width, height))
+        after = np.roll(polygon, -1, axis=0)
+        for first in range(0, len(polygon), step):
+            (ax, ay), (bx, by) = (ends[first : first + step].T for ends in (polygon, after))
+            edge, row = np.nonzero((ay[:, None] <= rows) != (by[:, None] <= rows))
+            at = ax[edge] + (row - ay[edge]) * (bx - ax)[edge] / (by - ay)[edge]
+            column = np.clip(np.ceil(at), 0, width).astype(np.int64)
+            crossings += np.bincount(row * (width + 1) + column, minlength=len(crossings))
         # A pixel is inside when an odd number of edges cross its row to its right.
         right = crossings.reshape(height, width + 1)[:, :0:-1]
         mask |= np.cumsum(right, axis=1)[:, ::-1] % 2 == 1
     return mask
-
-
-def _count_crossings(
-    starts: FloatArray, ends: FloatArray, crossings: IntArray, image_size: tuple[int, int]
-) -> None:
-    """Count where edges cross the rows between their ends, the upper end included, in (H * (W + 1),)."""
-    width, height = image_size
-    (ax, ay), (bx, by) = starts.T, ends.T
-    first = np.clip(np.ceil(np.minimum(ay, by)), 0, height).astype(np.int64)
-    counts = np.clip(np.ceil(np.maximum(ay, by)), 0, height).astype(np.int64) - first
-    edge = np.repeat(np.arange(len(starts)), counts)
-    row = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts) + first[edge]
-    at = ax[edge] + (row - ay[edge]) * (bx - ax)[edge] / (by - ay)[edge]
-    column = np.clip(np.ceil(at), 0, width).astype(np.int64)
-    crossings += np.bincount(row * (width + 1) + column, minlength=len(crossings))
 
 
 def polygons_of(mask: BoolArray, tolerance: float = 0.0) -> list[model.Polygon]:

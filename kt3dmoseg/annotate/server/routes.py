@@ -26,8 +26,7 @@ from kt3dmoseg.annotate.formats.foreign import Choices
 from kt3dmoseg.annotate.model import KINDS, Annotation
 from kt3dmoseg.annotate.one_click import painted
 from kt3dmoseg.annotate.propagation import Region
-from kt3dmoseg.annotate.server.clip_log import WORK_STATES
-from kt3dmoseg.annotate.server.clip_session import ClipSession, NotTrackedError
+from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, NotTrackedError
 from kt3dmoseg.app import typed
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.files import read_bytes
