@@ -124,18 +124,20 @@ def label_tracks_detailed(
     _check_clip(trajectories, annotation)
     if regions is None:
         regions = propagate(annotation, motion or TrackMotion(trajectories))
-    reach = max(rule.margin, rule.halo)
-    depths = {key: _region_depths(trajectories, of_object, reach) for key, of_object in regions.items()}
+    # Signed distance (N, F) to each object's outline, positive inside; -inf far off, NaN where unseen.
+    depths = {item.id: np.where(trajectories.visible, -np.inf, np.nan) for item in annotation.objects}
     candidates: tuple[Motion, ...] = (BACKGROUND, *annotation.motions, REJECT)
     votes = np.zeros((len(trajectories), len(candidates)))
     contested = np.zeros(len(trajectories), dtype=np.bool_)
     for frame in range(trajectories.n_frames):
-        rows, _ = trajectories.at(frame)
+        rows, xy = trajectories.at(frame)
         depth = np.full((len(rows), len(candidates)), -np.inf)
         hidden = np.zeros(len(rows), dtype=np.bool_)
         for item in annotation.objects:
-            inner, column = depths[item.id][rows, frame], candidates.index(item.motion)
-            if regions[item.id][frame].visibility == "occluded":
+            region, column = regions[item.id][frame], candidates.index(item.motion)
+            inner = signed_distance(xy, region.polygons, max(rule.margin, rule.halo))
+            depths[item.id][rows, frame] = inner
+            if region.visibility == "occluded":
                 hidden |= inner > 0
             else:
                 depth[:, column] = np.maximum(depth[:, column], inner)
@@ -151,7 +153,10 @@ def label_tracks_detailed(
         choice[held] = candidates.index(mark.motion)
         reason[held] = _REJECTED if mark.motion == REJECT else _LABELLED
     number = np.array([0 if motion == REJECT else motion + 1 for motion in candidates], dtype=np.int64)
-    labels = Labels(np.where(reason == _LABELLED, number[choice], 0), BACKGROUND + 1, _names(annotation))
+    names = {BACKGROUND + 1: "background"}
+    for m in annotation.motions:
+        names[m + 1] = " + ".join(o.name for o in annotation.objects if o.motion == m) or f"motion {m}"
+    labels = Labels(np.where(reason == _LABELLED, number[choice], 0), BACKGROUND + 1, names)
     return LabelledTracks(labels, reason, votes, candidates)
 
 
@@ -180,14 +185,6 @@ def _decide(
     reason[few] = np.where(contested[few], _CONFLICT, _SHORT)
     reason[~seen] = _UNSEEN
     return choice.astype(np.int64), reason.astype(np.int64)
-
-
-def _names(annotation: Annotation) -> dict[int, str]:
-    names = {1: "background"}
-    for motion in annotation.motions:
-        of_motion = [item.name for item in annotation.objects if item.motion == motion]
-        names[motion + 1] = " + ".join(of_motion) or f"motion {motion}"
-    return names
 
 
 def _check_clip(trajectories: Trajectories, annotation: Annotation) -> None:
@@ -226,15 +223,6 @@ def _decide_by_motion(
         clear = gap >= rule.least_gap
         yield rows[known][clear & (of_background * rule.ratio <= of_object)], BACKGROUND
         yield rows[known][clear & (of_object * rule.ratio <= of_background)], item.motion
-
-
-def _region_depths(trajectories: Trajectories, regions: Sequence[Region], reach: float) -> FloatArray:
-    """Signed distance (N, F) to the outline, positive inside; -inf beyond `reach`, NaN where unseen."""
-    depth = np.where(trajectories.visible, -np.inf, np.nan)
-    for frame, region in enumerate(regions):
-        rows, xy = trajectories.at(frame)
-        depth[rows, frame] = signed_distance(xy, region.polygons, reach)
-    return depth
 
 
 def _errors(

@@ -200,18 +200,9 @@ class Mark:
 
 @_checked
 class Clicks:
-    """Where a frame was clicked, to outline what moves there.
+    """Where a frame was clicked, to outline what moves there; without a box, the first click adds.
 
-    Parameters
-    ----------
-    frame : int
-        0-based index in the clip.
-    clicks : sequence of (x, y, adds)
-        In pixels, and whether it adds to the outline or takes away; without a box, the first adds.
-    box : (left, top, right, bottom), optional
-        Around what moves, in pixels, at least 3 wide and high.
-    like : sequence of polygons
-        The shape to expect in the box, in pixels.
+    The box, at least 3 pixels wide and high, is around what moves; `like` is the shape to expect in it.
     """
 
     frame: _Frame
@@ -233,19 +224,7 @@ class Clicks:
 
 @_checked
 class Stroke:
-    """A stroke of a round brush on an outline.
-
-    Parameters
-    ----------
-    polygons : sequence of polygons
-        The outline before, in pixels.
-    stroke : sequence of (x, y)
-        Where the middle of the brush was, in pixels.
-    radius : float
-        Of the brush, in pixels.
-    adds : bool
-        Whether it adds to the outline or takes away.
-    """
+    """A stroke of a round brush, by its middle, that adds to the outline or takes away; all in pixels."""
 
     polygons: Annotated[tuple[Polygon, ...], Field(max_length=MAX_POLYGONS), FailFast()]
     stroke: Annotated[tuple[Point, ...], Field(min_length=1, max_length=MAX_POINTS), FailFast()]

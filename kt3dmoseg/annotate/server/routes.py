@@ -177,9 +177,13 @@ class Routes:
         return JSONResponse(model.to_json(found), headers=_etag(found))
 
     def _save(self, request: Request, session: ClipSession, body: bytes) -> Answer:
-        given = _given(session, body)
+        given, edited = _given(session, body), request.headers.get("if-match")
+        matched = _ETAG.fullmatch((edited or "").strip())
+        if matched is None:
+            expected = 'If-Match: "REVISION" is expected, the revision that was edited, quoted'
+            raise HTTPException(428 if edited is None else 400, expected)
         by = self._annotator(request) or given.annotator
-        saved = session.save(replace(given, revision=_if_match(request), annotator=by), by)
+        saved = session.save(replace(given, revision=int(matched[1]), annotator=by), by)
         return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
 
     def _regions(self, _: Request, session: ClipSession, body: bytes) -> Answer:
@@ -256,15 +260,6 @@ def _choices(request: Request) -> Choices:
         found = f"shift={shift} scale={scale}"[:80]
         raise InvalidValueError("import", expected="shift=N and scale=X", found=found) from None
     return Choices(*numbers)
-
-
-def _if_match(request: Request) -> int:
-    given = request.headers.get("if-match")
-    matched = _ETAG.fullmatch((given or "").strip())
-    if matched is None:
-        status = 428 if given is None else 400
-        raise HTTPException(status, 'If-Match: "REVISION" is expected, the revision that was edited, quoted')
-    return int(matched.group(1))
 
 
 def _etag(annotation: Annotation) -> dict[str, str]:
