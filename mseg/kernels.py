@@ -1,7 +1,13 @@
-"""From trajectories to affinities: hypotheses are sampled, residuals ranked, kernels sparsified."""
+"""From trajectories to affinities: hypotheses are sampled, residuals ranked, kernels sparsified and kept."""
 
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +15,8 @@ from scipy.linalg.blas import ssyrk
 from scipy.sparse import block_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
+from kt3dmoseg import __version__
+from kt3dmoseg.parallel import Cache, cache_key
 from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, IntArray, Trajectories
 from mseg.geometry import hartley
 from mseg.geometry.hartley import change_frame, frame_pair
@@ -20,7 +28,10 @@ ALGORITHM_VERSION: int = 1
 GUARD = 0.1
 """The authors' guard against division by zero, part of the values that alpha is applied to."""
 
+Arrays: TypeAlias = dict[str, npt.NDArray[Any]]
 _Array = npt.NDArray[Any]
+# Kernels kept in memory: a fusion of three views at three gaps; at 1,000 points 4 MB each.
+_KEPT = 9
 # Powers of the close and the wide neighbourhood; weight of all ties of the wide one over the close one's.
 _CLOSE, _WIDE, _TIES = 9.0, 3.0, 0.1
 # How often a degenerate sample is drawn.
@@ -268,3 +279,59 @@ def _power(base: FloatArray, exponent: float) -> FloatArray:
     if exponent % 2:
         half *= base
     return half
+
+
+# --- kernels shared between calls: methods, sweeps of alpha and fusions on one clip do not sample again -----
+# So are the representations of methods whose programme draws nothing, between seeds and numbers of motions.
+
+
+class KernelCache:
+    """Kernels by what they depend on, the latest few in memory and, in a folder if given, all of them."""
+
+    def __init__(self, folder: str | Path | None = None) -> None:
+        self.saved_seconds = 0.0
+        """CPU time of the kernels that were found instead of made."""
+        self._disk = Cache(folder)
+        self._memory: OrderedDict[str, Arrays] = OrderedDict()
+
+    def get(self, depends_on: Mapping[str, object], make: Callable[[], Arrays]) -> Arrays:
+        """Return arrays, made when they are not there; versions are added to what they depend on."""
+        key = cache_key({"versions": [__version__, ALGORITHM_VERSION], **depends_on})
+        entry = self._memory.pop(key, None) or self._disk.get(key)
+        if entry is None:
+            start = time.process_time()
+            entry = make()
+            entry["seconds"] = np.array(time.process_time() - start)
+            self._disk.put(key, entry)
+        else:
+            self.saved_seconds += float(entry["seconds"])
+        for array in entry.values():
+            array.flags.writeable = False
+        self._memory[key] = entry
+        if len(self._memory) > _KEPT:
+            self._memory.popitem(last=False)
+        return entry
+
+
+_cache: ContextVar[KernelCache | None] = ContextVar("kernel_cache", default=None)
+
+
+def shared(depends_on: Mapping[str, object], make: Callable[[], Arrays]) -> Arrays:
+    """Return what `make` returns, or returned to a call that depended on the same in the cache in force."""
+    cache = _cache.get()
+    return make() if cache is None else cache.get(depends_on, make)
+
+
+@contextmanager
+def kernel_cache(folder: str | Path | None = None) -> Iterator[KernelCache]:
+    """Share kernels between the `segment` calls inside the block.
+
+    Calls share a kernel when clip, seed and everything that shapes it (hypotheses, gap, residual)
+    are the same; alpha, lambda, gamma, the fusion and k-means may differ. With a folder, later runs do too.
+    """
+    cache = KernelCache(folder)
+    token = _cache.set(cache)
+    try:
+        yield cache
+    finally:
+        _cache.reset(token)

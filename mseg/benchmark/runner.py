@@ -29,8 +29,8 @@ from mseg.errors import SegmentationError
 from mseg.evaluation.scoring import ScoreTable, clip_score, provenance_of
 from mseg.evaluation.submission import FAILED, file_of, prediction_files
 from mseg.evaluation.validation import load_clips
+from mseg.kernels import kernel_cache
 from mseg.methods import check_whole, create, segment
-from mseg.methods.kernel_cache import kernel_cache
 
 VARIABLE = "KT3DMOSEG_DATA"
 _SHARED = Path("..") / "shared" / "data"

@@ -124,19 +124,18 @@ def pairs_table(comparison: Comparison) -> ResultsTable:
     scale, unit = spec.scale, ", differences in points" if spec.percent else ""
     rows = []
     for pair in comparison.pairs:
-        low, high = (_signed(scale * bound) for bound in pair.interval)
+        low, high = (signed(scale * bound) for bound in pair.interval)
         noise = ABSENT if pair.seed_sd is None else f"{scale * pair.seed_sd:.2f}"
         tests = [f"{pair.p:.3g}", f"{pair.p_holm:.3g}"]
-        difference = _signed(scale * pair.difference)
+        difference = signed(scale * pair.difference)
         rows.append([f"{pair.first} - {pair.second}", difference, f"{low}..{high}", noise, *tests])
     columns = ["pair", "difference", "95 % over clips", "seed sd", "Wilcoxon p", "Holm p"]
     return ResultsTable(f"Paired over clips{unit}", columns, rows)
 
 
-def _signed(value: float) -> str:
+def signed(value: float) -> str:
     """Show a difference with its sign, unless it is shown as 0.00."""
-    text = f"{value:+.2f}"
-    return "0.00" if float(text) == 0 else text
+    return f"{value:+.2f}" if round(value, 2) else "0.00"
 
 
 def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:

@@ -47,9 +47,7 @@ if TYPE_CHECKING:
 
     ModelT = TypeVar("ModelT", bound=BaseModel)
 
-FORMAT = "mseg-scores"
 _TABLE = "table"  # format of a clip made of tracks and their labels
-VERSION = 1
 _MAX_JSON, _MAX_VALUES, _MAX_MEMBERS = 16 << 20, 1_000_000, 5_000
 
 
@@ -427,8 +425,8 @@ def to_json(scores: ScoreTable) -> dict[str, Any]:
         for group, names in scores.groups()
     }
     return {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": "mseg-scores",
+        "version": 1,
         "benchmark": scores.benchmark.name,
         "coverage": scores.benchmark.coverage(scores.names),
         "complete": scores.complete,
@@ -476,7 +474,7 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
     """
     from pydantic import BaseModel, FailFast, Field
 
-    class Scores(BaseModel, arbitrary_types_allowed=True, allow_inf_nan=False):
+    class Scores(BaseModel, arbitrary_types_allowed=True, allow_inf_nan=False, extra="allow"):
         format: Literal["mseg-scores"]
         version: Literal[1]
         benchmark: str
@@ -484,11 +482,6 @@ def from_json(content: str | bytes, where: str = "scores") -> ScoreTable:
         provenance: Provenance
         clips: Annotated[list[ClipScore], FailFast()] = Field(min_length=1)
         problems: list[predictions.Problem] = []
-        # What follows from the others; None claims nothing.
-        seeds: Any = None
-        coverage: Any = None
-        complete: Any = None
-        groups: Any = None
 
     expected = "scores that 'mseg score' wrote as JSON"
     read = read_model(Scores, content, where, expected)
@@ -536,8 +529,8 @@ def _impossible(table: ScoreTable, claimed: Mapping[str, Any]) -> Iterator[str]:
         yield from _differences(asdict(clip), _corrected(clip, table.of(clip.clip)), where)
     yield from _impossible_source(table, claimed["benchmark"])
     summary = to_json(table)
-    for name in ("seeds", "coverage", "complete", "groups"):
-        if claimed[name] is not None:
+    for name in ("seeds", "coverage", "complete", "groups"):  # which follow from the others
+        if claimed.get(name) is not None:
             yield from _differences(claimed[name], summary[name], f"{name}.")
 
 

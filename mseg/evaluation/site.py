@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from kt3dmoseg.types import FloatArray
-from mseg.evaluation.pages import render
 from mseg.evaluation.protocol import Protocol
+from mseg.evaluation.report import render
 from mseg.evaluation.statistics import Summary, bootstrap_mean, summarise
 
 

@@ -146,12 +146,14 @@ def write_meta(folder: PathLike, meta: SubmissionMeta) -> Path:
     """Write ``meta.toml``; returns its path."""
     path = Path(folder) / META
     values = asdict(meta)
-    lines = [f"format_version = {FORMAT_VERSION}"]
-    lines += [f"{key} = {toml_text(value)}" for key, value in values.items() if not isinstance(value, dict)]
+    lines, tables = [f"format_version = {FORMAT_VERSION}"], list[str]()
     for key, value in values.items():
-        if isinstance(value, dict) and value:
-            lines += ["", f"[{key}]", *(f"{toml_text(k)} = {toml_text(v)}" for k, v in sorted(value.items()))]
-    write_text(path, "\n".join([*lines, ""]))
+        if not isinstance(value, dict):
+            lines.append(f"{key} = {toml_text(value)}")
+        elif value:
+            pairs = (f"{toml_text(k)} = {toml_text(v)}" for k, v in sorted(value.items()))
+            tables += ["", f"[{key}]", *pairs]
+    write_text(path, "\n".join([*lines, *tables, ""]))
     return path
 
 

@@ -98,17 +98,14 @@ def _nearest_rank_2(matrices: FloatArray) -> FloatArray:
     """
     a, b, c = matrices
     cofactors = np.empty_like(matrices)
-    cofactors[0], cofactors[1], cofactors[2] = _cross(b, c), _cross(c, a), _cross(a, b)
+    for k, rows in enumerate(((b, c), (c, a), (a, b))):
+        cofactors[k] = np.cross(*rows, axis=0)
     projector = _product(cofactors.swapaxes(0, 1), cofactors)
     for _ in range(_SQUARINGS):
         projector /= np.maximum(np.einsum("iik->k", projector), _TINY)
         projector = _product(projector, projector)
     projector /= np.maximum(np.einsum("iik->k", projector), _TINY)
     return matrices - _product(matrices, projector)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]])
 
 
 def _product(left: FloatArray, right: FloatArray) -> FloatArray:

@@ -48,7 +48,7 @@ METHODS = Registry(
         "lrr": "mseg.methods.self_expression:LRR",
         "tlinkage": "mseg.methods.preferences:TLinkage",
         "s3c": "mseg.methods.self_expression:S3C",
-        "rsim": "mseg.methods.rsim:RSIM",
+        "rsim": "mseg.methods.subspaces:RSIM",
         "mssc": "mseg.methods.paper:MSSC",
         "ransac": "mseg.methods.subspaces:Ransac",
         "rpa": "mseg.methods.preferences:RPA",

@@ -38,8 +38,7 @@ from mseg.clustering.kmeans import kmeans
 from mseg.clustering.spectral import GraphLaplacian, smallest_eigenvectors, unit_rows
 from mseg.errors import TooFewPointsError
 from mseg.geometry.models import MODELS
-from mseg.kernels import GUARD, covisible_frames, sample_hypotheses, sparsify, view_kernel
-from mseg.methods.kernel_cache import current_cache
+from mseg.kernels import GUARD, covisible_frames, sample_hypotheses, shared, sparsify, view_kernel
 from mseg.types import Grouping, ModelKind, Segmentation
 
 KINDS: tuple[ModelKind, ...] = ("affine", "homography", "fundamental")
@@ -154,8 +153,7 @@ class ViewMethod(ABC):
             "options": [kind, self.hypotheses, self.gap, self.distance, self.fraction],
             "random state": rng.bit_generator.state,
         }
-        cache = current_cache.get()
-        return (cache.get(depends_on, make) if cache else make())["kernel"]
+        return shared(depends_on, make)["kernel"]
 
     def rescale(self, kernel: Float32Array, points: Trajectories) -> Float32Array:
         """Change what a kernel (n, n) of `points` is divided by, in methods that differ from the paper there.

@@ -22,8 +22,8 @@ from mseg.completion import shrink
 from mseg.errors import SegmentationError
 from mseg.geometry.subspaces import leading_row_space
 from mseg.iteration import Convergence, iterate
+from mseg.kernels import shared
 from mseg.methods.complete_data import CompleteData, CompleteDataMethod
-from mseg.methods.kernel_cache import shared
 from mseg.types import Grouping
 
 # Factor by which a penalty grows from one iteration to the next.

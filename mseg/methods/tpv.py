@@ -14,7 +14,7 @@ from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, Float32Array, FloatArray, IntArray, Trajectories
 from mseg.clustering.spectral import count_by_eigengap, spectral_clustering
 from mseg.errors import SegmentationError, TooFewPointsError
-from mseg.geometry import hartley
+from mseg.geometry.hartley import frame_pair
 from mseg.geometry.models import MODELS
 from mseg.iteration import Convergence, iterate
 from mseg.methods.self_expression import Representation, shared_representation, sparse_affinity
@@ -136,13 +136,12 @@ def _epipolar_views(trajectories: Trajectories, most: int, gap: float) -> FloatA
     chosen = np.unique(np.linspace(0, trajectories.n_frames - 1 - apart, wanted).round().astype(int))
     views = []
     for first in chosen.tolist():
-        seen, x1, x2 = trajectories.pair(first, first + apart)
-        if len(seen) > 1:
-            ones = np.ones((len(seen), 1))
-            homogeneous = [np.hstack([hartley.normalise(x)[0], ones]) for x in (x1, x2)]
-            products = (homogeneous[1][:, :, None] * homogeneous[0][:, None, :]).reshape(len(seen), 9)
+        pair = frame_pair(trajectories, first, first + apart)
+        if len(pair.rows) > 1:
+            x1, x2 = (np.column_stack([x, np.ones(len(x))]) for x in (pair.x1, pair.x2))
+            products = (x2[:, :, None] * x1[:, None, :]).reshape(len(x1), 9)
             view = np.zeros((9, len(trajectories)))
-            view[:, seen] = (products / np.linalg.norm(products, axis=1, keepdims=True)).T
+            view[:, pair.rows] = (products / np.linalg.norm(products, axis=1, keepdims=True)).T
             views.append(view)
     return np.array(views).reshape(len(views), 9, len(trajectories))
 

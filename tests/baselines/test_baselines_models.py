@@ -9,7 +9,6 @@ from mseg.clustering.spectral import count_by_eigengap
 from mseg.errors import SegmentationError
 from mseg.iteration import iterate
 from mseg.methods.preferences import tanimoto_distance
-from mseg.methods.rsim import _discretise, _ncut_embedding
 from mseg.methods.self_expression import (
     _ShiftedInverse,
     keep_largest,
@@ -19,6 +18,7 @@ from mseg.methods.self_expression import (
     sparse_affinity,
     sparse_representation,
 )
+from mseg.methods.subspaces import _discretise, _ncut_embedding
 
 
 def subspaces(rng, sizes=(15, 20), dimension=3, ambient=12, affine=False):

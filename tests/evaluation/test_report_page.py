@@ -296,7 +296,7 @@ def test_a_point_far_outside_leaves_the_picture_of_a_clip_without_a_size_moderat
 
 
 def test_pictures_of_a_clip_fit_into_its_share():
-    from mseg.evaluation.pages import jpegs
+    from mseg.evaluation.report import jpegs
 
     many = [np.random.default_rng(i).integers(0, 255, (40, 60), dtype=np.uint8) for i in range(9)]
     few = jpegs(many, 6000)

@@ -12,7 +12,7 @@ from kt3dmoseg.io import load
 from kt3dmoseg.types import Trajectories
 from mseg.errors import SegmentationError, TooFewPointsError
 from mseg.evaluation import classification_error
-from mseg.methods.kernel_cache import kernel_cache
+from mseg.kernels import kernel_cache
 
 PAPER = ("affine", "homography", "fundamental", "keradd", "coreg", "subset")
 FUSED = ("keradd", "coreg", "subset")
