@@ -222,12 +222,21 @@ def sparsify(kernel: _Array, alpha: float | None = None) -> _Array:
 
 
 def _neighbourhood_mask(kernel: _Array, alpha: float) -> _Array:
-    """1 where both points keep each other, 0.5 where one of them does, else 0; see `sparsify`."""
+    """1 where both points keep each other, 0.5 where one of them does, else 0; see `sparsify`.
+
+    In double precision: most distances of a row are nearly equal to its largest, and the threshold
+    lies among them.
+    """
     keep = np.empty(kernel.shape, dtype=np.bool_)
     rows = max(1, _BLOCK_ENTRIES // max(1, len(kernel)))
     for start in range(0, len(kernel), rows):
-        block = kernel[start : start + rows]
-        keep[start : start + rows] = _kept_neighbours(block.astype(np.float64), alpha)
+        power = _power(kernel[start : start + rows].astype(np.float64), alpha)
+        distance = power.max(axis=1, keepdims=True) - power
+        total = distance.sum(axis=1, keepdims=True)
+        np.divide(distance, total, out=distance, where=total > 0)
+        logarithm = np.log(distance + np.finfo(np.float64).eps)
+        mean = np.einsum("ij,ij->i", distance, logarithm)
+        keep[start : start + rows] = (logarithm < mean[:, None]) & (total > 0)
     mask: _Array = keep.astype(kernel.dtype)
     mask += keep.T
     mask *= kernel.dtype.type(0.5)
@@ -253,21 +262,6 @@ def _mirror(upper: Float32Array) -> None:
         upper[stop:, start:stop] = upper[start:stop, stop:].T
         block = upper[start:stop, start:stop]
         block[:] = np.triu(block) + np.triu(block, 1).T
-
-
-def _kept_neighbours(kernel: FloatArray, alpha: float) -> BoolArray:
-    """Rows of the mask before it is made symmetric.
-
-    In double precision: most distances of a row are nearly equal to its largest, and the threshold
-    lies among them.
-    """
-    power = _power(kernel, alpha)
-    distance = power.max(axis=1, keepdims=True) - power
-    total = distance.sum(axis=1, keepdims=True)
-    np.divide(distance, total, out=distance, where=total > 0)
-    logarithm = np.log(distance + np.finfo(np.float64).eps)
-    mean = np.einsum("ij,ij->i", distance, logarithm)
-    return np.asarray((logarithm < mean[:, None]) & (total > 0))
 
 
 def _power(base: FloatArray, exponent: float) -> FloatArray:

@@ -184,7 +184,9 @@ def write_shot(clip: Clip, pictures: _Pictures | None, folder: Path, rate: float
 
 def _painted(clip: Clip, pictures: _Pictures | None, masks: Path, bar: _Progress) -> _Pictures:
     """Write the mask of every frame, and yield the frame with mask and trajectories drawn on it."""
-    painting, palette = _painting(clip), davis_palette()
+    every, drawn = by_label(clip), np.unique(np.linspace(0, len(clip.dense) - 1, _DRAWN).astype(np.int64))
+    painting = Painting(every.trajectories.select(drawn), every.colours[drawn], every.legend)
+    palette = davis_palette()
     colours = np.array([label_colour(k, 1) for k in range(256)])
     for frame, number in enumerate(clip.frame_numbers.tolist()):
         bar(frame + 1, clip.n_frames, f"{clip.name}: masks and overlay")
@@ -200,8 +202,3 @@ def _painted(clip: Clip, pictures: _Pictures | None, masks: Path, bar: _Progress
         canvas, moves = draw_frame(painting, frame, gray(picture, clip.name, "luma"), title), mask > 1
         canvas[moves] = (1 - _TINT) * canvas[moves] + _TINT * colours[mask[moves]]
         yield canvas
-
-
-def _painting(clip: Clip) -> Painting:
-    whole, rows = by_label(clip), np.unique(np.linspace(0, len(clip.dense) - 1, _DRAWN).astype(np.int64))
-    return Painting(whole.trajectories.select(rows), whole.colours[rows], whole.legend)

@@ -29,18 +29,13 @@ def spread_labels(tracks: Trajectories, rows: IntArray, labels: IntArray) -> Int
     for gap in _GAPS:
         asked = (known < 0) & ~votes.any(axis=1)
         for frame in range(tracks.n_frames - gap if asked.any() else 0):
-            row, place = _places(tracks, frame, gap)
+            (here, start), (there, end) = tracks.at(frame), tracks.at(frame + gap)
+            row, first, last = np.intersect1d(here, there, assume_unique=True, return_indices=True)
+            motion = (end[last] - start[first]) * (_MOTION / max(gap, 1))
+            place = np.hstack([start[first], motion])
             _vote(votes, row[asked[row]], place[asked[row]], known[row], place)
     votes[~votes.any(axis=1), sizes.argmax()] = 1
     return np.asarray(values[np.where(known >= 0, known, votes.argmax(axis=1))], dtype=np.int64)
-
-
-def _places(tracks: Trajectories, frame: int, gap: int) -> tuple[IntArray, FloatArray]:
-    """Rows (P,) of what lives in two frames; position and motion (P, 4)."""
-    (here, start), (there, end) = tracks.at(frame), tracks.at(frame + gap)
-    row, first, last = np.intersect1d(here, there, assume_unique=True, return_indices=True)
-    motion = (end[last] - start[first]) * (_MOTION / max(gap, 1))
-    return row, np.hstack([start[first], motion])
 
 
 def _vote(

@@ -58,7 +58,10 @@ def count_clusters(laplacian: Symmetric, criterion: Criterion, rng: np.random.Ge
     if criterion == "eigengap":
         return _best({k: float(gaps[k - 1]) for k in numbers})
     if criterion == "self_tuning":
-        cost = _alignment_costs(vectors[:, :most])
+        cost: dict[int, float] = {}
+        rotated = vectors[:, :1]
+        for k in numbers:  # each from the rotation found for the one before, as in the paper
+            rotated, cost[k] = _align(np.column_stack([rotated, vectors[:, k - 1]]))
         least = min(cost.values())
         return Count(max(k for k in cost if cost[k] <= least + _EQUAL_COST), {k: -cost[k] for k in cost})
     return _vote(vectors, {k: float(gaps[k - 1]) for k in numbers}, rng)
@@ -91,21 +94,11 @@ def _best(scores: Mapping[int, float]) -> Count:
     return Count(max(scores, key=lambda k: scores[k]), dict(scores))
 
 
-def _alignment_costs(vectors: FloatArray) -> dict[int, float]:
-    """Cost per point of the best rotation of the first k columns, k = 2, 3, ...; 1 is the least possible.
-
-    Each number starts from the rotation found for the one before, as in the paper; angles are found plane by
-    plane among fixed ones instead of by gradient descent.
-    """
-    costs = {}
-    rotated = vectors[:, :1]
-    for k in range(2, vectors.shape[1] + 1):
-        rotated, costs[k] = _align(np.column_stack([rotated, vectors[:, k - 1]]))
-    return costs
-
-
 def _align(points: FloatArray) -> tuple[FloatArray, float]:
-    """Rotate points (N, k) so that ``mean_i sum_j z_ij^2 / max_j z_ij^2`` is low; the rotation, the cost."""
+    """Rotate points (N, k) so that ``mean_i sum_j z_ij^2 / max_j z_ij^2``, at least 1, is low; and that cost.
+
+    Angles are found plane by plane among fixed ones instead of by gradient descent.
+    """
     squares = np.maximum((points**2).sum(axis=1), np.finfo(np.float64).tiny)
     cosine, sine = np.cos(_ANGLES)[:, None], np.sin(_ANGLES)[:, None]
     cost = np.inf

@@ -19,7 +19,7 @@ import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import option
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Trajectories
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
 from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
@@ -35,7 +35,9 @@ class CompleteData:
     """Complete trajectories of a clip."""
 
     pixels: FloatArray  # (2F', n'): trajectory matrix, rows x1, y1, x2, y2, ...
-    unit: float  # pixels per unit of thresholds: an image with a diagonal of 800 pixels (640 x 480) has 1
+    # Pixels per unit of thresholds: an image with a diagonal of 800 pixels (640 x 480) has 1; of an unknown
+    # size, the range of the positions takes its place.
+    unit: float
     normalised: FloatArray  # (2F', n'): in the coordinates of `normalising_matrix`
     used: BoolArray  # (n,): which evaluated trajectories the columns are
     report: Mapping[str, Any]  # what completion did
@@ -84,15 +86,10 @@ def complete_data(
         **filled.convergence.report("completion_"),
     }
     xy = normalised(pixels.T.reshape(len(kept), -1, 2), normalising_matrix(trajectories, clip.camera))
+    extent = np.ptp(kept.xy[kept.visible], axis=0) if kept.image_size is None else kept.image_size
+    unit = float(np.hypot(*extent)) / _DIAGONAL or 1.0
     report = report if gaps or completion == "rpca" else {}
-    return CompleteData(pixels, _unit(kept), trajectory_matrix(xy), used, report)
-
-
-def _unit(trajectories: Trajectories) -> float:
-    """Pixels per unit; where the image size is unknown, the range of the positions takes its place."""
-    seen = trajectories.xy[trajectories.visible]
-    extent = np.ptp(seen, axis=0) if trajectories.image_size is None else trajectories.image_size
-    return float(np.hypot(*extent)) / _DIAGONAL or 1.0
+    return CompleteData(pixels, unit, trajectory_matrix(xy), used, report)
 
 
 def _filled(matrix: FloatArray, completion: str, rank: int) -> Completion:

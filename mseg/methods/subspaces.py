@@ -1,4 +1,4 @@
-"""Subspace methods: trajectories are points in the row space of their matrix: LSA, GPCA, RANSAC, RSIM.
+"""The subspace methods LSA, GPCA, RANSAC and RSIM: trajectories are points in the row space of their matrix.
 
 The first three are those of the Hopkins155 benchmark (Tron and Vidal, "A benchmark for the comparison of 3-D
 motion segmentation algorithms", CVPR 2007).
