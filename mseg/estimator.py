@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from mseg.types import Method, Segmentation
 _SEEDS = 1 << 31
 
 
+@dataclass(eq=False, repr=False)
 class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """Cluster trajectories by rigid motion, as a scikit-learn clusterer.
 
@@ -44,18 +46,11 @@ class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # sci
         Number of columns, where `X` was a table.
     """
 
-    def __init__(
-        self,
-        method: str | Method = "multibody",
-        *,
-        n_motions: int | None = None,
-        random_state: int | np.random.RandomState | None = 0,
-        parameters: Mapping[str, Any] | None = None,
-    ) -> None:
-        self.method = method
-        self.n_motions = n_motions
-        self.random_state = random_state
-        self.parameters = parameters
+    method: str | Method = "multibody"
+    _: KW_ONLY
+    n_motions: int | None = None
+    random_state: int | np.random.RandomState | None = 0
+    parameters: Mapping[str, Any] | None = None
 
     def fit(self, X: Clip | Trajectories | npt.ArrayLike, y: object = None) -> MotionSegmenter:
         """Segment `X`: a clip, trajectories, an array (N, F, 2), or a table (N, 2F).

@@ -281,8 +281,16 @@ def find_clips(
     protocol names (and for MTPV62 that of Hopkins155) in ``$KT3DMOSEG_DATA``, or else in ``../shared/data``.
     InputFileError when a folder is missing or none of its clips belongs to the benchmark.
     """
-    given = [data] if isinstance(data, (str, os.PathLike)) else data
-    folders = [Path(folder) for folder in given] or _default_folders(protocol)
+    folders = [Path(folder) for folder in ([data] if isinstance(data, (str, os.PathLike)) else data)]
+    if not folders:
+        root = Path(os.environ.get(VARIABLE) or _SHARED)
+        folder = _named(root, protocol.data)
+        if not folder.is_dir():
+            fix = f"give data=FOLDER, or set {VARIABLE} to the folder that holds {protocol.data}/"
+            expected = f"the clips of {protocol.title}"
+            raise InputFileError(str(folder), expected=expected, found="no such folder", fix=fix)
+        borrowed = (_named(root, name) for name in _BORROWED.get(protocol.name, ()))
+        folders = [folder, *(other for other in borrowed if other.is_dir())]
     found: dict[str, Path] = {}
     for folder in folders:
         found = {**dataset_paths(folder), **found}
@@ -291,17 +299,6 @@ def find_clips(
         there = f"{len(found)} others ({', '.join(list(found)[:3])})"
         raise InputFileError(", ".join(map(str, folders)), expected=f"clips of {protocol.title}", found=there)
     return clips, sorted(set(found) - set(clips))
-
-
-def _default_folders(protocol: evaluation.Protocol) -> list[Path]:
-    root = Path(os.environ.get(VARIABLE) or _SHARED)
-    folder = _named(root, protocol.data)
-    if not folder.is_dir():
-        fix = f"give data=FOLDER, or set {VARIABLE} to the folder that holds {protocol.data}/"
-        expected = f"the clips of {protocol.title}"
-        raise InputFileError(str(folder), expected=expected, found="no such folder", fix=fix)
-    borrowed = (_named(root, name) for name in _BORROWED.get(protocol.name, ()))
-    return [folder, *(other for other in borrowed if other.is_dir())]
 
 
 def _named(root: Path, name: str) -> Path:

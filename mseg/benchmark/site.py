@@ -59,7 +59,10 @@ def write_site(
 
 
 def _row(result: PublishedResult, history: Sequence[Version]) -> Row:
-    source = _source(result.method)
+    source = ""  # of a method of ours, as its documentation says
+    if result.method in METHODS.names():
+        about = " ".join((METHODS.load(result.method).__doc__ or "").split())
+        source = "".join(re.findall(r"Source: (.*?)\.? Input:", about)[:1])
     names = result.authors or ["this toolkit"] * source.startswith("ours") or _NAMES.findall(source)
     return Row(
         result.title,
@@ -76,14 +79,6 @@ def _row(result: PublishedResult, history: Sequence[Version]) -> Row:
         facts={"source": source, "hardware": result.hardware, **result.versions, **result.parameters},
         history=history,
     )
-
-
-def _source(method: str) -> str:
-    """Where a method of ours comes from, as its documentation says; empty for others."""
-    if method not in METHODS.names():
-        return ""
-    found = re.search(r"Source: (.*?)\.? Input:", " ".join((METHODS.load(method).__doc__ or "").split()))
-    return found[1] if found else ""
 
 
 def _pictures(data: Sequence[PathLike], frames: PathLike | None) -> dict[str, str]:

@@ -104,20 +104,19 @@ def example_submission(
 
 def made_up_clips() -> dict[str, Clip]:
     """Small clips of points in two and three motions, always the same."""
-    return {name: _made_up(name, motions) for name, motions in (("example_two", 2), ("example_three", 3))}
-
-
-def _made_up(name: str, motions: int) -> Clip:
-    rng = np.random.default_rng(motions)
-    n, frames = 30 * motions, 10
-    label = np.repeat(np.arange(1, motions + 1), 30)
-    start = rng.uniform((0, 40), (200, 200), size=(n, 2))
-    velocity = np.array([[1.0, 0.0], [4.0, 2.0], [-2.0, -3.0]])[label - 1]
-    xy = start[:, None] + velocity[:, None] * np.arange(frames)[:, None]
-    xy[::7, frames // 2 :] = np.nan
-    dense = Trajectories(xy, ~np.isnan(xy[..., 0]), image_size=(320, 240))
-    rows = np.flatnonzero(np.arange(n) % 3 > 0)
-    return Clip(name, dense, rows, Labels(label[rows], background=1))
+    made = {}
+    for name, motions in (("example_two", 2), ("example_three", 3)):
+        rng = np.random.default_rng(motions)
+        n, frames = 30 * motions, 10
+        label = np.repeat(np.arange(1, motions + 1), 30)
+        start = rng.uniform((0, 40), (200, 200), size=(n, 2))
+        velocity = np.array([[1.0, 0.0], [4.0, 2.0], [-2.0, -3.0]])[label - 1]
+        xy = start[:, None] + velocity[:, None] * np.arange(frames)[:, None]
+        xy[::7, frames // 2 :] = np.nan
+        dense = Trajectories(xy, ~np.isnan(xy[..., 0]), image_size=(320, 240))
+        rows = np.flatnonzero(np.arange(n) % 3 > 0)
+        made[name] = Clip(name, dense, rows, Labels(label[rows], background=1))
+    return made
 
 
 def _left_right(clip: Clip, seed: int) -> IntArray:

@@ -113,21 +113,14 @@ def write_report(
     stems = [re.sub(r"[^\w.=-]+", "-", f"{page.stem}-{name}") for name in results.unique_names(scores)]
     for letter, stem, table in zip(LETTERS, stems, scores, strict=False):
         own = stem if stems.count(stem) == 1 else f"{stem}-{letter}"
-        contents |= _tables_beside(table, page.stem if len(given) == 1 else own, extras)
+        name = page.stem if len(given) == 1 else own
+        for form in (each for each in _ENDINGS if each in extras):
+            contents[f"{name}.{_ENDINGS[form]}"] = results.rendered(table, form) + "\n"
+        if "csv" in extras:
+            contents |= results.davis_files(table, "" if name == "report" else f"-{name}")
     for name, content in contents.items():
         write_text(page.with_name(name), content)
     return [page.with_name(name) for name in contents]
-
-
-def _tables_beside(scores: ScoreTable, stem: str, extras: Sequence[str]) -> dict[str, str]:
-    contents = {
-        f"{stem}.{ending}": results.rendered(scores, form) + "\n"
-        for form, ending in _ENDINGS.items()
-        if form in extras
-    }
-    if "csv" in extras:
-        contents |= results.davis_files(scores, "" if stem == "report" else f"-{stem}")
-    return contents
 
 
 def report_html(

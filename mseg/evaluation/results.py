@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kt3dmoseg.text import several, text_table
+from kt3dmoseg.text import count, several, text_table
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import all_metrics
 from mseg.evaluation.protocol import Protocol, share
@@ -198,20 +198,16 @@ def headline(*tables: ScoreTable) -> ResultsTable:
     if protocol.published and wanted and version != wanted:
         notes.append(f"Data version {version!r}; printed figures are for version {wanted!r}: not comparable.")
     for name, table in zip(unique_names(tables), tables, strict=True):
-        of = f"{name}: " if len(tables) > 1 else ""
-        notes += [of + note for note in (_spread_note(table), *method_notes(table), *failure_notes(table))]
+        summary, of = table.summary(), f"{name}: " if len(tables) > 1 else ""
+        low, high = summary.interval
+        sd = "" if summary.seed_sd is None else f", sd over seeds {100 * summary.seed_sd:.2f}"
+        spread = (
+            f"{count(len(table.seeds), 'seed')}{sd}; "
+            f"95 % bootstrap interval over clips {100 * low:.2f} to {100 * high:.2f}; "
+            f"all trajectories pooled {100 * summary.pooled:.2f}."
+        )
+        notes += [of + note for note in (spread, *method_notes(table), *failure_notes(table))]
     return error_table(f"{protocol.title}: {_ERROR}", tables, protocol.published, notes=notes)
-
-
-def _spread_note(scores: ScoreTable) -> str:
-    summary = scores.summary()
-    low, high = summary.interval
-    sd = "" if summary.seed_sd is None else f", sd over seeds {100 * summary.seed_sd:.2f}"
-    return (
-        f"{len(scores.seeds)} seed{'s' if sd else ''}{sd}; "
-        f"95 % bootstrap interval over clips {100 * low:.2f} to {100 * high:.2f}; "
-        f"all trajectories pooled {100 * summary.pooled:.2f}."
-    )
 
 
 def method_notes(scores: ScoreTable) -> list[str]:
