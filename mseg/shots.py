@@ -52,9 +52,8 @@ class Shot:
         if self.clip is None:
             return f"{start}, not segmented: {self.reason}"
         found = f"{len(self.clip.dense)} trajectories, {count(self.clip.n_motions, 'motion')}"
-        if self.margin is None:
-            return f"{start}, {found}"
-        return f"{start}, {found} (the next best number costs {self.margin:.1f} more)"
+        more = "" if self.margin is None else f" (the next best number costs {self.margin:.1f} more)"
+        return f"{start}, {found}{more}"
 
 
 def clip_shot(path: Path, frames: PathLike | None) -> Iterator[tuple[Shot, _Pictures | None]]:

@@ -56,23 +56,17 @@ class LSA(CompleteDataMethod):
                 "LSA", expected=f"more than {self.n_neighbours} trajectories", found=str(data.n_points)
             )
         points = unit_rows(leading_row_space(data.pixels, self.dimension or 4 * n_motions))
-        affinity = _local_subspace_affinity(points, self.n_neighbours)
+        n, r = points.shape
+        size = max(1, min(_LARGEST_BASIS, r - 1))
+        cosine = points @ points.T
+        np.fill_diagonal(cosine, np.inf)  # the point itself always belongs to its neighbourhood
+        nearest = np.argsort(-cosine, axis=1, kind="stable")[:, : self.n_neighbours + 1]
+        left, _, _ = np.linalg.svd(points[nearest].transpose(0, 2, 1), full_matrices=False)
+        basis = left[:, :, :size]
+        projector = (basis @ basis.transpose(0, 2, 1)).reshape(n, r * r)
+        affinity = np.exp(-np.maximum(size - projector @ projector.T, 0))
         labels = spectral_clustering(affinity, n_motions, rng, n_restarts=self.restarts)
-        return labels, {"dimension": points.shape[1]}
-
-
-def _local_subspace_affinity(points: FloatArray, n_neighbours: int) -> FloatArray:
-    """Affinity (N, N) of unit points (N, r) by the principal angles of their local subspaces."""
-    n, r = points.shape
-    basis_size = max(1, min(_LARGEST_BASIS, r - 1))
-    cosine = points @ points.T
-    np.fill_diagonal(cosine, np.inf)  # the point itself always belongs to its neighbourhood
-    nearest = np.argsort(-cosine, axis=1, kind="stable")[:, : n_neighbours + 1]
-    left, _, _ = np.linalg.svd(points[nearest].transpose(0, 2, 1), full_matrices=False)
-    basis = left[:, :, :basis_size]
-    projector = (basis @ basis.transpose(0, 2, 1)).reshape(n, r * r)
-    sines = np.maximum(basis_size - projector @ projector.T, 0)
-    return np.asarray(np.exp(-sines))
+        return labels, {"dimension": r}
 
 
 @dataclass(frozen=True)

@@ -101,24 +101,17 @@ class TPV:
         )
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
-        labels, refined = self._grouped(views, affinity, count, rng)
-        report = {"pairs": len(views), "n_motions": count, "trajectories_left_out": int((~used).sum())}
-        report |= {**solved.convergence.report(), **refined.report("reassignment_")}
-        return Segmentation.of_part(labels, used, report)
-
-    def _grouped(
-        self, views: FloatArray, affinity: FloatArray, count: int, rng: np.random.Generator
-    ) -> tuple[IntArray, Convergence]:
-        """Labels 1..count by steps 3 to 5."""
-        most = len(affinity) // _POINTS_PER_PIECE
-        sizes = [p for p in _PIECES if count < p <= most]
+        sizes = [p for p in _PIECES if count < p <= len(affinity) // _POINTS_PER_PIECE]
         pieces = [spectral_clustering(affinity, p, rng, n_restarts=self.restarts) for p in (count, *sizes)]
         bodies, planes = (
             _ViewGroups(views, affinity, self.noise, self.cut, kind) for kind in ("fundamental", "homography")
         )
         by_bodies, by_planes = bodies.best(pieces, count), planes.best(pieces[:2], count)
         more = planes.log_variance(by_planes[0]) - bodies.log_variance(by_bodies[0])
-        return by_planes if more <= _PLANES else by_bodies
+        labels, refined = by_planes if more <= _PLANES else by_bodies
+        report = {"pairs": len(views), "n_motions": count, "trajectories_left_out": int((~used).sum())}
+        report |= {**solved.convergence.report(), **refined.report("reassignment_")}
+        return Segmentation.of_part(labels, used, report)
 
 
 def _epipolar_views(trajectories: Trajectories, most: int, gap: float) -> FloatArray:

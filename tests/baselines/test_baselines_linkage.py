@@ -9,7 +9,7 @@ import mseg.methods as methods
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.completion import robust_pca
 from mseg.errors import SegmentationError
-from mseg.geometry import fundamental
+from mseg.geometry.models import fundamental_sampson
 from mseg.geometry.subspaces import best_flat_distances, flat_distances, trajectory_matrix
 from mseg.kernels import draw_near_subsets
 from mseg.methods.alc import _coding_lengths, _compress, _elect, _sparsity_preserving_dimension
@@ -214,7 +214,7 @@ def test_epipolar_distance_is_that_of_sampson(make_scene):
     view = _epipolar_views(clip.evaluated_trajectories, 1, 1.0)[0]
     first, second = view[6:8] / view[8], view[2:8:3] / view[8]
     models = np.linalg.eigh(view @ view.T)[1][:, 0].reshape(1, 3, 3)
-    expected = fundamental.sampson(models, first.T, second.T)[:, 0]
+    expected = fundamental_sampson(models, first.T, second.T)[:, 0]
     cost = _ViewGroups(view[None], np.eye(25), 1e-9, 0.0, "fundamental").cost(np.ones(25, dtype=int))
     assert cost == pytest.approx(np.log(expected.mean() + 1e-18) / 2)
 
