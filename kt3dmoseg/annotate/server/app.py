@@ -16,7 +16,6 @@ import socket
 from collections.abc import Callable, Iterable, Mapping
 from ipaddress import ip_address
 from pathlib import Path
-from types import MappingProxyType
 from urllib.parse import quote
 
 import uvicorn
@@ -39,7 +38,6 @@ from kt3dmoseg.draw.palette import css_palette
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import read_bytes, write_text
 
-_NONE: Mapping[str, str] = MappingProxyType({})
 _TOKEN = 24  # random bytes
 _MAX_TEAM = 1 << 16
 _LONGEST_NAME = 100
@@ -64,7 +62,7 @@ _HEADERS = {
 mimetypes.add_type("text/javascript", ".js")
 
 
-def create_app(routes: Routes, *, hosts: Iterable[str], tokens: Mapping[str, str] = _NONE) -> Guard:
+def create_app(routes: Routes, *, hosts: Iterable[str], tokens: Mapping[str, str] | None = None) -> Guard:
     """Make the guarded ASGI application; see `Guard` for hosts and tokens."""
     template = Template((_STATIC / "index.html").read_text(encoding="utf-8"), autoescape=True)
     # The browser fetches all modules at once instead of following imports step by step.
@@ -81,7 +79,7 @@ def create_app(routes: Routes, *, hosts: Iterable[str], tokens: Mapping[str, str
     table = [Route("/", page), Mount("/static", StaticFiles(directory=_STATIC)), *routes.table()]
     expected = (KT3DMoSegError, HTTPException, ClientDisconnect, NotTrackedError)
     app = Starlette(routes=table, exception_handlers=dict.fromkeys(expected, _failed))
-    return Guard(app, hosts, tokens)
+    return Guard(app, hosts, tokens or {})
 
 
 async def _failed(_: Request, error: Exception) -> Response:
@@ -103,7 +101,7 @@ class Guard:
     ``Authorization: Bearer TOKEN``, the cookie that opening ``/?token=TOKEN`` sets, or be for it.
     """
 
-    def __init__(self, app: ASGIApp, hosts: Iterable[str], tokens: Mapping[str, str] = _NONE) -> None:
+    def __init__(self, app: ASGIApp, hosts: Iterable[str], tokens: Mapping[str, str]) -> None:
         self.app, self.hosts, self.tokens = app, {host.lower() for host in hosts}, tokens
         self.held = 0
 
@@ -182,7 +180,7 @@ def serve(
     host: str,
     port: int,
     ready: Callable[[dict[str, str]], object],
-    tokens: Mapping[str, str] = _NONE,
+    tokens: Mapping[str, str],
 ) -> None:
     """Serve the labelling page until interrupted; any host but loopback makes the server want a token.
 

@@ -335,8 +335,8 @@ class ClipLog:
             self._read = version, found
         return self._read[1]
 
-    def add(self, by: object, **what: object) -> dict[str, Any]:
-        """Add an entry of now, and return it; InvalidValueError for a state or name that is none."""
+    def add(self, by: object, **what: object) -> None:
+        """Add an entry of now; InvalidValueError for a state or name that is none."""
         if what.get("state", WORK_STATES[0]) not in WORK_STATES:
             expected = f"one of {', '.join(WORK_STATES)}"
             raise InvalidValueError("state", expected=expected, found=repr(what["state"])[:80])
@@ -348,7 +348,6 @@ class ClipLog:
         with hold_folder(self.path.parent):
             before = read_bytes(self.path, _MAX_LOG).decode() if self.path.exists() else ""
             write_text(self.path, f"{before}{json.dumps(entry, ensure_ascii=False)}\n")
-        return entry
 
     def add_save(self, by: str, before: model.Annotation, saved: model.Annotation) -> None:
         """Add what was saved."""
