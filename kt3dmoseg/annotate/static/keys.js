@@ -7,7 +7,7 @@ import { compare, exchange, nextDifference, propose, skip } from "./exchange.js"
 import { at } from "./pointer.js";
 import { flush } from "./saving.js";
 import { attempt, redo, select, selectedObject, state, toggleObject, undo } from "./state.js";
-import { zoomTimeline } from "./timeline.js";
+import { zoomTimeline } from "./panel.js";
 import { nextProblem, nextUnexplained } from "./tracks.js";
 import * as view from "./view.js";
 

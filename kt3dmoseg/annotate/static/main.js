@@ -5,12 +5,11 @@ import { clamp } from "./annotation.js";
 import { clips, openClip } from "./clips.js";
 import { byId } from "./dom.js";
 import "./keys.js";
-import "./objects.js";
+import "./panel.js";
 import "./pointer.js";
 import { drawRegions } from "./regions.js";
 import { saver } from "./saving.js";
 import { USUAL, attempt, on, set, state } from "./state.js";
-import "./timeline.js";
 import { drawTracks } from "./tracks.js";
 import { drawPicture, fitAll, goToNumber, zoomTo } from "./view.js";
 
