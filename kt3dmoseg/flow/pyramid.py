@@ -10,8 +10,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from kt3dmoseg.compiled import compiled
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow import check_pair, smooth
 from kt3dmoseg.flow.variational import expand, minimise
@@ -90,9 +90,8 @@ class VariationalPyramid:
     def _refined(self, first: Float32Array, second: Float32Array, field: Float32Array) -> Float32Array:
         """Warp the second frame by a flow, minimise the energy around it, and change it in place."""
         height, width = first.shape
-        planes, target = np.empty((7, height, width + 2), np.float32), np.empty_like(field)
-        _lead(field, 0, 0, target)
-        warped = cv2.remap(second, target, None, cv2.INTER_LINEAR, borderMode=_REPLICATE)  # type: ignore[call-overload]  # its stub forgets None
+        planes = np.empty((7, height, width + 2), np.float32)
+        warped = cv2.remap(second, _pixels(first) + field, None, cv2.INTER_LINEAR, borderMode=_REPLICATE)  # type: ignore[call-overload]  # its stub forgets None
         expand(first, warped, field, planes)
         halved = self.alpha / 2, self.delta / 2, self.gamma / 2
         weights = np.array([*halved, self.epsilon, _ZETA, self.overrelaxation], np.float32)
@@ -145,40 +144,28 @@ def sharpen(
     change must bring the mean difference under ``share * difference - floor``, so that noise moves nothing;
     further ones need only be better.
     """
-    target = np.empty_like(field)
+    (height, width), pixels = a.shape, _pixels(a)
 
-    def difference(candidates: Float32Array, left: int = 0, top: int = 0) -> Float32Array:
+    def difference(candidates: Float32Array) -> Float32Array:
         """Mean capped difference of patches; outside, the second frame is black."""
-        _lead(candidates, left, top, target)
-        seen = cv2.remap(b, target, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
+        seen = cv2.remap(b, pixels + candidates, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
         apart = cv2.min(cv2.absdiff(seen, a), _CAP)  # type: ignore[call-overload]  # nor numbers
         return np.asarray(cv2.boxFilter(apart, cv2.CV_32F, (_SIDE, _SIDE)), np.float32)
 
     limit = np.asarray(difference(field) * np.float32(share) - np.float32(floor), np.float32)
     result = field.copy()
     for far in reach:
-        around: Any = cv2.copyMakeBorder(result, far, far, far, far, _REPLICATE)
+        around = np.asarray(cv2.copyMakeBorder(result, far, far, far, far, _REPLICATE), np.float32)
         for x, y in _DIRECTIONS:
-            start = far * (1 + x), far * (1 + y)
-            better = difference(around, *start)
-            _take(around.view(np.uint64)[..., 0], *start, better, limit, result.view(np.uint64)[..., 0])
+            left, top = far * (1 + x), far * (1 + y)
+            candidates = around[top : top + height, left : left + width]
+            found = difference(candidates)
+            better = cv2.compare(found, limit, cv2.CMP_LT)
+            cv2.copyTo(candidates, better, result)
+            cv2.copyTo(found, better, limit)
     return result
 
 
-@compiled
-def _lead(candidates: Float32Array, left: int, top: int, target: Float32Array) -> None:
-    for i in range(target.shape[0]):
-        source, row, y = candidates[top + i, left:], target[i], np.float32(i)
-        for j in range(len(row)):
-            row[j, 0], row[j, 1] = source[j, 0] + np.float32(j), source[j, 1] + y
-
-
-@compiled
-def _take(vectors: Any, left: int, top: int, now: Float32Array, limit: Float32Array, result: Any) -> None:  # noqa: ANN401
-    """Take vectors, of 64 bits each: loops without branches are vectorised."""
-    for i in range(now.shape[0]):
-        new, least, source, row = now[i], limit[i], vectors[top + i, left:], result[i]
-        for j in range(len(new)):
-            better = new[j] < least[j]
-            row[j] = source[j] if better else row[j]
-            least[j] = new[j] if better else least[j]
+def _pixels(frame: npt.NDArray[Any]) -> Float32Array:
+    """Where the pixels of a frame (H, W) are, (H, W, 2)."""
+    return np.dstack(np.meshgrid(*(np.arange(side, dtype=np.float32) for side in frame.shape[::-1])))

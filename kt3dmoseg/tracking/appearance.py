@@ -14,7 +14,7 @@ import numpy as np
 from kt3dmoseg.tracking.linking import gradient
 from kt3dmoseg.tracking.options import TrackOptions
 from kt3dmoseg.tracking.registration import begin, compare, prepare
-from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray
 
 _POLE = np.sqrt(8) - 3  # of the inverse of (1, 6, 1) / 8
 _SHARPEN = _POLE ** np.abs(np.arange(-4, 5))
@@ -115,35 +115,17 @@ class Appearance:
         """
         live, count, options = np.flatnonzero(alive), len(self._row), self.options
         old, (image, start) = live[live < count], self._new
-        new = self.window.start(image, start[live[len(old) :] - count])
-        row = np.concatenate([self._row[old], self._store(self._row[old], new)])
-        affine = np.concatenate([self._affine[old], np.broadcast_to(np.eye(2), (len(new), 2, 2))])
+        new = self.window.prepare(self.window.start(image, start[live[len(old) :] - count]), options)
+        pairs = zip(self._starts, new, strict=True)
+        self._starts = Starts(*(np.concatenate([kept[self._row[old]], more]) for kept, more in pairs))
+        affine = np.concatenate([self._affine[old], np.broadcast_to(np.eye(2), (len(new.patch), 2, 2))])
         affine = (np.eye(2) + gradient(forward, xy[live], _REACH)) @ affine
         pose, alike = np.concatenate([affine, target[live, :, None]], axis=2), np.empty(len(live), np.bool_)
-        limits = (
-            options.anchor,
-            options.anchor_change,
-            options.anchor_gain,
-            options.anchor_scale,
-            options.appearance,
-            options.appearance_floor,
-        )
-        compare(self._image, pose, row, *self._starts, self.window.pixels, limits, alike)
+        trust = options.anchor, options.anchor_change, options.anchor_gain, options.anchor_scale
+        limits = *trust, options.appearance, options.appearance_floor
+        compare(self._image, pose, *self._starts, self.window.pixels, limits, alike)
         target, alive = target.copy(), alive.copy()
         target[live], alive[live] = pose[..., 2], alike
-        self._row, self._affine, self._new = row[alike], pose[alike, :, :2], (self._image, start[:0])
+        self._row, self._affine = np.flatnonzero(alike), pose[alike, :, :2]
+        self._new = self._image, start[:0]
         return target, alive
-
-    def _store(self, taken: IntArray, patch: Float32Array) -> IntArray:
-        """Keep new starts, in rows of trajectories that have ended and in further ones; which these are."""
-        size, new = len(self._starts.variance), self.window.prepare(patch, self.options)
-        free = np.ones(max(size, len(taken) + len(patch)), np.bool_)
-        free[taken] = False
-        rows = np.flatnonzero(free)[: len(patch)]
-        more = max(rows.max(initial=0) + 1 - size, 0)
-        if more:
-            room = (np.empty((more, *field.shape[1:]), field.dtype) for field in new)
-            self._starts = Starts(*map(np.concatenate, zip(self._starts, room, strict=True)))
-        for field, values in zip(self._starts, new, strict=True):
-            field[rows] = values
-        return rows

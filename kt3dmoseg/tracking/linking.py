@@ -5,11 +5,11 @@ Equations are those of Sundaram, Brox, Keutzer, ECCV 2010 (SBK).
 
 from __future__ import annotations
 
-import math
 from typing import cast
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kt3dmoseg.flow import sample, smooth
 from kt3dmoseg.tracking.options import TrackOptions
@@ -22,39 +22,25 @@ _ROUNDING = np.float32(1e-6)  # gray values squared; a single pixel that is one 
 
 def new_seeds(frame: ByteArray, live: FloatArray, options: TrackOptions) -> FloatArray:
     """Start points (S, 2) in a frame (H, W), where the trajectories at `live` (L, 2) are alive."""
-    height, width = frame.shape
-    cells = grid(height, width, options)
-    return cells[structured(frame, cells, options) & uncovered(height, width, live, options)]
+    cells = grid(frame.shape[0], frame.shape[1], options)
+    cells = cells[structured(frame, cells, options)]
+    return cells[uncovered(cells, live, options)]
 
 
 def grid(height: int, width: int, options: TrackOptions) -> FloatArray:
     """Points (G, 2) at offset, offset + spacing, ..., strictly inside the frame less the offset, by rows."""
-    return np.stack(np.meshgrid(*_sides(height, width, options)), axis=2).reshape(-1, 2)
-
-
-def _sides(height: int, width: int, options: TrackOptions) -> tuple[FloatArray, FloatArray]:
-    """Columns and rows of the grid."""
     first, step = float(options.offset), options.spacing
-    return np.arange(first, width - first, step), np.arange(first, height - first, step)
+    sides = (np.arange(first, side - first, step) for side in (width, height))
+    return np.stack(np.meshgrid(*sides), axis=2).reshape(-1, 2)
 
 
-def uncovered(height: int, width: int, live: FloatArray, options: TrackOptions) -> BoolArray:
-    """Whether no live trajectory (L, 2) is closer to a cell of the grid than `coverage`, (G,).
+def uncovered(cells: FloatArray, live: FloatArray, options: TrackOptions) -> BoolArray:
+    """Whether no live trajectory (L, 2) is closer to a cell (G, 2) than `coverage`, (G,).
 
     Live positions are truncated to whole pixels first: so the release's start cells come out.
     """
-    sides, radius = _sides(height, width, options), options.coverage
-    most = math.ceil(2 * radius / options.spacing)
-    free = np.ones([len(side) + most for side in sides], np.bool_)  # with cells beyond the last ones
-    near, apart = [], []
-    for side, at in zip(sides, np.trunc(live).T, strict=True):
-        index = np.searchsorted(side, at - radius, side="right") + np.arange(most)[:, None]
-        near.append(index)
-        apart.append((np.r_[side, np.full(most, np.inf)][index] - at) ** 2)
-    for i, j in np.ndindex(most, most):
-        covered = apart[0][i] + apart[1][j] < radius**2
-        free[near[0][i, covered], near[1][j, covered]] = False
-    return free[: len(sides[0]), : len(sides[1])].T.ravel()
+    nearest, _ = cKDTree(np.trunc(live)).query(cells, distance_upper_bound=options.coverage)
+    return np.asarray(np.isinf(nearest))
 
 
 def structured(frame: ByteArray, cells: FloatArray, options: TrackOptions) -> BoolArray:

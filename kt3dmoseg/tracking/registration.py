@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.compiled import compiled
-from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+from kt3dmoseg.types import BoolArray, FloatArray
 from kt3dmoseg.types import Float32Array as Array
 
 Indices: TypeAlias = npt.NDArray[np.uint32]
@@ -45,17 +45,6 @@ def _see(image: Array, pose: FloatArray, window: Array, at: Indices, part: Array
         upper = image[i, k] + fx[p] * (image[i, k + one] - image[i, k])
         lower = image[i + one, k] + fx[p] * (image[i + one, k + one] - image[i + one, k])
         seen[p] = upper + fy[p] * (lower - upper)
-
-
-@_summed
-def _fetch(image: Array, pose: FloatArray, radius: int) -> np.float32:
-    """Sum some gray values of each line of a patch: they are in the cache when it is seen next."""
-    left, top, total = int(2 * (pose[0, 2] - radius)), int(2 * (pose[1, 2] - radius)), np.float32(0)
-    for k in range(0, 4 * radius + 1, 2 * radius):
-        column = min(max(left + k, 0), image.shape[1] - 1)
-        for i in range(max(top, 0), min(top + 4 * radius + 1, image.shape[0])):
-            total += image[i, column]
-    return total
 
 
 @_summed
@@ -128,7 +117,6 @@ def _invert(normal: FloatArray, inverse: Array) -> None:
 def compare(
     image: Array,
     pose: FloatArray,
-    row: IntArray,
     patch: Array,
     variance: Array,
     inverse: Array,
@@ -138,18 +126,16 @@ def compare(
 ) -> None:
     """Correct poses (N, 2, 3) in place where that is better; which patches look alike (N,).
 
-    Pose n is of start row[n]; the starts are those of `Starts`, the limits those of `Appearance.follow`.
+    The starts are those of `Starts`, the limits those of `Appearance.follow`.
     """
     anchor, anchor_change, gain, scale, appearance, floor = limits
-    radius = round(np.sqrt(window.shape[1] / np.pi))
     at, part = np.empty((2, window.shape[1]), np.uint32), np.empty((2, window.shape[1]), np.float32)
     rest, step, tried = np.empty(window.shape[1], np.float32), np.empty((2, 3)), np.empty((2, 3))
     for n in range(len(pose)):
-        start, here = patch[row[n]], pose[n]
-        rest[0] = _fetch(image, pose[min(n + 1, len(pose) - 1)], radius)
+        start, here = patch[n], pose[n]
         change = _change(image, here, start[0], window, at, part, rest)
         if anchor > 0:
-            _correct(rest, start, inverse[row[n]], window, np.float32(scale), part[0], step)
+            _correct(rest, start, inverse[n], window, np.float32(scale), part[0], step)
             for k in range(6):
                 i, j = k // 3, k % 3
                 tried[i, j] = here[i, j] - here[i, 0] * step[0, j] - here[i, 1] * step[1, j]
@@ -157,11 +143,11 @@ def compare(
             near = np.hypot(x - here[0, 2], y - here[1, 2]) <= anchor
             if near and -1 <= 2 * x <= image.shape[1] - 1 and -1 <= 2 * y <= image.shape[0] - 1:
                 after = _change(image, tried, start[0], window, at, part, rest)
-                if after < min(change, anchor_change * variance[row[n]] + floor):
+                if after < min(change, anchor_change * variance[n] + floor):
                     change = after
                     for k in range(6):
                         here[k // 3, k % 3] += gain * (tried[k // 3, k % 3] - here[k // 3, k % 3])
-        alike[n] = appearance <= 0 or change <= appearance * variance[row[n]] + floor
+        alike[n] = appearance <= 0 or change <= appearance * variance[n] + floor
 
 
 @_summed

@@ -25,11 +25,11 @@ def test_covered_means_closer_than_the_radius_to_the_truncated_position():
     cell = grid(64, 64, DEFAULT).tolist().index([12, 12])
     live = {(20.0, 12.0): True, (20.9, 12.9): True, (19.99, 12.0): False, (6.4, 17.7): False, (6, 6): True}
     for position, free in live.items():
-        assert uncovered(64, 64, np.array([position]), DEFAULT)[cell] == free, position
+        assert uncovered(grid(64, 64, DEFAULT), np.array([position]), DEFAULT)[cell] == free, position
 
 
 def test_no_live_track_covers_nothing():
-    assert uncovered(64, 64, np.zeros((0, 2)), DEFAULT).all()
+    assert uncovered(grid(64, 64, DEFAULT), np.zeros((0, 2)), DEFAULT).all()
 
 
 def test_eigenvalue_of_a_plane_wave_and_of_a_corner():
