@@ -91,8 +91,32 @@ _ALL = Cut()
 _WHOLE: dict[str, Any] = {"frames": "", "step": 1, "size": "", "catalogs": ()}
 
 
+class FrameSource(Protocol):
+    """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built.
+
+    Those that `take` can take a part of are dataclasses with a field `cut`.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name of the clip."""
+
+    @property
+    def where(self) -> str:
+        """What messages call the source."""
+
+    def inspect(self) -> FrameInfo:
+        """Check and describe the source without decoding frames."""
+
+    def numbers(self) -> Sequence[int]:
+        """Numbers of the frames."""
+
+    def frames(self, colour: Colour) -> Iterator[ByteArray]:
+        """Yield gray frames, all of one size; "stored" gives those that are in colour as RGB."""
+
+
 @dataclass(frozen=True)
-class FrameFolder:
+class FrameFolder(FrameSource):
     """A folder of numbered pictures; the clip has the folder's name."""
 
     folder: Path
@@ -100,27 +124,22 @@ class FrameFolder:
 
     @property
     def name(self) -> str:
-        """Name of the folder, and the range."""
         return self.cut.title(self.folder.resolve().name)
 
     @property
     def where(self) -> str:
-        """The folder."""
         return f"{self.folder}"
 
     def inspect(self) -> FrameInfo:
-        """Check names and numbers and hash the files."""
         paths = self.paths()
         ends = {"first": paths[0].name, "last": paths[-1].name, "count": len(paths)}
         description = {"kind": "frames", **ends, "sha256": sha256_files(paths)} | self.cut.describe()
         return FrameInfo(self.numbers(), description, names=[path.name for path in paths])
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
-        """Yield gray frames, all of one size."""
         return self.cut.resized(read_frames(self.paths(), colour))
 
     def numbers(self) -> Sequence[int]:
-        """Numbers of the frames."""
         return [frame_number(path) for path in self.paths()]
 
     def paths(self) -> list[Path]:
@@ -138,7 +157,7 @@ class FrameFolder:
 
 
 @dataclass(frozen=True)
-class VideoFile:
+class VideoFile(FrameSource):
     """A video, decoded frame by frame, its frames numbered from 0; always taken as luma."""
 
     file: Path
@@ -146,16 +165,13 @@ class VideoFile:
 
     @property
     def name(self) -> str:
-        """Name of the file without its suffix, and the range."""
         return self.cut.title(self.file.stem)
 
     @property
     def where(self) -> str:
-        """The file."""
         return f"{self.file}"
 
     def inspect(self) -> FrameInfo:
-        """Hash the file."""
         description = {"kind": "video", "file": self.file.name, "sha256": sha256_file(self.file)}
         times, turned = images.video_facts(self.file)
         numbers, gaps = self.cut.of(range(len(times)), self.where), 1000 * np.diff(times)
@@ -182,7 +198,7 @@ class VideoFile:
 
 
 @dataclass(frozen=True)
-class KittiClip:
+class KittiClip(FrameSource):
     """Frames of a KITTI raw drive, by number; all that are on disk unless a range is given."""
 
     drive: RawDrive
@@ -190,12 +206,10 @@ class KittiClip:
 
     @property
     def name(self) -> str:
-        """The given name, or the drive's and the range."""
         return self.cut.title(self.drive.drive.name)
 
     @property
     def where(self) -> str:
-        """The root and the drive in it."""
         return f"{self.drive.root}: {self.drive.drive.name}"
 
     def inspect(self) -> FrameInfo:
@@ -234,30 +248,6 @@ class KittiClip:
         ends.append(present[-1] if self.cut.last is None else self.cut.last)
         # What of the range is not on disk is named by the drive.
         return self.cut.of(range(min(ends[0], present[0]), max(ends[1], present[-1]) + 1), self.where)
-
-
-class FrameSource(Protocol):
-    """A clip's frames. Making one reads nothing, so that a bad clip fails when it is built.
-
-    Those that `take` can take a part of are dataclasses with a field `cut`.
-    """
-
-    @property
-    def name(self) -> str:
-        """Name of the clip."""
-
-    @property
-    def where(self) -> str:
-        """What messages call the source."""
-
-    def inspect(self) -> FrameInfo:
-        """Check and describe the source without decoding frames."""
-
-    def numbers(self) -> Sequence[int]:
-        """Numbers of the frames."""
-
-    def frames(self, colour: Colour) -> Iterator[ByteArray]:
-        """Yield gray frames, all of one size; "stored" gives those that are in colour as RGB."""
 
 
 def find_sources(path: PathLike) -> list[FrameSource]:

@@ -38,7 +38,7 @@ from kt3dmoseg.files import write_text
 from kt3dmoseg.flow import Flow, create
 from kt3dmoseg.frames import FrameFolder
 from kt3dmoseg.options import parse_assignments
-from kt3dmoseg.pipeline.own_tracks import find_tracks, read_tracks
+from kt3dmoseg.pipeline.inputs import find_tracks, read_tracks
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.types import Clip, Trajectories
 

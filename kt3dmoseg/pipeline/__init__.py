@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from kt3dmoseg.pipeline.dataset import Outcome as Outcome
     from kt3dmoseg.pipeline.dataset import build_clip as build_clip
     from kt3dmoseg.pipeline.dataset import build_dataset as build_dataset
-    from kt3dmoseg.pipeline.drives import SyntheticDrive as SyntheticDrive
-    from kt3dmoseg.pipeline.drives import build_synthetic as build_synthetic
-    from kt3dmoseg.pipeline.labels import label_by_masks as label_by_masks
+    from kt3dmoseg.pipeline.dataset import build_synthetic as build_synthetic
+    from kt3dmoseg.pipeline.inputs import label_by_masks as label_by_masks
+    from kt3dmoseg.synthetic.drives import SyntheticDrive as SyntheticDrive
 else:  # imported on first use: the help of commands reads only the options
     __getattr__, __dir__, __all__ = lazy(__name__, "BuildOptions")
 

@@ -33,16 +33,17 @@ from kt3dmoseg.io import hdf5
 from kt3dmoseg.options import from_mapping, option_names
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
 from kt3dmoseg.pipeline import BuildOptions
-from kt3dmoseg.pipeline.drives import SyntheticDrive
-from kt3dmoseg.pipeline.labels import find_labels, label_clip
-from kt3dmoseg.pipeline.own_tracks import find_tracks, read_tracks
+from kt3dmoseg.pipeline.inputs import find_labels, find_tracks, label_clip, read_tracks
 from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.synthetic import plan_drives
+from kt3dmoseg.synthetic.drives import Part, SyntheticDrive
 from kt3dmoseg.text import several
 from kt3dmoseg.tracking import TrackOptions, subsample_background, track
 from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
 
 _Task: TypeAlias = tuple[FrameSource, dict[str, list[Path]], Path | None]  # what labels it, its tracks
 _Report: TypeAlias = Callable[[int, int | None], None]
+_SMALLEST = 8  # trajectories; a synthetic vehicle with fewer is no motion of the benchmark
 _LIBRARIES = {"kt3dmoseg": kt3dmoseg, "numpy": np, "scipy": scipy, "opencv": cv2, "h5py": h5py}
 
 
@@ -206,6 +207,27 @@ def build_dataset(
             if report is not None:
                 report(outcome)
     return sorted(outcomes, key=lambda outcome: outcome.name)
+
+
+def build_synthetic(
+    output: PathLike,
+    *,
+    part: Part | None = None,
+    seed: int = 0,
+    first: int | None = None,
+    **options: Any,  # noqa: ANN401
+) -> list[Outcome]:
+    """Make the synthetic benchmark: render, track and label its drives, one clip file each.
+
+    Drives that are there already are left alone; an interrupted run is finished by the same call. `part` is
+    "public" or "test", for only this half; `seed` 0 is the benchmark, others give other drives, under other
+    names; `first` takes only so many drives of each half. `options`, result and errors are those of
+    `build_dataset`, without annotations and masks.
+    """
+    plans = [p for p in plan_drives(seed) if part in (None, p.part) and (first is None or p.number <= first)]
+    return build_dataset(
+        [SyntheticDrive(plan) for plan in plans], output, **{"smallest": _SMALLEST} | options
+    )
 
 
 @contextmanager

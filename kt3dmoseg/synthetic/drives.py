@@ -1,21 +1,25 @@
-"""The drives of the synthetic benchmark: drawn from a seed, one hardness at a time, and measured.
+"""The drives of the synthetic benchmark: drawn from a seed, one hardness at a time, measured, and clips.
 
 A drive is drawn until its vehicles collide with nothing and are in view long enough to be tracked. What
 makes it hard is then measured on the exact geometry, not taken from what was intended.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from itertools import pairwise
-from typing import Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
+from kt3dmoseg import synthetic
 from kt3dmoseg.errors import KT3DMoSegError
-from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Layout, Scene, SceneOptions
+from kt3dmoseg.frames import FrameInfo, FrameSource
+from kt3dmoseg.io.images import Colour
+from kt3dmoseg.synthetic.scene import BACKGROUND, FRAMES_PER_SECOND, Layout, Scene, SceneOptions
 from kt3dmoseg.synthetic.street import street
 from kt3dmoseg.synthetic.vehicles import LANE, ONCOMING, PARKED_RIGHT, Drive, Kind, Vehicle
-from kt3dmoseg.types import FloatArray, IntArray
+from kt3dmoseg.types import ByteArray, FloatArray, IntArray, Labels, Trajectories
 
 Part: TypeAlias = Literal["public", "test"]
 CameraKind: TypeAlias = Literal["driving", "planar", "turning", "rotating", "standing"]
@@ -46,6 +50,7 @@ _SEEN, _LARGE, _SHARE = 14, 5000, 0.5  # points on a vehicle in view, at most, i
 _LEAST_MOTION = 1.0  # pixels in five frames; what moves less nobody would label
 _GAP = 5  # frames between which motion is measured
 _STILL = 0.02  # metres; a camera that moves less between two frames only turns
+_ON_IT = 0.75  # share of a trajectory's frames that must lie on one object
 
 
 @dataclass(frozen=True)
@@ -248,3 +253,54 @@ def _image(scene: Scene, points: FloatArray) -> FloatArray:
     """Project points (R, 3) in camera coordinates, in pixels (R, 2)."""
     homogeneous = points @ scene.K.T
     return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
+
+
+@dataclass(frozen=True)
+class SyntheticDrive(FrameSource):
+    """A drive of the synthetic benchmark as a source of frames that knows its labels."""
+
+    plan: DrivePlan
+
+    @property
+    def name(self) -> str:
+        return self.plan.name
+
+    @property
+    def where(self) -> str:
+        return f"synthetic drive {self.name}"
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene, made on first use."""
+        return make_drive(self.plan)
+
+    def inspect(self) -> FrameInfo:
+        """Describe the drive: what its bytes depend on."""
+        versions = {"samples": SAMPLES, "version": synthetic.ALGORITHM_VERSION}
+        return FrameInfo(None, {"kind": "synthetic"} | asdict(self.plan) | versions)
+
+    def numbers(self) -> range:
+        return range(self.scene.n_frames)
+
+    def frames(self, colour: Colour) -> Iterator[ByteArray]:
+        del colour
+        return map(self.scene.frame, range(self.scene.n_frames))
+
+    def label(self, tracks: Trajectories) -> Labels:
+        """Label trajectories by what is exactly below them.
+
+        That is the object under three quarters of its points, 1 = static scene and sky, 2, 3, ... = the
+        vehicles. A trajectory that slides from one object onto another has label 0.
+        """
+        votes = np.zeros((len(tracks), 2 + len(self.scene.vehicles)))
+        last = np.array(self.scene.image_size) - 1
+        for frame in range(tracks.n_frames):
+            rows, xy = tracks.at(frame)
+            x, y = np.rint(xy).astype(np.int64).clip(0, last).T
+            votes[rows, np.maximum(self.scene.ids(frame)[y, x], BACKGROUND)] += 1
+        label = np.where(votes.max(axis=1) >= _ON_IT * tracks.lengths, votes.argmax(axis=1), 0)
+        return Labels(label, BACKGROUND, self.scene.names)
+
+    def measure(self) -> Mapping[str, Any]:
+        """Measure what makes it hard: the plan's camera, and what `measure_drive` finds."""
+        return {"camera": self.plan.camera} | dict(measure_drive(self.scene))

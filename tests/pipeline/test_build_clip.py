@@ -20,7 +20,7 @@ from kt3dmoseg.frames import FrameInfo, find_clips, frame_folder, frames_of
 from kt3dmoseg.io import save
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.pipeline import build_clip, find_sources, kitti_sources, label_by_masks
-from kt3dmoseg.pipeline.labels import by_frame
+from kt3dmoseg.pipeline.inputs import by_frame
 from kt3dmoseg.types import Trajectories
 
 

@@ -94,7 +94,7 @@ def test_a_trajectory_that_slides_from_one_object_to_another_has_no_label():
 
 def test_the_benchmark_is_built_once_and_keeps_what_was_measured(tmp_path, monkeypatch):
     scene = filmed(Drive(0.0, 5.0, speed=3.0), Drive(0.5, 14.0, yaw=0.3, speed=5.0), frames=6)
-    monkeypatch.setattr("kt3dmoseg.pipeline.drives.make_drive", lambda plan: scene)
+    monkeypatch.setattr("kt3dmoseg.synthetic.drives.make_drive", lambda plan: scene)
     wanted = {"part": "public", "first": 1, "workers": 1}
     (made,) = build_synthetic(tmp_path, **wanted)
     assert (made.name, made.status) == ("synth_p001", "built")
@@ -114,7 +114,7 @@ def test_the_benchmark_is_built_once_and_keeps_what_was_measured(tmp_path, monke
 def test_a_cluster_builds_the_same_clips(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     scene = filmed(Drive(0.0, 5.0, speed=3.0), Drive(0.5, 14.0, yaw=0.3, speed=5.0), frames=6)
-    monkeypatch.setattr("kt3dmoseg.pipeline.drives.make_drive", lambda plan: scene)
+    monkeypatch.setattr("kt3dmoseg.synthetic.drives.make_drive", lambda plan: scene)
     wanted = {"part": "public", "first": 1}
     (here,) = build_synthetic(tmp_path / "here", workers=1, **wanted)
     with distributed.LocalCluster(
