@@ -1,7 +1,5 @@
 """Loops over arrays as machine code: compiled on the first call, then kept on disk."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar, cast

@@ -4,8 +4,6 @@
 >>> field = flow(a, b)  # (H, W, 2) float32  # doctest: +SKIP
 """
 
-from __future__ import annotations
-
 import builtins
 import dataclasses
 import os

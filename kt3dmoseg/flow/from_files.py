@@ -1,7 +1,5 @@
 """Flow that some other program computed, read from files."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """OpenCV's own flows: DIS, quick and the reference that costs are measured against, and Farneback's."""
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The default flow: DIS for large motions, a variational pyramid for precision, sharp outlines."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

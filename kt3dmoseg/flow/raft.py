@@ -1,7 +1,5 @@
 """RAFT from torchvision: an adapter, imported on demand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Dense point trajectories: structure, seeding, linking, pruning, subsampling."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from kt3dmoseg.registry import lazy

@@ -4,8 +4,6 @@ Gray values are seen through an affine map in windows about points (`Window`), r
 (`correction`) and compared with it (`Appearance`).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, cast
 
 import cv2

@@ -1,7 +1,5 @@
 """Cuts of a video: where no motion explains the next frame by the one before."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import cv2

@@ -3,8 +3,6 @@
 Equations are those of Sundaram, Brox, Keutzer, ECCV 2010 (SBK).
 """
 
-from __future__ import annotations
-
 from typing import cast
 
 import cv2

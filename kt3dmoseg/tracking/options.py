@@ -1,7 +1,5 @@
 """Every constant of the tracker, with its source."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -5,8 +5,6 @@ our pixels. It returns what the tracker emits, as arrays that `kt3dmoseg.io.poin
 names: so every convention of a tracker stands in that one table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 A patch has P pixels; `window` (4, P) holds their x and y from its centre, 1, and their weight.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import TypeAlias
 

@@ -3,8 +3,6 @@
 They are kept in memory proportional to their points; those to evaluate are chosen by `subsample_background`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
