@@ -35,7 +35,7 @@ from kt3dmoseg.options import from_mapping, parse_assignments
 from kt3dmoseg.pipeline import BuildOptions
 from kt3dmoseg.publishing import PublishOptions
 from kt3dmoseg.text import text_table
-from kt3dmoseg.tracking.options import TrackOptions
+from kt3dmoseg.tracking import TrackOptions
 
 if TYPE_CHECKING:
     from kt3dmoseg.pipeline import Outcome

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from kt3dmoseg.app import Catalogs, File, Folder, Url, flags, group
 from kt3dmoseg.errors import FileFormatError
-from kt3dmoseg.kitti.options import LocateOptions, PullOptions
+from kt3dmoseg.kitti import LocateOptions, PullOptions
 from kt3dmoseg.text import text_table
 
 Clips = Annotated[str, Parameter(help="Names (default: all of --catalog, else the 22).")]

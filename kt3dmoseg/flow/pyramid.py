@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from kt3dmoseg.compiled import compiled
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.flow import check_pair, smooth
-from kt3dmoseg.flow.variational import expand, minimise
 from kt3dmoseg.options import option
-from kt3dmoseg.types import ByteArray, Float32Array
+from kt3dmoseg.types import ByteArray
+from kt3dmoseg.types import Float32Array as Array
 
 _SIDE = 5
 _CAP = 20
@@ -29,7 +30,7 @@ class VariationalPyramid:
 
     DIS (Kroeger, Timofte, Dai, Van Gool, ECCV 2016) finds motions of any size. At each level the
     energy of Brox, Bruhn, Papenberg and Weickert (ECCV 2004) - robust constancy of gray values and
-    of gradients, robust smoothness - is minimised around the flow so far (`minimise`), each
+    of gradients, robust smoothness - is minimised around the flow so far (`_minimise`), each
     constancy term divided by the squared gradient plus 0.1^2. `contrast` moves that 0.1: at the
     default, edges steeper than 0.1 / 0.02 = 5 gray values per pixel count alike and fainter ones
     less, so that noise in flat regions has little weight. As soon as the flow has full size, motion that has
@@ -71,7 +72,7 @@ class VariationalPyramid:
         if not all(distance >= 1 for distance in self.reach):
             raise InvalidValueError("reach", expected="distances of at least 1 pixel", found=f"{self.reach}")
 
-    def __call__(self, a: ByteArray, b: ByteArray) -> Float32Array:
+    def __call__(self, a: ByteArray, b: ByteArray) -> Array:
         """Displacement of every pixel of `a`; see `kt3dmoseg.flow.Flow`."""
         check_pair(a, b)
         field = _seed(a, b)
@@ -85,22 +86,22 @@ class VariationalPyramid:
             field = self._refined(first, second, field)
         return field
 
-    def _refined(self, first: Float32Array, second: Float32Array, field: Float32Array) -> Float32Array:
+    def _refined(self, first: Array, second: Array, field: Array) -> Array:
         """Warp the second frame by a flow, minimise the energy around it, and change it in place."""
         height, width = first.shape
         planes = np.empty((7, height, width + 2), np.float32)
         warped = cv2.remap(second, _pixels(first) + field, None, cv2.INTER_LINEAR, borderMode=_REPLICATE)  # type: ignore[call-overload]  # its stub forgets None
-        expand(first, warped, field, planes)
+        _expand(first, warped, field, planes)
         halved = self.alpha / 2, self.delta / 2, self.gamma / 2
         weights = np.array([*halved, self.epsilon, _ZETA, self.overrelaxation], np.float32)
         weights[3:5] **= 2
-        minimise(planes, weights, self.iterations, 2 * self.relaxations)
+        _minimise(planes, weights, self.iterations, 2 * self.relaxations)
         for axis in (0, 1):
             field[..., axis] += planes[5 + axis, :, 1:-1]
         return field
 
 
-def _seed(a: ByteArray, b: ByteArray) -> Float32Array:
+def _seed(a: ByteArray, b: ByteArray) -> Array:
     """DIS medium on lightly smoothed frames, without its own refinement: the pyramid does better."""
     smooth_a, smooth_b = (cv2.GaussianBlur(frame, (5, 5), 0.8) for frame in (a, b))
     field = _search(get_ident()).calc(smooth_a, smooth_b, None)  # type: ignore[call-overload]  # its stub forgets None
@@ -115,7 +116,7 @@ def _search(_thread: int) -> cv2.DISOpticalFlow:
     return solver
 
 
-def _resized(picture: Float32Array, shape: tuple[int, int]) -> Float32Array:
+def _resized(picture: Array, shape: tuple[int, int]) -> Array:
     """Resample a frame, or a field, whose vectors are scaled alike."""
     if picture.shape[:2] == shape:
         return picture
@@ -126,8 +127,8 @@ def _resized(picture: Float32Array, shape: tuple[int, int]) -> Float32Array:
 
 
 def sharpen(
-    a: ByteArray, b: ByteArray, field: Float32Array, *, reach: Sequence[int], share: float, floor: float
-) -> Float32Array:
+    a: ByteArray, b: ByteArray, field: Array, *, reach: Sequence[int], share: float, floor: float
+) -> Array:
     """Replace motions by those of neighbours where these fit the frames clearly better.
 
     A smooth field carries the motion of an object some pixels beyond its outline. The right motion is
@@ -144,7 +145,7 @@ def sharpen(
     """
     (height, width), pixels = a.shape, _pixels(a)
 
-    def difference(candidates: Float32Array) -> Float32Array:
+    def difference(candidates: Array) -> Array:
         """Mean capped difference of patches; outside, the second frame is black."""
         seen = cv2.remap(b, pixels + candidates, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]  # its stub forgets None
         apart = cv2.min(cv2.absdiff(seen, a), _CAP)  # type: ignore[call-overload]  # nor numbers
@@ -164,6 +165,198 @@ def sharpen(
     return result
 
 
-def _pixels(frame: npt.NDArray[Any]) -> Float32Array:
+def _pixels(frame: npt.NDArray[Any]) -> Array:
     """Where the pixels of a frame (H, W) are, (H, W, 2)."""
     return np.dstack(np.meshgrid(*(np.arange(side, dtype=np.float32) for side in frame.shape[::-1])))
+
+
+# The solver: equations, and the order of all operations on a pixel, are those of OpenCV's
+# `VariationalRefinement`, so both give the same bits. Here rows stay in the processor's cache from their
+# equations to the last sweep over them.
+
+
+@compiled
+def _expand(first: Array, warped: Array, field: Array, planes: Array) -> None:
+    """Make the `planes` of `_minimise` from the first and the warped second frame (H, W) and the flow."""
+    height, width = first.shape
+    for i in range(height):
+        h, k, half = max(i - 1, 0), min(i + 1, height - 1), np.float32(0.5)
+        a, b, a0, b0, a1, b1 = first[i], warped[i], first[h], warped[h], first[k], warped[k]
+        x, y, z = planes[0, i, 1:], planes[1, i, 1:], planes[2, i, 1:]
+        u, v, du, dv = planes[3, i, 1:], planes[4, i, 1:], planes[5, i, 1:], planes[6, i, 1:]
+        for j in range(width):
+            y[j], z[j] = half * (a1[j] + b1[j] - (a0[j] + b0[j])), b[j] - a[j]
+        for j in range(width):
+            u[j], v[j], du[j], dv[j] = field[i, j, 0], field[i, j, 1], 0, 0
+        for j in range(1, width - 1):
+            x[j] = half * (a[j + 1] + b[j + 1] - (a[j - 1] + b[j - 1]))
+        for j in (0, width - 1):
+            right, left = min(j + 1, width - 1), max(j - 1, 0)
+            x[j] = half * (a[right] + b[right] - (a[left] + b[left]))
+        for plane in planes:
+            plane[i, 0], plane[i, -1] = plane[i, 1], plane[i, -2]
+
+
+@compiled
+def _minimise(planes: Array, weights: Array, iterations: int, halves: int) -> None:
+    """Find the change of a flow (u, v) that minimises the energy of Brox et al. around it.
+
+    That is the (du, dv) of least sum over the pixels of
+
+        delta psi((Iz + Ix du + Iy dv)^2 / n) + gamma psi(sum of the same for both derivatives of I)
+        + alpha psi(|grad (u + du)|^2 + |grad (v + dv)|^2) + z (du^2 + dv^2) / 2,    psi(s) = sqrt(s + e),
+
+    where n = Ix^2 + Iy^2 + z. Each of the `iterations` fixes the slopes of psi and relaxes the linear
+    equations by red-black successive overrelaxation: in `halves` half sweeps over the pixels of one colour.
+    Once row i has its equations, half sweep k can do row i - 1 - k, around which half sweep k - 1 has been.
+    So only the last rows are held, in a ring (rows, colours, 8, pixels): a11, a22, b1, b2, a12, the weight
+    of the links to the next pixels, du, dv. The first pixel of the frame has colour 0.
+
+    Parameters
+    ----------
+    planes : (7, H, W + 2) float32
+        Ix, Iy, Iz, u, v, and du, dv, which are 0 and changed in place; all with their first and last column
+        repeated.
+    weights : (6,) float32
+        alpha / 2, delta / 2, gamma / 2, e, z, and the overrelaxation.
+    """
+    height, width = planes.shape[1], planes.shape[2] - 2
+    ring = np.empty((halves + 4, 2, 8, width // 2 + 3), np.float32)  # even: which colour has more alternates
+    row, links = np.empty((8, width + 2), np.float32), np.empty((2, 6, width + 2), np.float32)
+    for _ in range(iterations):
+        ring[:] = 0
+        links[:] = 0
+        for i in range(height + halves + 1):
+            if i < height:
+                _equate(planes, i, weights, links[i % 2], links[1 - i % 2], row)
+                _split(row, ring[i % len(ring)], i % 2)
+            else:
+                ring[i % len(ring)] = 0
+            for half in range(halves):
+                if 0 <= i - 1 - half < height:
+                    _relax(ring, i - 1 - half, half % 2, width, weights[5])
+            if 0 <= i - halves < height:
+                _merge(ring[(i - halves) % len(ring)], planes, i - halves)
+
+
+@compiled
+def _equate(
+    planes: Array,
+    i: int,
+    weights: Array,
+    links: Array,
+    above: Array,
+    row: Array,
+) -> None:
+    """Set up the equations of row i, and its links to the next pixels and the row below, three rows each.
+
+    These are weights, and weights times differences of u and v.
+    """
+    _link(planes, i, weights, links)
+    right, down, w, du, dv = links[0], links[3], row[5], row[6], row[7]
+    for x in range(len(w)):
+        w[x], du[x], dv[x] = right[x], planes[5, i, x], planes[6, i, x]
+        down[x] = right[x] if i + 1 < planes.shape[1] else 0
+    right[-2] = 0  # nothing follows the last pixel
+    _fit(planes, i, weights, row)
+    _join(links, above, i % 2, row)
+
+
+@compiled
+def _link(planes: Array, i: int, weights: Array, links: Array) -> None:
+    u, v, du, dv, k = planes[3, i], planes[4, i], planes[5, i], planes[6, i], min(i + 1, planes.shape[1] - 1)
+    below_u, below_v, below_du, below_dv = planes[3, k], planes[4, k], planes[5, k], planes[6, k]
+    weight, right_u, right_v, down_u, down_v = links[0], links[1], links[2], links[4], links[5]
+    alpha, least = weights[0], weights[3]
+    for x in range(1, len(u) - 1):
+        here_u, here_v = u[x] + du[x], v[x] + dv[x]
+        ux, vx = u[x + 1] + du[x + 1] - here_u, v[x + 1] + dv[x + 1] - here_v
+        uy, vy = below_u[x] + below_du[x] - here_u, below_v[x] + below_dv[x] - here_v
+        w = alpha / np.sqrt(ux * ux + vx * vx + uy * uy + vy * vy + least)
+        weight[x] = w
+        right_u[x], right_v[x] = w * (u[x + 1] - u[x]), w * (v[x + 1] - v[x])
+        down_u[x], down_v[x] = w * (below_u[x] - u[x]), w * (below_v[x] - v[x])
+
+
+@compiled
+def _fit(planes: Array, i: int, weights: Array, row: Array) -> None:
+    h, k = max(i - 1, 0), min(i + 1, planes.shape[1] - 1)
+    above_x, above_y, above_z = planes[0, h], planes[1, h], planes[2, h]
+    here_x, here_y, here_z = planes[0, i], planes[1, i], planes[2, i]
+    below_x, below_y, below_z = planes[0, k], planes[1, k], planes[2, k]
+    du, dv, a11, a22, b1, b2, a12 = planes[5, i], planes[6, i], row[0], row[1], row[2], row[3], row[4]
+    delta, gamma, least, zeta = weights[1], weights[2], weights[3], weights[4]
+    for j in range(1, len(du) - 1):
+        x, y, z = here_x[j], here_y[j], here_z[j]
+        n, rest = x * x + y * y + zeta, z + x * du[j] + y * dv[j]
+        w = delta / np.sqrt(rest * rest / n + least) / n
+        xx, xy, yy = here_x[j + 1] - here_x[j - 1], below_x[j] - above_x[j], below_y[j] - above_y[j]
+        xz, yz = here_z[j + 1] - here_z[j - 1], below_z[j] - above_z[j]
+        nx, ny = xx * xx + xy * xy + zeta, yy * yy + xy * xy + zeta
+        rest_x, rest_y = xz + xx * du[j] + xy * dv[j], yz + xy * du[j] + yy * dv[j]
+        g = gamma / np.sqrt(rest_x * rest_x / nx + rest_y * rest_y / ny + least)
+        a11[j] = w * (x * x) + zeta + g * (xx * xx / nx + xy * xy / ny)
+        a22[j] = w * (y * y) + zeta + g * (xy * xy / nx + yy * yy / ny)
+        b1[j] = -(w * (z * x)) - g * (xx * xz / nx + xy * yz / ny)
+        b2[j] = -(w * (z * y)) - g * (xy * xz / nx + yy * yz / ny)
+        a12[j] = w * (x * y) + g * (xx * xy / nx + xy * yy / ny)
+
+
+@compiled
+def _join(links: Array, above: Array, colour: int, row: Array) -> None:
+    """Add the links to the equations of a row: colour 0 adds its own first."""
+    w, u, v, w_down, u_down, v_down = links[0], links[1], links[2], links[3], links[4], links[5]
+    w_up, u_up, v_up, a11, a22, b1, b2 = above[3], above[4], above[5], row[0], row[1], row[2], row[3]
+    for x in range(1, len(w) - 1):
+        own_first = (x & 1) != colour
+        right, left, down, up = w[x], w[x - 1], w_down[x], w_up[x]
+        one, two, three, four = (right, left, down, up) if own_first else (left, right, up, down)
+        a11[x], a22[x] = a11[x] + one + two + three + four, a22[x] + one + two + three + four
+    for x in range(1, len(w) - 1):
+        own_first = (x & 1) != colour
+        one, two = (u[x], -u[x - 1]) if own_first else (-u[x - 1], u[x])
+        three, four = (u_down[x], -u_up[x]) if own_first else (-u_up[x], u_down[x])
+        b1[x] = b1[x] + one + two + three + four
+        one, two = (v[x], -v[x - 1]) if own_first else (-v[x - 1], v[x])
+        three, four = (v_down[x], -v_up[x]) if own_first else (-v_up[x], v_down[x])
+        b2[x] = b2[x] + one + two + three + four
+
+
+@compiled
+def _split(row: Array, here: Array, colour: int) -> None:
+    width = row.shape[1] - 2
+    for k in range(8):
+        source, first, second = row[k, 1:], here[colour, k, 1:], here[1 - colour, k, 1:]
+        for j in range(width // 2):
+            first[j], second[j] = source[2 * j], source[2 * j + 1]
+        if width % 2:
+            first[width // 2] = source[width - 1]
+
+
+@compiled
+def _merge(here: Array, planes: Array, i: int) -> None:
+    width, colour = planes.shape[2] - 2, i % 2
+    for k in range(2):
+        row, first, second = planes[5 + k, i, 1:], here[colour, 6 + k, 1:], here[1 - colour, 6 + k, 1:]
+        for j in range(width // 2):
+            row[2 * j], row[2 * j + 1] = first[j], second[j]
+        if width % 2:
+            row[width - 1] = first[width // 2]
+        row[width] = row[width - 1]
+
+
+@compiled
+def _relax(ring: Array, i: int, colour: int, width: int, step: np.float32) -> None:
+    here, start = ring[i % len(ring)], (i + colour) % 2
+    own, other = here[colour], here[1 - colour]
+    above, below = ring[(i - 1) % len(ring), 1 - colour], ring[(i + 1) % len(ring), 1 - colour]
+    a11, a22, b1, b2, a12 = own[0, 1:], own[1, 1:], own[2, 1:], own[3, 1:], own[4, 1:]
+    w, w_left, w_up, du, dv = own[5, 1:], other[5, start:], above[5, 1:], own[6, 1:], own[7, 1:]
+    left_u, right_u, up_u, down_u = other[6, start:], other[6, start + 1 :], above[6, 1:], below[6, 1:]
+    left_v, right_v, up_v, down_v = other[7, start:], other[7, start + 1 :], above[7, 1:], below[7, 1:]
+    for j in range((width - start + 1) // 2):
+        u = w_left[j] * left_u[j] + w[j] * right_u[j] + w_up[j] * up_u[j] + w[j] * down_u[j]
+        v = w_left[j] * left_v[j] + w[j] * right_v[j] + w_up[j] * up_v[j] + w[j] * down_v[j]
+        now = du[j] + step * ((u + b1[j] - dv[j] * a12[j]) / a11[j] - du[j])
+        du[j] = now
+        dv[j] += step * ((v + b2[j] - now * a12[j]) / a22[j] - dv[j])

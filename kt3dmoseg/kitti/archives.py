@@ -28,8 +28,8 @@ from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import SafeZip, ZipLimits, hold_folder, parse_json, read_bytes, write_bytes, write_text
+from kt3dmoseg.kitti import Origin
 from kt3dmoseg.kitti.http import AbsentError, Client, RangesIgnoredError, Traffic
-from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.raw import LARGEST_FILE, LOCATED
 
 T = TypeVar("T")

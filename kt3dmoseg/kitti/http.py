@@ -21,7 +21,7 @@ from tqdm import tqdm
 from urllib3.exceptions import HTTPError
 
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.kitti.options import Origin
+from kt3dmoseg.kitti import Origin
 
 _BLOCK = 1 << 16
 _PROGRESS = 1 << 14  # an attempt that receives this much is not counted against the server

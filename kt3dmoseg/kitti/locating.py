@@ -22,9 +22,9 @@ from kt3dmoseg import catalog
 from kt3dmoseg.catalog import CAMERAS, Drive, Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, sha256_arrays
+from kt3dmoseg.kitti import LocateOptions
 from kt3dmoseg.kitti.archives import Archives, DamagedError, FileSet, TargetFolder, frames_of
 from kt3dmoseg.kitti.http import AbsentError, Traffic
-from kt3dmoseg.kitti.options import LocateOptions
 from kt3dmoseg.kitti.raw import decode_frame, frame_number, read_clip
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.types import ByteArray, Float32Array, FloatArray

@@ -17,6 +17,7 @@ from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Entry, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike, write_bytes, write_text
+from kt3dmoseg.kitti import PullOptions
 from kt3dmoseg.kitti.archives import (
     Archive,
     Archives,
@@ -30,7 +31,6 @@ from kt3dmoseg.kitti.archives import (
 )
 from kt3dmoseg.kitti.http import AbsentError, ChangedError, RangesIgnoredError, Traffic
 from kt3dmoseg.kitti.locating import CORRELATION, PIXELS, NotLocatedError, drive_frames, locate_clip
-from kt3dmoseg.kitti.options import PullOptions
 from kt3dmoseg.kitti.raw import CALIBRATION_FILES, TRACKLET_FILE
 from kt3dmoseg.options import from_mapping
 

@@ -11,9 +11,9 @@ from tqdm import tqdm
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import PathLike, atomic_path, read_bytes, sha256_file, write_bytes, write_text
+from kt3dmoseg.kitti import Origin
 from kt3dmoseg.kitti.archives import Archive
 from kt3dmoseg.kitti.http import Client
-from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.registry import unknown_name
 
 _SUMS = "SHA256SUMS"

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.flow import sample, smooth
-from kt3dmoseg.tracking.options import TrackOptions
+from kt3dmoseg.tracking import TrackOptions
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray
 
 _CENTRAL = np.array([-0.5, 0.0, 0.5], dtype=np.float32)

@@ -17,8 +17,8 @@ from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.networks import TorchNetwork, network
 from kt3dmoseg.options import from_mapping, option, option_names
 from kt3dmoseg.registry import Registry
+from kt3dmoseg.tracking import TrackOptions
 from kt3dmoseg.tracking.linking import inside, new_seeds
-from kt3dmoseg.tracking.options import TrackOptions
 from kt3dmoseg.types import ByteArray, Float32Array, FloatArray, Trajectories
 
 ALGORITHM_VERSION = 1

@@ -22,9 +22,9 @@ from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.frames import FrameSource, one_source
 from kt3dmoseg.io.images import Colour, read_frame
 from kt3dmoseg.options import from_mapping
+from kt3dmoseg.tracking import TrackOptions
 from kt3dmoseg.tracking.appearance import Appearance
 from kt3dmoseg.tracking.linking import inside, new_seeds, step
-from kt3dmoseg.tracking.options import TrackOptions
 from kt3dmoseg.tracking.point_trackers import PointTracker, create_tracker, follow
 from kt3dmoseg.types import (
     BoolArray,

@@ -17,8 +17,8 @@ import pytest
 from kitti_world import CALIB, HIDDEN, SYNC, World, faults
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
+from kt3dmoseg.kitti import Origin
 from kt3dmoseg.kitti.http import Client, Traffic
-from kt3dmoseg.kitti.options import Origin
 
 SHORT = {"timeout": 0.6}
 

@@ -9,9 +9,8 @@ import pytest
 from kitti_world import CALIB, SYNC, World
 
 from kt3dmoseg.errors import FileFormatError, InputFileError
-from kt3dmoseg.kitti import archives, locate
+from kt3dmoseg.kitti import Origin, archives, locate
 from kt3dmoseg.kitti.http import ChangedError, Client, Traffic
-from kt3dmoseg.kitti.options import Origin
 from kt3dmoseg.kitti.releases import fetch_release
 
 

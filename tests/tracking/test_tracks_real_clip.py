@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import kt3dmoseg
+from kt3dmoseg.tracking import TrackOptions
 from kt3dmoseg.tracking.linking import structured
-from kt3dmoseg.tracking.options import TrackOptions
 
 CLIP = "Seq020_Clip01"
 NO_STOPS = {"consistency_floor": float("inf"), "boundary_floor": float("inf")}
