@@ -75,17 +75,11 @@ def list_clips(*, catalogs: Catalogs = ()) -> None:
     """Print the clips."""
     from kt3dmoseg.catalog import format_numbers, load
 
-    rows = [
-        [
-            clip.name,
-            clip.drive.name,
-            f"{clip.camera}",
-            f"{clip.length}",
-            "x".join(map(str, clip.size)) if clip.size else "unknown",
-            format_numbers(clip.numbers) if clip.numbers else "to be located",
-        ]
-        for clip in load(*catalogs).values()
-    ]
+    rows = []
+    for clip in load(*catalogs).values():
+        size = "x".join(map(str, clip.size)) if clip.size else "unknown"
+        numbers = format_numbers(clip.numbers) if clip.numbers else "to be located"
+        rows.append([clip.name, clip.drive.name, f"{clip.camera}", f"{clip.length}", size, numbers])
     print(text_table(rows, ["clip", "drive", "camera", "frames", "size", "numbers"]))
 
 
