@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from kt3dmoseg.compiled import compiled
 from kt3dmoseg.errors import InvalidValueError
@@ -90,7 +88,8 @@ class VariationalPyramid:
         """Warp the second frame by a flow, minimise the energy around it, and change it in place."""
         height, width = first.shape
         planes = np.empty((7, height, width + 2), np.float32)
-        warped = cv2.remap(second, _pixels(first) + field, None, cv2.INTER_LINEAR, borderMode=_REPLICATE)  # type: ignore[call-overload]  # its stub forgets None
+        target = _pixels(first.shape) + field
+        warped = cv2.remap(second, target, None, cv2.INTER_LINEAR, borderMode=_REPLICATE)  # type: ignore[call-overload]  # its stub forgets None
         _expand(first, warped, field, planes)
         halved = self.alpha / 2, self.delta / 2, self.gamma / 2
         weights = np.array([*halved, self.epsilon, _ZETA, self.overrelaxation], np.float32)
@@ -143,7 +142,7 @@ def sharpen(
     change must bring the mean difference under ``share * difference - floor``, so that noise moves nothing;
     further ones need only be better.
     """
-    (height, width), pixels = a.shape, _pixels(a)
+    (height, width), pixels = a.shape, _pixels(a.shape)
 
     def difference(candidates: Array) -> Array:
         """Mean capped difference of patches; outside, the second frame is black."""
@@ -165,9 +164,10 @@ def sharpen(
     return result
 
 
-def _pixels(frame: npt.NDArray[Any]) -> Array:
-    """Where the pixels of a frame (H, W) are, (H, W, 2)."""
-    return np.dstack(np.meshgrid(*(np.arange(side, dtype=np.float32) for side in frame.shape[::-1])))
+@lru_cache(maxsize=4)
+def _pixels(shape: tuple[int, ...]) -> Array:
+    """Where the pixels of frames (H, W) are, (H, W, 2); kept, as making it takes longer than adding to it."""
+    return np.dstack(np.meshgrid(*(np.arange(side, dtype=np.float32) for side in shape[::-1])))
 
 
 # The solver: equations, and the order of all operations on a pixel, are those of OpenCV's
