@@ -136,8 +136,9 @@ def segment(
     if not isinstance(method, str) and parameters:
         raise InvalidValueError("parameters", expected="none with a method object", found=str([*parameters]))
     hidden = _clip(clip, visible).without_labels()
-    if rows == "all":
-        hidden = _sampled(hidden, seed)
+    if rows == "all" and len(hidden.evaluated) > _MOST:
+        drawn = np.random.default_rng(seed).choice(hidden.evaluated, _MOST, replace=False)
+        hidden = replace(hidden, evaluated=np.sort(drawn), labels=Labels(np.zeros(_MOST, dtype=np.int64)))
     chosen = create(method, **parameters) if isinstance(method, str) else method
     if isinstance(chosen, type):
         expected = "the name of a method, or an object with the function segment"
@@ -172,14 +173,6 @@ def _segmentation(method: Method, clip: Clip, n_motions: int | None, seed: int) 
         expected = f"a Segmentation of {len(clip.evaluated)} labels"
         raise FaultyMethodError(clip.name, expected=expected, found=f"{given}", fix=_FAULT)
     return result
-
-
-def _sampled(clip: Clip, seed: int) -> Clip:
-    """Give the clip with as many evaluated trajectories as a method takes, drawn uniformly."""
-    if len(clip.evaluated) <= _MOST:
-        return clip
-    chosen = np.random.default_rng(seed).choice(clip.evaluated, _MOST, replace=False)
-    return replace(clip, evaluated=np.sort(chosen), labels=Labels(np.zeros(_MOST, dtype=np.int64)))
 
 
 def check_whole(name: str, value: object, least: int) -> None:

@@ -291,7 +291,9 @@ def low_rank_representation(
         low = _shrink_leading(w + y_split / penalty, 1 / penalty)
         w = inverse @ (dictionary.T @ (data - error + y_fit / penalty) + low - y_split / penalty)
         left = data - dictionary @ w
-        error = _shrink_columns(left + y_fit / penalty, weight / penalty)
+        error = left + y_fit / penalty  # its columns are shortened: the proximal map of the l2,1 norm
+        length = np.linalg.norm(error, axis=0)
+        error *= np.maximum(length - weight / penalty, 0) / np.where(length > 0, length, 1)
         fit_gap, split_gap = left - error, w - low
         y_fit += penalty * fit_gap
         y_split += penalty * split_gap
@@ -374,12 +376,6 @@ def _smallest_coherence(data: FloatArray) -> float:
             "trajectories", expected="each one correlated with another", found="one orthogonal to all others"
         )
     return smallest
-
-
-def _shrink_columns(matrix: FloatArray, threshold: float) -> FloatArray:
-    """Shorten every column by `threshold`, to zero at most: the proximal map of the l2,1 norm."""
-    length = np.linalg.norm(matrix, axis=0)
-    return np.asarray(matrix * (np.maximum(length - threshold, 0) / np.where(length > 0, length, 1)))
 
 
 def _shrink_leading(matrix: FloatArray, threshold: float) -> FloatArray:
