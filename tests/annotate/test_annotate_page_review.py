@@ -205,15 +205,22 @@ def test_each_of_a_team_opens_the_page_as_themselves(browser, clips, tmp_path):
     server = Server(clips, tmp_path / "notes", 0, "--team", str(tmp_path / "team"))
     try:
         names = dict(line.split("\t") for line in (tmp_path / "team").read_text().splitlines())
-        for name, token in names.items():
-            context = browser.new_context()
-            page = Page(context, server.address.split("?")[0] + f"?token={token}")
-            assert page.value("labeller.state.clip.annotator") == name
-            page.draw()
+        pages = {
+            name: Page(browser.new_context(), server.address.split("?")[0] + f"?token={token}&clip=two")
+            for name, token in names.items()
+        }
+        for name, page in pages.items():
+            clip = page.value("labeller.state.clip")
+            assert (clip["annotator"], clip["name"]) == (name, "two")
+            page.draw()  # both the first object, without the other's in view
+            page.press("4" if name == "Ada" else "7")
             page.saved()
-            context.close()
-        log = (tmp_path / "notes" / "one.log.jsonl").read_text().splitlines()
-        assert [json.loads(line)["by"] for line in log] == ["Ada", "Bo"]
+        log = (tmp_path / "notes" / "two.log.jsonl").read_text().splitlines()
+        assert list(dict.fromkeys(json.loads(line)["by"] for line in log)) == ["Ada", "Bo"]
+        assert {item.motion for item in load_annotation(tmp_path / "notes" / "two.json").objects} == {4, 7}
+        for page in pages.values():
+            assert page.errors == []
+            page.tab.context.close()
     finally:
         server.stop(signal.SIGKILL)
 

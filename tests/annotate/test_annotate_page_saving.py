@@ -106,6 +106,16 @@ def test_a_dead_server_is_noticed_without_an_edit_and_the_banner_shows_what_is_k
     assert page.errors == []
 
 
+def test_a_server_that_falls_silent_in_the_middle_of_an_answer_does_not_answer(page):
+    page.value(
+        "(() => { const send = window.fetch; const silent = { start: (body) =>"
+        " body.error(new DOMException('signal timed out', 'TimeoutError')) };"
+        " window.fetch = (where, ...more) => where.endsWith('/trouble')"
+        " ? Promise.resolve(new Response(new ReadableStream(silent))) : send(where, ...more); })()"
+    )
+    page.shows("#banner", "The server does not answer.")
+
+
 def test_a_folder_that_cannot_be_written_is_noticed_before_the_first_edit(page, shared):
     shared.notes.write_text("a file where the folder should be")
     page.shows("#banner", "expected a folder")

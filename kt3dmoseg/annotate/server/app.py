@@ -152,7 +152,8 @@ class Guard:
         given = request.query_params.get("token", "")
         if request.url.path == "/" and self._holder(given) is not None:
             # The token leaves the address bar, and with it the browser's history.
-            welcome = RedirectResponse("/", status_code=303)
+            page = request.url.remove_query_params("token").replace(scheme="", netloc="")
+            welcome = RedirectResponse(page, status_code=303)
             welcome.set_cookie(cookie, given, httponly=True, samesite="strict")
             return welcome
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
@@ -160,7 +161,7 @@ class Guard:
             if (name := self._holder(token)) is not None:
                 request.scope["annotator"] = name
                 return None
-        return _refuse(401, "expected the token that the server printed when it started")
+        return _refuse(401, "open the address with your token: the server printed it, or the team has it")
 
     def _holder(self, given: str) -> str | None:
         """Return whose token this is; None when it is none. Every token is compared, in constant time."""

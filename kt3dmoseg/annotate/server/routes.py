@@ -156,8 +156,7 @@ class Routes:
         return Response(content, media_type="application/octet-stream", headers=shape)
 
     def _moving(self, _: Request, session: ClipSession, __: bytes) -> Answer:
-        groups = session.moving
-        return {"groups": None if groups is None else groups.tolist()}
+        return {"groups": None if session.moving is None else session.moving.tolist()}
 
     def _trouble(self, _: Request, session: ClipSession, __: bytes) -> Answer:
         return {"trouble": session.trouble()}

@@ -137,6 +137,7 @@ function help() {
 export function press(name) {
   const entry = TABLE.get(name);
   if (!entry || !state.doc) return false;
+  if (state.dragging && name !== "Escape") return true; // nothing else changes under the pointer
   attempt(() => entry.run(name));
   return true;
 }

@@ -11,7 +11,7 @@ import { drawRegions } from "./regions.js";
 import { saver } from "./saving.js";
 import { USUAL, attempt, on, set, state } from "./state.js";
 import { drawTracks } from "./tracks.js";
-import { drawPicture, fitAll, goToNumber, zoomTo } from "./view.js";
+import { drawPicture, goToNumber, refit, zoomTo } from "./view.js";
 
 const TITLE = { object: "a new object", region: "the object again in this frame", part: "another part" };
 
@@ -131,7 +131,7 @@ for (const [name, part, side, larger, smaller] of EDGES) {
 
 const resized = new ResizeObserver((entries) => {
   set({ resized: performance.now() });
-  if (state.clip && entries.some(({ target }) => target.id === "stage")) fitAll();
+  if (state.clip && entries.some(({ target }) => target.id === "stage")) refit();
 });
 ["stage", "timeline"].forEach((id) => resized.observe(byId(id)));
 addEventListener("popstate", () => openClip(new URLSearchParams(location.search).get("clip"), "replaceState"));

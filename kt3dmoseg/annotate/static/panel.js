@@ -3,7 +3,7 @@
 // above them a map of all frames; and the same as text.
 
 import { doubtAt, moveKey, setMotion, setVisibility, update, weakFrames } from "./actions.js";
-import { clamp, keyAt } from "./annotation.js";
+import { clamp, keyAt, objectOf } from "./annotation.js";
 import {
   BACKGROUND, PROBLEM, REJECTED, begin, button, byId, chip, colourOfMotion, element, faint, fill, hatch, meaningOf, signOf,
 } from "./dom.js";
@@ -38,7 +38,7 @@ function entry(item) {
   const weak = weakFrames(item).length;
   const doubt = weak ? element("span", { className: "weak" }, `${weak} weak`) : faint(kind);
   const object = element("button", {
-    className: "object", title: note, "aria-pressed": String(chosen), onclick: () => select(id), ondblclick: fitObject,
+    className: "object", title: note || name, "aria-pressed": String(chosen), onclick: () => select(id), ondblclick: fitObject,
   }, chip(signOf(motion), colourOfMotion(motion), meaningOf(motion), `motion ${signOf(motion)}`),
   element("span", { className: "name" }, name), doubt);
   // Not on the way of Tab, which goes from object to object: both have keys.
@@ -241,7 +241,7 @@ function down(event) {
   const item = offsetY > ROW && state.doc.objects[Math.floor((offsetY - ROW + state.scrolled) / ROW)];
   const { from, column } = span();
   if (item && keyAt(item, frame) && Math.abs((frame + 0.5 - from) * column - offsetX) <= KEY) {
-    drag = { item, frame, doc: state.doc };
+    drag = { id: item.id, frame };
   }
   goTo(frame);
   if (item) select(item.id);
@@ -251,7 +251,9 @@ function move(event) {
   if (!drag || !(event.buttons & 1)) return;
   const to = frameAt(event);
   goTo(to);
-  const moved = drag.item && moveKey(drag.doc, drag.item, drag.frame, to);
+  const doc = state.dragging ?? state.doc; // somebody else's work may have come in since the pointer went down
+  const item = objectOf(doc, drag.id);
+  const moved = item && keyAt(item, drag.frame) && moveKey(doc, item, drag.frame, to);
   if (moved) preview(moved);
 }
 

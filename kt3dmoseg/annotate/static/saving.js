@@ -9,6 +9,7 @@ const SOON = 350;
 // The server is asked this often whether it is there and can save, and given this long to answer.
 const PULSE = 2000;
 const PATIENCE = 3000;
+const AWAY = "The server does not answer";
 const TEXT = {
   saved: ({ revision }) => (revision ? `✓ saved · rev ${revision}` : "no edits yet · rev 0"),
   unsaved: () => "• edited",
@@ -29,7 +30,7 @@ export async function request(clip, what, body, { headers, ...options } = {}) {
     options.body = body instanceof Blob ? body : JSON.stringify(body);
   }
   const response = await fetch(address(clip, what), options).catch((error) => {
-    throw error.name === "AbortError" ? error : failure("The server does not answer", 0, null);
+    throw error.name === "AbortError" ? error : failure(AWAY, 0, null);
   });
   if (response.ok) return response;
   const answer = await response.json().catch(() => ({}));
@@ -129,7 +130,8 @@ function join(theirs) {
 async function check() {
   if (!saver.clip) return;
   const signal = AbortSignal.timeout(PATIENCE);
-  const answer = await ask(saver.clip, "trouble", null, { signal }).catch((error) => ({ trouble: error.message }));
+  const answer = await ask(saver.clip, "trouble", null, { signal })
+    .catch(({ status, message }) => ({ trouble: status ? message : AWAY })); // it may also fall silent in mid-answer
   set({ trouble: answer.trouble });
   if (!answer.trouble && state.saving.kind === "offline") flush();
 }
@@ -139,7 +141,7 @@ const watch = () => check().finally(() => setTimeout(watch, PULSE));
 function drawBanner() {
   const { clip, saving, trouble, doc } = state;
   const away = ["offline", "failed"].includes(saving.kind);
-  const problem = (away && saving.message) || trouble || (away && "The server does not answer");
+  const problem = (away && saving.message) || trouble || (away && AWAY);
   byId("banner").hidden = !(problem || clip?.doubt);
   if (!problem) {
     fill(byId("banner"), element("span", {}, clip?.doubt ?? ""));

@@ -126,19 +126,13 @@ export function nextProblem(id) {
   });
 }
 
-/** Groups that seem to move by themselves but are mostly labelled as background: their rows; null while not known. */
-function unexplained() {
-  const { moving, labels } = state;
-  if (!moving || !labels) return null;
-  const found = Map.groupBy(rows().filter((row) => moving[row] > 1), (row) => moving[row]);
-  const open = (group) => group.filter((row) => labels.label[row] === 1).length > group.length / 2;
-  return [...found.values()].filter(open);
-}
-
+/** Go to the next group that seems to move by itself but is mostly labelled as background. */
 export function nextUnexplained() {
-  const found = unexplained();
-  const nothing = found ? "No trajectories seem to move by themselves" : "The scene's motion is not known";
-  visitNext("motion", found ?? [], nothing, (group, which) => {
+  const { moving, labels } = state;
+  const found = Map.groupBy(rows().filter((row) => moving?.[row] > 1), (row) => moving[row]);
+  const open = (group) => group.filter((row) => labels?.label[row] === 1).length > group.length / 2;
+  const nothing = moving && labels ? "No trajectories seem to move by themselves" : "The scene's motion is not known";
+  visitNext("motion", [...found.values()].filter(open), nothing, (group, which) => {
     showTrack(group[Math.floor(group.length / 2)]);
     return `${group.length} trajectories leave the motion of the scene (${which}): a mover, or an error of tracking`;
   });

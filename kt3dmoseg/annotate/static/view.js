@@ -78,8 +78,10 @@ const viewOf = ([x, y], scale, [left, top] = middle()) => ({ x: x - left / scale
 
 /** The largest scale at which a size fits on the stage. */
 const scaleFor = (width, height) => Math.min(stage.clientWidth / width, stage.clientHeight / height);
-export const fit = ([width, height]) => viewOf([(width - 1) / 2, (height - 1) / 2], scaleFor(width, height));
+let whole = null;
+export const fit = ([width, height]) => (whole = viewOf([(width - 1) / 2, (height - 1) / 2], scaleFor(width, height)));
 export const fitAll = () => set({ view: fit(state.clip.image_size) });
+export const refit = () => state.view === whole && fitAll(); // what somebody zoomed to stays
 
 export function showBox([left, top, right, bottom]) {
   const scale = Math.min(CLOSEST / 2, 0.6 * scaleFor(right - left + 8, bottom - top + 8));
