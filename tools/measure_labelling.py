@@ -2,8 +2,9 @@
 
 For each mover of `annotations/` (no shadows), in its key frame nearest to the middle: a box (two clicks; its
 sides are off by up to 3 px), then at most three clicks in the middle of the largest error, until the overlap
-is 0.9. Frames without it are set outside. Then at most two corrections, a box each, in the frames between key
-frames in which its region overlaps least. Things that are drawn to be rejected or in front are left out.
+is 0.9. Frames without it are set outside. Then at most two corrections, a box each, in frames in which the
+region overlaps by less than 0.85: of those between the same two drawn frames, where they are most, the middle
+one. Things that are drawn to be rejected or in front are left out.
 
 python tools/measure_labelling.py DATA/kt3dmoseg/frames DATA/kt3dmoseg/release [CLIP ...]
 
@@ -18,6 +19,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +123,8 @@ class Labeller:
             self.edit(lambda at=point: self.page.click(at))
             None if adds else keyboard.up("Alt")
 
-    def label(self, item: AnnotatedObject) -> tuple[int, int, float, float]:
-        """Label an object; return clicks, corrections, the first overlap and the median one."""
+    def label(self, item: AnnotatedObject) -> tuple[int, int, float, float, float]:
+        """Label an object; return clicks, corrections, and overlaps: first, median by hand, median of all."""
         truth = self.regions[item.id]
         seen = [k for k, region in enumerate(truth) if region.visibility == "visible" and region.polygons]
         frame = min((k for k in seen if truth[k].key), key=lambda k: abs(k - seen[len(seen) // 2]))
@@ -145,11 +147,13 @@ class Labeller:
             loose = [k for k in seen if k not in drawn and ious[k] < 0.85]
             if not loose or corrections == CORRECTIONS:
                 break
-            worst = min(loose, key=ious.__getitem__)
-            drawn.add(worst)
-            self.go_to(worst)
-            self.outline(worst, truth[worst].polygons, 2)
-        return used, corrections, first, float(np.median(list(ious.values())))
+            stretches = (list(frames) for _, frames in groupby(loose, lambda k: sum(d < k for d in drawn)))
+            longest = max(stretches, key=len)
+            drawn.add(middle := longest[len(longest) // 2])
+            self.go_to(middle)
+            self.outline(middle, truth[middle].polygons, 2)
+        by_hand = [ious[k] for k in seen if truth[k].key]
+        return used, corrections, first, float(np.median(by_hand)), float(np.median(list(ious.values())))
 
 
 def proposals(proposer: str, name: str, path: Path) -> tuple[int, int, int, int]:
@@ -191,13 +195,10 @@ def main() -> None:
                 rows, agreements = rows + done, [*agreements, agreement]
         finally:
             server.stop()
-    clicks, corrections, first, iou = np.median(rows, axis=0)
-    print(
-        f"{len(rows)} movers: median clicks {clicks:g}, corrections {corrections:g}, overlap in the outlined"
-    )
-    print(
-        f"frame {first:.3f}, in all frames {iou:.3f}; median agreement of clips {np.median(agreements):.4f}"
-    )
+    clicks, corrections, *overlaps = np.median(rows, axis=0)
+    print(f"{len(rows)} movers, medians: clicks {clicks:g}, corrections {corrections:g}; overlap in the")
+    print("outlined frame {:.3f}, in all frames drawn by hand {:.3f}, in all {:.3f};".format(*overlaps))
+    print(f"median agreement of clips {np.median(agreements):.4f}")
 
 
 def one_clip(context: BrowserContext, address: str, name: str, path: Path) -> tuple[list[Any], float]:
