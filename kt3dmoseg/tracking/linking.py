@@ -37,7 +37,8 @@ def uncovered(cells: FloatArray, live: FloatArray, options: TrackOptions) -> Boo
 
     Live positions are truncated to whole pixels first: so the release's start cells come out.
     """
-    nearest, _ = cKDTree(np.trunc(live)).query(cells, distance_upper_bound=options.coverage)
+    tree = cKDTree(np.trunc(live), balanced_tree=False, compact_nodes=False)  # it is used once
+    nearest, _ = tree.query(cells, distance_upper_bound=options.coverage)
     return np.asarray(np.isinf(nearest))
 
 
