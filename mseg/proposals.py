@@ -98,8 +98,7 @@ class _Scene:
         seen = tracks.xy[tracks.visible]
         width = tracks.image_size[0] if tracks.image_size else float(np.ptp(seen, axis=0).max()) or 1.0
         self.scale = _FOCAL * width
-        xy = (self.tracks.xy - (seen.min(axis=0) + seen.max(axis=0)) / 2) / self.scale
-        self.image = np.where(self.tracks.visible[..., None], xy, 0.0)
+        self.image = (self.tracks.xy - (seen.min(axis=0) + seen.max(axis=0)) / 2) / self.scale
         steps = np.linalg.norm(np.diff(self.tracks.xy, axis=1), axis=2)
         motion = np.nansum(steps, axis=1) / np.maximum(np.isfinite(steps).sum(axis=1), 1)
         self.noise = np.hypot(_NOISE * width, _SLIP * motion)
@@ -129,7 +128,7 @@ class _Scene:
 
     def residuals(self, cameras: FloatArray, rows: IntArray) -> FloatArray:
         """Residuals (n,) of rows (n,) under a body, in standard deviations."""
-        points, _ = rigid.triangulate(cameras, self.image[rows], self.tracks.visible[rows])
+        points, _ = rigid.triangulate(cameras, self.image[rows])
         return self.fitted(cameras, rows, points)[1]
 
     def fitted(
@@ -137,7 +136,7 @@ class _Scene:
     ) -> tuple[FloatArray, FloatArray]:
         """Adapt so many coordinates of points (n, 3) of rows to their noise; also return residuals (n,)."""
         best, found = np.full(len(rows), np.inf), points
-        image, whiten = self.image[rows], self.whiten[rows] * self.scale
+        image, whiten = np.nan_to_num(self.image[rows]), self.whiten[rows] * self.scale
         columns = cameras[..., [0, 1, 3][:adapted]]
         for _ in range(_PASSES):
             ray = np.insert(points, 2, 1.0, axis=1) @ cameras.swapaxes(1, 2)
@@ -164,8 +163,7 @@ class _Scene:
         if len(rows) > most:
             share = self.length[rows] / self.length[rows].sum()
             rows = self.rng.choice(rows, most, replace=False, p=share)
-        image, visible = self.image[rows], self.tracks.visible[rows]
-        return rigid.adjust(image, visible, self.rng, noise=_ADJUSTED / _FOCAL)[0]
+        return rigid.adjust(self.image[rows], self.rng, noise=_ADJUSTED / _FOCAL)
 
     def _static(self) -> tuple[FloatArray, FloatArray]:
         """Residuals (N,) under the body that explains most, of several starts, then of what it explains."""
@@ -173,7 +171,7 @@ class _Scene:
 
         def tried(rows: IntArray, most: int) -> tuple[FloatArray, FloatArray, FloatArray]:
             cameras = self.adjusted(rows, most)
-            points, _ = rigid.triangulate(cameras, self.image, self.tracks.visible)
+            points, _ = rigid.triangulate(cameras, self.image)
             return (*self.fitted(cameras, every, points), cameras)
 
         def cost(state: tuple[FloatArray, FloatArray, FloatArray]) -> float:

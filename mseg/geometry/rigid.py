@@ -2,7 +2,8 @@
 
 A point of a body is (x, y, rho): it lies on the ray (x, y, 1) of the reference frame's camera at inverse
 depth rho, and appears in frame f where R_f (x, y, 1)^T + rho t_f points. Every moving body has cameras
-[R t] of its own, so static scene and moving objects are treated alike.
+[R t] of its own, so static scene and moving objects are treated alike. Images (n, F, 2) are in normalised
+coordinates, NaN where a point is not seen.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from kt3dmoseg.compiled import compiled
-from kt3dmoseg.types import BoolArray, FloatArray, IntArray
+from kt3dmoseg.types import FloatArray, IntArray
 
 # Stages of a descent: standard deviation over noise, and steps. From far to near where all points would be
 # outliers of cameras that have not moved, as in a deep scene; at once where motion is small or depth shallow;
@@ -42,9 +43,7 @@ _RIDGE = np.eye(3, 4) * np.array([1e-9, 1e-9, 1e-7, 0.0])
 _Body: TypeAlias = tuple[float, FloatArray, FloatArray]  # cost, cameras (F, 3, 4), points (n, 3)
 
 
-def adjust(
-    image: FloatArray, visible: BoolArray, rng: np.random.Generator, *, noise: float
-) -> tuple[FloatArray, float]:
+def adjust(image: FloatArray, rng: np.random.Generator, *, noise: float) -> FloatArray:
     """Find the cameras of a body from the images of its points, some of which may belong elsewhere.
 
     Levenberg and Marquardt's method with the points eliminated (Schur complement). A trajectory is an outlier
@@ -56,9 +55,7 @@ def adjust(
     Parameters
     ----------
     image : (n, F, 2) float64
-        Normalised image coordinates of n points, anything where not visible.
-    visible : (n, F) bool
-        Where points are seen; a point may be seen nowhere.
+        Of n points, each of which may be seen nowhere.
     rng : numpy.random.Generator
         Draws the random depths.
     noise : float
@@ -68,51 +65,41 @@ def adjust(
     -------
     cameras : (F, 3, 4) float64
         Rotation and translation. Their scale is free: the median inverse depth is 1.
-    cost : float
-        Sum over the trajectories of ``m log(1 + r^2 / 4)``, m the number of their frames and r^2 their mean
-        squared residual over `noise` squared.
 
     References
     ----------
     Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment: a modern synthesis", 1999. The start: Yu,
     Gallup, "3D reconstruction from accidental motion", CVPR 2014.
     """
-    image, visible, order = _in_order(image, visible)
-    cost, cameras, _ = _adjusted(image, visible, rng, noise)
-    return cameras[order.argsort()], cost
+    image, order = _in_order(image)
+    _, cameras, _ = _adjusted(image, rng, noise)
+    return cameras[order.argsort()]
 
 
 def focal_length(
-    bodies: Sequence[tuple[FloatArray, BoolArray]],
-    rng: np.random.Generator,
-    *,
-    noise: float,
-    lengths: Sequence[float],
+    images: Sequence[FloatArray], rng: np.random.Generator, *, noise: float, lengths: Sequence[float]
 ) -> float:
     """Choose among focal lengths that under which bodies are most rigid.
 
-    Bodies are adjusted under the middle one, from there under its neighbours, and so on. `bodies` holds image
-    and visibility of each as for `adjust`, image and `noise` in the units of the `lengths`, which are sorted.
+    Bodies are adjusted under the middle one, from there under its neighbours, and so on. `images`, one of
+    each body as for `adjust`, and `noise` are in the units of the `lengths`, which are sorted.
     """
     middle = len(lengths) // 2
     costs = dict.fromkeys(lengths, 0.0)
-    for image, visible in bodies:
-        image, visible, _ = _in_order(image, visible)
-        first = _adjusted(image / lengths[middle], visible, rng, noise / lengths[middle])
+    for image, _ in map(_in_order, images):
+        first = _adjusted(image / lengths[middle], rng, noise / lengths[middle])
         costs[lengths[middle]] += first[0]
         for order in (lengths[middle::-1], lengths[middle:]):
             _, cameras, points = first
             for last, f in itertools.pairwise(order):
                 scale = np.array([last / f, last / f, 1.0])
                 cameras = np.concatenate([cameras[:, :, :3], cameras[:, :, 3:] * scale[:, None]], axis=2)
-                cost, cameras, points = _descend(
-                    image / f, visible, cameras, points * scale, _FINAL, noise / f
-                )
+                cost, cameras, points = _descend(image / f, cameras, points * scale, _FINAL, noise / f)
                 costs[f] += cost
     return min(costs, key=costs.__getitem__)
 
 
-def triangulate(cameras: FloatArray, image: FloatArray, visible: BoolArray) -> tuple[FloatArray, FloatArray]:
+def triangulate(cameras: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Find the points of trajectories, as if they belonged to a body, and what that leaves.
 
     The equations (x, y, rho) -> R_f (x, y, 1)^T + rho t_f are linear up to the depth, by which they are
@@ -124,9 +111,7 @@ def triangulate(cameras: FloatArray, image: FloatArray, visible: BoolArray) -> t
     cameras : (F, 3, 4) float64
         Of the body.
     image : (N, F, 2) float64
-        Normalised image coordinates, anything where not visible.
-    visible : (N, F) bool
-        Where trajectories are seen.
+        Of the trajectories.
 
     Returns
     -------
@@ -135,36 +120,30 @@ def triangulate(cameras: FloatArray, image: FloatArray, visible: BoolArray) -> t
     residual : (N,) float64
         Sum of squared image residuals of each trajectory.
     """
-    points, residual = np.empty((len(image), 3)), np.empty(len(image))
-    _locate(cameras, np.array(image, order="C"), np.array(visible, order="C"), points, residual)
-    return points, residual
+    return _locate(cameras, np.array(image, order="C"))
 
 
-def _in_order(image: FloatArray, visible: BoolArray) -> tuple[FloatArray, BoolArray, IntArray]:
+def _in_order(image: FloatArray) -> tuple[FloatArray, IntArray]:
     """Put the frame that sees most points first, the reference, then those around it; and that order (F,)."""
-    reference = visible.sum(axis=0).argmax()
-    order = np.abs(np.arange(visible.shape[1]) - reference).argsort(kind="stable")
-    return np.array(image[:, order], order="C"), np.array(visible[:, order], order="C"), order
+    reference = np.isfinite(image[..., 0]).sum(axis=0).argmax()
+    order = np.abs(np.arange(image.shape[1]) - reference).argsort(kind="stable")
+    return np.array(image[:, order], order="C"), order
 
 
-def _adjusted(image: FloatArray, visible: BoolArray, rng: np.random.Generator, noise: float) -> _Body:
+def _adjusted(image: FloatArray, rng: np.random.Generator, noise: float) -> _Body:
     """Descend from several starts, and from the best end to the noise; the first frame is the reference."""
-    deep = rng.uniform(*_DEPTHS, len(image))
+    seen, deep = np.isfinite(image[..., 0]), rng.uniform(*_DEPTHS, len(image))
+    # Cameras that do not move, and points where they are first seen.
+    still = np.tile(np.eye(3, 4), (image.shape[1], 1, 1))
+    at = image[np.arange(len(image)), seen.argmax(axis=1)]
     starts = [
-        (*_still(image, visible, deep), _GRADUAL),
-        (*_still(image, visible, np.ones_like(deep)), _DIRECT),
+        (still, np.column_stack([at, deep]), _GRADUAL),
+        (still, np.column_stack([at, np.ones_like(deep)]), _DIRECT),
     ]
-    if visible.all():
+    if seen.all():
         starts += [(*start, _FACTORED) for start in _factored(image)]
-    ends = [_descend(image, visible, *start, noise) for start in starts]
-    _, cameras, points = min(ends, key=lambda end: end[0])
-    return _descend(image, visible, cameras, points, _FINAL, noise)
-
-
-def _still(image: FloatArray, visible: BoolArray, depths: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Start with cameras that do not move, and points where they are first seen, at inverse depths (n,)."""
-    at = image[np.arange(len(image)), visible.argmax(axis=1)]
-    return np.tile(np.eye(3, 4), (visible.shape[1], 1, 1)), np.column_stack([at, depths])
+    _, cameras, points = min((_descend(image, *start, noise) for start in starts), key=lambda end: end[0])
+    return _descend(image, cameras, points, _FINAL, noise)
 
 
 def _factored(image: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -211,29 +190,23 @@ def _metric(motion: FloatArray) -> FloatArray:
 
 @compiled
 def _descend(
-    image: FloatArray,
-    visible: BoolArray,
-    cameras: FloatArray,
-    points: FloatArray,
-    stages: FloatArray,
-    noise: float,
+    image: FloatArray, cameras: FloatArray, points: FloatArray, stages: FloatArray, noise: float
 ) -> _Body:
     """Adjust a body from a start, from stage to stage; the end's cost is that at `noise`."""
-    cameras, points, square = cameras.copy(), points.copy(), np.empty(len(points))
-    tried_cameras, tried_points, tried_square = cameras.copy(), points.copy(), square.copy()
+    cameras, points = cameras.copy(), points.copy()
     for stage in range(len(stages)):
         sigma, damping = stages[stage, 0] * noise, _DAMPING
-        cost = _evaluate(image, visible, cameras, points, sigma, square)
+        cost, square = _evaluate(image, cameras, points, sigma)
         for _ in range(int(stages[stage, 1])):
             weight = 1 / (sigma * np.sqrt(1 + square / _HALF_WEIGHT**2))
-            tried_cameras[:], tried_points[:] = cameras, points
-            _step(image, visible, tried_cameras, tried_points, weight, damping)
-            lower = _evaluate(image, visible, tried_cameras, tried_points, sigma, tried_square)
+            moved, found = cameras.copy(), points.copy()
+            _step(image, moved, found, weight, damping)
+            lower, fewer = _evaluate(image, moved, found, sigma)
             if not lower < cost:
                 damping = min(5.0 * damping, _MOST_DAMPING)
                 continue
             gain = (cost - lower) / max(cost, _TINY)
-            cameras[:], points[:], square[:], cost = tried_cameras, tried_points, tried_square, lower
+            cameras, points, square, cost = moved, found, fewer, lower
             damping = max(0.2 * damping, _LEAST_DAMPING)
             if gain < _GAIN:
                 break
@@ -242,7 +215,7 @@ def _descend(
         if abs(depth) > _TINY:
             points[:, 2] /= depth
             cameras[:, :, 3] *= depth
-    return _evaluate(image, visible, cameras, points, noise, square), cameras, points
+    return _evaluate(image, cameras, points, noise)[0], cameras, points
 
 
 @compiled
@@ -258,51 +231,43 @@ def _project(camera: FloatArray, point: FloatArray) -> tuple[float, float, float
 
 @compiled
 def _evaluate(
-    image: FloatArray,
-    visible: BoolArray,
-    cameras: FloatArray,
-    points: FloatArray,
-    noise: float,
-    square: FloatArray,
-) -> float:
-    """Write the mean squared residuals (n,) over noise, and return the cost."""
-    cost = 0.0
+    image: FloatArray, cameras: FloatArray, points: FloatArray, noise: float
+) -> tuple[float, FloatArray]:
+    """Compute the cost, and the mean squared residuals (n,) over noise."""
+    cost, square = 0.0, np.empty(len(points))
     for p in range(len(points)):
         total, frames = 0.0, 0
         for f in range(len(cameras)):
-            if visible[p, f]:
+            if not np.isnan(image[p, f, 0]):
                 _, _, _, u, v, _ = _project(cameras[f], points[p])
                 total += (u - image[p, f, 0]) ** 2 + (v - image[p, f, 1]) ** 2
                 frames += 1
         square[p] = total / (max(frames, 1) * noise**2)
         cost += frames * np.log1p(square[p] / _HALF_WEIGHT**2)
-    return cost
+    return cost, square
 
 
 @compiled
 def _step(
-    image: FloatArray,
-    visible: BoolArray,
-    cameras: FloatArray,
-    points: FloatArray,
-    weight: FloatArray,
-    damping: float,
+    image: FloatArray, cameras: FloatArray, points: FloatArray, weight: FloatArray, damping: float
 ) -> None:
     """Solve the damped normal equations of cameras and points, and move these by the solution.
 
     A point's equations are three rows: columns for itself, for all cameras but the reference, and for the
     right side. Eliminated from the equations of the cameras, they leave a system of the cameras alone.
     """
-    n_points, n_frames = visible.shape
+    n_points, n_frames, _ = image.shape
     size = 6 * (n_frames - 1)
     of_cameras, of_points = np.zeros((size, size + 1)), np.zeros((n_points, 3, 3 + size + 1))
     rows = np.zeros((2, 10))
     for p in range(n_points):
         for f in range(n_frames):
-            if visible[p, f]:
+            if not np.isnan(image[p, f, 0]):
                 _differentiate(image[p, f], cameras[f], points[p], weight[p], rows)
                 _add(rows, 6 * (f - 1), of_cameras, of_points[p])
-        _dampen(of_points[p], damping)
+        grow = damping * (of_points[p, 0, 0] + of_points[p, 1, 1] + of_points[p, 2, 2])
+        for k in range(3):
+            of_points[p, k, k] += grow
         _eliminate(of_points[p])
     for k in range(size):
         of_cameras[k, k] *= 1 + damping
@@ -361,17 +326,16 @@ def _add(rows: FloatArray, at: int, of_cameras: FloatArray, of_point: FloatArray
 
 
 @compiled
-def _locate(
-    cameras: FloatArray, image: FloatArray, visible: BoolArray, points: FloatArray, residual: FloatArray
-) -> None:
-    """Write the points and residuals of `triangulate`."""
+def _locate(cameras: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Find the points and residuals of `triangulate`."""
+    points, residual = np.empty((len(image), 3)), np.empty(len(image))
     normal, row, weight = np.empty((3, 4)), np.empty(4), np.empty(len(cameras))
     for p in range(len(image)):
         weight[:] = 1.0
         for _ in range(_PASSES):
             normal[:], residual[p] = _RIDGE, 0.0
             for f in range(len(cameras)):
-                if visible[p, f]:
+                if not np.isnan(image[p, f, 0]):
                     _add_rays(image[p, f], cameras[f], weight[f], row, normal)
             _eliminate(normal)
             _substitute(normal, normal[:, 3], points[p])
@@ -379,9 +343,10 @@ def _locate(
                 points[p, 2] = 0.0
                 _substitute(normal[:2], normal[:, 3], points[p])
             for f in range(len(cameras)):
-                if visible[p, f]:
+                if not np.isnan(image[p, f, 0]):
                     _, _, _, u, v, weight[f] = _project(cameras[f], points[p])
                     residual[p] += (u - image[p, f, 0]) ** 2 + (v - image[p, f, 1]) ** 2
+    return points, residual
 
 
 @compiled
@@ -396,14 +361,6 @@ def _add_rays(
             for j in range(3):
                 normal[i, j] += row[i] * row[j]
             normal[i, 3] -= row[i] * row[3]
-
-
-@compiled
-def _dampen(normal: FloatArray, damping: float) -> None:
-    """Add to the diagonal of a point's equations a part of its sum."""
-    grow = damping * (normal[0, 0] + normal[1, 1] + normal[2, 2])
-    for k in range(3):
-        normal[k, k] += grow
 
 
 @compiled

@@ -157,8 +157,6 @@ class _Grouping:
 class _Scene:
     """A clip's trajectories and atoms, and the search among groupings of the atoms into bodies."""
 
-    misfit = _MISFIT
-
     def __init__(
         self, points: Trajectories, edges: csr_array, atoms: IntArray, rng: np.random.Generator
     ) -> None:
@@ -167,9 +165,9 @@ class _Scene:
         self.width = float(points.image_size[0]) if points.image_size else float(max(high - low)) or 1.0
         centre = (np.array(points.image_size) - 1) / 2 if points.image_size else (low + high) / 2
         frames = np.unique(np.linspace(0, points.n_frames - 1, _FRAMES).round().astype(np.int64))
-        self.visible = visible = points.visible[:, frames]
-        self.image = np.where(visible[..., None], points.xy[:, frames] - centre, 0.0) / self.width
-        self.freedom = np.maximum(2 * visible.sum(axis=1) - 3, 1)
+        self.image = (points.xy[:, frames] - centre) / self.width
+        self.length = points.visible[:, frames].sum(axis=1)
+        self.freedom = np.maximum(2 * self.length - 3, 1)
         self.weight = np.minimum(points.lengths / _USUAL_LENGTH, _HEAVIEST)
         # Where a trajectory is short, its graph's edges tell as little as its residuals.
         ends = edges.tocoo()
@@ -177,10 +175,10 @@ class _Scene:
         self.edges, self.rng = csr_array((ends.data * lighter, (ends.row, ends.col)), edges.shape), rng
         _, self.atom = np.unique(atoms, return_inverse=True)
         self.member = self.atom == np.arange(self.atom.max() + 1)[:, None]
-        self.size = (self.member & (visible.sum(axis=1) > 1)).sum(axis=1)
+        self.size = (self.member & (self.length > 1)).sum(axis=1)
         indicator = self.member.astype(np.float64)
         self.atom_edges = indicator @ (self.edges @ indicator.T)
-        self.focal, self.noise = 1.0, _NOISE
+        self.focal, self.noise, self.misfit = 1.0, _NOISE, _MISFIT
 
     def groupings(self, most: int, price: float) -> dict[int, _Grouping]:
         """Best grouping into M motions, for each M."""
@@ -229,15 +227,14 @@ class _Scene:
 
     def _sample(self, atoms: BoolArray) -> IntArray:
         """Draw some trajectories of a set of atoms, long ones preferred."""
-        length = self.visible.sum(axis=1)
-        rows = np.flatnonzero(self.member[atoms].any(axis=0) & (length > 1))
-        share = length[rows] / length[rows].sum()
+        rows = np.flatnonzero(self.member[atoms].any(axis=0) & (self.length > 1))
+        share = self.length[rows] / self.length[rows].sum()
         return rows if len(rows) <= _SAMPLE else self.rng.choice(rows, _SAMPLE, replace=False, p=share)
 
     def _focal(self, sets: list[BoolArray]) -> float:
         """Focal length, in widths, that lets the largest sets be rigid best."""
         largest = sorted(sets, key=lambda atoms: -int(self.size[atoms].sum()))[:6]
-        samples = [(self.image[rows], self.visible[rows]) for rows in map(self._sample, largest)]
+        samples = [self.image[self._sample(atoms)] for atoms in largest]
         return rigid.focal_length(samples, self.rng, noise=_NOISE, lengths=_FOCAL)
 
     def _bodies(self, sets: list[BoolArray]) -> list[_Body]:
@@ -245,9 +242,8 @@ class _Scene:
         image, noise = self.image / self.focal, _NOISE / self.focal
         bodies = []
         for atoms in sets:
-            rows = self._sample(atoms)
-            cameras, _ = rigid.adjust(image[rows], self.visible[rows], self.rng, noise=noise)
-            _, residual = rigid.triangulate(cameras, image, self.visible)
+            cameras = rigid.adjust(image[self._sample(atoms)], self.rng, noise=noise)
+            _, residual = rigid.triangulate(cameras, image)
             square = residual * self.focal**2 / self.freedom
             bodies.append(_Body(square, float(np.median(square[self.member[atoms].any(axis=0)]))))
         return bodies
@@ -369,33 +365,26 @@ def code_lengths(
     A body is adjusted to every group. A partition with a group too small for one has no cost.
     """
     _, atoms = np.unique(np.stack([*partitions.values()], axis=1), axis=0, return_inverse=True)
-    return _Partitions(points, _edges(views, _COHERENCE_OF_ANY), atoms.ravel(), rng).costs_of(partitions)
-
-
-class _Partitions(_Scene):
-    """A clip whose atoms are the trajectories that no partition parts, which need not fit at all."""
-
-    misfit = np.inf
-
-    def costs_of(self, partitions: Mapping[int, IntArray]) -> dict[int, float]:
-        of_atoms = np.unique(self.atom, return_index=True)[1]
-        groups: dict[int, list[BoolArray]] = {}
-        for number, labels in partitions.items():
-            parts = [labels[of_atoms] == k for k in np.unique(labels)]
-            if all(self.size[part].sum() >= _SMALLEST for part in parts):
-                groups[number] = parts
-        sets = {part.tobytes(): part for parts in groups.values() for part in parts}
-        if not sets:
-            return {}
-        self.focal = self._focal([*sets.values()])
-        bodies = self._bodies([*sets.values()])
-        self._measure_noise(bodies)
-        table = dict(zip(sets, self._costs(bodies) @ self.member.T, strict=True))
-        found = {}
-        for number, parts in groups.items():
-            group = np.argmax(parts, axis=0)
-            cut = self.atom_edges[group[:, None] != group].sum() / 2
-            found[number] = float(
-                sum(table[p.tobytes()][p].sum() for p in parts) + cut + _PRICE_OF_ANY * len(parts)
-            )
-        return found
+    # Atoms are the trajectories that no partition parts; they need not fit at all.
+    scene = _Scene(points, _edges(views, _COHERENCE_OF_ANY), atoms.ravel(), rng)
+    scene.misfit = np.inf
+    of_atoms = np.unique(scene.atom, return_index=True)[1]
+    groups: dict[int, list[BoolArray]] = {}
+    for number, labels in partitions.items():
+        parts = [labels[of_atoms] == k for k in np.unique(labels)]
+        if all(scene.size[part].sum() >= _SMALLEST for part in parts):
+            groups[number] = parts
+    sets = {part.tobytes(): part for parts in groups.values() for part in parts}
+    if not sets:
+        return {}
+    scene.focal = scene._focal([*sets.values()])
+    bodies = scene._bodies([*sets.values()])
+    scene._measure_noise(bodies)
+    table = dict(zip(sets, scene._costs(bodies) @ scene.member.T, strict=True))
+    found = {}
+    for number, parts in groups.items():
+        group = np.argmax(parts, axis=0)
+        cut = scene.atom_edges[group[:, None] != group].sum() / 2
+        paid = sum(table[part.tobytes()][part].sum() for part in parts)
+        found[number] = float(paid + cut + _PRICE_OF_ANY * len(parts))
+    return found
