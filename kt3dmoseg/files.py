@@ -235,7 +235,8 @@ def _parse(
     bare = strings.sub(b"s", content)
     symbols = np.frombuffer(bare, np.uint8)
     steps = np.isin(symbols, tuple(b"[{")).astype(np.int8) - np.isin(symbols, tuple(b"]}"))
-    if np.cumsum(steps, dtype=np.int32).max(initial=0) > _DEPTH or _LONG_KEY.search(bare):
+    dotted = kind == "TOML" and _LONG_KEY.search(bare)
+    if dotted or np.cumsum(steps, dtype=np.int32).max(initial=0) > _DEPTH:
         expected, found = f"{kind} of at most {_DEPTH} levels", "more levels inside each other"
         raise FileFormatError(where, expected=expected, found=found)
     if kind == "TOML" and _LONG_NUMBER.search(bare):

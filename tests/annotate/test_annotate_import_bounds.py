@@ -190,8 +190,8 @@ for title, make in files.items():
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the memory in use is read there")
 def test_every_hostile_file_stays_within_the_bounds_of_time_and_memory():
-    """The system ends work without bounds: 10 s of processor time are three times what the slowest takes."""
-    script = _HOSTILE.replace("SECONDS", "10")
+    """The system ends whatever takes more than 3 s of processor time."""
+    script = _HOSTILE.replace("SECONDS", "3")
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     found = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(found) > 20
