@@ -37,7 +37,7 @@ PathLike: TypeAlias = str | os.PathLike[str]
 
 _BLOCK = 1 << 20
 _DEPTH = 64  # of lists and tables inside each other; a key of 20,000 dots takes gigabytes
-JSON_BYTES, TOML_BYTES = 8 << 20, 2 << 20  # what is parsed in 2 s and 200 MB
+JSON_BYTES, TOML_BYTES = 8 << 20, 256 << 10  # what is parsed in 2 s and 200 MB
 # Strings and comments; one that does not end takes the rest, since the parser goes no further either.
 _JSON_STRINGS = re.compile(rb'"(?:\\.|[^"\\])*+"?', re.DOTALL)
 _TOML_STRINGS = re.compile(

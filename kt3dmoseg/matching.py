@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.errors import FileFormatError
 from kt3dmoseg.text import several
@@ -155,6 +154,8 @@ def match_labels(a: IntArray, b: IntArray) -> dict[int, int]:
     >>> match_labels(np.array([1, 1, 2, 0]), np.array([5, 5, 5, 7]))
     {1: 5}
     """
+    from scipy.optimize import linear_sum_assignment  # a third of a second that few commands need
+
     names_a, names_b = (np.unique(labels[labels != 0]) for labels in (a, b))
     shared = ((a == names_a[:, None])[:, None] & (b == names_b[:, None])).sum(axis=2)
     pairs = zip(*linear_sum_assignment(shared, maximize=True), strict=True)

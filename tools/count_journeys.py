@@ -22,7 +22,7 @@ from types import CodeType, FrameType
 
 ROOT = Path(__file__).resolve().parent.parent
 MOST = {"build": 24, "score": 20, "segment": 14}
-_DEMO = ("--width", "320", "--height", "128", "--frames", "8", "--runs", "1", "--methods", "one_motion")
+_DEMO = ("--width", "320", "--height", "128", "--frames", "6", "--runs", "1", "--methods", "one_motion")
 
 
 def main() -> int:

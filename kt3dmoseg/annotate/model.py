@@ -55,7 +55,7 @@ MAX_SIDE = 100_000
 MAX_CLICKS = 100
 LEAST_BOX = 3
 _MAX_BYTES = 32 << 20
-_MAX_VALUES = 3_000_000
+_MAX_VALUES = 1_500_000
 _OTHERS = {"segmentations": "YouTube-VIS", "result": "JSON of Label Studio"}
 _DECIMALS = 2
 _ORDER = ("clip", "revision", "protocol", "annotator", "image_size", "n_frames", "objects", "marks")
@@ -332,7 +332,7 @@ def load_annotation(path: PathLike, form: str = FORMAT) -> Annotation:
 
 
 def parse_document(content: bytes, where: str) -> Any:  # noqa: ANN401  # whatever JSON holds
-    """Parse JSON of at most 32 MiB and 300 MB of values; FileFormatError names `where` or the wrong tool."""
+    """Parse JSON of at most 32 MiB and 150 MB of values; FileFormatError names `where` or the wrong tool."""
     found = part = parse_json(content, where, _MAX_BYTES, values=_MAX_VALUES)
     while part and isinstance(part, list | dict):
         for tool in (_OTHERS[key] for key in _OTHERS if key in part):

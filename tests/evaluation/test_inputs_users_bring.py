@@ -225,8 +225,9 @@ FILES = {
     "clips of scores": ("s.json", SCORES + b"{}," * 3_000_000 + b"{}]}"),
     "values of scores": ("s.json", SCORES + b'{"values":' + members(b'""') + b"}]}"),
     "values of results": ("kt3dmoseg/2018/r.json", b'{"clips":' + members(b"{}") + b"}"),
-    "tables": ("meta.toml", b"".join(b"[a%d]\n" % i for i in range(150_000))),
-    "hexadecimal": ("meta.toml", b"seconds = 0x" + b"f" * 1_000_000),
+    "tables": ("meta.toml", b"".join(b"[a%d]\n" % i for i in range(29_000))),  # as many as fit
+    "more tables": ("meta.toml", b"".join(b"[a%d]\n" % i for i in range(150_000))),
+    "hexadecimal": ("meta.toml", b"seconds = 0x" + b"f" * 250_000),
 }
 READ = """
 import pathlib, sys

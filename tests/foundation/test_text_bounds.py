@@ -32,7 +32,7 @@ DEEP = "at most 64 levels"
         (parse_json, '{"b": 1, "a": null, "a": null}', "the key 'a' twice"),
         (parse_toml, b"a = '\xff'", "UTF-8, found byte 0xff at 5"),
         (parse_toml, "a = '\0'", r"invalid character .*\(at line 1"),
-        (parse_toml, "#" * ((2 << 20) + 1), "at most 2097152 bytes, found 2097153"),
+        (parse_toml, "#" * ((256 << 10) + 1), "at most 262144 bytes, found 262145"),
         (parse_json, "[" * 100_000, DEEP),
         (parse_json, '{"a":' * 65 + "1" + "}" * 65, DEEP),
         (parse_json, '{"a": ' + "9" * 400 + "}", "a number of 400 digits"),
@@ -84,7 +84,7 @@ from kt3dmoseg.files import parse_json, parse_toml
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 starts = ["[", "a=[", "", "", "", "", "a"]
 pieces = ["[],", "1,", '"\\', '\"\"\"\\', "a", "a ", ".a"]
-for parse, size in ((parse_json, 8 << 20), (parse_toml, 2 << 20)):
+for parse, size in ((parse_json, 8 << 20), (parse_toml, 256 << 10)):
     for start, piece in zip(starts, pieces):
         try:
             parse((start + piece * (size // len(piece)))[:size], "x")

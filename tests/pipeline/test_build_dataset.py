@@ -431,11 +431,20 @@ def _wait_for_the_end(group):
         time.sleep(0.02)
 
 
+@pytest.fixture(scope="module")
+def twelve(tmp_path_factory):
+    """So many clips that a build still works when the signal comes, and what an undisturbed one makes."""
+    frames, built = tmp_path_factory.mktemp("frames"), tmp_path_factory.mktemp("built")
+    for seed in range(12):
+        write_clip(frames / f"clip{seed}", seed)
+    build_dataset(frames, built, workers=1)
+    return frames, contents(built)
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
-    for seed in range(12):  # so many that the build is still at work when the signal comes
-        write_clip(tmp_path / "frames" / f"clip{seed}", seed)
-    process = _start(tmp_path / "frames", tmp_path / "out")
+def test_an_interrupted_build_resumes_to_the_same_bytes(how, twelve, tmp_path):
+    frames, undisturbed = twelve
+    process = _start(frames, tmp_path / "out")
     _wait_for_a_clip(process, tmp_path / "out")
     if how == signal.SIGINT:
         os.killpg(process.pid, how)
@@ -451,10 +460,9 @@ def test_an_interrupted_build_resumes_to_the_same_bytes(how, tmp_path):
     for name in finished:
         hdf5.read(tmp_path / "out" / name)
     (tmp_path / "out/.clip5.h5.before.part").write_bytes(b"half")
-    outcomes = build_dataset(tmp_path / "frames", tmp_path / "out", workers=1)
+    outcomes = build_dataset(frames, tmp_path / "out", workers=1)
     assert {f"{o.name}.h5" for o in outcomes if o.status == "up to date"} == set(finished)
-    build_dataset(tmp_path / "frames", tmp_path / "fresh", workers=1)
-    assert contents(tmp_path / "out") == contents(tmp_path / "fresh")
+    assert contents(tmp_path / "out") == undisturbed
 
 
 @dataclasses.dataclass(frozen=True)

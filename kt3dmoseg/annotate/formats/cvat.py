@@ -35,7 +35,7 @@ _UNWRITABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 _UNKNOWN = "\ufffd"
 _DIGITS = 9
 _STEP = re.compile(r"step\s*=\s*(\d{1,6})")
-_MOST_NODES = 200_000
+_MOST_NODES = 100_000
 # Overlap of two outlines from which on they are of one object, as intersection over union.
 _SAME_PLACE = 0.3
 _COARSE = 128
@@ -279,10 +279,12 @@ def _key(
             into.note(f"{where} has the {source} of {other}: one object")
             return other
     ended, place = known.ends.get((kind, begin), {}), _place(drawn[begin][1], into.like)
+    share = _SAME_PLACE / (1 + _SAME_PLACE)  # of the sum of two areas: the same share of their union
+    area = max(1, place.bit_count())
     alike = (
         other
         for other, left in ended.items()
-        if (left & place).bit_count() >= _SAME_PLACE * max(1, (left | place).bit_count())
+        if (left & place).bit_count() >= share * (area + left.bit_count())
     )
     key = next(alike, where)
     if key != where:

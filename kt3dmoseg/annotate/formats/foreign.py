@@ -29,12 +29,12 @@ from kt3dmoseg.types import FloatArray
 Key: TypeAlias = int | str
 Regions: TypeAlias = Mapping[int, list[Region]]
 
-_LIMITS = ZipLimits(files=50_000, file_bytes=32 << 20, total_bytes=128 << 20)
+_LIMITS = ZipLimits(files=20_000, file_bytes=32 << 20, total_bytes=128 << 20)
 _FRAME_NAME = "{:06d}.png"
 _DECIMALS = 2
-# What all outlines of a file may have together: 20 frames of 100 outlines of 250 corners; and all masks that
-# are decoded: 100 frames of 20 boxes of 200x200. An outline counts as 20 corners and 5,000 pixels at least.
-_MOST = {"corners": 500_000, "pixels in masks": 100_000_000, "files": _LIMITS.files, "skipped": 20_000}
+# What all outlines of a file may have together: 20 frames of 100 outlines of 150 corners; and all masks that
+# are decoded: 60 frames of 20 boxes of 200x200. An outline counts as 20 corners and 5,000 pixels at least.
+_MOST = {"corners": 300_000, "pixels in masks": 50_000_000, "files": _LIMITS.files, "skipped": 20_000}
 _MAX_SIDE = 10**9
 # Widths and heights are whole numbers: the same picture, scaled, has about the same proportions.
 _SAME_SHAPE = 0.01

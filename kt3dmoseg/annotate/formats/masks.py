@@ -34,7 +34,7 @@ _MORE, _SIGN = 32, 16
 _DAVIS_VOID = 254
 _BLOCK = 1 << 20
 # Of one region; a car that fills a large picture has some thousand.
-_MOST_CORNERS = 300_000
+_MOST_CORNERS = 200_000
 _PART = 5_000
 _MOTS_LINE = re.compile(r"(\d{1,9})\s+(\d{1,9})\s+\S+\s+(\d{1,9})\s+(\d{1,9})\s+(\S+)")
 _MOTS_CLASSES = {"pedestrian": 2, "cyclist": 2, "animal": 3, "other": 3}
