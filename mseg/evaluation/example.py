@@ -1,6 +1,5 @@
 """Submissions to start from: a simple example, or one made of label files (MATLAB, text, Brox ``.dat``)."""
 
-import math
 import re
 import shutil
 import warnings
@@ -10,15 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, listed, read_bytes
 from kt3dmoseg.io import save
-from kt3dmoseg.io.formats import first_bytes, recognise
-from kt3dmoseg.io.hdf5 import check_storage, open_hdf5
+from kt3dmoseg.io.formats import recognise
 from kt3dmoseg.io.matlab import Value, read_mat
 from kt3dmoseg.io.predictions import MAX_FILE_BYTES, is_zero_based, label_vector
 from kt3dmoseg.registry import strict
@@ -275,30 +272,8 @@ def _single_vector(path: Path) -> npt.NDArray[Any]:
 
 
 def _matlab(path: Path) -> Mapping[str, Value]:
-    """Read the variables of a MAT-file of version 5 to 7.3, cells as lists."""
-    if recognise(path).name != "hdf5" and not first_bytes(path).startswith(b"MATLAB 7.3"):
-        return read_mat(path)
-    with open_hdf5(f"{path}") as file:
-        return dict(_matlab73(file))
-
-
-def _matlab73(file: h5py.File) -> Iterator[tuple[str, Value]]:
-    """Give what may be labels: MATLAB stores arrays transposed, cells as references into the same file."""
-    for name in file:
-        item = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
-        if not isinstance(item, h5py.Dataset) or item.size > _MAX_LABELS:
-            continue
-        if item.dtype != h5py.ref_dtype:
-            if item.dtype.kind in "iuf":
-                check_storage(item, name)
-                yield name, item[()]
-        elif not (item.external or item.is_virtual or math.prod(item.chunks or ()) > _MAX_LABELS):
-            cells = [file[reference] for reference in item[()].T.ravel()]
-            for cell in cells:
-                check_storage(cell, name)
-            if sum(cell.size for cell in cells) > _MAX_LABELS:
-                raise FileFormatError(name, expected=f"at most {_MAX_LABELS} labels", found="more")
-            yield name, [cell[()].ravel() for cell in cells]
+    recognise(path)  # it says what another file is
+    return read_mat(path)
 
 
 _READERS: dict[str, Callable[[Path], npt.NDArray[Any]]] = {
