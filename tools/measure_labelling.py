@@ -2,9 +2,10 @@
 
 For each mover of `annotations/` (no shadows), in its key frame nearest to the middle: a box (two clicks; its
 sides are off by up to 3 px), then at most three clicks in the middle of the largest error, until the overlap
-is 0.9. Frames without it are set outside. Then at most two corrections, a box each, in frames in which the
-region overlaps by less than 0.85: of those between the same two drawn frames, where they are most, the middle
-one. Things that are drawn to be rejected or in front are left out.
+is 0.9. Frames without it are set outside. Then at most two corrections in frames in which the region overlaps
+by less than 0.85: of those between the same two drawn frames, where they are most, the middle one. A
+correction is at most two clicks: in the middle of the largest error, or where the region overlaps by less
+than 0.7 a box. Things that are drawn to be rejected or in front are left out.
 
 python tools/measure_labelling.py DATA/kt3dmoseg/frames DATA/kt3dmoseg/release [CLIP ...]
 
@@ -45,7 +46,7 @@ from kt3dmoseg.types import BoolArray, Trajectories  # noqa: E402
 
 Regions = dict[int, list[Region]]
 
-CLICKS, CORRECTIONS, ENOUGH, OFF = 5, 2, 0.9, 3.0
+CLICKS, CORRECTIONS, ENOUGH, ROUGHLY, OFF = 5, 2, 0.9, 0.7, 3.0
 DONE = "labeller.state.done.length"
 
 
@@ -106,22 +107,27 @@ class Labeller:
         low, high = np.clip([left, top], 0, last), np.clip([right, bottom], 0, last)
         self.edit(lambda: self.page.drag(low, high))
 
-    def outline(self, frame: int, polygons: Sequence[Any], clicks: int) -> tuple[int, float]:
-        """Outline with a box and clicks; return how many and the overlap."""
-        exact, used = self.mask(polygons), 2
-        self.box(polygons)
+    def outline(
+        self, frame: int, polygons: Sequence[Any], clicks: int, carried: Sequence[Any] = ()
+    ) -> tuple[int, float]:
+        """Outline by a box and clicks, or correct what is carried; return the clicks used and the overlap."""
+        exact, found, used = self.mask(polygons), carried, 0
         while True:
-            item = "labeller.state.doc.objects.find(o => o.id === labeller.state.selected)"
-            found = self.page.value(f"{item}.key_frames.find(k => k.frame === {frame}).polygons")
             iou = overlap(self.mask(found), exact)
             place = worst_place(self.mask(found), exact)
-            if iou >= ENOUGH or used >= clicks or not place:
+            if used and (iou >= ENOUGH or used >= clicks or not place):
                 return used, iou
-            (point, adds), used = place, used + 1
-            keyboard = self.page.tab.keyboard
-            None if adds else keyboard.down("Alt")
-            self.edit(lambda at=point: self.page.click(at))
-            None if adds else keyboard.up("Alt")
+            if not used and (iou < ROUGHLY or not place):
+                self.box(polygons)
+                used = 2
+            else:
+                (point, adds), used = place, used + 1
+                keyboard = self.page.tab.keyboard
+                None if adds else keyboard.down("Alt")
+                self.edit(lambda at=point: self.page.click(at))
+                None if adds else keyboard.up("Alt")
+            item = "labeller.state.doc.objects.find(o => o.id === labeller.state.selected)"
+            found = self.page.value(f"{item}.key_frames.find(k => k.frame === {frame}).polygons")
 
     def label(self, item: AnnotatedObject) -> tuple[int, int, float, float, float]:
         """Label an object; return clicks, corrections, and overlaps: first, median by hand, median of all."""
@@ -151,7 +157,7 @@ class Labeller:
             longest = max(stretches, key=len)
             drawn.add(middle := longest[len(longest) // 2])
             self.go_to(middle)
-            self.outline(middle, truth[middle].polygons, 2)
+            self.outline(middle, truth[middle].polygons, 2, regions[middle]["polygons"])
         by_hand = [ious[k] for k in seen if truth[k].key]
         return used, corrections, first, float(np.median(by_hand)), float(np.median(list(ious.values())))
 

@@ -200,9 +200,10 @@ class Mark:
 
 @_checked
 class Clicks:
-    """Where a frame was clicked, to outline what moves there; without a box, the first click adds.
+    """Where a frame was clicked, to outline what moves there; alone, the first click adds.
 
-    The box, at least 3 pixels wide and high, is around what moves; `like` is the shape to expect in it.
+    The box, at least 3 pixels wide and high, is around what moves; `like` is the shape to expect in it, or
+    without a box that to correct.
     """
 
     frame: _Frame
@@ -218,7 +219,7 @@ class Clicks:
                 raise InvalidValueError("box", expected=expected, found=repr(self.box))
         elif not self.clicks:
             raise InvalidValueError("clicks", expected="one, or a box", found="none")
-        elif not self.clicks[0][2]:
+        elif not (self.clicks[0][2] or self.like):
             raise InvalidValueError("clicks[0][2]", expected="true: the first click adds", found="false")
 
 

@@ -210,13 +210,16 @@ def outline_clicks(
 
     Without a box the first click adds, and of `groups` (N,), motions of trajectories with 1 = scene, the
     first counts by which that place moves by itself. `like` is the shape to expect in a box, such as what is
-    carried there. No polygon: nothing is left or, without a box, fewer than six trajectories are seen.
+    carried there; without a box, clicks in and near it correct it. No polygon: nothing is left or, without
+    both, fewer than six trajectories are seen.
     """
     added = np.array([click[:2] for click in clicks if click[2]]).reshape(-1, 2)
+    if box is None and like and _is_near(clicks[0], like):
+        return sharpened(frames, tracks, frame, arrays(like), clicks)
     steps, corners = Steps(tracks, frame, None), added
     if box is not None:
         corners = np.array([box[:2], box[2:], *added])
-    elif len(steps.rows) < _SEEDS or not len(steps.gaps):
+    elif len(steps.rows) < _SEEDS or not len(steps.gaps) or not clicks[0][2]:
         return []
     else:
         for known in groups:
@@ -231,20 +234,34 @@ def outline_clicks(
     return _outlined(_cut(frames, steps, boxed(steps, (*low, *high)), frame, (*low, *high), clicks, shape))
 
 
-def sharpened(frames: Frames, tracks: Trajectories, frame: int, shape: Sequence[FloatArray]) -> list[Polygon]:
-    """Outline again polygons (P, 2) that were carried to a frame, by its edges and motion.
+def sharpened(
+    frames: Frames,
+    tracks: Trajectories,
+    frame: int,
+    shape: Sequence[FloatArray],
+    clicks: Sequence[Click] = (),
+) -> list[Polygon]:
+    """Outline again polygons (P, 2) that were carried to a frame, by its edges and motion, and by clicks.
 
     Empty where less than 3 pixels of it are in the picture.
     """
     last = np.array(frames(frame).shape[::-1]) - 1
     left, top, right, bottom = bounds(shape)
-    low, high = np.clip([(left, top), (right, bottom)], 0, last).tolist()
+    corners = np.array([(left, top), (right, bottom), *(click[:2] for click in clicks if click[2])])
+    low, high = np.clip([corners.min(axis=0), corners.max(axis=0)], 0, last).tolist()
     if min(np.subtract(high, low)) < LEAST_BOX:
         return []
     steps = Steps(tracks, frame, None)
     member = signed_distance(steps.xy, shape, 0.0) >= 0
     member &= member.sum() >= _ENOUGH
-    return _outlined(_cut(frames, steps, member, frame, (*low, *high), (), shape, carried=True))
+    return _outlined(_cut(frames, steps, member, frame, (*low, *high), clicks, shape, carried=True))
+
+
+def _is_near(click: Click, shape: Sequence[Polygon]) -> bool:
+    """Whether a place is in the box around a shape, made twice as wide and high."""
+    left, top, right, bottom = bounds(arrays(shape))
+    x, y = click[0] - (left + right) / 2, click[1] - (top + bottom) / 2
+    return abs(x) <= right - left and abs(y) <= bottom - top
 
 
 def painted(stroke: Stroke, image_size: tuple[int, int]) -> list[Polygon]:

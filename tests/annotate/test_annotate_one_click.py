@@ -144,11 +144,35 @@ def test_a_box_makes_an_outline_and_the_brush_changes_it_by_mouse_and_by_keys(pa
     page.press("Control+z", "Control+z")
     assert page.objects() == [first]
     page.press("End")
-    page.until("labeller.state.frame > 0")
+    page.until("labeller.state.frame > 0 && labeller.state.regions?.[1]?.[labeller.state.frame]")
     page.press("Shift+O", "]")
+    frame = page.value("labeller.state.frame")
+    carried = page.value(f"labeller.state.regions[1][{frame}].polygons")
+    page.tab.keyboard.down("Alt")
+    page.click((70 + 4 * frame, 100))
+    page.tab.keyboard.up("Alt")
+    page.until("labeller.state.doc.objects[0].key_frames.length === 2")
+    page.press("Control+z")
     with page.tab.expect_request("**/outline") as asked:
-        page.drag((57 + 4 * 7, 67), (143 + 4 * 7, 133))
-    assert asked.value.post_data_json["like"]  # what is carried here is the shape to expect
+        page.drag((57 + 4 * frame, 67), (143 + 4 * frame, 133))
+    assert asked.value.post_data_json["like"] == carried  # the shape to expect
+
+
+def test_clicks_correct_the_shape_that_is_carried_there_unless_they_are_far_from_it():
+    tracks = Trajectories(np.zeros((0, 1, 2)), np.zeros((0, 1), bool), image_size=SIZE)
+    frame = np.full(SIZE[::-1], 90, np.uint8)
+    carried = (((60.0, 70.0), (120.0, 70.0), (120.0, 130.0), (60.0, 130.0)),)
+
+    def clicked(*clicks, like=carried):
+        return outline_clicks(lambda _: frame, tracks, 0, clicks, like=like)
+
+    before = mask_of(arrays(carried), SIZE)
+    for place, adds in (((128.0, 100.0), True), ((63.0, 100.0), False)):
+        found = mask_of(arrays(clicked((*place, adds))), SIZE)
+        x, y = map(int, place)
+        assert (found[y, x], before[y, x]) == (adds, not adds)
+        assert (found & before).sum() > 0.85 * before.sum()
+    assert clicked((300.0, 20.0, True)) == clicked((100.0, 100.0, True), like=()) == []
 
 
 def test_a_carried_region_is_outlined_anew_by_the_edges_there():

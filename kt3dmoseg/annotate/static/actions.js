@@ -118,12 +118,18 @@ function inTurn(action) {
   return turn;
 }
 
-/** Outline what moves with a point, or in a box: the selected object, else a new one. Further clicks add to the
- *  outline or take away. */
+/** Outline what moves with a point: the selected object, else a new one. Where that is outlined, or carried to,
+ *  clicks add to it or take away. */
 export const click = (point, adds) => inTurn((frame) => {
-  const { clicks = [], ...before } = askedAt(frame) ?? {};
+  const item = selectedObject();
+  const { clicks = [], ...before } = askedAt(frame) ?? { like: item ? seenAt(item, frame) : [] };
   return outline({ ...before, frame, clicks: [...clicks, [...point, adds]] });
 });
+
+const seenAt = (item, frame) => {
+  const { visibility, polygons } = regionOf(item, frame);
+  return visibility === "visible" ? polygons : [];
+};
 
 /** In a box, what is carried there from other frames is the shape to expect. */
 export const outlineBox = (box) => inTurn((frame) => {
@@ -169,8 +175,8 @@ async function outline(asked) {
   const item = selectedObject();
   if (item && !editable()) return undefined;
   if (!state.tracks) return notify("The trajectories are not there yet");
-  const { frame, box, clicks } = asked;
-  if (!box && !clicks[0][2]) return notify("Click on what moves first; then Alt+click takes away");
+  const { frame, box, clicks, like } = asked;
+  if (!box && !like.length && !clicks[0][2]) return notify("Click on what moves first; then Alt+click takes away");
   const { doc } = state;
   const answer = await ask(state.clip.name, "outline", asked);
   if (doc !== state.doc) return notify("Edited meanwhile: click again");
