@@ -3,7 +3,7 @@
 For each mover of `annotations/` (no shadows), in its key frame nearest to the middle: a box (two clicks; its
 sides are off by up to 3 px), then at most three clicks in the middle of the largest error, until the overlap
 is 0.9. Frames without it are set outside. Then at most two corrections in frames in which the region overlaps
-by less than 0.85: of those between the same two drawn frames, where they are most, the middle one. A
+by less than 0.9: of those between the same two drawn frames, where they are most, the middle one. A
 correction is at most two clicks: in the middle of the largest error, or where the region overlaps by less
 than 0.7 a box. Things that are drawn to be rejected or in front are left out.
 
@@ -150,7 +150,7 @@ class Labeller:
             regions = self.asked("regions")["regions"][str(self.page.value("labeller.state.selected"))]
             exact = {k: self.mask(truth[k].polygons) for k in seen}
             ious = {k: overlap(self.mask(regions[k]["polygons"]), exact[k]) for k in seen}
-            loose = [k for k in seen if k not in drawn and ious[k] < 0.85]
+            loose = [k for k in seen if k not in drawn and ious[k] < ENOUGH]
             if not loose or corrections == CORRECTIONS:
                 break
             stretches = (list(frames) for _, frames in groupby(loose, lambda k: sum(d < k for d in drawn)))
