@@ -171,20 +171,27 @@ function makeKeysSoon(id) {
 export const doubtAt = (item, frame) =>
   doubts.get(keyAt(item, frame)?.polygons) ?? state.weak?.[item.id]?.[frame];
 
+/** Whether what was asked about an object in a frame still holds; key frames made by themselves change nothing. */
+function holds(clip, item, frame) {
+  const drawn = (object) => [keyAt(object, frame)?.polygons].find((polygons) => !doubts.has(polygons));
+  const now = item && objectOf(state.doc, item.id);
+  return clip === state.clip && !state.dragging && (!item || (now && drawn(now) === drawn(item)));
+}
+
 async function outline(asked) {
   const item = selectedObject();
   if (item && !editable()) return undefined;
   if (!state.tracks) return notify("The trajectories are not there yet");
   const { frame, box, clicks, like } = asked;
   if (!box && !like.length && !clicks[0][2]) return notify("Click on what moves first; then Alt+click takes away");
-  const { doc } = state;
-  const answer = await ask(state.clip.name, "outline", asked);
-  if (doc !== state.doc) return notify("Edited meanwhile: click again");
+  const { clip } = state;
+  const answer = await ask(clip.name, "outline", asked);
+  if (!holds(clip, item, frame) || (item && item.id !== state.selected)) return notify("Edited meanwhile: click again");
   if (!answer.polygons.length) return notify("No outline there: click on what moves, where trajectories are");
   const polygons = answer.polygons.map(rounded);
   askedOf.set(polygons, asked);
-  if (item) edit(withKey(doc, frame, polygons));
-  else editLast(addObject(doc, { key_frames: [{ frame, visibility: "visible", polygons }] }));
+  if (item) edit(withKey(state.doc, frame, polygons));
+  else editLast(addObject(state.doc, { key_frames: [{ frame, visibility: "visible", polygons }] }));
   return makeKeysSoon(state.selected);
 }
 
@@ -194,12 +201,12 @@ async function outline(asked) {
 export const paint = (stroke, adds) => inTurn(async (frame) => {
   const item = editable();
   if (!item) return;
-  const { doc, brush } = state;
+  const { clip, brush } = state;
   const { polygons } = editableRegion(item, frame);
-  const answer = await ask(state.clip.name, "paint", { polygons, stroke, radius: brush, adds });
-  if (doc !== state.doc) notify("Edited meanwhile: paint again");
+  const answer = await ask(clip.name, "paint", { polygons, stroke, radius: brush, adds });
+  if (!holds(clip, item, frame)) notify("Edited meanwhile: paint again");
   else if (!answer.polygons.length) notify("Nothing would be left; Delete takes the object out of this frame");
-  else edit(setKey(doc, item.id, frame, answer.polygons.map(rounded)));
+  else edit(setKey(state.doc, item.id, frame, answer.polygons.map(rounded)));
 });
 
 export function resizeBrush(factor) {
