@@ -51,7 +51,8 @@ def _test(python: Path, rest: list[str]) -> int:
     found = browser.find() or browser.install(python)
     browser.axe()
     environment = os.environ | ({browser.VARIABLE: found} if found else {})
-    command = [str(python), "-m", "pytest", "-n", str(os.cpu_count() or 1), *rest]
+    workers = (os.cpu_count() or 1) + 1  # tests of pages and servers wait for others
+    command = [str(python), "-m", "pytest", "-n", str(workers), *rest]
     code = subprocess.call(command, cwd=ROOT, env=environment)
     if not found:
         print("The tests in a browser did not run: no Chromium or Chrome was found, none could be installed.")
