@@ -33,8 +33,9 @@ Frames: TypeAlias = Callable[[int], ByteArray]
 """The gray frame (H, W) of an index."""
 
 _GAPS = (-4, -3, -2, -1, 1, 2, 3, 4)
-# Neighbours on one object, and seeds around a click, are at most this far apart, in pixels.
-_REACH = 28.0
+# Neighbours on one object, and seeds around a click, are at most this far apart, in pixels; in one round
+# what grew takes in what is at most so far from its bounds.
+_REACH, _ROUND_REACH = 28.0, 84.0
 _SEEDS = 6
 _ROUNDS = 8
 # A trajectory follows a motion when it is off it by less than this: pixels, more for each frame of the gap,
@@ -100,30 +101,35 @@ class Steps:
         model[known.sum(axis=1) < 3] = np.nan
         return centre, model
 
-    def followed(self, member: BoolArray) -> FloatArray:
-        """Return the steps (G, n, 2) of each if it moved as the members do, and as its neighbours."""
+    def followed(self, member: BoolArray, rows: IntArray) -> FloatArray:
+        """Return the steps (G, R, 2) of rows if they moved as the members do, and as their neighbours."""
         centre, model = self.affine(member)
         steps = np.column_stack([self.xy - centre, np.ones(len(self.xy))]) @ model
-        if member.sum() < _NEIGHBOURS:
-            return np.asarray(steps)
-        return np.asarray(steps + np.nan_to_num(self.around(member, self.step - steps, _NEIGHBOURS)))
+        own = self.around(member, self.step - steps, _NEIGHBOURS, rows)
+        return np.asarray(steps[:, rows] + np.nan_to_num(own))
 
-    def around(self, chosen: BoolArray, values: FloatArray, count: int) -> FloatArray:
-        """Median (G, n, 2) of the values at those of the nearest that are chosen, without itself."""
+    def around(self, chosen: BoolArray, values: FloatArray, count: int, rows: IntArray) -> FloatArray:
+        """Median (G, R, 2), for each row, of values (G, n, 2) at the nearest chosen ones, without itself."""
         at = np.flatnonzero(chosen)
         if len(at) < count:
-            return np.full_like(values, np.nan)
-        near = at[cKDTree(self.xy[at]).query(self.xy, k=count)[1]]
-        own = near == np.arange(len(near))[:, None]
+            return np.full((len(values), len(rows), 2), np.nan)
+        near = at[cKDTree(self.xy[at]).query(self.xy[rows], k=count)[1]]
+        own = near == rows[:, None]
         return median(np.where(own[None, ..., None], np.nan, values[:, near]), 2)
 
-    def joined(self, ok: BoolArray, seeds: BoolArray) -> BoolArray:
-        """Those that chains of ok ones join to the seeds, (n,)."""
-        at = np.flatnonzero(ok | seeds)
+    def near(self, member: BoolArray) -> IntArray:
+        """Return the rows that may join the members in one round."""
+        low, high = self.xy[member].min(axis=0), self.xy[member].max(axis=0)
+        off = np.maximum(low - self.xy, self.xy - high).max(axis=1)
+        return np.flatnonzero(off <= _ROUND_REACH)
+
+    def joined(self, rows: IntArray, seeds: BoolArray) -> BoolArray:
+        """Those that chains of the rows join to the seeds, (n,)."""
+        at = np.union1d(rows, np.flatnonzero(seeds))
         pairs = cKDTree(self.xy[at]).query_pairs(_REACH, output_type="ndarray")
         links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(at), len(at)))
         group = connected_components(links, directed=False)[1]
-        out = np.zeros(len(ok), dtype=np.bool_)
+        out = np.zeros(len(seeds), dtype=np.bool_)
         out[at] = np.isin(group, group[seeds[at]])
         return out
 
@@ -144,21 +150,22 @@ def grown(steps: Steps, seeds: BoolArray) -> BoolArray:
     """Return the trajectories that move with the seeds, (n,)."""
     own = steps.own_group(seeds)
     if own > 1:
-        seeds = seeds | steps.joined(steps.groups == own, seeds)
+        seeds = seeds | steps.joined(np.flatnonzero(steps.groups == own), seeds)
     allowed = _OFF + _OFF_A_FRAME * np.abs(steps.gaps)[:, None]
     member = seeds
     for k in range(_ROUNDS):
-        fit = steps.followed(member)
-        off = np.linalg.norm(steps.step - fit, axis=2)
+        rows = steps.near(member)
+        step, fit = steps.step[:, rows], steps.followed(member, rows)
+        off = np.linalg.norm(step - fit, axis=2)
         with np.errstate(invalid="ignore"):
             if own <= 1 and k < _ROUNDS - 2:  # what is scene is not known: it may hold the object, too
                 ok = off < allowed + _OF_MOTION * np.linalg.norm(fit, axis=2)
             else:
-                scene = steps.around(~member & (steps.groups == 1), steps.step, _AROUND)
+                scene = steps.around(~member & (steps.groups == 1), steps.step, _AROUND, rows)
                 ok = off < np.fmax(allowed, _OF_CONTRAST * np.linalg.norm(fit - scene, axis=2))
-                ok &= ~(np.linalg.norm(steps.step - scene, axis=2) < off)
+                ok &= ~(np.linalg.norm(step - scene, axis=2) < off)
         most = np.maximum(_MOSTLY * np.isfinite(off).sum(axis=0), 1)
-        new = steps.joined(ok.sum(axis=0) >= most, seeds)
+        new = steps.joined(rows[ok.sum(axis=0) >= most], seeds)
         if (new == member).all() and (own > 1 or k > _ROUNDS - 2):
             break
         member = new
@@ -172,17 +179,19 @@ def boxed(steps: Steps, box: Box) -> BoolArray:
     radius, inside = np.linalg.norm(off_centre, axis=1), off_centre.max(axis=1) < 1
     member = radius < _INNER
     member = member if member.sum() >= _ENOUGH else inside
-    scene = steps.around(~inside, steps.step, _AROUND)
-    scene_off = np.linalg.norm(steps.step - scene, axis=2)
+    rows = np.flatnonzero(inside)
+    step, scene = steps.step[:, rows], steps.around(~inside, steps.step, _AROUND, rows)
+    scene_off = np.linalg.norm(step - scene, axis=2)
     for _ in range(_ROUNDS // 2):
         if member.sum() < _ENOUGH or inside.all():
             break
-        fit = steps.followed(member)
-        off = np.linalg.norm(steps.step - fit, axis=2)
+        fit = steps.followed(member, rows)
+        off = np.linalg.norm(step - fit, axis=2)
         apart = _OFF_BOXED + _OF_BOXED * np.linalg.norm(fit - scene, axis=2)
         votes = np.clip((scene_off - off) / apart, -1, 1)
         known = np.maximum(np.isfinite(votes).sum(axis=0), 1)
-        member = inside & (np.nansum(votes, axis=0) / known + _TRUST * np.clip(1 - radius**2, -1, 1) > 0)
+        member = np.zeros_like(inside)
+        member[rows] = np.nansum(votes, axis=0) / known + _TRUST * np.clip(1 - radius[rows] ** 2, -1, 1) > 0
     return np.asarray(member if member.sum() >= _ENOUGH else inside)
 
 
