@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS = read_results(ROOT / "results")
 FILES = sorted((ROOT / "results").glob("*/*/*.json"))
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
-LACKING = {("synth", "recipe-0000ce94"): {"consistent", "tlinkage"}}
+LACKING = {("synth", "recipe-0000ce94"): {"tlinkage"}}
 SUBSET = Configuration("subset", {"alpha": 8})
 
 
