@@ -71,9 +71,18 @@ def _environment(extras: str) -> Path:
     if not stamp.exists() or stamp.read_text() != wanted:
         target = f"{ROOT}[{extras}]"
         with _busy(f"installing kt3dmoseg[{extras}]"):
-            subprocess.check_call([str(python), "-m", "pip", "install", "--quiet", "--editable", target])
+            _install(python, target)
         stamp.write_text(wanted)
     return python
+
+
+def _install(python: Path, target: str) -> None:
+    """Install by uv, which takes a fifth of pip's time; by pip where uv cannot, as it reads no pip.conf."""
+    pip = [str(python), "-m", "pip", "install", "--quiet"]
+    uv = [str(python), "-m", "uv", "pip", "install", "--quiet", "--python", str(python), "--editable", target]
+    if subprocess.call([*pip, "uv"]) or subprocess.call(uv):
+        print("uv could not install it: pip does, which takes longer", flush=True)
+        subprocess.check_call([*pip, "--editable", target])
 
 
 def _has_pip(python: Path) -> bool:
