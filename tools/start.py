@@ -77,10 +77,10 @@ def _environment(extras: str) -> Path:
 
 
 def _install(python: Path, target: str) -> None:
-    """Install by uv, which takes a fifth of pip's time; by pip where uv cannot, as it reads no pip.conf."""
+    """Install by uv, which takes a third of pip's time; by pip where uv cannot, as it reads no pip.conf."""
     pip = [str(python), "-m", "pip", "install", "--quiet"]
-    uv = [str(python), "-m", "uv", "pip", "install", "--quiet", "--python", str(python), "--editable", target]
-    if subprocess.call([*pip, "uv"]) or subprocess.call(uv):
+    uv = [str(python), "-m", "uv", "pip", "install", "--quiet", "--compile-bytecode", "--python", str(python)]
+    if subprocess.call([*pip, "uv"]) or subprocess.call([*uv, "--editable", target]):
         print("uv could not install it: pip does, which takes longer", flush=True)
         subprocess.check_call([*pip, "--editable", target])
 
