@@ -9,6 +9,7 @@ from annotation_scenes import write_clip
 from test_annotate_server import page as server_page  # noqa: F401  # a fixture
 
 from kt3dmoseg import io
+from kt3dmoseg.annotate import one_click
 from kt3dmoseg.annotate.formats.masks import mask_of
 from kt3dmoseg.annotate.geometry import arrays
 from kt3dmoseg.annotate.model import Stroke
@@ -27,7 +28,7 @@ def overlap(polygons, frame):
 
 
 @pytest.mark.parametrize("given", ["click", "groups", "box"])
-def test_a_click_or_box_outlines_what_moves_and_another_click_takes_a_part_away(tmp_path, given):
+def test_a_click_or_box_outlines_what_moves_and_another_click_takes_a_part_away(tmp_path, given, monkeypatch):
     moving = write_clip(tmp_path, "one")
     tracks = io.load(tmp_path / "tracks" / "one.npz").dense
     frames = [cv2.imread(str(path), 0) for path in sorted((tmp_path / "frames" / "one").iterdir())]
@@ -40,6 +41,9 @@ def test_a_click_or_box_outlines_what_moves_and_another_click_takes_a_part_away(
     iou, found = overlap(outline_clicks(frames.__getitem__, tracks, 3, clicks, box, groups), 3)
     assert iou > 0.6
     assert (found[100, 80], found[100, 112]) == (False, True)
+    quick = outline_clicks(frames.__getitem__, tracks, 3, clicks, box, groups)
+    monkeypatch.setattr(one_click, "_ROUND_REACH", np.inf)  # as if all trajectories were asked in every round
+    assert outline_clicks(frames.__getitem__, tracks, 3, clicks, box, groups) == quick
 
 
 def test_a_box_is_outlined_without_trajectories():
