@@ -76,27 +76,27 @@ def adjust(image: FloatArray, rng: np.random.Generator, *, noise: float) -> Floa
     return cameras[order.argsort()]
 
 
-def focal_length(
+def focal_costs(
     images: Sequence[FloatArray], rng: np.random.Generator, *, noise: float, lengths: Sequence[float]
-) -> float:
-    """Choose among focal lengths that under which bodies are most rigid.
+) -> FloatArray:
+    """What bodies cost (B, L) under focal lengths: the less, the more rigid they are.
 
     Bodies are adjusted under the middle one, from there under its neighbours, and so on. `images`, one of
     each body as for `adjust`, and `noise` are in the units of the `lengths`, which are sorted.
     """
     middle = len(lengths) // 2
-    costs = dict.fromkeys(lengths, 0.0)
-    for image, _ in map(_in_order, images):
+    costs = np.empty((len(images), len(lengths)))
+    for (image, _), row in zip(map(_in_order, images), costs, strict=True):
         first = _adjusted(image / lengths[middle], rng, noise / lengths[middle])
-        costs[lengths[middle]] += first[0]
-        for order in (lengths[middle::-1], lengths[middle:]):
+        row[middle] = first[0]
+        for order in (range(middle, -1, -1), range(middle, len(lengths))):
             _, cameras, points = first
-            for last, f in itertools.pairwise(order):
-                scale = np.array([last / f, last / f, 1.0])
+            for last, k in itertools.pairwise(order):
+                scale = np.array([lengths[last] / lengths[k], lengths[last] / lengths[k], 1.0])
                 cameras = np.concatenate([cameras[:, :, :3], cameras[:, :, 3:] * scale[:, None]], axis=2)
-                cost, cameras, points = _descend(image / f, cameras, points * scale, _FINAL, noise / f)
-                costs[f] += cost
-    return min(costs, key=costs.__getitem__)
+                start = image / lengths[k], cameras, points * scale
+                row[k], cameras, points = _descend(*start, _FINAL, noise / lengths[k])
+    return costs
 
 
 def triangulate(cameras: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:

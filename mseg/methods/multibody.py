@@ -39,12 +39,17 @@ from mseg.geometry import rigid
 from mseg.methods.paper import KINDS, Subset
 from mseg.types import Segmentation
 
+ALGORITHM_VERSION: int = 10  # raised when results of this method change
+
 # Noise of tracked points, as fractions of the width of the image: the scale on which bodies are adjusted, and
 # the least that is believed, below which lenses and trackers err alike for all points.
 _NOISE = 2.5e-4
 _LEAST_NOISE = 8e-5
-# Focal lengths tried where none is known, in widths of the image.
+# Focal lengths tried where none is known, in widths of the image; the usual one, and what a square of the
+# logarithm of another over it costs; sets asked, their trajectories, and how much one of them counts at most.
 _FOCAL = (0.6, 0.8, 1.1, 1.5, 2.1, 3.0)
+_USUAL_FOCAL, _UNUSUAL_FOCAL = 0.8, 10.0
+_FOCAL_SETS, _FOCAL_SAMPLE, _FOCAL_DOUBT = 12, 32, 20.0
 # Frames and trajectories of a body that are adjusted.
 _FRAMES = 10
 _SAMPLE = 48
@@ -225,17 +230,27 @@ class _Scene:
                 kept.append(atoms)
         return kept[len(known) :]
 
-    def _sample(self, atoms: BoolArray) -> IntArray:
+    def _sample(self, atoms: BoolArray, most: int = _SAMPLE) -> IntArray:
         """Draw some trajectories of a set of atoms, long ones preferred."""
         rows = np.flatnonzero(self.member[atoms].any(axis=0) & (self.length > 1))
         share = self.length[rows] / self.length[rows].sum()
-        return rows if len(rows) <= _SAMPLE else self.rng.choice(rows, _SAMPLE, replace=False, p=share)
+        return rows if len(rows) <= most else self.rng.choice(rows, most, replace=False, p=share)
 
     def _focal(self, sets: list[BoolArray]) -> float:
-        """Focal length, in widths, that lets the largest sets be rigid best."""
-        largest = sorted(sets, key=lambda atoms: -int(self.size[atoms].sum()))[:6]
-        samples = [self.image[self._sample(atoms)] for atoms in largest]
-        return rigid.focal_length(samples, self.rng, noise=_NOISE, lengths=_FOCAL)
+        """Focal length, in widths, that lets sets be rigid best.
+
+        Sets of more than a third of all may hold two motions, which some focal length makes one body.
+        """
+        largest = sorted(sets, key=lambda atoms: -int(self.size[atoms].sum()))
+        small = [atoms for atoms in largest if 3 * self.size[atoms].sum() <= self.size.sum()] or largest
+        costs = self.focal_costs(small[:_FOCAL_SETS], _FOCAL_SAMPLE)
+        excess = np.minimum(costs - costs.min(axis=1, keepdims=True), _FOCAL_DOUBT).sum(axis=0)
+        return _FOCAL[int((excess + _UNUSUAL_FOCAL * np.log(np.divide(_FOCAL, _USUAL_FOCAL)) ** 2).argmin())]
+
+    def focal_costs(self, sets: list[BoolArray], most: int) -> FloatArray:
+        """What sets cost (B, L) under each focal length."""
+        samples = [self.image[self._sample(atoms, most)] for atoms in sets]
+        return rigid.focal_costs(samples, self.rng, noise=_NOISE, lengths=_FOCAL)
 
     def _bodies(self, sets: list[BoolArray]) -> list[_Body]:
         """Adjust a body to each set of atoms."""
@@ -377,7 +392,8 @@ def code_lengths(
     sets = {part.tobytes(): part for parts in groups.values() for part in parts}
     if not sets:
         return {}
-    scene.focal = scene._focal([*sets.values()])
+    largest = sorted(sets.values(), key=lambda part: -int(scene.size[part].sum()))[:6]
+    scene.focal = _FOCAL[int(scene.focal_costs(largest, _SAMPLE).sum(axis=0).argmin())]
     bodies = scene._bodies([*sets.values()])
     scene._measure_noise(bodies)
     table = dict(zip(sets, scene._costs(bodies) @ scene.member.T, strict=True))

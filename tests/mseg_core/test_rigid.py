@@ -92,3 +92,12 @@ def test_cameras_are_rotations():
     product = rotation @ rotation.swapaxes(1, 2)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(rotation), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize("length", [0.6, 1.1, 2.1])
+def test_bodies_cost_least_under_their_focal_length(length):
+    rng, lengths = np.random.default_rng(5), (0.6, 0.8, 1.1, 1.5, 2.1)
+    images = [length * body(rng, points=32, turn=0.03), length * body(rng, points=32, turn=-0.02)]
+    costs = rigid.focal_costs(images, rng, noise=length * NOISE, lengths=lengths)
+    assert costs.shape == (2, 5)
+    assert lengths[costs.sum(axis=0).argmin()] == length
