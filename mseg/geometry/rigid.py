@@ -79,7 +79,7 @@ def adjust(image: FloatArray, rng: np.random.Generator, *, noise: float) -> Floa
 def focal_costs(
     images: Sequence[FloatArray], rng: np.random.Generator, *, noise: float, lengths: Sequence[float]
 ) -> FloatArray:
-    """What bodies cost (B, L) under focal lengths: the less, the more rigid they are.
+    """Compute what bodies cost (B, L) under focal lengths: the less, the more rigid they are.
 
     Bodies are adjusted under the middle one, from there under its neighbours, and so on. `images`, one of
     each body as for `adjust`, and `noise` are in the units of the `lengths`, which are sorted.

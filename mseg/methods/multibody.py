@@ -248,7 +248,7 @@ class _Scene:
         return _FOCAL[int((excess + _UNUSUAL_FOCAL * np.log(np.divide(_FOCAL, _USUAL_FOCAL)) ** 2).argmin())]
 
     def focal_costs(self, sets: list[BoolArray], most: int) -> FloatArray:
-        """What sets cost (B, L) under each focal length."""
+        """Compute what sets cost (B, L) under each focal length."""
         samples = [self.image[self._sample(atoms, most)] for atoms in sets]
         return rigid.focal_costs(samples, self.rng, noise=_NOISE, lengths=_FOCAL)
 
@@ -355,18 +355,41 @@ def _swapped(table: FloatArray, edges: FloatArray, options: IntArray) -> tuple[f
 @compiled
 def _follow(table: FloatArray, edges: FloatArray, bodies: IntArray, group: IntArray) -> float:
     """Write which of some bodies each atom follows, and return the cost: infinite if none follows one."""
-    cost, followed = 0.0, np.zeros(len(bodies), np.bool_)
+    fits = np.ones(len(group), np.bool_)
     for atom in range(len(group)):
         best = 0
         for k in range(1, len(bodies)):
-            if table[bodies[k], atom] < table[bodies[best], atom]:
-                best = k
-        group[atom], followed[best] = best, True
-        cost += table[bodies[best], atom]
+            more = table[bodies[k], atom] - table[bodies[best], atom]
+            if more < -_GAIN:
+                best, fits[atom] = k, True
+            elif more < _GAIN:
+                fits[atom] = False
+        group[atom] = best
+    if not fits.all():
+        _follow_neighbours(table[bodies], edges, group, fits)
+    cost, followed = 0.0, np.zeros(len(bodies), np.bool_)
+    for atom in range(len(group)):
+        followed[group[atom]] = True
+        cost += table[bodies[group[atom]], atom]
         for other in range(atom):
-            if group[other] != best:
+            if group[other] != group[atom]:
                 cost += edges[atom, other]
     return cost if followed.all() else np.inf
+
+
+@compiled
+def _follow_neighbours(table: FloatArray, edges: FloatArray, group: IntArray, fits: BoolArray) -> None:
+    """Let atoms that fit no body, so that several cost the same, join the one to which most edges lead."""
+    for atom in np.flatnonzero(~fits):
+        near = np.zeros(len(table))
+        for other in range(len(group)):
+            if fits[other]:
+                near[group[other]] += edges[atom, other]
+        least = table[group[atom], atom]
+        for k in range(len(table)):
+            if table[k, atom] < least + _GAIN and near[k] > near[group[atom]]:
+                group[atom] = k
+        fits[atom] = True
 
 
 def code_lengths(

@@ -59,17 +59,30 @@ def test_number_and_motions_are_found(name):
     assert classification_error(clip.labels.label, result.labels) <= 0.02
 
 
-def test_two_bodies_are_found_that_no_single_swap_leads_to():
+def four_atoms(costs):
+    """A scene of four atoms, and bodies that have these costs."""
     atoms = np.repeat(np.arange(4), 6)
     points = Trajectories(np.zeros((24, 10, 2)), np.ones((24, 10), dtype=np.bool_), image_size=SIZE)
     scene = _Scene(points, csr_array((24, 24)), atoms, np.random.default_rng(0))
     scene.noise = 1.0
+    return scene, [_Body(9 * np.expm1(np.array(row)[atoms]), 1.0) for row in costs]
+
+
+def test_two_bodies_are_found_that_no_single_swap_leads_to():
     # Body 0 explains all a little, 1 and 2 a half each, 3 what lies between; from 0 one comes to 0 and 3.
-    costs = np.array([[1, 1, 1, 1], [0.1, 0.1, 9, 9], [9, 9, 0.1, 0.1], [9, 0, 0, 9]])
-    bodies = [_Body(9 * np.expm1(row[atoms]), 1.0) for row in costs]
+    scene, bodies = four_atoms([[1, 1, 1, 1], [0.1, 0.1, 9, 9], [9, 9, 0.1, 0.1], [9, 0, 0, 9]])
     choices = scene._choose(bodies, 3)
     assert sorted(choices[2].bodies) == [1, 2]
     assert choices[2].group.tolist() in ([0, 0, 1, 1], [1, 1, 0, 0])
+
+
+@pytest.mark.parametrize("neighbour", [0, 1])
+def test_an_atom_that_fits_no_body_follows_its_neighbours(neighbour):
+    scene, bodies = four_atoms([[0, 9, 8, 9], [9, 0, 9, 9]])
+    scene.atom_edges[2, :2] = scene.atom_edges[:2, 2] = 1.0 + np.eye(2)[neighbour]
+    scene.atom_edges[3, 2] = scene.atom_edges[2, 3] = 9.0  # which fits none itself
+    choice = scene._choose(bodies, 2)[2]
+    assert choice.bodies[choice.group[2]] == choice.bodies[choice.group[3]] == neighbour
 
 
 def test_the_number_is_that_asked_for():
