@@ -1,11 +1,11 @@
 """Label clips through the labelling page, as a person would who knows the truth, and count what it takes.
 
 For each mover of `annotations/` (no shadows), in its key frame nearest to the middle: a box (two clicks; its
-sides are off by up to 3 px), then at most three clicks in the middle of the largest error, until the overlap
-is 0.9. Frames without it are set outside. Then at most two corrections in frames in which the region overlaps
-by less than 0.9: of those between the same two drawn frames, where they are most, the middle one. A
-correction is at most two clicks: in the middle of the largest error, or where the region overlaps by less
-than 0.7 a box. Things that are drawn to be rejected or in front are left out.
+sides are off by up to 3 px), then clicks in the middle of the largest error, until the overlap is 0.9 or five
+are used. Frames without it are set outside. Then at most two corrections in frames in which the region
+overlaps by less than 0.9: of those between the same two drawn frames, where they are most, the middle one. It
+is corrected by clicks as before, without a box where the region overlaps by 0.7. Things that are drawn to be
+rejected or in front are left out.
 
 python tools/measure_labelling.py DATA/kt3dmoseg/frames DATA/kt3dmoseg/release [CLIP ...]
 
@@ -48,6 +48,8 @@ Regions = dict[int, list[Region]]
 
 CLICKS, CORRECTIONS, ENOUGH, ROUGHLY, OFF = 5, 2, 0.9, 0.7, 3.0
 DONE = "labeller.state.done.length"
+SUMMARY = """{} movers, medians: clicks {:g}, corrections {:g}, with theirs {:g} clicks; overlap in the
+outlined frame {:.3f}, in all frames drawn by hand {:.3f}, in all {:.3f}; agreement of clips {:.4f}"""
 
 
 def overlap(a: BoolArray, b: BoolArray) -> float:
@@ -107,15 +109,13 @@ class Labeller:
         low, high = np.clip([left, top], 0, last), np.clip([right, bottom], 0, last)
         self.edit(lambda: self.page.drag(low, high))
 
-    def outline(
-        self, frame: int, polygons: Sequence[Any], clicks: int, carried: Sequence[Any] = ()
-    ) -> tuple[int, float]:
+    def outline(self, frame: int, polygons: Sequence[Any], carried: Sequence[Any] = ()) -> tuple[int, float]:
         """Outline by a box and clicks, or correct what is carried; return the clicks used and the overlap."""
         exact, found, used = self.mask(polygons), carried, 0
         while True:
             iou = overlap(self.mask(found), exact)
             place = worst_place(self.mask(found), exact)
-            if used and (iou >= ENOUGH or used >= clicks or not place):
+            if used and (iou >= ENOUGH or used >= CLICKS or not place):
                 return used, iou
             if not used and (iou < ROUGHLY or not place):
                 self.box(polygons)
@@ -129,14 +129,15 @@ class Labeller:
             item = "labeller.state.doc.objects.find(o => o.id === labeller.state.selected)"
             found = self.page.value(f"{item}.key_frames.find(k => k.frame === {frame}).polygons")
 
-    def label(self, item: AnnotatedObject) -> tuple[int, int, float, float, float]:
-        """Label an object; return clicks, corrections, and overlaps: first, median by hand, median of all."""
+    def label(self, item: AnnotatedObject) -> tuple[int, int, int, float, float, float]:
+        """Label an object: clicks, corrections, clicks with theirs, and overlaps: first, by hand, all."""
         truth = self.regions[item.id]
         seen = [k for k, region in enumerate(truth) if region.visibility == "visible" and region.polygons]
         frame = min((k for k in seen if truth[k].key), key=lambda k: abs(k - seen[len(seen) // 2]))
         self.go_to(frame)
         self.page.press("Shift+O")
-        used, first = self.outline(frame, truth[frame].polygons, CLICKS)
+        clicks, first = self.outline(frame, truth[frame].polygons)
+        in_all = clicks
         if self.page.value("labeller.state.doc.objects.at(-1).motion") != item.motion:
             self.edit(lambda: self.page.press(str(item.motion)))
         if seen[0] > 0:
@@ -157,9 +158,9 @@ class Labeller:
             longest = max(stretches, key=len)
             drawn.add(middle := longest[len(longest) // 2])
             self.go_to(middle)
-            self.outline(middle, truth[middle].polygons, 2, regions[middle]["polygons"])
-        by_hand = [ious[k] for k in seen if truth[k].key]
-        return used, corrections, first, float(np.median(by_hand)), float(np.median(list(ious.values())))
+            in_all += self.outline(middle, truth[middle].polygons, regions[middle]["polygons"])[0]
+        by_hand = float(np.median([ious[k] for k in seen if truth[k].key]))
+        return clicks, corrections, in_all, first, by_hand, float(np.median(list(ious.values())))
 
 
 def proposals(proposer: str, name: str, path: Path) -> tuple[int, int, int, int]:
@@ -201,10 +202,7 @@ def main() -> None:
                 rows, agreements = rows + done, [*agreements, agreement]
         finally:
             server.stop()
-    clicks, corrections, *overlaps = np.median(rows, axis=0)
-    print(f"{len(rows)} movers, medians: clicks {clicks:g}, corrections {corrections:g}; overlap in the")
-    print("outlined frame {:.3f}, in all frames drawn by hand {:.3f}, in all {:.3f};".format(*overlaps))
-    print(f"median agreement of clips {np.median(agreements):.4f}")
+    print(SUMMARY.format(len(rows), *np.median(rows, axis=0), np.median(agreements)))
 
 
 def one_clip(context: BrowserContext, address: str, name: str, path: Path) -> tuple[list[Any], float]:

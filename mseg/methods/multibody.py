@@ -14,9 +14,9 @@ The cost of a grouping is ``sum_i w_i c(i, body of i) + coherence * cut + price 
 ``c = min(3, log(1 + q / (9 s^2)) + 0.28 log(s^2 / s_0^2))`` for a mean squared residual q of trajectory i
 under a body whose own trajectories leave s, s_0 being the noise of the clip, both estimated from residuals.
 (0.28 and not 1/2: what a lens or a tracker gets wrong is alike in neighbours, so there are fewer witnesses.
-At most 3: a tracker that loses its point may end anywhere, whatever the body.) w_i grows with the length of
-the trajectory; the cut is the weight of edges between motions in the mean of the views' graphs, each with
-unit degrees, times the lesser w of both ends.
+At most 3: a tracker that loses its point may end anywhere, whatever the body; an atom of such trajectories
+follows its neighbours.) w_i grows with the length of the trajectory; the cut is the weight of edges between
+motions in the mean of the views' graphs, each with unit degrees, times the lesser w of both ends.
 """
 
 from __future__ import annotations
@@ -365,8 +365,7 @@ def _follow(table: FloatArray, edges: FloatArray, bodies: IntArray, group: IntAr
             elif more < _GAIN:
                 fits[atom] = False
         group[atom] = best
-    if not fits.all():
-        _follow_neighbours(table[bodies], edges, group, fits)
+    _follow_neighbours(table, edges, bodies, group, fits)
     cost, followed = 0.0, np.zeros(len(bodies), np.bool_)
     for atom in range(len(group)):
         followed[group[atom]] = True
@@ -378,16 +377,19 @@ def _follow(table: FloatArray, edges: FloatArray, bodies: IntArray, group: IntAr
 
 
 @compiled
-def _follow_neighbours(table: FloatArray, edges: FloatArray, group: IntArray, fits: BoolArray) -> None:
+def _follow_neighbours(
+    table: FloatArray, edges: FloatArray, bodies: IntArray, group: IntArray, fits: BoolArray
+) -> None:
     """Let atoms that fit no body, so that several cost the same, join the one to which most edges lead."""
-    for atom in np.flatnonzero(~fits):
-        near = np.zeros(len(table))
+    for atom in range(len(group)):
+        if fits[atom]:
+            continue
+        near, least = np.zeros(len(bodies)), table[bodies[group[atom]], atom]
         for other in range(len(group)):
             if fits[other]:
                 near[group[other]] += edges[atom, other]
-        least = table[group[atom], atom]
-        for k in range(len(table)):
-            if table[k, atom] < least + _GAIN and near[k] > near[group[atom]]:
+        for k in range(len(bodies)):
+            if table[bodies[k], atom] < least + _GAIN and near[k] > near[group[atom]]:
                 group[atom] = k
         fits[atom] = True
 
