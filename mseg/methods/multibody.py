@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.cluster.hierarchy import linkage
+from scipy.ndimage import median
 from scipy.sparse import csr_array, diags_array
 from scipy.spatial.distance import squareform
 
@@ -223,12 +224,15 @@ class _Scene:
 
     def _distinct(self, sets: list[BoolArray], known: Sequence[BoolArray] = ()) -> list[BoolArray]:
         """Those of the sets of atoms that are large enough and unlike the known ones and the ones before."""
-        kept = list(known)
-        for atoms in sets:
-            alike = (self.size[atoms & o].sum() >= _SAME * self.size[atoms | o].sum() for o in kept)
-            if self.size[atoms].sum() >= _SMALLEST and not any(alike):
-                kept.append(atoms)
-        return kept[len(known) :]
+        every = np.array([*known, *sets])
+        shared = every @ (self.size * every).T
+        own = shared.diagonal()
+        alike = shared >= _SAME * (own[:, None] + own - shared)
+        kept = [*range(len(known))]
+        for k in range(len(known), len(every)):
+            if own[k] >= _SMALLEST and not alike[k, kept].any():
+                kept.append(k)
+        return [every[k] for k in kept[len(known) :]]
 
     def _sample(self, atoms: BoolArray, most: int = _SAMPLE) -> IntArray:
         """Draw some trajectories of a set of atoms, long ones preferred."""
@@ -274,7 +278,7 @@ class _Scene:
     def _explained(self, body: _Body) -> BoolArray:
         """Atoms that a body explains."""
         limit = _UNEXPLAINED**2 * self._scale(body)
-        return np.array([np.median(body.square[member]) < limit for member in self.member])
+        return np.asarray(median(body.square, self.atom, np.arange(len(self.member))) < limit)
 
     def _costs(self, bodies: list[_Body]) -> FloatArray:
         """Cost (B, N) of trajectories under bodies; see the module."""
