@@ -31,7 +31,6 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS = read_results(ROOT / "results")
 FILES = sorted((ROOT / "results").glob("*/*/*.json"))
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
-LACKING = {("synth", "recipe-0000ce94"): {"tlinkage"}}
 SUBSET = Configuration("subset", {"alpha": 8})
 
 
@@ -75,15 +74,12 @@ def test_every_file_is_read():
 
 @pytest.mark.parametrize("key", RESULTS, ids="/".join)
 def test_every_dataset_has_every_method_with_enough_seeds(key, tool):
-    """Rows that must exist; whoever publishes one that was lacking takes it out of LACKING."""
     ours = (each for each in RESULTS[key] if each.method in tool.METHODS_OF_TABLES)  # not submissions
     seeds = {each.row: len(each.seeds) for each in ours}
-    due = dict.fromkeys([*tool.METHODS_OF_TABLES, "multibody, number found"], 3)
+    due = dict.fromkeys([*seeds, *tool.METHODS_OF_TABLES, "multibody, number found"], 3)
     due |= dict.fromkeys(PAPER | ({"multibody"} if key == ("kt3dmoseg", "2018") else set()), 10)
     due["alc"] = 1  # it draws nothing
-    lacking = {row for row, least in due.items() if seeds.get(row, 0) < least}
-    assert lacking == LACKING.get(key, set()), f"LACKING of {key} is now {sorted(lacking)}"
-    assert all(n >= due.get(row, 3) for row, n in seeds.items() if row not in lacking)
+    assert {row for row, least in due.items() if seeds.get(row, 0) < least} == set()
 
 
 def test_the_release_is_complete_and_agrees_with_the_known_prevalence():
