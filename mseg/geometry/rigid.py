@@ -3,7 +3,8 @@
 A point of a body is (x, y, rho): it lies on the ray (x, y, 1) of the reference frame's camera at inverse
 depth rho, and appears in frame f where R_f (x, y, 1)^T + rho t_f points. Every moving body has cameras
 [R t] of its own, so static scene and moving objects are treated alike. Images (n, F, 2) are in normalised
-coordinates, NaN where a point is not seen.
+coordinates, NaN where a point is not seen. In compiled code parts of arrays are named before they change:
+numba takes seconds to compile an assignment to a slice.
 """
 
 from __future__ import annotations
@@ -213,8 +214,9 @@ def _descend(
         # Scale and sign of translations and inverse depths are free together.
         depth = np.median(points[:, 2])
         if abs(depth) > _TINY:
-            points[:, 2] /= depth
-            cameras[:, :, 3] *= depth
+            inverse, shifts = points[:, 2], cameras[:, :, 3]
+            inverse /= depth
+            shifts *= depth
     return _evaluate(image, cameras, points, noise)[0], cameras, points
 
 
@@ -279,12 +281,15 @@ def _step(
     _substitute(of_cameras, of_cameras[:, -1], move)
     for f in range(1, n_frames):
         _turn(cameras[f], move[6 * f - 6 : 6 * f - 3])
-        cameras[f, :, 3] += move[6 * f - 3 : 6 * f]
-    move[:-1] *= -1
+        shift = cameras[f, :, 3]
+        shift += move[6 * f - 3 : 6 * f]
+    turned = move[:-1]
+    turned *= -1
     right = np.dot(coupling, move)
     for p in range(n_points):
         _substitute(of_points[p], right[3 * p : 3 * p + 3], move)
-        points[p] += move[:3]
+        point = points[p]
+        point += move[:3]
 
 
 @compiled
@@ -329,11 +334,11 @@ def _add(rows: FloatArray, at: int, of_cameras: FloatArray, of_point: FloatArray
 def _locate(cameras: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Find the points and residuals of `triangulate`."""
     points, residual = np.empty((len(image), 3)), np.empty(len(image))
-    normal, row, weight = np.empty((3, 4)), np.empty(4), np.empty(len(cameras))
+    row = np.empty(4)
     for p in range(len(image)):
-        weight[:] = 1.0
+        weight = np.ones(len(cameras))
         for _ in range(_PASSES):
-            normal[:], residual[p] = _RIDGE, 0.0
+            normal, residual[p] = _RIDGE.copy(), 0.0
             for f in range(len(cameras)):
                 if not np.isnan(image[p, f, 0]):
                     _add_rays(image[p, f], cameras[f], weight[f], row, normal)
