@@ -3,9 +3,9 @@
 For each mover of `annotations/` (no shadows), in its key frame nearest to the middle: a box (two clicks; its
 sides are off by up to 3 px), then clicks in the middle of the largest error, until the overlap is 0.9 or five
 are used. Frames without it are set outside. Then at most two corrections in frames in which the region
-overlaps by less than 0.9: of those between the same two drawn frames, where they are most, the middle one. It
-is corrected by clicks as before, without a box where the region overlaps by 0.7. Things that are drawn to be
-rejected or in front are left out.
+overlaps by less than 0.9: of those between the same two drawn frames, where they are most, the middle one. A
+correction is at most two clicks: in the middle of the largest error, or where the region overlaps by less
+than 0.7 a box. Things that are drawn to be rejected or in front are left out.
 
 python tools/measure_labelling.py DATA/kt3dmoseg/frames DATA/kt3dmoseg/release [CLIP ...]
 
@@ -46,7 +46,7 @@ from kt3dmoseg.types import BoolArray, Trajectories  # noqa: E402
 
 Regions = dict[int, list[Region]]
 
-CLICKS, CORRECTIONS, ENOUGH, ROUGHLY, OFF = 5, 2, 0.9, 0.7, 3.0
+CLICKS, CORRECTIONS, CORRECTING, ENOUGH, ROUGHLY, OFF = 5, 2, 2, 0.9, 0.7, 3.0
 DONE = "labeller.state.done.length"
 SUMMARY = """{} movers, medians: clicks {:g}, corrections {:g}, with theirs {:g} clicks; overlap in the
 outlined frame {:.3f}, in all frames drawn by hand {:.3f}, in all {:.3f}; agreement of clips {:.4f}"""
@@ -109,13 +109,15 @@ class Labeller:
         low, high = np.clip([left, top], 0, last), np.clip([right, bottom], 0, last)
         self.edit(lambda: self.page.drag(low, high))
 
-    def outline(self, frame: int, polygons: Sequence[Any], carried: Sequence[Any] = ()) -> tuple[int, float]:
+    def outline(
+        self, frame: int, polygons: Sequence[Any], clicks: int, carried: Sequence[Any] = ()
+    ) -> tuple[int, float]:
         """Outline by a box and clicks, or correct what is carried; return the clicks used and the overlap."""
         exact, found, used = self.mask(polygons), carried, 0
         while True:
             iou = overlap(self.mask(found), exact)
             place = worst_place(self.mask(found), exact)
-            if used and (iou >= ENOUGH or used >= CLICKS or not place):
+            if used and (iou >= ENOUGH or used >= clicks or not place):
                 return used, iou
             if not used and (iou < ROUGHLY or not place):
                 self.box(polygons)
@@ -136,7 +138,7 @@ class Labeller:
         frame = min((k for k in seen if truth[k].key), key=lambda k: abs(k - seen[len(seen) // 2]))
         self.go_to(frame)
         self.page.press("Shift+O")
-        clicks, first = self.outline(frame, truth[frame].polygons)
+        clicks, first = self.outline(frame, truth[frame].polygons, CLICKS)
         in_all = clicks
         if self.page.value("labeller.state.doc.objects.at(-1).motion") != item.motion:
             self.edit(lambda: self.page.press(str(item.motion)))
@@ -158,7 +160,8 @@ class Labeller:
             longest = max(stretches, key=len)
             drawn.add(middle := longest[len(longest) // 2])
             self.go_to(middle)
-            in_all += self.outline(middle, truth[middle].polygons, regions[middle]["polygons"])[0]
+            carried = regions[middle]["polygons"]
+            in_all += self.outline(middle, truth[middle].polygons, CORRECTING, carried)[0]
         by_hand = float(np.median([ious[k] for k in seen if truth[k].key]))
         return clicks, corrections, in_all, first, by_hand, float(np.median(list(ious.values())))
 

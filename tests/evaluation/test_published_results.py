@@ -30,6 +30,13 @@ from mseg.evaluation.statistics import bootstrap_mean
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = read_results(ROOT / "results")
 FILES = sorted((ROOT / "results").glob("*/*/*.json"))
+# Rows with the number found that do not exist yet; whoever publishes one takes it out.
+LACKING = {
+    ("synth", "recipe-0000ce94"): {"consistent", "lrssc", "rsim", "tlinkage"},
+    ("mtpv62", "data-48df71c7"): {"consistent"},
+    ("hopkins155", "data-f8bdcfbe"): {"consistent"},
+    ("kt3dmoseg", "data-479ce0d0"): {"consistent"},
+}
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
 SUBSET = Configuration("subset", {"alpha": 8})
 
@@ -76,10 +83,13 @@ def test_every_file_is_read():
 def test_every_dataset_has_every_method_with_enough_seeds(key, tool):
     ours = (each for each in RESULTS[key] if each.method in tool.METHODS_OF_TABLES)  # not submissions
     seeds = {each.row: len(each.seeds) for each in ours}
-    due = dict.fromkeys([*seeds, *tool.METHODS_OF_TABLES, "multibody, number found"], 3)
+    finders = {r.method for g in RESULTS.values() for r in g if r.n_motions == "found"}
+    found = {f"{each}, number found" for each in finders & {*tool.METHODS_OF_TABLES}}
+    due = dict.fromkeys([*seeds, *tool.METHODS_OF_TABLES, *found], 3)
     due |= dict.fromkeys(PAPER | ({"multibody"} if key == ("kt3dmoseg", "2018") else set()), 10)
     due["alc"] = 1  # it draws nothing
-    assert {row for row, least in due.items() if seeds.get(row, 0) < least} == set()
+    lacking = {row for row, least in due.items() if seeds.get(row, 0) < least}
+    assert lacking == {f"{each}, number found" for each in LACKING.get(key, ())}
 
 
 def test_the_release_is_complete_and_agrees_with_the_known_prevalence():
