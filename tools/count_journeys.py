@@ -45,17 +45,16 @@ def files_of(journey: Callable[[], None]) -> list[str]:
     """Run a journey; return the files of both packages in which a function was called."""
     seen: set[CodeType] = set()
 
-    def notice(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            seen.add(frame.f_code)
+    def notice(frame: FrameType, *_: object) -> None:
+        seen.add(frame.f_code)  # once a call: nothing is returned that would trace lines
 
-    threading.setprofile(notice)
-    sys.setprofile(notice)
+    threading.settrace(notice)
+    sys.settrace(notice)
     try:
         journey()
     finally:
-        sys.setprofile(None)
-        threading.setprofile(None)
+        sys.settrace(None)
+        threading.settrace(None)
     functions = {Path(code.co_filename) for code in seen if code.co_flags & inspect.CO_OPTIMIZED}
     packages = [ROOT / "kt3dmoseg", ROOT / "mseg"]
     return sorted(str(p.relative_to(ROOT)) for p in functions if any(p.is_relative_to(q) for q in packages))
@@ -81,10 +80,10 @@ def segment(demo: Path) -> None:
     """Segment one clip with the subset-constrained fusion; loading it is no part of the journey."""
     import kt3dmoseg
 
-    profile = sys.getprofile()
-    sys.setprofile(None)
+    notice = sys.gettrace()
+    sys.settrace(None)
     clip = kt3dmoseg.load(sorted((demo / "dataset").glob("*.h5"))[0])
-    sys.setprofile(profile)
+    sys.settrace(notice)
     import mseg
 
     mseg.segment(clip, method="subset", n_motions=3)

@@ -51,6 +51,7 @@ def _test(python: Path, rest: list[str]) -> int:
     found = browser.find() or browser.install(python)
     browser.axe()
     environment = os.environ | ({browser.VARIABLE: found} if found else {})
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes would compile the packages again
     workers = (os.cpu_count() or 1) + 1  # tests of pages and servers wait for others
     command = [str(python), "-m", "pytest", "-n", str(workers), *rest]
     code = subprocess.call(command, cwd=ROOT, env=environment)
