@@ -33,6 +33,7 @@ def main(arguments: list[str]) -> int:
         print(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}")
         return 2
     job, rest = arguments[0], arguments[1:]
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # every process would compile all packages again
     try:
         python = _environment(JOBS[job])
     except subprocess.CalledProcessError as error:
@@ -51,9 +52,10 @@ def _test(python: Path, rest: list[str]) -> int:
     found = browser.find() or browser.install(python)
     browser.axe()
     environment = os.environ | ({browser.VARIABLE: found} if found else {})
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes would compile the packages again
     workers = (os.cpu_count() or 1) + 1  # tests of pages and servers wait for others
-    command = [str(python), "-m", "pytest", "-n", str(workers), *rest]
+    # A file's fixtures are made once; files in their order, as the longest are not those of most tests.
+    spread = ["-n", str(workers), "--dist", "loadfile", "--no-loadscope-reorder"]
+    command = [str(python), "-m", "pytest", *spread, *rest]
     code = subprocess.call(command, cwd=ROOT, env=environment)
     if not found:
         print("The tests in a browser did not run: no Chromium or Chrome was found, none could be installed.")
@@ -80,7 +82,7 @@ def _environment(extras: str) -> Path:
 def _install(python: Path, target: str) -> None:
     """Install by uv, which takes a third of pip's time; by pip where uv cannot, as it reads no pip.conf."""
     pip = [str(python), "-m", "pip", "install", "--quiet"]
-    uv = [str(python), "-m", "uv", "pip", "install", "--quiet", "--compile-bytecode", "--python", str(python)]
+    uv = [str(python), "-m", "uv", "pip", "install", "--quiet", "--python", str(python)]
     if subprocess.call([*pip, "uv"]) or subprocess.call([*uv, "--editable", target]):
         print("uv could not install it: pip does, which takes longer", flush=True)
         subprocess.check_call([*pip, "--editable", target])

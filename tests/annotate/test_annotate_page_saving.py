@@ -158,11 +158,14 @@ def test_ctrl_c_ends_the_server_quietly(clips, tmp_path):
 def test_another_address_requires_the_token(clips, tmp_path, context):
     server = Server(clips, tmp_path / "notes", 0, "--host", "0.0.0.0")
     try:
-        address = server.address.replace("0.0.0.0", "127.0.0.1")
-        assert "token=" in address
-        page = Page(context, address)
+        assert "token=" in server.address
+        page = Page(context, server.address.replace("0.0.0.0", "team.example"))
         assert "token" not in page.tab.url
+        assert not page.value("isSecureContext")  # plain http in a team's network
+        page.draw()
+        assert page.saved() == 1
         stranger = context.browser.new_context()
+        address = server.address.replace("0.0.0.0", "127.0.0.1")
         assert stranger.request.get(address.partition("?")[0] + "api/clips").status == 401
         stranger.close()
     finally:

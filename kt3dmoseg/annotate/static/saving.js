@@ -162,7 +162,7 @@ function drawBanner() {
 // Drafts: edits that the server does not have yet, so that closing the browser loses nothing. Each tab has
 // its own draft, and holds a lock while it lives, so that others leave its draft alone.
 
-const tab = (sessionStorage.tab ??= crypto.randomUUID());
+const tab = (sessionStorage.tab ??= crypto.getRandomValues(new Uint32Array(4)).join("-"));
 const keyOf = (clip, owner) => `draft:${clip}:${owner}`;
 
 navigator.locks?.request(`tab:${tab}`, { ifAvailable: true }, () => new Promise(() => {}));
