@@ -154,7 +154,7 @@ def import_annotations(
     if merge and replace:
         raise InvalidValueError("merge, replace", expected="one of them", found="both")
     suffix, root = annotate.formats.load(format).suffix, Path(source)
-    choices = annotate.formats.foreign.Choices(shift, scale)
+    choices = annotate.model.Choices(shift=shift, scale=scale)
     if not root.exists():
         raise InputFileError(f"{root}", expected="a file or folder", found="nothing")
 

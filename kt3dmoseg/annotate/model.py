@@ -234,6 +234,14 @@ class Stroke:
 
 
 @_checked
+class Choices:
+    """What a person adds to frame numbers of a file, and its pixels are multiplied by; None = as it says."""
+
+    shift: Annotated[int, Field(ge=-MAX_FRAMES, le=MAX_FRAMES)] | None = None
+    scale: Annotated[float, Field(ge=0.001, le=1000, allow_inf_nan=False)] | None = None
+
+
+@_checked
 class Annotation:
     """What a person drew of the motions of a clip, in pixels, independent of any tracker.
 
@@ -430,7 +438,7 @@ def polygon_from(points: Sequence[Sequence[float]], where: str) -> Polygon:
 
 
 def checked(kind: type[T], data: object) -> T:
-    """Build `Clicks` or a `Stroke` from parsed JSON; raises InvalidValueError, which names the field."""
+    """Build `Clicks`, a `Stroke` or `Choices` from parsed JSON; an InvalidValueError names the field."""
     with within():
         return TypeAdapter(kind).validate_python(data)
 

@@ -12,8 +12,9 @@ import pytest
 from annotation_scenes import zipped
 
 from kt3dmoseg.annotate import Annotation, formats, label_tracks
-from kt3dmoseg.annotate.formats.foreign import Choices, SkippedWarning
+from kt3dmoseg.annotate.formats.foreign import SkippedWarning
 from kt3dmoseg.annotate.formats.masks import encode_rle
+from kt3dmoseg.annotate.model import Choices
 from kt3dmoseg.errors import KT3DMoSegError
 from kt3dmoseg.types import Trajectories
 

@@ -7,8 +7,8 @@ as an `AnnotationFormat` has.
 from collections.abc import Sequence
 from pathlib import Path
 
-from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Choices, Import
-from kt3dmoseg.annotate.model import Annotation
+from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import
+from kt3dmoseg.annotate.model import Annotation, Choices
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, propagate
 from kt3dmoseg.files import listed, read_bytes, zip_bytes
 from kt3dmoseg.registry import Registry

@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import count, islice
-from math import isfinite
 from pathlib import PurePosixPath
 from typing import Any, TypeAlias
 
@@ -17,7 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.annotate import model
-from kt3dmoseg.annotate.model import MAX_OBJECTS, MAX_POINTS, Annotation, Kind, Motion, Polygon, Visibility
+from kt3dmoseg.annotate.model import (
+    MAX_OBJECTS,
+    MAX_POINTS,
+    Annotation,
+    Choices,
+    Kind,
+    Motion,
+    Polygon,
+    Visibility,
+)
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
@@ -71,20 +79,6 @@ class ForeignObject:
         """Add polygons in one frame; what is there already stays."""
         self.visibility[frame] = max(self.visibility.get(frame, "outside"), visibility, key=_RANKS.index)
         self.polygons.setdefault(frame, []).extend(polygons)
-
-
-@dataclass(frozen=True)
-class Choices:
-    """What a person adds to frame numbers of a file, and its pixels are multiplied by; None = as it says."""
-
-    shift: int | None = None
-    scale: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.scale is not None and not (isfinite(self.scale) and 0.001 <= self.scale <= 1000):
-            raise InvalidValueError("scale", expected="a factor of 0.001 to 1000", found=str(self.scale))
-        if self.shift is not None and abs(self.shift) > model.MAX_FRAMES:
-            raise InvalidValueError("shift", expected=f"at most {model.MAX_FRAMES}", found=str(self.shift))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ Saves and frames have threads of their own; what computes waits for its turn in 
 """
 
 import asyncio
-import re
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -22,7 +21,6 @@ from starlette.routing import Route
 
 from kt3dmoseg.annotate import formats, model, proposals
 from kt3dmoseg.annotate.agreement import compare
-from kt3dmoseg.annotate.formats.foreign import Choices
 from kt3dmoseg.annotate.model import KINDS, Annotation
 from kt3dmoseg.annotate.one_click import painted
 from kt3dmoseg.annotate.propagation import Region
@@ -42,7 +40,6 @@ _MAX_PICTURE = 1 << 28
 _WORKERS = 4
 _POLL = 0.25  # seconds between two looks whether somebody still waits for an answer
 _NOT_BUILT = "run 'kt3dmoseg build --propose'"
-_ETAG = re.compile(r'"(\d{1,16})"')
 
 
 class Routes:
@@ -85,8 +82,7 @@ class Routes:
             self._route("GET", "/moving", self._moving, quick),  # groups that move by themselves, else 1
             self._route("GET", "/trouble", self._trouble),  # why saving would fail, or ""
             self._route("PUT", "/state", self._set_state),  # {"state"} or {"assigned"}, and {"by"}
-            self._route("GET", "/annotation", self._annotation),  # as saved, its revision as ETag
-            self._route("PUT", "/annotation", self._save),  # If-Match: the revision that was edited
+            self._route("PUT", "/annotation", self._save),  # with the revision that was edited
             self._route("POST", "/regions", self._regions, quick),  # in each frame, and why in doubt
             self._route("POST", "/outline", self._outline, quick),  # `Clicks`
             self._route("POST", "/made", self._made, quick),  # key frames where regions are in doubt
@@ -171,19 +167,10 @@ class Routes:
             raise InvalidValueError("body", expected="state or assigned, and by", found=repr(given)[:80])
         return {"work": session.set_work(self._annotator(request) or given.get("by"), given)}
 
-    def _annotation(self, _: Request, session: ClipSession, __: bytes) -> Answer:
-        found = session.annotation()
-        return JSONResponse(model.to_json(found), headers=_etag(found))
-
     def _save(self, request: Request, session: ClipSession, body: bytes) -> Answer:
-        given, edited = _given(session, body), request.headers.get("if-match")
-        matched = _ETAG.fullmatch((edited or "").strip())
-        if matched is None:
-            expected = 'If-Match: "REVISION" is expected, the revision that was edited, quoted'
-            raise HTTPException(428 if edited is None else 400, expected)
+        given = _given(session, body)
         by = self._annotator(request) or given.annotator
-        saved = session.save(replace(given, revision=int(matched[1]), annotator=by), by)
-        return JSONResponse({"revision": saved.revision}, headers=_etag(saved))
+        return {"revision": session.save(replace(given, annotator=by), by).revision}
 
     def _regions(self, _: Request, session: ClipSession, body: bytes) -> Answer:
         given = _given(session, body)
@@ -241,7 +228,9 @@ class Routes:
         return Response(content, media_type=chosen.media_type)
 
     def _import(self, request: Request, session: ClipSession, body: bytes) -> Answer:
-        name, choices = request.path_params["format"], _choices(request)
+        name = request.path_params["format"]
+        asked = {key: value for key, value in request.query_params.items() if value}
+        choices = model.checked(model.Choices, asked)
         plan = formats.plan(name, body, session.annotation(), session.frame_names, choices)
         found = {"lines": plan.lines(), "skipped": plan.skipped, "doubts": plan.doubts}
         return model.to_json(plan.annotation) | {"plan": found}
@@ -249,20 +238,6 @@ class Routes:
 
 def _given(session: ClipSession, body: bytes) -> Annotation:
     return session.checked(model.from_json(model.parse_document(body, "body")))
-
-
-def _choices(request: Request) -> Choices:
-    shift, scale = (request.query_params.get(name) or None for name in ("shift", "scale"))
-    try:
-        numbers = None if shift is None else int(shift), None if scale is None else float(scale)
-    except ValueError:
-        found = f"shift={shift} scale={scale}"[:80]
-        raise InvalidValueError("import", expected="shift=N and scale=X", found=found) from None
-    return Choices(*numbers)
-
-
-def _etag(annotation: Annotation) -> dict[str, str]:
-    return {"etag": f'"{annotation.revision}"', "cache-control": "no-store"}
 
 
 def _shown(regions: Mapping[int, list[Region]]) -> dict[str, Any]:

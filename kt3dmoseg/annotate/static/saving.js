@@ -24,9 +24,9 @@ export const frameAddress = (clip, frame) => address(clip, `frames/${frame}`);
 
 /** Ask for something of a clip; a body, an annotation or a file, is posted. A failure is an Error with the server's
  *  own sentence, its status and answer, and `offline` where the server cannot be reached at all. */
-export async function request(clip, what, body, { headers, ...options } = {}) {
+export async function request(clip, what, body, options = {}) {
   if (body) {
-    options = { method: "POST", headers: { "content-type": "application/json", ...headers }, ...options };
+    options = { method: "POST", headers: { "content-type": "application/json" }, ...options };
     options.body = body instanceof Blob ? body : JSON.stringify(body);
   }
   const response = await fetch(address(clip, what), options).catch((error) => {
@@ -98,8 +98,8 @@ async function send() {
   const { doc } = state;
   if (state.saving.kind !== "offline") show("busy");
   try {
-    const mine = { ...doc, annotator: yourName() || doc.annotator };
-    const answer = await ask(clip, "annotation", mine, { method: "PUT", headers: { "if-match": `"${revision}"` } });
+    const mine = { ...doc, revision, annotator: yourName() || doc.annotator };
+    const answer = await ask(clip, "annotation", mine, { method: "PUT" });
     if (clip !== saver.clip) return;
     Object.assign(saver, { base: doc, revision: answer.revision });
     if (saver.pending) schedule(SOON);
