@@ -4,6 +4,8 @@ Every message is one line: where, what was expected, what was found and what to 
 """
 
 from functools import partial
+from importlib import import_module
+from typing import Any
 
 _LONGEST = 1000
 
@@ -55,3 +57,12 @@ class InputFileError(KT3DMoSegError, OSError):
 
 class MissingDependencyError(KT3DMoSegError, ImportError):
     """An optional package or its data is not installed."""
+
+
+def optional(module: str, need: str, extra: str) -> Any:  # noqa: ANN401
+    """Import a module of an extra for a `need`, as ``"plots need"``; raises MissingDependencyError."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        where = f"{need} {module.partition('.')[0]}"
+        raise MissingDependencyError(where, fix=f"pip install 'kt3dmoseg[{extra}]'") from error

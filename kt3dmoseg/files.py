@@ -54,6 +54,7 @@ _REMEDIES = {
     errno.ENOSPC: "free some space, or write somewhere else",
     **dict.fromkeys((errno.EEXIST, errno.ENOTDIR), "a file is where a folder should be; remove it"),
 }
+_LITTER = {"__MACOSX", "Thumbs.db", "desktop.ini"}  # of operating systems
 _UNWRITABLE, _ELSEWHERE = ": cannot write", "write somewhere else"
 # What zipfile raises on damaged content.
 _ZIP_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, ValueError, OSError)
@@ -62,7 +63,7 @@ _BOUNDED_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpa
 
 
 @contextmanager
-def _one_line(path: PathLike, problem: str = "") -> Iterator[None]:
+def one_line(path: PathLike, problem: str = "") -> Iterator[None]:
     """Turn what the system reports about a path in this block into an InputFileError."""
     try:
         yield
@@ -83,7 +84,7 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
     check_target(target)
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
-        with _one_line(target, _UNWRITABLE):
+        with one_line(target, _UNWRITABLE):
             target.parent.mkdir(parents=True, exist_ok=True)
             temporary.touch(exist_ok=False)
             yield temporary
@@ -95,13 +96,19 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
             temporary.unlink()
 
 
+def is_hidden(name: str) -> bool:
+    """Whether a file is hidden, or left between those of a folder or zip by macOS or Windows."""
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    return any(part.startswith(".") and part.strip(".") for part in parts) or not _LITTER.isdisjoint(parts)
+
+
 def listed(folder: Path) -> list[Path]:
     """List what a person put into a folder, sorted; InputFileError for a link that leads nowhere.
 
-    Hidden files, as macOS's ``._000001.png``, and the ``__MACOSX`` of its zips are passed over.
+    What `is_hidden` is passed over.
     """
-    with _one_line(folder):
-        paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith((".", "__MACOSX"))]
+    with one_line(folder):
+        paths = [path for path in sorted(folder.iterdir()) if not is_hidden(path.name)]
     for path in paths:
         if path.is_symlink() and not path.exists():
             found, fix = f"a link that leads nowhere ({path.readlink()})", "mend the link, or remove it"
@@ -131,7 +138,7 @@ def check_writable(path: PathLike) -> None:
     """Raise InputFileError when no files can be made in a folder, which need not exist yet."""
     folder = Path(path)
     existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    with _one_line(folder, _UNWRITABLE), tempfile.TemporaryFile(dir=existing):
+    with one_line(folder, _UNWRITABLE), tempfile.TemporaryFile(dir=existing):
         pass
 
 
@@ -145,7 +152,7 @@ def hold_folder(path: PathLike, busy: Callable[[], object] = lambda: None, alone
     """
     folder = Path(path)
     with ExitStack() as held:
-        with _one_line(folder, _UNWRITABLE):
+        with one_line(folder, _UNWRITABLE):
             folder.mkdir(parents=True, exist_ok=True)
             if fcntl:
                 handle = os.open(folder, os.O_RDONLY)
@@ -177,7 +184,7 @@ def write_text(path: PathLike, content: str) -> None:
 
 def read_bytes(path: PathLike, limit: int) -> bytes:
     """Read a file; InputFileError when it cannot be read or is larger than `limit` bytes."""
-    with _one_line(path), open(path, "rb") as stream:
+    with one_line(path), open(path, "rb") as stream:
         # By blocks: asking for n bytes at once allocates n, however small the file is.
         blocks = iter(lambda: stream.read(_BLOCK), b"")
         content = b"".join(islice(blocks, limit // _BLOCK + 1))
@@ -415,7 +422,7 @@ def _stays_inside(name: str, depth: int) -> bool:
 
 def sha256_file(path: PathLike) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
-    with _one_line(path), open(path, "rb") as stream:
+    with one_line(path), open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

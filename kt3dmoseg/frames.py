@@ -36,13 +36,12 @@ _DAY_OR_DRIVE = re.compile(r"\d{4}_\d\d_\d\d(_drive_\d{4}_sync)?")
 
 @dataclass(frozen=True)
 class FrameInfo:
-    """What is known of a clip before its frames are decoded; their `numbers` may be None, as a video's.
+    """What is known of a clip before its frames are decoded.
 
     The `description` states where they come from, with the sha256 of everything they are decoded from, and no
     path of this machine. `timestamps` (F,) are in seconds.
     """
 
-    numbers: Sequence[int] | None
     description: dict[str, Any]
     timestamps: FloatArray | None = None
     camera: Camera | None = None
@@ -134,7 +133,7 @@ class FrameFolder(FrameSource):
         paths = self.paths()
         ends = {"first": paths[0].name, "last": paths[-1].name, "count": len(paths)}
         description = {"kind": "frames", **ends, "sha256": sha256_files(paths)} | self.cut.describe()
-        return FrameInfo(self.numbers(), description, names=[path.name for path in paths])
+        return FrameInfo(description, names=[path.name for path in paths])
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         return self.cut.resized(read_frames(self.paths(), colour))
@@ -179,7 +178,7 @@ class VideoFile(FrameSource):
         if gaps.max() > _EVEN * gaps.min():  # two frames at least
             notes += [f"frames are {gaps.min():.0f} to {gaps.max():.0f} ms apart; their times are kept"]
         described = description | self.cut.describe()
-        return FrameInfo(numbers, described, times[np.array(numbers)], notes=tuple(notes))
+        return FrameInfo(described, times[np.array(numbers)], notes=tuple(notes))
 
     def paths(self) -> list[Path]:
         """List the file."""
@@ -230,7 +229,7 @@ class KittiClip(FrameSource):
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # pixels count from the centre of the first
         K = drive.K if self.cut.size is None else np.linalg.inv(half) @ scale @ half @ drive.K
         camera, names = Camera(f"image_{drive.camera:02d}", K), [path.name for path in paths]
-        return FrameInfo(numbers, description, times, camera, names)
+        return FrameInfo(description, times, camera, names)
 
     def frames(self, colour: Colour) -> Iterator[ByteArray]:
         """Yield gray frames; of the colour cameras 2 and 3 their luma."""

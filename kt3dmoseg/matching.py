@@ -8,6 +8,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError
+from kt3dmoseg.files import is_hidden
 from kt3dmoseg.text import several
 from kt3dmoseg.types import IntArray
 
@@ -34,12 +35,6 @@ def number_in(name: str) -> int | None:
     """
     found = _LAST_NUMBER.search(stem(name))
     return int(found[1]) if found else None
-
-
-def is_hidden(name: str) -> bool:
-    """Whether a file is hidden, as macOS leaves them between those of a folder or zip (``._x``, __MACOSX)."""
-    parts = _path(name).parts
-    return any(part.startswith(".") and part.strip(".") for part in parts) or "__MACOSX" in parts
 
 
 @dataclass(frozen=True)

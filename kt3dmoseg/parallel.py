@@ -14,7 +14,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib import import_module
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -24,7 +23,7 @@ from typing import Any, Generic, TypeAlias, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, MissingDependencyError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError, optional
 from kt3dmoseg.files import PathLike, atomic_path, sha256_arrays
 
 TaskT = TypeVar("TaskT")
@@ -200,12 +199,9 @@ def _on_cluster(
     address: str,
     lost: Callable[[TaskT, str], ResultT],
 ) -> Iterator[tuple[TaskT, ResultT]]:
+    distributed = optional("distributed", "a Dask cluster needs", "dask")
     try:
-        distributed: Any = import_module("distributed")  # it has no types
         client = distributed.Client(address, timeout=_CONNECT_SECONDS)
-    except ImportError as error:
-        fix = "pip install 'kt3dmoseg[dask]'"
-        raise MissingDependencyError("a Dask cluster needs distributed", fix=fix) from error
     except (OSError, ValueError) as error:
         found = str(error) or "no answer"
         raise InputFileError(

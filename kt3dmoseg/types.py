@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.errors import InvalidValueError, MissingDependencyError
+from kt3dmoseg.errors import InvalidValueError, optional
 from kt3dmoseg.registry import strict
 
 if TYPE_CHECKING:
@@ -205,15 +205,12 @@ class Trajectories(Value):
 
         Raises `MissingDependencyError` without xarray, the extra ``xarray``.
         """
-        try:
-            import xarray as xr
-        except ImportError:
-            fix = "pip install 'kt3dmoseg[xarray]'"
-            raise MissingDependencyError("to_xarray needs xarray", fix=fix) from None
+        dataset = optional("xarray", "to_xarray needs", "xarray").Dataset
         axes, unit = ("track", "frame"), {"units": "pixels"}
         values = {name: (axes, self.xy[..., k], unit) for k, name in enumerate("xy")}
         size = {"image_size": self.image_size} if self.image_size else {}
-        return xr.Dataset(values, {"track": self.track_id, "frame": np.arange(self.n_frames)}, size)
+        made: xr.Dataset = dataset(values, {"track": self.track_id, "frame": np.arange(self.n_frames)}, size)
+        return made
 
 
 @strict

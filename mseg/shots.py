@@ -73,7 +73,7 @@ def tracked_shots(
             yield frame
 
     whole = source.name
-    numbers = np.array(source.numbers() if info.numbers is None else info.numbers)
+    numbers = np.array(source.numbers())
     starts, count = find_cuts(shown(source.frames("luma"), len(numbers), "cuts"))
     to_track, to_show = source.frames("luma"), source.frames("stored")
     for k, (first, end) in enumerate(pairwise([*starts, count]), start=1):

@@ -164,7 +164,10 @@ def foreign_truth(scenes: int, folder: Path, name: str, parts: list[str]) -> dic
 def tracks_of(folder: Path, name: str, frames: Iterable[np.ndarray]) -> Trajectories | None:
     """Read a clip's tracks through the gate of `kt3dmoseg build --tracks`; None where there are none."""
     [path] = find_tracks([name], folder) if any(folder.glob(f"{name}*")) else [None]
-    return None if path is None else read_tracks(path, iter(frames), None, tracker_release.MIN_LENGTH)[0]
+    if path is None:
+        return None
+    pictures = list(frames)
+    return read_tracks(path, iter(pictures), range(len(pictures)), tracker_release.MIN_LENGTH)[0]
 
 
 def write_frames(folder: Path, scenes: int) -> None:

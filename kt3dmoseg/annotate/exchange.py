@@ -77,8 +77,7 @@ class _Clip:
         if not path.exists():
             return None
         found = annotate.load_annotation(path)
-        size = self.size or found.image_size
-        return found.expect(f"{path}: ", clip=self.name, n_frames=len(self.names), image_size=size)
+        return found.expect(f"{path}: ", clip=self.name, n_frames=len(self.names), image_size=self.size)
 
     def current(self) -> Annotation:
         """Read the annotation, an empty one when there is none."""

@@ -305,9 +305,9 @@ class Annotation:
         ]
 
     def expect(self, where: str = "", **wanted: object) -> Annotation:
-        """Return the annotation; InvalidValueError names, after `where`, what is not as wanted."""
+        """Return the annotation; InvalidValueError names, after `where`, what is not as wanted; None: any."""
         for name, value in wanted.items():
-            if (found := getattr(self, name)) != value:
+            if value is not None and (found := getattr(self, name)) != value:
                 raise InvalidValueError(f"{where}{name}", expected=repr(value), found=repr(found))
         return self
 

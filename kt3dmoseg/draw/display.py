@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from kt3dmoseg.draw.painting import Painting, groups
 from kt3dmoseg.draw.palette import PALETTE, WRONG, css, label_colour
-from kt3dmoseg.errors import InvalidValueError, MissingDependencyError
+from kt3dmoseg.errors import InvalidValueError, optional
 from kt3dmoseg.types import Clip, FloatArray, IntArray, Labels
 
 if TYPE_CHECKING:
@@ -160,8 +160,6 @@ def group_labels(values: IntArray) -> Labels:
 def _axes(given: Axes | None, size: tuple[float, float]) -> Axes:
     if given is not None:
         return given
-    try:
-        from matplotlib import pyplot
-    except ImportError:
-        raise MissingDependencyError("plots need matplotlib", fix="pip install 'kt3dmoseg[plot]'") from None
-    return pyplot.subplots(figsize=size, layout="constrained")[1]
+    pyplot = optional("matplotlib.pyplot", "plots need", "plot")
+    axes: Axes = pyplot.subplots(figsize=size, layout="constrained")[1]
+    return axes

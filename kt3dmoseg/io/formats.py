@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import PathLike, listed
+from kt3dmoseg.files import PathLike, listed, one_line
 from kt3dmoseg.io.fields import FIELDS, clip_name, clip_values
 from kt3dmoseg.registry import strict
 from kt3dmoseg.types import Clip, Trajectories
@@ -159,11 +159,8 @@ def first_bytes(file: Path) -> bytes:
     """Read the first bytes of a file, but not of a pipe or device: that might wait for ever."""
     if not file.is_file():
         raise InputFileError(f"{file}", expected="a file", found="a pipe or device")
-    try:
-        with open(file, "rb") as stream:
-            return stream.read(_HEAD)
-    except OSError as error:
-        raise InputFileError(f"{file}: {error.strerror or error}") from None
+    with one_line(file), open(file, "rb") as stream:
+        return stream.read(_HEAD)
 
 
 def clip_files(folder: Path) -> list[Path]:

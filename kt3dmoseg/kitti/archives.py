@@ -410,7 +410,6 @@ class Archives:
     def _download(self, url: str, size: int | None, whole: Path) -> Archive:
         """Download all of a zip, resuming what is there of it; one that is not intact then is removed."""
         part = self._target.path_for(url, "part")
-        part.parent.mkdir(parents=True, exist_ok=True)
         self._target.check_space((size or 0) - (part.stat().st_size if part.is_file() else 0))
         with tqdm(total=size, unit="B", unit_scale=True, desc="zip", disable=None) as bar:
             self._client.download(url, part, bar.update)

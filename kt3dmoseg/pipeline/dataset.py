@@ -340,9 +340,8 @@ class _Job:
 
     def build(self, progress: Callable[[int, int | None], None] | None) -> Clip:
         """Track, label, subsample."""
-        source, settings, numbers = self.source, self.settings, self.info.numbers
-        total = None if numbers is None else len(numbers)
-        report = None if progress is None else lambda done, _: progress(done, total)
+        source, settings, numbers = self.source, self.settings, self.source.numbers()
+        report = None if progress is None else lambda done, _: progress(done, len(numbers))
         frames = source.frames(settings.build.colour)
         provenance: dict[str, Any] = {"format": "kt3dmoseg-build", "inputs": self.inputs}
         if self.tracks is not None:
@@ -350,7 +349,6 @@ class _Job:
             provenance |= {"dropped": dropped} if dropped else {}
         else:
             dense = self._track(frames, report)
-        numbers = range(dense.n_frames) if numbers is None else numbers
         if isinstance(source, SyntheticDrive):
             labels: Labels | None = source.label(dense)
             provenance["attributes"] = dict(source.measure())

@@ -94,10 +94,8 @@ def label_clip(
     `notes` takes what was concluded about masks.
     """
     if annotation := files.get("annotation"):
-        found = load_annotation(annotation[0])
-        size = dense.image_size or found.image_size
-        found.expect(f"{annotation[0]}: ", clip=name, n_frames=dense.n_frames, image_size=size)
-        return label_tracks(dense, found)
+        found, wanted = load_annotation(annotation[0]), {"clip": name, "image_size": dense.image_size}
+        return label_tracks(dense, found.expect(f"{annotation[0]}: ", n_frames=dense.n_frames, **wanted))
     masks = files.get("masks")
     return label_by_masks(dense, by_frame(masks, frames, name, shift, notes)) if masks else None
 
@@ -182,7 +180,7 @@ def find_tracks(names: Sequence[str], tracks: PathLike) -> list[Path | None]:
 
 
 def read_tracks(
-    path: Path, frames: Iterator[ByteArray], numbers: Sequence[int] | None, min_length: int
+    path: Path, frames: Iterator[ByteArray], numbers: Sequence[int], min_length: int
 ) -> tuple[Trajectories, dict[str, int]]:
     """Read the trajectories of a clip with these frames, and count what is left out, in words.
 
@@ -194,13 +192,12 @@ def read_tracks(
     clip = load(path)
     given, stated = clip.dense, clip.frame_numbers.tolist()
     pictures = np.stack(list(islice(frames, APART + 1)))
-    count = len(numbers) if numbers is not None else len(pictures) + sum(1 for _ in frames)
-    height, width = pictures.shape[1:]
+    count, (height, width) = len(numbers), pictures.shape[1:]
     fix = "give the tracks of all frames of the clip, and of no others"
     if given.n_frames != count:
         raise FileFormatError(f"{path}", expected=f"{count} frames", found=f"{given.n_frames}", fix=fix)
     known = recorded_source(clip.provenance) or stated != list(range(count))  # trackers record no numbers
-    if known and numbers is not None and stated != list(numbers):
+    if known and stated != list(numbers):
         expected, found = (f"frames {some[0]}-{some[-1]}" for some in (numbers, stated))
         raise FileFormatError(f"{path}", expected=expected, found=found, fix=fix)
     if given.image_size not in (None, (width, height)):

@@ -15,7 +15,6 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +22,14 @@ import numpy as np
 import pandas as pd
 
 from kt3dmoseg import __version__, catalog
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, optional
 from kt3dmoseg.files import (
     JSON_BYTES,
     PathLike,
     atomic_path,
     check_writable,
     hold_folder,
+    is_hidden,
     parse_json,
     read_bytes,
     sha256_arrays,
@@ -38,7 +38,6 @@ from kt3dmoseg.files import (
 )
 from kt3dmoseg.frames import recorded_inputs
 from kt3dmoseg.io import dataset_paths, load
-from kt3dmoseg.matching import is_hidden
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.publishing import PublishOptions
 from kt3dmoseg.publishing.card import FIELDS, card, croissant, table
@@ -96,8 +95,7 @@ def publish(
     paths = dataset_paths(dataset)
     parts = _splits(list(paths), splits)
     facts = _manifest(paths, parts, settings)
-    if find_spec("pyarrow") is None:
-        raise MissingDependencyError("publish needs pyarrow", fix="pip install 'kt3dmoseg[publish]'")
+    optional("pyarrow", "publish needs", "publish")
     check_writable(Path(output))
     with hold_folder(output) as folder:
         copies = {f"clips/{name}.h5": path for name, path in paths.items()}

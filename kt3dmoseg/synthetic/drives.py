@@ -277,7 +277,7 @@ class SyntheticDrive(FrameSource):
     def inspect(self) -> FrameInfo:
         """Describe the drive: what its bytes depend on."""
         versions = {"samples": SAMPLES, "version": synthetic.ALGORITHM_VERSION}
-        return FrameInfo(None, {"kind": "synthetic"} | asdict(self.plan) | versions)
+        return FrameInfo({"kind": "synthetic"} | asdict(self.plan) | versions)
 
     def numbers(self) -> range:
         return range(self.scene.n_frames)

@@ -5,13 +5,13 @@ import tempfile
 from datetime import datetime, timedelta
 from pathlib import Path
 
-import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kt3dmoseg.catalog import Drive
 from kt3dmoseg.errors import InputFileError
-from kt3dmoseg.files import PathLike, check_writable, write_bytes, write_text
+from kt3dmoseg.files import PathLike, check_writable, write_text
+from kt3dmoseg.io.images import write_png
 from kt3dmoseg.synthetic.scene import FRAMES_PER_SECOND, Scene
 from kt3dmoseg.types import FloatArray
 
@@ -78,8 +78,7 @@ def write_drive(scene: Scene, root: PathLike, *, date: str = "2011_09_26", drive
 
 def _write_files(scene: Scene, folder: Path, start: datetime) -> None:
     for frame in range(scene.n_frames):
-        png = bytes(cv2.imencode(".png", scene.frame(frame))[1])
-        write_bytes(folder / "image_00" / "data" / f"{frame:010d}.png", png)
+        write_png(folder / "image_00" / "data" / f"{frame:010d}.png", scene.frame(frame))
         write_text(folder / "oxts" / "data" / f"{frame:010d}.txt", _oxts_line(scene, frame))
     times = [start + timedelta(seconds=frame / FRAMES_PER_SECOND) for frame in range(scene.n_frames)]
     for sensor in ("image_00", "oxts"):

@@ -184,9 +184,8 @@ def track_clip(
         chosen, about = {"flow": backend, "cache": cache}, {"flow": type(backend).__name__}
         about["flow_options"] = dataclasses.asdict(backend) if dataclasses.is_dataclass(backend) else {}
     source = one_source(frames) if isinstance(frames, (str, os.PathLike)) else frames
-    info = source.inspect()
-    total = None if info.numbers is None else len(info.numbers)
-    report = None if progress is None else lambda done, _: progress(done, total)
+    info, numbers = source.inspect(), source.numbers()
+    report = None if progress is None else lambda done, _: progress(done, len(numbers))
     shown = dataclasses.asdict(settings)
     dense = track(source.frames(colour), progress=report, **chosen, **shown)
     return Clip(
@@ -194,7 +193,7 @@ def track_clip(
         dense=dense,
         evaluated=np.arange(len(dense)),
         labels=Labels(np.zeros(len(dense), dtype=np.int64)),
-        frame_numbers=np.array(info.numbers if info.numbers is not None else range(dense.n_frames)),
+        frame_numbers=np.array(numbers),
         timestamps=info.timestamps,
         camera=info.camera,
         provenance={

@@ -175,7 +175,6 @@ def publish(result: BenchmarkResult, folder: PathLike) -> list[Path]:
             raise InvalidValueError(str(path), expected=expected, found=found, fix=fix)
         made[path] = new.text()
     for path, text in made.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
     return list(made)
 

@@ -53,7 +53,6 @@ def write_site(
     boards.sort(key=lambda board: board.protocol.name != "kt3dmoseg")
     notes = [] if history else ["No history: git does not know these results."]
     page = Path(output) / "index.html"
-    page.parent.mkdir(parents=True, exist_ok=True)
     write_text(page, site_html(boards, title="Motion segmentation leaderboard", notes=notes))
     return page
 
@@ -154,7 +153,6 @@ def submit(
         packed = zip_bytes({file.relative_to(source).as_posix(): file.read_bytes() for file in files})
     else:
         packed = read_bytes(source, LIMITS.total_bytes)
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path.with_suffix(".zip"), packed)
     write_text(path, result.text())
     return [path, path.with_suffix(".zip")]

@@ -54,11 +54,6 @@ class Contingency:
         padded = np.pad(self.counts, ((0, 0), (0, 1)))  # the last column, which -1 picks, is no group
         return padded[np.arange(len(padded)), assignment], padded.sum(axis=0)[assignment]
 
-    @cached_property
-    def with_outliers(self) -> IntArray:
-        """The counts with the trajectories predicted 0 as one more group, when there are any."""
-        return np.column_stack([self.counts, self.unassigned]) if self.unassigned.any() else self.counts
-
 
 def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | None = None) -> Contingency:
     """Count true motions (n,) against predicted groups (n,); `background` is the label of the static scene.

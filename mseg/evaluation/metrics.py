@@ -88,7 +88,9 @@ def partitions(table: Contingency) -> dict[str, float]:
     >>> {name: round(value, 4) for name, value in scores.items()}
     {'adjusted_rand': 0.5714, 'nmi': 0.8, 'over': 0.25, 'under': 0.0, 'count': 1.0}
     """
-    counts, n = table.with_outliers, table.n
+    counts, n = table.counts, table.n
+    if table.unassigned.any():  # one more group
+        counts = np.column_stack([counts, table.unassigned])
     motions, groups = counts.sum(axis=1), counts.sum(axis=0)
     together, truth, pred, every = (_pairs(each) for each in (counts, motions, groups, counts.sum()))
     expected = truth * pred / every if every else 0.0

@@ -32,6 +32,7 @@ from kt3dmoseg.files import (
     ZipLimits,
     atomic_path,
     check_writable,
+    is_hidden,
     parse_toml,
     read_bytes,
     sha256_arrays,
@@ -64,7 +65,6 @@ _ENDINGS = (*SUFFIXES, FAILED)
 # Seed, clip and ending of a file of predictions.
 _PLACE = re.compile(rf"(?:seed-(\d{{1,18}})/)?([^/]+)((?i:{'|'.join(map(re.escape, _ENDINGS))}))")
 _PASSED_OVER = re.compile(r"(?i:(?:readme|licen)[^.]*(?:\.txt|\.md)?)")
-_LITTER = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _TEXT_LIMIT = 2000
 _MOST_FIELDS = 100  # each that is wrong is named
 _CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f]")  # terminals act on it
@@ -249,7 +249,7 @@ def write_submission(
 def prediction_files(folder: PathLike) -> list[Path]:
     """List the files of predictions and failures in a folder, sorted; hidden ones do not count."""
     files = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in _ENDINGS)
-    return [path for path in files if not any(p.startswith(".") for p in path.relative_to(folder).parts)]
+    return [path for path in files if not is_hidden(path.relative_to(folder).as_posix())]
 
 
 def bare_labels(values: Any, clip: Clip | Labels) -> Any:  # noqa: ANN401  # as clip_labels takes them
@@ -376,7 +376,7 @@ def _files_of_folder(root: Path, out: Submission) -> tuple[list[str], Callable[[
     sizes: dict[str, int] = {}
     for path in sorted(root.rglob("*")):
         name, status = path.relative_to(root).as_posix(), path.lstat()
-        if _ignored(name) or stat.S_ISDIR(status.st_mode):
+        if is_hidden(name) or stat.S_ISDIR(status.st_mode):
             continue
         if not name.isprintable():
             out.bad("unsafe-path", ascii(name), "a name in UTF-8", "other bytes", "rename the file")
@@ -400,12 +400,7 @@ def _files_of_zip(path: Path, out: Submission) -> tuple[list[str], Callable[[str
     for code, file, expected, found, fix in faults:
         fix = fix or (_FIX_ZIP if code == "not-a-zip" else _FIX_LARGE)
         out.bad(code, file or path.name, expected, found, fix)
-    return [name for name in archive.sizes if not _ignored(name)], archive.read
-
-
-def _ignored(name: str) -> bool:
-    """Whether the file is hidden, or an operating system left it there: no part of the submission."""
-    return any(part in _LITTER or part.startswith(".") for part in PurePosixPath(name).parts)
+    return [name for name in archive.sizes if not is_hidden(name)], archive.read
 
 
 def _root(names: list[str], out: Submission) -> str:

@@ -133,7 +133,7 @@ def test_run_lengths_that_do_not_fill_the_mask(runs):
 
 
 def test_without_pycocotools_the_message_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pycocotools", None)
+    monkeypatch.setitem(sys.modules, "pycocotools.mask", None)
     with pytest.raises(MissingDependencyError, match=r"kt3dmoseg\[label\]"):
         encode_rle(np.ones((2, 2), bool))
 

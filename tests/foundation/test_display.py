@@ -128,7 +128,7 @@ def test_scores_are_plotted_in_the_unit_and_direction_of_the_metric():
 
 
 def test_without_matplotlib_one_line_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     for value in (CLIP, CLIP.labels, SCORES):
         with pytest.raises(
             MissingDependencyError, match=r"^plots need matplotlib; pip install 'kt3dmoseg\[plot\]'$"

@@ -371,7 +371,10 @@ class _Stream:
         self.length, self.held = frames, []
 
     def inspect(self):
-        return FrameInfo(None, {"kind": "stream", "sha256": "0" * 64})
+        return FrameInfo({"kind": "stream", "sha256": "0" * 64})
+
+    def numbers(self):
+        return range(self.length)
 
     def frames(self, colour):
         given = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, MissingDependencyError
 from kt3dmoseg.io import save
 from kt3dmoseg.pipeline import build_dataset
-from kt3dmoseg.publishing import diff, publish, versions
+from kt3dmoseg.publishing import diff, publish
 from kt3dmoseg.types import Labels
 
 ABOUT = {"name": "Two scenes", "version": "1.0.0", "license": "cc-by-4.0"}
@@ -133,7 +134,7 @@ def test_a_clip_is_published_under_its_own_name_only(built, tmp_path):
 
 
 def test_a_missing_package_is_named_before_anything_is_written(built, tmp_path, monkeypatch):
-    monkeypatch.setattr(versions, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(MissingDependencyError, match=r"needs pyarrow; pip install 'kt3dmoseg\[publish\]'"):
         publish(built, tmp_path / "v", **ABOUT)
     assert not (tmp_path / "v").exists()

@@ -29,8 +29,8 @@ from kt3dmoseg.annotate.model import (
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.catalog import format_numbers
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import SafeZip, ZipLimits
-from kt3dmoseg.matching import is_hidden, match_frames
+from kt3dmoseg.files import SafeZip, ZipLimits, is_hidden
+from kt3dmoseg.matching import match_frames
 from kt3dmoseg.text import several
 from kt3dmoseg.types import FloatArray
 

@@ -23,7 +23,7 @@ from scipy import ndimage
 
 from kt3dmoseg.annotate import model
 from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, ForeignObject, Import, Regions
-from kt3dmoseg.errors import FileFormatError, InvalidValueError, MissingDependencyError
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, optional
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.io.images import MOTS_CLASS, MOTS_VOID, davis_palette, decode_indices, encode_indices, void_ids
 from kt3dmoseg.matching import number_in
@@ -142,11 +142,7 @@ def _joined(loops: list[FloatArray]) -> FloatArray:
 
 def encode_rle(mask: BoolArray) -> str:
     """Return the compressed run lengths of an (H, W) mask, as in COCO; pycocotools makes them."""
-    try:
-        from pycocotools import mask as coco
-    except ImportError as error:
-        fix = "pip install 'kt3dmoseg[label]'"
-        raise MissingDependencyError("pycocotools is not installed", fix=fix) from error
+    coco = optional("pycocotools.mask", "run lengths need", "label")
     found: bytes = coco.encode(np.asfortranarray(mask, dtype=np.uint8))["counts"]
     return found.decode()
 
