@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.files import PathLike, listed, sha256_file, sha256_files, write_text
+from kt3dmoseg.files import PathLike, listed, sha256_arrays, sha256_file, sha256_files, write_text
 from kt3dmoseg.io import dataset_paths, images, load
 from kt3dmoseg.io.fields import check_name, clip_name
 from kt3dmoseg.io.formats import CLIP_SUFFIXES
@@ -228,6 +228,7 @@ class KittiClip(FrameSource):
         scale = np.diag((*(np.array(self.cut.size or calibrated) / calibrated), 1.0))
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # pixels count from the centre of the first
         K = drive.K if self.cut.size is None else np.linalg.inv(half) @ scale @ half @ drive.K
+        description |= {"K": K.tolist(), "timestamps_sha256": sha256_arrays(times)}
         camera, names = Camera(f"image_{drive.camera:02d}", K), [path.name for path in paths]
         return FrameInfo(description, times, camera, names)
 

@@ -138,18 +138,19 @@ def _measured(
     progress: Callable[[int, int], None] | None,
 ) -> list[Window]:
     """Measure every part that is not measured yet; a window that two parts hold is taken from the first."""
-    measured: dict[str, list[Window]] = {}
+    measured: dict[tuple[str, str], list[Window]] = {}  # by recording too: copies have equal measures
     work = partial(_measure_part, settings, folder)
 
     def lost(part: _Part, reason: str) -> list[Window]:
         raise InputFileError(part[0].where, found=reason, fix="run again with fewer workers")
 
     done = run_tasks(work, parts, lost=lost, workers=workers, dask=dask)
-    for count, ((_, kept), windows) in enumerate(done, start=1):
-        measured[kept] = windows
+    for count, ((source, kept), windows) in enumerate(done, start=1):
+        measured[source.name, kept] = windows
         if progress is not None:
             progress(count, len(parts))
-    ordered = [window for _, kept in reversed(parts) for window in measured[kept]]  # not as they came
+    # Not in the order in which they came.
+    ordered = [window for part, kept in reversed(parts) for window in measured[part.name, kept]]
     found = {(window.recording, window.first, window.last): window for window in ordered}
     return [found[key] for key in sorted(found)]
 
@@ -161,7 +162,8 @@ def _measure_part(
     source, kept = part
     if folder is not None and (folder / kept).is_file():
         rows = files.parse_json(files.read_bytes(folder / kept, files.JSON_BYTES), f"{folder / kept}")
-        return [Window(**row | {"sizes": tuple(row["sizes"])}) for row in rows]
+        named = {"recording": source.name}  # which may have been renamed since
+        return [Window(**row | {"sizes": tuple(row["sizes"])} | named) for row in rows]
     cv2.setNumThreads(1)  # also with one worker, which is the calling process
     windows = measure_windows(source, settings)
     if folder is not None:

@@ -39,9 +39,10 @@ def write(clip: Clip, path: PathLike) -> None:
 
 
 def read(path: PathLike) -> Clip:
-    """Read a clip; every row counts as evaluated, label 0 being unlabelled."""
+    """Read a clip; every row counts as evaluated. Label 0 is unlabelled; with -1 for it, 0 is a cluster."""
     label, tracks = read_tracks(path)
-    return foreign_clip(path, "brox-dat", tracks, Labels(np.maximum(label, 0)))
+    from_zero = (label < 0).any() and (label == 0).any()
+    return foreign_clip(path, "brox-dat", tracks, Labels(np.maximum(label + from_zero, 0)))
 
 
 def read_tracks(path: PathLike) -> tuple[IntArray, Trajectories]:

@@ -5,6 +5,7 @@ Reading recognises the content, writing goes by the suffix.
 
 import os
 import re
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -215,8 +216,8 @@ def _clips_below(folder: Path, levels: int) -> list[Path]:
 
 @strict
 def load_dataset(folder: PathLike) -> dict[str, Clip]:
-    """Load every clip of a folder, by name, in the order of `dataset_paths`."""
-    return {name: load(path) for name, path in dataset_paths(folder).items()}
+    """Load every clip of a folder, by the name of its file, in the order of `dataset_paths`."""
+    return {name: replace(load(path), name=name) for name, path in dataset_paths(folder).items()}
 
 
 def convert(source: PathLike, target: PathLike, *, layout: str = "") -> list[str]:

@@ -36,7 +36,7 @@ from kt3dmoseg.files import (
     sha256_file,
     write_text,
 )
-from kt3dmoseg.frames import recorded_inputs
+from kt3dmoseg.frames import recorded_inputs, recorded_source
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.publishing import PublishOptions
@@ -139,7 +139,7 @@ def _manifest(
         if clip.name != name or path.suffix != ".h5":  # its tables would have another name
             raise FileFormatError(f"{path}", expected=f"{clip.name}.h5, as it is built", found=path.name)
         inputs = recorded_inputs(clip.provenance)
-        source = inputs.get("source", {})
+        source = recorded_source(clip.provenance)
         kitti |= source.get("kind") == "kitti" or name in known
         synthetic &= source.get("kind") == "synthetic"
         way = {key: inputs.get(key) for key in _MIXED}

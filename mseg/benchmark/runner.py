@@ -130,7 +130,12 @@ def run(
     if not configurations:
         raise InvalidValueError("benchmark", expected="at least one method", found="none")
     paths, others = find_clips(protocol, data)
-    clips = {name: load(path) for name, path in paths.items()}
+    every = {name: replace(load(path), name=name) for name, path in paths.items()}
+    clips = {name: clip for name, clip in every.items() if clip.n_motions}
+    if not clips:
+        found = f"{several(list(every), 5)} without"
+        raise InvalidValueError(benchmark, expected="clips with labels", found=found)
+    others += every.keys() - clips.keys()
     motions = {name: clip.n_motions for name, clip in clips.items()}
     runs = _Runs(configurations, clips, motions if number == "given" else {}, wanted)
     store = Cache(cache)
@@ -153,7 +158,7 @@ def run(
     seconds = np.array([outcomes[key].seconds for key in runs.keys.values()])
     shape = (len(configurations), len(clips), len(wanted))
     result = BenchmarkResult(
-        configurations, tuple(tables), seconds.reshape(shape), tuple(others), tuple(notes), number
+        configurations, tuple(tables), seconds.reshape(shape), tuple(sorted(others)), tuple(notes), number
     )
     reasons = [f"{made.title} on {name}: {reason}" for made, name, _, reason in result.failures]
     _check_success(protocol.name, reasons, len(runs.keys))
@@ -212,6 +217,7 @@ def predict(
     """
     if n_motions is not None:
         check_whole("n_motions", n_motions, 1)
+        n_motions = int(n_motions)
     folder, wanted = Path(output), _seeds(seeds)
     [configuration] = _configure([method], parameters or {})
     made: Any = create(method, **configuration.parameters)
@@ -226,32 +232,41 @@ def predict(
         "code": algorithm_version(type(made)) or "",
         "n_motions": n_motions,
         "layout": layout,
+        "rows": rows,
     }
-    folders = [folder]
-    if rows == "all":
-        description["rows"] = rows
-        folders.append(Path(f"{folder}-all"))
+    folders = [folder, *([Path(f"{folder}-all")] if rows == "all" else [])]
     record = _open_record(folder, description)
-    files: dict[str, list[tuple[str, int | None]]] = {}  # key of an outcome -> clips and seeds of its files
+
+    def place(name: str, seed: int) -> str:
+        return name if layout == "flat" else f"seed-{seed}/{name}"
+
+    # Files of an outcome, by its key: their names, with clip and seed.
+    files: dict[str, dict[str, tuple[str, int | None]]] = {}
     for (_, name, seed), key in runs.keys.items():
-        files.setdefault(key, []).append((name, None if layout == "flat" else seed))
+        files.setdefault(key, {})[place(name, seed)] = name, None if layout == "flat" else seed
+    _check_seeds(folder, wanted if layout != "flat" else ())
+    written = record["made"]  # file -> key of the outcome in it, seconds, notes
     kept = {
         key
-        for key in record["done"].keys() & files.keys()
-        if all(_is_there(folders, *run) for run in files[key])
+        for key, places in files.items()
+        if all(written.get(file, [""])[0] == key and _is_there(folders, *run) for file, run in places.items())
     }
     for key, outcome in runs.outcomes(kept, progress, workers=workers, dask=dask):
-        for name, place in files[key]:
-            _write_outcome(folders, clips[name], outcome, place)
+        for file in files[key].keys() & written.keys():
+            del written[file]  # until it is written
+            write_text(folder / _RECORD, json.dumps(record, indent=1))
+        for name, seed_of_file in files[key].values():
+            _write_outcome(folders, clips[name], outcome, seed_of_file)
         if not np.isnan(outcome.seconds):  # else its workers died: the next run tries again
-            record["done"][key], record["notes"][key] = outcome.seconds, outcome.notes
+            written |= {file: [key, outcome.seconds, outcome.notes] for file in files[key]}
         write_text(folder / _RECORD, json.dumps(record, indent=1))
-    seconds = sum(record["done"].get(key, 0.0) for key in runs.keys.values()) / len(wanted)
-    noted = {(name, seed): record["notes"].get(key, "") for (_, name, seed), key in runs.keys.items()}
+    known = {(name, seed): written.get(place(name, seed), ["", 0.0, ""]) for _, name, seed in runs.keys}
+    seconds = sum(each[1] for each in known.values()) / len(wanted)
+    noted = {run: each[2] for run, each in known.items()}
     meta = evaluation.SubmissionMeta(
         configuration.title,
         authors=("mseg",),
-        n_motions_given=all(given.values()),
+        n_motions_given=any(given.values()),  # those of clips with labels always are
         hardware=f"{platform.machine()}, one core per clip",
         seconds=round(seconds, 3),
         baseline=method in BASELINES,
@@ -385,7 +400,7 @@ class _Runs:
 
 def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[str, Outcome]:
     """Run a task; a method that cannot segment the clip gives an outcome with a reason."""
-    outcomes = {}
+    outcomes: dict[str, Outcome] = {}
     with kernel_cache(task.kernels or None) as cache:
         for key, made in task.work.items():
             saved, start = cache.saved_seconds, time.process_time()
@@ -394,7 +409,10 @@ def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[st
                 given: Any = {"n_motions": task.n_motions, "seed": task.seed, **made.parameters}
                 found = segment(task.clip, made.method, rows=task.rows, **given)
                 labels, notes = np.array(found.labels), found.report["notes"]
-            except (KT3DMoSegError, MemoryError) as error:
+            except MemoryError as error:  # says nothing of the method either
+                outcomes |= lost_task(replace(task, work={key: made}), f"{error}" or "no memory is left")
+                continue
+            except KT3DMoSegError as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
                 # The caller that shows it names the clip.
                 reason = re.sub(rf"^{re.escape(task.clip.name)}[:,] ", "", reason)
@@ -405,7 +423,7 @@ def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[st
 
 
 def lost_task(task: Task, reason: str) -> dict[str, Outcome]:
-    """Outcomes of a task that no worker survived."""
+    """Outcomes of a task that no worker survived, or for which memory did not suffice."""
     return dict.fromkeys(task.work, Outcome(np.zeros(0, dtype=np.int64), float("nan"), reason))
 
 
@@ -441,7 +459,7 @@ def read_outcome(cache: Cache, key: str) -> Outcome | None:
 
 
 def keep_outcome(cache: Cache, key: str, outcome: Outcome) -> None:
-    """Keep an outcome; one of a worker that died is not kept, since it is no evidence on the method."""
+    """Keep an outcome; one of a worker that died, or without memory, is no evidence on the method."""
     if not np.isnan(outcome.seconds):
         cache.put(key, outcome._asdict())
 
@@ -479,6 +497,15 @@ def _note(notes: Mapping[tuple[str, int], str], clip: str, seeds: Sequence[int])
     return "; ".join(parts)[:2000]
 
 
+def _check_seeds(folder: Path, seeds: Sequence[int]) -> None:
+    """Refuse predictions of other seeds, which would be scored, too."""
+    wanted = {f"seed-{seed}" for seed in seeds}
+    older = sorted({path.parent.name for path in prediction_files(folder)} - wanted) if seeds else []
+    if older:
+        found, fix = f"{several(older, 5)} of an earlier run", "remove them, or write to another folder"
+        raise InvalidValueError(f"{folder}", expected="no other seeds", found=found, fix=fix)
+
+
 def _open_record(folder: Path, description: Mapping[str, Any]) -> dict[str, Any]:
     """Read what an earlier run left, refusing to mix two configurations."""
     path = folder / _RECORD
@@ -488,12 +515,12 @@ def _open_record(folder: Path, description: Mapping[str, Any]) -> dict[str, Any]
         differs = [key for key in description if was.get(key) != description[key]]
         found = f"predictions of another ({was.get('method')}; differs in {', '.join(differs)})"
         if not differs:
-            return {"notes": {}, **record}
+            return {"made": {}, **record}
     else:
         files = prediction_files(folder)
         found = f"{several([each.name for each in files], 5)}, not written by 'mseg run'"
         if not files:
-            return {"configuration": description, "done": {}, "notes": {}}
+            return {"configuration": description, "made": {}}
     raise InvalidValueError(
         str(folder),
         expected=f"no predictions, or those of this configuration ({description['method']})",

@@ -12,10 +12,18 @@ import numpy as np
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.text import count
+from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import Metric, all_metrics
 from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, failure_notes, plot_metric, unique_names
 from mseg.evaluation.scoring import ScoreTable
-from mseg.evaluation.statistics import Interval, bootstrap_mean, holm, standard_deviation, wilcoxon_p
+from mseg.evaluation.statistics import (
+    Interval,
+    bootstrap_mean,
+    holm,
+    signed_ranks,
+    standard_deviation,
+    wilcoxon_p,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -102,7 +110,7 @@ def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: 
         noise = None if one is None or other is None else float(np.hypot(one, other))
         mean, interval = round(float(delta.mean()), 12) + 0.0, bootstrap_mean(delta)  # + 0.0: never -0.0
         pair = Pair(names[i], names[j], mean, interval, p, p_holm, noise)
-        pairs.append(replace(pair, sentence=_sentence(pair, all_metrics()[metric], len(delta))))
+        pairs.append(replace(pair, sentence=_sentence(pair, all_metrics()[metric], delta)))
     return Comparison(metric, names, tables, pairs)
 
 
@@ -138,7 +146,8 @@ def signed(value: float) -> str:
     return f"{value:+.2f}" if round(value, 2) else "0.00"
 
 
-def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:
+def _sentence(pair: Pair, spec: Metric, delta: FloatArray) -> str:
+    n_clips = len(delta)
     unit = " points" if spec.percent else ""
     size = round(spec.scale * abs(pair.difference), 2)
     if not size:
@@ -159,5 +168,8 @@ def _sentence(pair: Pair, spec: Metric, n_clips: int) -> str:
         )
     if 2 / 2**n_clips >= _SIGNIFICANT:  # the smallest p-value that so many clips can give
         return f"{text}There are too few clips ({n_clips}) to show whether it is consistent over clips."
+    test = f"(Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})"
+    if pair.p_holm < _SIGNIFICANT and signed_ranks(delta).sum() * pair.difference < 0:
+        return f"{text}But on most clips {worse} is better, consistently {test}: a few clips decide the mean."
     verdict = "is consistent" if pair.p_holm < _SIGNIFICANT else "could be chance"
-    return f"{text}Over the clips it {verdict} (Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})."
+    return f"{text}Over the clips it {verdict} {test}."

@@ -242,18 +242,26 @@ def by_axis(*tables: ScoreTable, title: str = f"By what makes clips hard: {_ERRO
     return ResultsTable(title, ["part", "clips", *unique_names(tables)], rows) if rows else None
 
 
-def per_clip(scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS) -> ResultsTable:
-    """Every clip, means over seeds, with the prevalence baseline."""
+def per_clip(
+    scores: ScoreTable, metrics: Sequence[str] = MAIN_METRICS, *, marked: bool = True
+) -> ResultsTable:
+    """Every clip, means over seeds, with the prevalence baseline.
+
+    Clips with failures are `marked` in their name; else a column counts them.
+    """
     specs = [all_metrics()[metric] for metric in metrics]
     values = [scores.per_clip(metric) for metric in metrics]
     rows = []
     for i, name in enumerate(scores.names):
         runs = [scores.of(name, seed) for seed in scores.seeds]
-        mark = " *" if any(run.reason for run in runs) else ""
+        failed = sum(bool(run.reason) for run in runs)
+        mark = " *" if marked and failed else ""
         found = "/".join(map(str, sorted({run.n_found for run in runs})))
         facts = [str(runs[0].n), str(runs[0].n_motions), found, f"{100 * runs[0].prevalence:.2f}"]
-        rows.append([name + mark, *facts, *(m.show(v[i]) for m, v in zip(specs, values, strict=True))])
+        shown = [metric.show(value[i]) for metric, value in zip(specs, values, strict=True)]
+        rows.append([name + mark, *facts, *shown, *([str(failed)] * (not marked))])
     columns = ["clip", "n", "motions", "found", "prevalence", *(metric.title for metric in specs)]
+    columns += ["failed"] * (not marked)
     notes = ["* failed or missing: the worst score."] if scores.failures else []
     lower, higher = (", ".join(m.title for m in specs if m.better == way) for way in ("lower", "higher"))
     title = f"Per clip, fractions in %; lower is better: {lower}; higher is better: {higher}"
@@ -282,7 +290,7 @@ def rendered(scores: ScoreTable, form: str) -> str:
     if form == "json":
         return json.dumps(to_json(scores), indent=1)
     if form == "csv":
-        return per_clip(scores, scores.metrics).csv().rstrip()
+        return per_clip(scores, scores.metrics, marked=False).csv().rstrip()
     if form == "text":
         tables = (make(scores) for make in (headline, by_axis, per_clip, all_means))
         return "\n\n".join(table.text() for table in tables if table)

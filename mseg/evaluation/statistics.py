@@ -58,6 +58,18 @@ def _resamples(n: int) -> IntArray:
     return np.random.default_rng(0).integers(0, n, size=(_RESAMPLES, n))
 
 
+def signed_ranks(differences: FloatArray) -> IntArray:
+    """Twice the rank of each difference by size, with its sign; equal sizes share their mean rank.
+
+    Differences of zero are dropped.
+    """
+    nonzero = np.round(differences, 12)
+    nonzero = nonzero[nonzero != 0]
+    _, place, counts = np.unique(np.abs(nonzero), return_inverse=True, return_counts=True)
+    ranks = (2 * np.cumsum(counts) - counts + 1)[place]  # twice the mean rank: whole numbers
+    return np.where(nonzero > 0, ranks, -ranks)
+
+
 def wilcoxon_p(differences: FloatArray) -> float:
     """Two-sided p-value of the Wilcoxon signed-rank test on paired differences (n,).
 
@@ -68,15 +80,10 @@ def wilcoxon_p(differences: FloatArray) -> float:
     >>> wilcoxon_p(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     0.0625
     """
-    nonzero = np.round(differences, 12)
-    nonzero = nonzero[nonzero != 0]
-    _, place, counts = np.unique(np.abs(nonzero), return_inverse=True, return_counts=True)
-    ranks = (2 * np.cumsum(counts) - counts + 1)[place]  # twice the mean rank: whole numbers
-    share = np.ones(1)
-    for rank in ranks:  # distribution of the sum of the positive ranks, one sign after the other
+    signed, share = signed_ranks(differences), np.ones(1)
+    for rank in np.abs(signed):  # distribution of the sum of the positive ranks, one sign after the other
         share = np.pad(share / 2, (0, rank)) + np.pad(share / 2, (rank, 0))
-    positive = int(ranks[nonzero > 0].sum())
-    tail = min(positive, int(ranks.sum()) - positive)
+    tail = min(int(signed[signed > 0].sum()), -int(signed[signed < 0].sum()))
     return float(min(1.0, 2 * share[: tail + 1].sum()))
 
 

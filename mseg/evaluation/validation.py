@@ -3,7 +3,7 @@
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -105,7 +105,8 @@ def validate_submission(
     given = load_clips(data)
     most = _MORE_ROWS + 4 * max((len(clip.dense) for clip in given.values()), default=0)
     read = submission if isinstance(submission, Submission) else read_submission(submission, most=most)
-    protocol = choose_protocol(benchmark or read.meta.benchmark, given)
+    labelled = [name for name, clip in given.items() if clip.n_motions]
+    protocol = choose_protocol(benchmark or read.meta.benchmark, labelled or given)
     clips = {name: clip for name, clip in given.items() if protocol.holds(name) and clip.n_motions}
     out = Validation(read, protocol, clips, problems=list(read.problems))
     if not clips:
@@ -133,13 +134,16 @@ def load_clips(data: PathLike | Mapping[str, Clip] | Iterable[Clip]) -> dict[str
     if not isinstance(data, (str, os.PathLike)):
         return dict(sorted(clips_by_name(data).items()))
     from kt3dmoseg.io import load, load_dataset
+    from kt3dmoseg.io.fields import clip_name
 
     path = Path(data)
     if (path / META).is_file() or path.suffix == ".json":
         found = "a submission" if path.is_dir() else "scores"
         fix = "on the command line give the data last, to mseg.score(truth, pred) first"
         raise InvalidValueError(f"{path}", expected="the data (a folder of clips)", found=found, fix=fix)
-    return clips_by_name([load(path)]) if path.is_file() else load_dataset(path)
+    return (
+        {clip_name(path): replace(load(path), name=clip_name(path))} if path.is_file() else load_dataset(path)
+    )
 
 
 def _check_labels(seed: int, name: str, file: str, out: Validation) -> None:

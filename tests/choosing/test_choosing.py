@@ -158,6 +158,20 @@ def test_missing_frames_and_cuts_are_in_no_clip_and_the_page_builds_a_name_with_
     assert shlex.split(command)[2::4] == [str(folder), selected[0].name]
 
 
+def test_a_recording_that_was_renamed_or_copied_keeps_its_measures(rng, tmp_path):
+    first = tmp_path / "first"
+    first.mkdir()
+    scene = cv2.GaussianBlur(rng.integers(0, 255, (96, 160)).astype(np.uint8), (0, 0), 2)
+    for frame in range(8):
+        cv2.imwrite(str(first / f"{frame:06d}.png"), np.roll(scene, frame, axis=1))
+    options = {"shortest": 6, "longest": 8, "stride": 2, "movers": "residual", "output": tmp_path / "chosen"}
+    choose(first, **options)
+    shutil.copytree(first, tmp_path / "second")
+    assert {w.recording for w in choose(tmp_path / "second", **options)} == {"second"}
+    both = choose([first, tmp_path / "second"], **options)
+    assert {w.recording for w in both} == {"first", "second"}
+
+
 def test_a_drive_that_is_on_disk_in_parts_has_windows_in_each(root, tmp_path):
     shutil.copytree(root, tmp_path / "kitti")
     name = "2011_09_26/2011_09_26_drive_0002_sync/image_00/data/0000000012.png"

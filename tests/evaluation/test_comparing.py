@@ -56,6 +56,15 @@ def test_a_difference_inside_the_seed_noise(tmp_path):
     assert "is not larger than the seed noise" in pair.sentence
 
 
+def test_a_mean_that_one_clip_decides_is_not_called_consistent(tmp_path):
+    often = scores_of(tmp_path, "often", [[0] * 11 + [20]])
+    rarely = scores_of(tmp_path, "rarely", [[1] * 12])
+    for pair in (compare([often, rarely]).pairs[0], compare([rarely, often]).pairs[0]):
+        assert "rarely is better than often by" in pair.sentence
+        assert "But on most clips often is better, consistently (Wilcoxon" in pair.sentence
+        assert pair.p < 0.05
+
+
 def test_a_mapping_names_what_is_compared():
     clip = next(iter(CLIPS.values()))
     table = mseg.score(clip, clip.labels)

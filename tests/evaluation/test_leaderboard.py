@@ -71,6 +71,16 @@ def test_partial_or_failed_never_ranks_above_complete(board, tmp_path):
     assert [rank for rank, e in ranked if e.method != "partial"] == [1, 2]
 
 
+def test_a_clip_without_labels_among_the_data_changes_nothing(board, tmp_path):
+    clip = CLIPS["example_two"]
+    bare = replace(clip, name="bare", labels=Labels(0 * clip.labels.label))
+    folder = write_submission(tmp_path / "m", CLIPS.values(), truth(), SubmissionMeta("m"))
+    scores = score_submission(folder, {**CLIPS, "bare": bare})
+    board.add(scores)
+    assert [entry.method for _, entry in board.boards()[0].ranked] == ["m"]
+    assert from_json(json.dumps(to_json(scores))).names == scores.names
+
+
 def test_different_data_are_ranked_apart(board, tmp_path):
     clip = CLIPS["example_two"]
     other = {**CLIPS, "example_two": clip.with_labels(Labels(clip.labels.label[::-1].copy()))}

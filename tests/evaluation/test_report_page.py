@@ -18,7 +18,7 @@ from kt3dmoseg.types import Clip, Labels
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation import SubmissionMeta, report, score_submission, write_failure, write_submission
 from mseg.evaluation.report import write_report
-from mseg.evaluation.results import ResultsTable, headline, per_clip
+from mseg.evaluation.results import ResultsTable, headline, per_clip, rendered
 
 
 @pytest.fixture
@@ -135,6 +135,8 @@ def test_failed_clip_is_shown(tmp_path):
     text = Page(path.read_text()).text
     assert "Counted as fully wrong" in text
     assert "no <luck>" in text
+    rows = list(csv.DictReader(rendered(score_submission(folder, CLIPS), "csv").splitlines()))
+    assert {row["clip"]: row["failed"] for row in rows} == {name: str(int("two" in name)) for name in CLIPS}
     (folder / "example_three.csv").write_text("track,label\n1,1.5\n")
     with pytest.raises(RejectedSubmissionError):
         write_report(folder, CLIPS, tmp_path / "r.html")

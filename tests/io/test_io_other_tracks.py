@@ -205,3 +205,11 @@ def test_a_bad_row_of_a_prediction_is_named(row, code, found, tmp_path):
     path.write_text(f"track,label\n0,1\n\n{row}\n")
     with pytest.raises(FileFormatError, match=rf"\[{code}\] .*found .*{found}"):
         read_prediction(path, small_clip())
+
+
+def test_brox_labels_count_from_0_where_some_are_none(tmp_path):
+    path = tmp_path / "clip.dat"
+    for labels, expected in (("-1 0 0 1", [0, 1, 1, 2]), ("0 1 1 2", [0, 1, 1, 2])):
+        tracks = [f"{label} 2\n{k} 1 0\n{k} 2 1" for k, label in enumerate(labels.split())]
+        path.write_text("\n".join(["2", "4", *tracks]) + "\n")
+        assert load(path).labels.label.tolist() == expected

@@ -324,6 +324,82 @@ def test_predictions_resume_and_do_not_mix(data, tmp_path):
         predict(data, tmp_path / "zero", "affine", n_motions=0)
 
 
+def test_kept_predictions_are_those_of_their_own_data_and_options(data, make_clip, tmp_path):
+    """A file counts as made only by the outcome that was written into it last."""
+
+    def files(folder):
+        return {path.name: path.read_bytes() for path in folder.glob("*.csv")}
+
+    (source := tmp_path / "data").mkdir()
+    path, fresh = source / "a.h5", {}
+    for seed in (1, 2):
+        clip = make_clip(points=14, seed=seed)
+        save(Clip("a", clip.dense, clip.evaluated, clip.labels), path)
+        fresh[seed] = path.read_bytes(), files(predict(source, tmp_path / f"fresh{seed}", "affine"))
+    assert fresh[1][1] != fresh[2][1]
+    for seed in (1, 2, 1):
+        path.write_bytes(fresh[seed][0])
+        assert files(predict(source, tmp_path / "again", "affine")) == fresh[seed][1]
+    for seeds in ([0], [5], [0]):
+        flat = files(predict(data, tmp_path / "seeds", "affine", seeds=seeds))
+        assert flat == files(predict(data, tmp_path / f"seed{seeds[0]}", "affine", seeds=seeds))
+    predict(source, tmp_path / "rows", "affine", rows="all")
+    with pytest.raises(KT3DMoSegError, match="differs in rows"):
+        predict(source, tmp_path / "rows", "affine")
+    predict(data, tmp_path / "more", "affine", seeds=3)
+    with pytest.raises(KT3DMoSegError, match="expected no other seeds, found seed-2 of an earlier run"):
+        predict(data, tmp_path / "more", "affine", seeds=2)
+    counted = predict(source, tmp_path / "count", "affine", n_motions=np.int64(2))
+    assert predict(source, counted, "affine", n_motions=2) == counted
+
+
+def test_what_ran_out_of_memory_is_tried_again(data, monkeypatch, tmp_path):
+    real = runner_module.segment
+
+    def full(clip, *args, **options):
+        if clip.name == CLIPS[0]:
+            raise MemoryError("Unable to allocate 40 GiB")
+        return real(clip, *args, **options)
+
+    monkeypatch.setattr(runner_module, "segment", full)
+    out, cache = tmp_path / "p", tmp_path / "cache"
+    result = run("kt3dmoseg", "affine", data=data, cache=cache)
+    assert [reason for *_, reason in result.failures] == ["Unable to allocate 40 GiB"]
+    predict(data, out, "affine")
+    assert (out / f"{CLIPS[0]}.failed").is_file()
+    monkeypatch.setattr(runner_module, "segment", real)
+    assert not run("kt3dmoseg", "affine", data=data, cache=cache).failures
+    predict(data, out, "affine")
+    assert not (out / f"{CLIPS[0]}.failed").exists()
+
+
+def test_clips_without_labels_next_to_others_change_nothing(data, make_clip, tmp_path):
+    clip = make_clip(points=14)
+    bare = Clip("Seq113_Clip01", clip.dense, clip.evaluated, Labels(np.zeros(len(clip.evaluated), int)))
+    save(bare, tmp_path / "bare" / "Seq113_Clip01.h5")
+    result = run("kt3dmoseg", "affine", data=[data, tmp_path / "bare"])
+    assert tuple(result.clips) == CLIPS
+    assert result.others == ("Seq113_Clip01",)
+    with pytest.raises(KT3DMoSegError, match="expected clips with labels, found Seq113_Clip01 without"):
+        run("kt3dmoseg", "affine", data=tmp_path / "bare")
+    both = shutil.copytree(data, tmp_path / "both")
+    shutil.copy(tmp_path / "bare" / "Seq113_Clip01.h5", both)
+    found = validate_submission(predict(both, tmp_path / "p", "affine"), both)
+    assert found.ok
+    assert found.submission.meta.n_motions_given
+
+
+def test_a_clip_has_the_name_of_its_file(make_clip, tmp_path):
+    clip = make_clip(points=14)
+    for name in ("first", "second"):
+        save(Clip("frames", clip.dense, clip.evaluated, clip.labels), tmp_path / "data" / f"{name}.h5")
+    out = predict(tmp_path / "data", tmp_path / "p", "affine")
+    assert sorted(path.stem for path in out.glob("*.csv")) == ["first", "second"]
+    assert validate_submission(out, tmp_path / "data").ok
+    one = predict(tmp_path / "data" / "first.h5", tmp_path / "q", "affine")
+    assert [path.stem for path in one.glob("*.csv")] == ["first"]
+
+
 def test_unlabelled_clips_need_a_number_or_a_method_that_finds_it(make_clip, tmp_path):
     clip = make_clip(points=14)
     bare = Clip("bare", clip.dense, clip.evaluated, Labels(np.zeros(len(clip.evaluated), int)))

@@ -17,9 +17,9 @@ from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
 from kt3dmoseg.frames import FrameInfo, find_clips, frame_folder, frames_of
-from kt3dmoseg.io import save
+from kt3dmoseg.io import load_dataset, save
 from kt3dmoseg.io.images import read_frame
-from kt3dmoseg.pipeline import build_clip, find_sources, kitti_sources, label_by_masks
+from kt3dmoseg.pipeline import build_clip, build_dataset, find_sources, kitti_sources, label_by_masks
 from kt3dmoseg.pipeline.inputs import by_frame
 from kt3dmoseg.types import Trajectories
 
@@ -177,6 +177,23 @@ def test_a_range_of_a_kitti_drive_is_taken_by_frame_number(tmp_path):
     for number in range(42, 48):
         shutil.copy(source.drive.frame_path(number), tmp_path / "cut" / f"{number}.png")
     np.testing.assert_array_equal(clip.dense.xy, build_clip(tmp_path / "cut").dense.xy)
+
+
+def test_a_clip_is_built_again_when_calibration_or_times_of_its_drive_change(tmp_path):
+    root = _drive(tmp_path / "raw", range(40, 46))
+    calibration = root / "2011_09_26/calib_cam_to_cam.txt"
+    times = next(root.glob("*/*/image_00/timestamps.txt"))
+    built = []
+    for file, old, new in (
+        (times, "none", "none"),
+        (calibration, "P_rect_00: 700", "P_rect_00: 650"),
+        (times, "13:02:29.10", "13:02:29.16"),
+    ):
+        file.write_text(file.read_text().replace(old, new))
+        build_dataset(root, tmp_path / "out")
+        built += load_dataset(tmp_path / "out").values()
+    assert [clip.camera.K[0, 0] for clip in built] == [700, 650, 650]
+    assert len({clip.timestamps.tobytes() for clip in built}) == 2
 
 
 def test_a_clip_of_a_kitti_drive_is_shown_on_its_frames(tmp_path, capsys):

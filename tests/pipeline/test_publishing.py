@@ -164,6 +164,10 @@ def test_kitti_keeps_its_licence_and_builds_are_not_mixed(built, tmp_path):
         InvalidValueError, match=r"license: expected cc-by-nc-sa-3.0, found 'cc-by-4.0'; .*KITTI"
     ):
         publish(tmp_path / "kitti", tmp_path / "v", **ABOUT)
+    tracked = replace(clip, name="t", provenance={"source": {"kind": "kitti"}})  # by `track`, not built
+    save(tracked, tmp_path / "tracked" / "t.h5")
+    with pytest.raises(InvalidValueError, match=r"license: expected cc-by-nc-sa-3\.0"):
+        publish(tmp_path / "tracked", tmp_path / "v", **ABOUT)
     other = json.loads(json.dumps(clip.provenance["inputs"]))
     other["options"]["spacing"] = 4
     save(clip, tmp_path / "mixed" / "a.h5")
