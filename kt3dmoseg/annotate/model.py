@@ -361,6 +361,15 @@ class StaleRevisionError(KT3DMoSegError):
 
     current: Annotation
 
+    @classmethod
+    def check(cls, where: str, mine: int, current: Annotation) -> None:
+        """Raise the error where `current` is of another revision than mine."""
+        if mine != current.revision:
+            theirs, fix = f"revision {current.revision}", "read it again and merge the edits"
+            stale = cls(where, expected=f"revision {mine}", found=theirs, fix=fix)
+            stale.current = current
+            raise stale
+
 
 def save_revision(path: PathLike, annotation: Annotation) -> Annotation:
     """Write `annotation` as the next revision of a file, and return what was written.
@@ -377,12 +386,8 @@ def save_revision(path: PathLike, annotation: Annotation) -> Annotation:
     target = Path(path)
     with hold_folder(target.parent):
         current = load_annotation(target) if target.exists() else None
-        if current is not None and current.revision != annotation.revision:
-            mine, theirs = f"revision {annotation.revision}", f"revision {current.revision}"
-            fix = "read it again and merge the edits"
-            stale = StaleRevisionError(f"{target}", expected=mine, found=theirs, fix=fix)
-            stale.current = current
-            raise stale
+        if current is not None:
+            StaleRevisionError.check(f"{target}", annotation.revision, current)
         saved = replace(annotation, revision=annotation.revision + 1)
         save_annotation(target, saved)
     return saved

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import copy
 import json
+import shutil
 import threading
 from dataclasses import replace
 from datetime import datetime
@@ -254,6 +256,46 @@ def test_each_of_a_team_has_a_token(clips, tmp_path):
         assert (answer["annotator"], answer["team"]) == (name, ["Ada Lovelace", "Bo"])
     assert page.get("/?token=secret").status_code == 303
     assert set_state(page, by="Eve").json()["work"]["by"] == "Bo"
+
+
+@pytest.mark.parametrize(("reached", "shown"), [("192.0.2.7", "192.0.2.7"), (None, "0.0.0.0")])
+def test_a_wildcard_is_shown_as_an_address_that_others_can_open(monkeypatch, reached, shown):
+    class Probe(contextlib.nullcontext):
+        def __enter__(self):
+            return self
+
+        def connect(self, where):
+            if reached is None:
+                raise OSError("no network")
+
+        def getsockname(self):
+            return reached, 1
+
+    monkeypatch.setattr(app.socket, "socket", lambda *_: Probe())
+    assert app._reached("0.0.0.0") == shown
+    assert [app._reached(host) for host in ("127.0.0.1", "::1", "lab")] == ["127.0.0.1", "[::1]", "lab"]
+
+
+def test_a_state_is_of_the_revision_that_was_seen(page):
+    save(page, drawn(page), 0)
+    save(page, drawn(page), 1)
+    answer = page.put("/api/clips/one/state", json={"state": "reviewed", "revision": 1, "by": "Ada"})
+    assert (answer.status_code, answer.json()["annotation"]["revision"]) == (412, 2)
+    answer = page.put("/api/clips/one/state", json={"state": "reviewed", "revision": 2, "by": "Ada"})
+    assert answer.json()["work"]["revision"] == 2
+
+
+def test_a_picture_that_changed_is_sent_again(clips, tmp_path):
+    frames = shutil.copytree(clips / "frames" / "two", tmp_path / "two")
+    [source] = find_clips(frames, annotations=tmp_path).values()
+    page = client(Routes({"two": ClipSession(source, never)}))
+    first = page.get("/api/clips/two/frames/0")
+    again = {"if-none-match": first.headers["etag"]}
+    assert page.get("/api/clips/two/frames/0", headers=again).status_code == 304
+    path = source.frames[0]
+    cv2.imwrite(str(path), 255 - cv2.imread(str(path)))
+    second = page.get("/api/clips/two/frames/0", headers=again)
+    assert (second.status_code, second.content != first.content) == (200, True)
 
 
 @pytest.mark.parametrize("text", ["", "Ada\nAda\n", "x" * 101])
@@ -713,7 +755,7 @@ def test_token(clips, tmp_path):
     welcome = page.get("/?token=secret", follow_redirects=False)
     assert welcome.status_code == 303
     assert "httponly" in welcome.headers["set-cookie"].lower()
-    assert "samesite=strict" in welcome.headers["set-cookie"].lower()
+    assert "samesite=lax" in welcome.headers["set-cookie"].lower()
     assert welcome.headers["location"] == "/"
     clip = page.get("/?clip=one&token=secret", follow_redirects=False)
     assert clip.headers["location"] == "/?clip=one"

@@ -14,6 +14,7 @@ import re
 import secrets
 import socket
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
 from urllib.parse import quote
@@ -154,7 +155,7 @@ class Guard:
             # The token leaves the address bar, and with it the browser's history.
             page = request.url.remove_query_params("token").replace(scheme="", netloc="")
             welcome = RedirectResponse(page, status_code=303)
-            welcome.set_cookie(cookie, given, httponly=True, samesite="strict")
+            welcome.set_cookie(cookie, given, httponly=True, samesite="lax")  # links in mail lead here, too
             return welcome
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
         for token in (bearer, request.cookies.get(cookie, "")):
@@ -202,13 +203,22 @@ def serve(
         hosts, tokens = set(), tokens or {secrets.token_urlsafe(_TOKEN): ""}
     app = create_app(routes, hosts=hosts, tokens=tokens)
     config = uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
-    shown = f"[{host}]" if ":" in host else host
+    shown = _reached(host)
     page = f"http://{shown}:{port}/"
     ready({name: f"{page}?token={token}" for token, name in tokens.items()} or {"": page})
     try:
         uvicorn.Server(config).run(sockets=[listener])
     finally:
         routes.counting.shutdown(wait=False, cancel_futures=True)
+
+
+def _reached(host: str) -> str:
+    """Return a host as others write it in an address: of a wildcard, this machine's own address."""
+    if host in ("0.0.0.0", "::", ""):
+        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(("192.0.2.1", 9))  # nothing is sent: this only chooses the network
+            return str(probe.getsockname()[0])
+    return f"[{host}]" if ":" in host else host
 
 
 def read_team(path: Path) -> dict[str, str]:

@@ -199,7 +199,11 @@ class ClipSession:
         """Set the ``state``, or to whom the clip is ``assigned``; both are kept in the log, with the name."""
         what: dict[str, Any] = {name: given[name] for name in ("state", "assigned") if name in given}
         if "state" in what:
-            what["revision"] = self.annotation().revision
+            now = self.annotation()
+            what["revision"] = now.revision
+            model.StaleRevisionError.check(
+                f"{self.source.name}: state", given.get("revision", now.revision), now
+            )
         self.log.add(by, **what)
         return self.work()
 

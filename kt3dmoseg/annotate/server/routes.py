@@ -81,7 +81,7 @@ class Routes:
             self._route("GET", "/tracks", self._tracks),  # float32 (N, F, 2); 202 while they are computed
             self._route("GET", "/moving", self._moving, quick),  # groups that move by themselves, else 1
             self._route("GET", "/trouble", self._trouble),  # why saving would fail, or ""
-            self._route("PUT", "/state", self._set_state),  # {"state"} or {"assigned"}, and {"by"}
+            self._route("PUT", "/state", self._set_state),  # {"state", "revision"} or {"assigned"}; {"by"}
             self._route("PUT", "/annotation", self._save),  # with the revision that was edited
             self._route("POST", "/regions", self._regions, quick),  # in each frame, and why in doubt
             self._route("POST", "/outline", self._outline, quick),  # `Clicks`
@@ -139,7 +139,11 @@ class Routes:
         frames, index = session.source.frames, request.path_params["frame"]
         if index >= len(frames):
             raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
-        path, kept = frames[index], {"cache-control": "private, max-age=3600"}
+        path = frames[index]
+        found = path.stat()
+        kept = {"cache-control": "private, no-cache", "etag": f'"{found.st_mtime_ns:x}-{found.st_size:x}"'}
+        if request.headers.get("if-none-match") == kept["etag"]:
+            return Response(status_code=304, headers=kept)
         if kind := _SHOWN.get(path.suffix.lower()):
             return Response(read_bytes(path, _MAX_PICTURE), media_type=kind, headers=kept)
         content = cv2.imencode(".png", read_frame(path, "luma"))[1].tobytes()

@@ -37,8 +37,12 @@ function withKey(doc, frame, ...region) {
   return setKey(changeObject(doc, id, { key_frames: drawn }), id, frame, ...region);
 }
 
+/** As it is seen there: what is reshaped behind something stays behind it. */
+const seenAs = ({ visibility }) => (visibility === "occluded" ? visibility : "visible");
+
 /** Make the selected object's region here a key frame. */
-export const draw = (polygons, visibility) => edit(withKey(state.doc, state.frame, polygons, visibility));
+export const draw = (polygons, visibility = seenAs(regionHere())) =>
+  edit(withKey(state.doc, state.frame, polygons.map(rounded), visibility));
 
 /** Change an object's properties, while one is selected that may be changed. */
 export const update = withObject((_, { id }, fields) => edit(changeObject(state.doc, id, fields)));
@@ -62,7 +66,7 @@ export function finish() {
   setTool("select");
   if (tool === "lasso") return catchTracks(frame, polygon);
   if (mode !== "object" && selectedObject()) {
-    return draw(mode === "part" ? [...regionHere().polygons, polygon] : [polygon]);
+    return mode === "part" ? draw([...regionHere().polygons, polygon]) : draw([polygon], "visible");
   }
   const first = { frame, visibility: "visible", polygons: [polygon] };
   editLast(addObject(state.doc, { key_frames: [first] }));
@@ -202,11 +206,11 @@ export const paint = (stroke, adds) => inTurn(async (frame) => {
   const item = editable();
   if (!item) return;
   const { clip, brush } = state;
-  const { polygons } = editableRegion(item, frame);
+  const { polygons, visibility } = editableRegion(item, frame);
   const answer = await ask(clip.name, "paint", { polygons, stroke, radius: brush, adds });
   if (!holds(clip, item, frame)) notify("Edited meanwhile: paint again");
   else if (!answer.polygons.length) notify("Nothing would be left; Delete takes the object out of this frame");
-  else edit(setKey(state.doc, item.id, frame, answer.polygons.map(rounded)));
+  else edit(setKey(state.doc, item.id, frame, answer.polygons.map(rounded), seenAs({ visibility })));
 });
 
 export function resizeBrush(factor) {

@@ -28,22 +28,35 @@ export function setKey(doc, id, frame, polygons, visibility = "visible") {
 }
 
 /** Merge two documents made from the same saved one: nothing that either side drew is lost.
- *  Objects changed on one side only are taken from there; changed on both, both are kept. */
+ *  Objects changed on one side only are taken from there; changed on both, both are kept, mine under new ids:
+ *  `moved` has these by the old ones. */
 export function merge(base, mine, theirs) {
   const [objects, doubles] = mergeLists([base, mine, theirs].map((doc) => doc.objects), (item) => item.id);
   const [marks] = mergeLists([base, mine, theirs].map((doc) => doc.marks ?? []), JSON.stringify);
-  return doubles.reduce((doc, item) => addObject(doc, { ...item, name: `${item.name} (other)` }),
-    { ...mine, revision: theirs.revision, objects, marks });
+  let doc = { ...mine, revision: theirs.revision, objects, marks };
+  const moved = new Map();
+  for (const item of doubles) {
+    const { name, ...values } = item;
+    const named = name === `object ${item.id}` ? {} : { name };
+    // If it is not in the base, two new objects got one id.
+    doc = addObject(doc, { ...values, ...(objectOf(base, item.id) ? { name: `${name} (other)` } : named) });
+    moved.set(item.id, doc.objects.at(-1).id);
+  }
+  return { doc, moved };
 }
 
-/** The merged items, and their versions of those that both sides changed. */
+/** An object as text, in which it does not matter whether an empty note is there, and where. */
+const textOf = (item) =>
+  item && JSON.stringify(Object.entries({ note: "", ...item }).sort(([a], [b]) => (a < b ? -1 : 1)));
+
+/** The merged items, and my versions of those that both sides changed. */
 function mergeLists(lists, keyOf) {
-  const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+  const same = (a, b) => textOf(a) === textOf(b);
   const [base, mine, theirs] = lists.map((items) => new Map(items.map((item) => [keyOf(item), item])));
   const [merged, doubles] = [[], []];
   for (const key of new Set([...theirs.keys(), ...mine.keys()])) {
     const [old, my, their] = [base, mine, theirs].map((items) => items.get(key));
-    let kept = [my, their];
+    let kept = [their, my];
     if (same(my, old) || same(my, their)) kept = [their];
     else if (same(their, old)) kept = [my];
     const [first, double] = kept.filter(Boolean);

@@ -3,7 +3,7 @@
 import { weakFrames } from "./actions.js";
 import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { proposeBuilt } from "./exchange.js";
-import { ask, flush, listClips, saver, startFrom, yourName } from "./saving.js";
+import { ask, flush, join, listClips, saver, startFrom, yourName } from "./saving.js";
 import { attempt, begin, on, notify, set, state } from "./state.js";
 import { loadTracks } from "./tracks.js";
 import { fit, stop } from "./view.js";
@@ -54,9 +54,18 @@ function doubtOf({ short, conflict }, weak) {
   return parts.map(([count, what]) => `${count} ${what}${count > 1 ? "s" : ""}`).join(" · ") || "nothing in doubt";
 }
 
-/** Set the state of a clip, or to whom it is assigned: { state } or { assigned }. */
-async function setWork(name, wanted) {
+/** Set the state of this clip: of what is seen here. Where somebody saved meanwhile, that is shown instead. */
+async function setState(value) {
   await flush();
+  await setWork(state.clip.name, { state: value, revision: saver.revision }).catch((error) => {
+    if (error.status !== 412) throw error;
+    join(error.body.annotation);
+    notify("Somebody else saved meanwhile: look at it, then set the state again");
+  });
+}
+
+/** Set the state of a clip, or to whom it is assigned: { state, revision } or { assigned }. */
+async function setWork(name, wanted) {
   const by = yourName() || await askName();
   if (!by) return;
   const { work } = await ask(name, "state", { ...wanted, by }, { method: "PUT" });
@@ -116,9 +125,11 @@ export function clips() {
   body.querySelector("[aria-current=true]")?.focus();
 }
 
+body.onpointerup = () => requestAnimationFrame(drawClips);
+
 function drawClips() {
   const { summaries } = state;
-  if (!body.isConnected) return;
+  if (!body.isConnected || body.querySelector(":active")) return; // a click on what is drawn again would be lost
   const focused = document.activeElement?.dataset.clip;
   if (body.contains(document.activeElement) && document.activeElement.matches("input")) return;
   const matches = (summary) => [summary.name, summary.work?.assigned, stateOf(summary).now]
@@ -175,7 +186,12 @@ function cells(summary) {
 on(["saving", "labels", "clip"], () => state.labels && state.saving.kind === "saved" && refresh());
 on(["labels", "weak", "summaries", "clip", "work", "saving"], () => state.clip && drawProgress());
 on(["summaries"], drawClips);
-byId("state").onchange = (event) => {
-  const { value } = event.target;
-  attempt(() => setWork(state.clip.name, { state: value })).then(drawProgress);
+let byPointer = false;
+byId("state").onpointerdown = byId("state").onkeydown = ({ type }) => {
+  byPointer = type === "pointerdown";
+};
+byId("state").onchange = ({ target }) => {
+  const { value } = target;
+  if (byPointer) target.blur(); // keys are the page's again
+  attempt(() => setState(value)).then(drawProgress);
 };

@@ -143,7 +143,10 @@ export function press(name) {
 }
 
 function nameOf(event) {
-  const pressed = event.key === " " ? "Space" : event.key;
+  // On keyboards without Latin letters the key counts, wherever it is on a Latin one.
+  const latin = !/^\p{L}$/u.test(event.key) || /\p{Script=Latin}/u.test(event.key);
+  const letterOf = latin ? event.key : event.code.replace(/^Key/, "");
+  const pressed = event.key === " " ? "Space" : letterOf;
   // What Shift makes of a digit depends on the keyboard.
   const digit = event.shiftKey && /^Digit[1-9]$/.test(event.code) && !/\d/.test(pressed) && !TABLE.has(pressed);
   if (digit) return `Shift+${event.code.at(-1)}`;
@@ -160,7 +163,8 @@ addEventListener("keydown", (event) => {
   if (document.querySelector("dialog[open]")) return;
   if (target.matches("input, select, textarea")) {
     if (event.key === "Escape" || (event.key === "Enter" && target.matches("input"))) target.blur();
-    if (!(event.ctrlKey && "sz".includes(event.key.toLowerCase()))) return;
+    const page = target.matches("select") && event.key.startsWith("Page"); // opens clips here, too
+    if (!page && !(event.ctrlKey && "sz".includes(event.key.toLowerCase()))) return;
     target.blur();
   }
   if (target.matches("button") && (event.key === "Enter" || event.key === " ")) return;

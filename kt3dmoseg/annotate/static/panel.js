@@ -23,7 +23,7 @@ const list = byId("objects");
 const properties = byId("properties");
 
 function drawList() {
-  if (!state.doc || state.dragging) return;
+  if (!state.doc || state.dragging || list.querySelector(":active")) return; // a click would be lost
   const { objects } = state.doc;
   const focused = list.contains(document.activeElement) && document.activeElement.closest(".entry")?.dataset.id;
   fill(list, objects.length ? objects.map(entry)
@@ -107,6 +107,7 @@ function counts() {
   return [head(`${labels.label.length} trajectories`), element("div", { className: "counts" }, cells), ...open];
 }
 
+list.onpointerup = list.onpointercancel = () => requestAnimationFrame(drawList);
 list.onscroll = () => set({ scrolled: list.scrollTop });
 on(["doc", "dragging", "selected", "clip", "unseen", "locked", "weak"], drawList);
 on(["clip"], () => fill(properties.elements.kind, state.clip.kinds.map((kind) => element("option", {}, kind))));

@@ -1,10 +1,10 @@
 // Mouse, pen and touch on the stage. What is being dragged is an object with `move` and `up`.
 
 import * as actions from "./actions.js";
-import { clamp, distance, middle, nearestEdge, nearestVertex, setKey, shift, splice } from "./annotation.js";
+import { clamp, distance, middle, nearestEdge, nearestVertex, rounded, setKey, shift, splice } from "./annotation.js";
 import { byId } from "./dom.js";
 import { cancel, edit, editable, preview, select, selectedObject, set, state } from "./state.js";
-import { pan, toImage, toScreen, zoom } from "./view.js";
+import { pan, stop, toImage, toScreen, zoom } from "./view.js";
 
 const REACH = 8;
 const FREEHAND = 4;
@@ -31,6 +31,7 @@ const snapped = (point) => point.map((value, axis) => {
 
 function down(event) {
   if (!state.view || event.target.closest(".strip")) return;
+  stop(); // what is drawn is of the frame in view
   set({ keyboard: false, cross: null });
   stage.focus({ preventScroll: true });
   stage.setPointerCapture(event.pointerId);
@@ -66,7 +67,7 @@ function grab(point, screen) {
 /** Drag a region, or a point of it; `change` makes its polygons from where the pointer is. */
 const reshape = (item, visibility, vertex, change) => ({
   move(_, point) {
-    preview(setKey(state.doc, item.id, state.frame, change(point), visibility));
+    preview(setKey(state.doc, item.id, state.frame, change(point).map(rounded), visibility));
     set({ vertex });
   },
   up: () => state.dragging && edit(state.doc),

@@ -1,11 +1,12 @@
 // Requests to the server, and autosave: every edit is kept in this browser at once and sent soon; the server's
 // answer is the truth.
 
-import { merge } from "./annotation.js";
+import { merge, objectOf } from "./annotation.js";
 import { button, byId, download, element, fill } from "./dom.js";
-import { edit, now, on, notify, set, state } from "./state.js";
+import { edit, now, on, notify, select, set, state } from "./state.js";
 
 const SOON = 350;
+const TRIES = 5;
 // The server is asked this often whether it is there and can save, and given this long to answer.
 const PULSE = 2000;
 const PATIENCE = 3000;
@@ -32,6 +33,7 @@ export async function request(clip, what, body, options = {}) {
   const response = await fetch(address(clip, what), options).catch((error) => {
     throw error.name === "AbortError" ? error : failure(AWAY, 0, null);
   });
+  if (response.status === 202 && what !== "tracks") throw failure("The trajectories are not there yet", 202, null);
   if (response.ok) return response;
   const answer = await response.json().catch(() => ({}));
   throw failure(answer.error ?? response.statusText, response.status, answer);
@@ -60,7 +62,7 @@ export async function startFrom(clip, doc) {
   Object.assign(saver, { clip, base: doc, revision: doc.revision });
   show("saved");
   for (const draft of await recover(clip)) {
-    edit(draft.base.revision === doc.revision ? draft.doc : merge(draft.base, draft.doc, state.doc));
+    edit(draft.base.revision === doc.revision ? draft.doc : merge(draft.base, draft.doc, state.doc).doc);
     notify("Edits that had not reached the server are restored");
   }
 }
@@ -72,9 +74,11 @@ export const yourName = () => state.clip.annotator || localStorage.getItem("anno
 export async function flush() {
   clearTimeout(timer);
   await sending;
-  if (!saver.pending) return;
-  sending ??= send().finally(() => (sending = null));
-  await sending;
+  for (let tries = 0; saver.pending && !state.dragging && tries < TRIES; tries++) { // others may save in between
+    sending ??= send().finally(() => (sending = null));
+    await sending;
+    if (["offline", "failed"].includes(state.saving.kind)) return;
+  }
 }
 
 function schedule(delay) {
@@ -113,16 +117,17 @@ async function send() {
   }
 }
 
-/** Somebody else saved in between: what both drew is kept, as one edit that can be undone. */
-function join(theirs) {
-  const mine = state.doc;
-  const merged = merge(saver.base, mine, theirs);
-  const ids = new Set([...mine.objects, ...theirs.objects].map((item) => item.id));
-  const twice = merged.objects.filter((item) => !ids.has(item.id)).map((item) => item.name);
+/** Somebody else saved in between: what both drew is kept, and undo still takes back one's own edits only. */
+export function join(theirs) {
+  const { base } = saver;
+  const { doc, moved } = saver.pending ? merge(base, state.doc, theirs) : { doc: theirs, moved: new Map() };
+  const twice = [...moved.values()].map((id) => objectOf(doc, id).name);
+  const rebased = (before) => merge(base, before, theirs).doc;
   Object.assign(saver, { base: theirs, revision: theirs.revision });
-  edit(merged);
+  set({ doc, done: state.done.map(rebased), undone: state.undone.map(rebased) });
+  if (moved.has(state.selected)) select(moved.get(state.selected));
   notify(`${theirs.annotator || "Somebody else"} saved meanwhile: both are merged`
-    + (twice.length ? `; changed by both and kept twice: ${twice.join(", ")}` : ""));
+    + (twice.length ? `; kept under new numbers: ${twice.join(", ")}` : ""));
 }
 
 // The banner: what is wrong with the server or its folder, noticed also while nothing is edited

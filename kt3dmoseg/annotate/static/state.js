@@ -80,6 +80,14 @@ export function notify(hint) {
   hintTimer = setTimeout(() => set({ hint: "" }), 4000);
 }
 
+// An id that is free again must not stay hidden or locked.
+now(["doc"], () => {
+  for (const kind of ["unseen", "locked"]) {
+    const left = [...state[kind]].filter((id) => state.doc && objectOf(state.doc, id));
+    if (left.length < state[kind].size) set({ [kind]: new Set(left) });
+  }
+});
+
 /** Run an action; a failure, for instance because the server is away, becomes a hint. */
 export const attempt = (action) => (async () => action())().catch(({ message }) => notify(message));
 

@@ -63,8 +63,9 @@ async function label() {
       if (regions) set({ regions, weak });
       else if (labels.label) set({ labels });
     }
-  } catch {
-    // Offline or refused: saving reports it; the last labels stay.
+  } catch ({ status }) {
+    // Offline or refused: saving reports it; the last labels stay. After a restart the server needs a while.
+    if (status === 202 && !signal.aborted) timer = setTimeout(label, POLL);
   }
 }
 
