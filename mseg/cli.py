@@ -99,6 +99,7 @@ def run(
     output: Annotated[Folder, Parameter(alias="-o", help="Where predictions go.")],
     method: Annotated[Name, Parameter(help="Method.")] = "subset",
     n_motions: Annotated[Positive | None, Parameter(help=_N_MOTIONS)] = None,
+    number: Annotated[Literal["given", "found"], Parameter(help=_NUMBER)] = "given",
     seeds: Annotated[Positive, Parameter(help="Number of seeds; several go to seed-0/, seed-1/, ...")] = 1,
     parameter: Settings = (),
     all_: Annotated[
@@ -125,6 +126,7 @@ def run(
                 output,
                 method,
                 n_motions=n_motions,
+                number=number,
                 seeds=seeds,
                 parameters=parse_assignments(parameter),
                 rows="all" if all_ else "evaluated",

@@ -47,6 +47,7 @@ def track(
     seeds: npt.ArrayLike | None = None,
     *,
     tracker: str | PointTracker = "",
+    colour: Colour = "refuse",
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401
@@ -61,8 +62,8 @@ def track(
     Parameters
     ----------
     frames : path-like, or iterable of arrays or of path-likes
-        A folder of images, or a video, of which the luma is taken; or gray frames (H, W) uint8, as an array
-        (F, H, W) has, or the paths of images.
+        A folder of images, or a video; or gray frames (H, W) uint8, as an array (F, H, W) has, or the paths
+        of images.
         An array whose last dimension is by far the shortest is taken for (H, W, F) and refused. An iterator
         is consumed one frame at a time, so a clip of any length needs only the memory of two frames,
         one pair of flow fields, and its trajectories.
@@ -74,6 +75,8 @@ def track(
     tracker : str or PointTracker, optional
         Follows the points instead of optical flow (`kt3dmoseg.tracking.point_trackers`); of the options it
         takes those of starts and `min_length`. The frames are all in memory.
+    colour : {"refuse", "luma"}
+        What to do with images in colour, see `kt3dmoseg.io.images.read_frame`; of videos the luma is taken.
     cache : path-like, optional
         Folder in which flow fields are kept and looked up by content.
     progress : callable, optional
@@ -94,12 +97,12 @@ def track(
         For an unknown flow or option.
     """
     settings = from_mapping(TrackOptions, options, where="track")
-    items = one_source(frames).frames("refuse") if isinstance(frames, (str, os.PathLike)) else frames
+    items = one_source(frames).frames(colour) if isinstance(frames, (str, os.PathLike)) else frames
     _check_axes(frames)
     total, report = len(items) if isinstance(items, Sized) else None, progress or (lambda done, total: None)
     chosen = _checked(seeds)
     if tracker:
-        pictures = list(_gray_frames(items))
+        pictures = list(_gray_frames(items, colour))
         _reject_beyond(chosen, len(pictures), pictures[0].shape)
         return follow(create_tracker(tracker), pictures, chosen, settings, report)
     backend = create_flow(flow) if isinstance(flow, str) else flow
@@ -107,7 +110,7 @@ def track(
     ids, xy, count = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), 0
     seen: list[tuple[IntArray, FloatArray]] = []
     before: ByteArray | None = None
-    for frame in _gray_frames(items):
+    for frame in _gray_frames(items, colour):
         if looks:
             looks.look_at(frame)
         if before is not None:
@@ -158,9 +161,7 @@ def track_clip(
     frames : path-like or FrameSource
         A folder of numbered frames, a video, a KITTI raw root with one clip, or a part of these, as
         `kt3dmoseg.frames.choose_sources` gives; the clip takes its name.
-    colour : {"refuse", "luma"}
-        What to do with frames in colour, see `kt3dmoseg.io.images.read_frame`; of videos the luma is taken.
-    flow, tracker, cache, progress, **options
+    flow, tracker, colour, cache, progress, **options
         As in `kt3dmoseg.track`.
 
     Returns
@@ -205,13 +206,13 @@ def track_clip(
     )
 
 
-def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]]) -> Iterator[ByteArray]:
+def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]], colour: Colour) -> Iterator[ByteArray]:
     first: tuple[int, ...] | None = None
     number = 0
     for number, item in enumerate(items, start=1):
         name, frame = f"frame {number - 1}", item
         if isinstance(frame, (str, os.PathLike)):
-            name, frame = os.fspath(frame), read_frame(Path(frame))
+            name, frame = os.fspath(frame), read_frame(Path(frame), colour)
         check_frame(name, frame, first)
         first = frame.shape
         yield frame

@@ -183,6 +183,7 @@ def predict(
     method: str = "subset",
     *,
     n_motions: int | None = None,
+    number: Literal["given", "found"] = "given",
     seeds: int | Sequence[int] = 1,
     parameters: Mapping[str, Any] | None = None,
     rows: Rows = "evaluated",
@@ -203,6 +204,8 @@ def predict(
     n_motions : int or None
         Number of motions of all clips; None = as many as each clip's labels have, or, where a clip
         has no labels, what the method finds.
+    number : {"given", "found"}
+        With "found", the method finds the number of every clip. One that cannot fails.
     seeds, parameters, workers, dask, progress
         As of `mseg.benchmark.run`.
     rows : {"evaluated", "all"}
@@ -215,14 +218,11 @@ def predict(
         When the folder holds predictions of another configuration, other numbers or layout, or `n_motions`
         is not positive; when the method failed on every clip (the reasons are in the folder).
     """
-    if n_motions is not None:
-        check_whole("n_motions", n_motions, 1)
-        n_motions = int(n_motions)
     folder, wanted = Path(output), _seeds(seeds)
     [configuration] = _configure([method], parameters or {})
     made: Any = create(method, **configuration.parameters)
     clips = load_clips(data)
-    given = {name: n_motions or clip.n_motions or None for name, clip in clips.items()}
+    given = _given(clips, n_motions, number)
     runs = _Runs([configuration], clips, given, wanted, rows)
     check_writable(folder)
     values, layout = asdict(made), "seed-N" if len(wanted) > 1 else "flat"
@@ -230,7 +230,7 @@ def predict(
         "method": method,
         "parameters": {name: repr(value) for name, value in values.items()},
         "code": algorithm_version(type(made)) or "",
-        "n_motions": n_motions,
+        "n_motions": number if n_motions is None else int(n_motions),
         "layout": layout,
         "rows": rows,
     }
@@ -260,9 +260,9 @@ def predict(
         if not np.isnan(outcome.seconds):  # else its workers died: the next run tries again
             written |= {file: [key, outcome.seconds, outcome.notes] for file in files[key]}
         write_text(folder / _RECORD, json.dumps(record, indent=1))
-    known = {(name, seed): written.get(place(name, seed), ["", 0.0, ""]) for _, name, seed in runs.keys}
-    seconds = sum(each[1] for each in known.values()) / len(wanted)
-    noted = {run: each[2] for run, each in known.items()}
+    runs_made = {(name, seed): written.get(place(name, seed), ["", 0.0, ""]) for _, name, seed in runs.keys}
+    seconds = sum(each[1] for each in runs_made.values()) / len(wanted)
+    noted = {run: each[2] for run, each in runs_made.items()}
     meta = evaluation.SubmissionMeta(
         configuration.title,
         authors=("mseg",),
@@ -280,6 +280,17 @@ def predict(
     reasons = [f"{path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
     _check_success(f"{folder}", reasons, len(runs.keys))
     return folder
+
+
+def _given(clips: Mapping[str, Clip], n_motions: int | None, number: str) -> dict[str, int | None]:
+    """Numbers of motions that the method is given, by clip."""
+    if n_motions is not None:
+        check_whole("n_motions", n_motions, 1)
+        if number == "found":
+            found = f"{n_motions}"
+            raise InvalidValueError("n_motions", expected="none where it is to be found", found=found)
+        return dict.fromkeys(clips, int(n_motions))
+    return {name: clip.n_motions or None if number == "given" else None for name, clip in clips.items()}
 
 
 def _check_success(where: str, reasons: Sequence[str], n_runs: int) -> None:

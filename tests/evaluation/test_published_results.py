@@ -34,7 +34,6 @@ FILES = sorted((ROOT / "results").glob("*/*/*.json"))
 LACKING = {
     ("synth", "recipe-0000ce94"): {"consistent"},
     ("hopkins155", "data-f8bdcfbe"): {"consistent"},
-    ("kt3dmoseg", "data-479ce0d0"): {"consistent"},
 }
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
 SUBSET = Configuration("subset", {"alpha": 8})

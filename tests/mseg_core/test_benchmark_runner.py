@@ -424,6 +424,16 @@ def test_methods_find_the_number_of_motions_on_request(data, tmp_path):
     assert "number of motions found" in found.summary().title
     assert found.summary().columns[-3:] == ["number right, %", "CPU s", "failed"]
     assert found.summary().rows[1][-3] == "0"  # lsa failed on every clip
+    out = tmp_path / "found"
+    command = ["run", str(data), "-o", str(out), "--method", "affine", "--number", "found", "--quiet"]
+    assert main(command) == 0
+    scores = mseg.score(data, out)
+    assert not scores.meta.n_motions_given
+    assert scores.matrix().tolist() == found.tables[0].matrix().tolist()
+    with pytest.raises(KT3DMoSegError, match="differs in n_motions"):
+        predict(data, out, "affine")
+    with pytest.raises(KT3DMoSegError, match="n_motions: expected none where it is to be found, found 2"):
+        predict(data, out, "affine", n_motions=2, number="found")
     with pytest.raises(KT3DMoSegError, match="number: expected given or found, found 'known'"):
         run("kt3dmoseg", methods, data=[data], number="known")
 

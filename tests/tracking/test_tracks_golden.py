@@ -135,7 +135,11 @@ def test_colour_frames_are_tracked_by_their_luma_when_asked_for(folder, tmp_path
     assert cli.main(command) == 2
     assert "--colour luma" in capsys.readouterr().err
     assert cli.main([*command, "--colour", "luma"]) == 0
-    assert len(kt3dmoseg.load(tmp_path / "clip.h5").dense) > 100
+    tracks = kt3dmoseg.load(tmp_path / "clip.h5").dense
+    assert len(tracks) > 100
+    for frames in (coloured, frame_paths(coloured)):
+        again = kt3dmoseg.track(frames, "dis_medium", colour="luma")
+        np.testing.assert_array_equal(again.xy, tracks.xy)
 
 
 def test_an_output_that_cannot_be_written_is_reported_before_the_work(folder, tmp_path, capsys, monkeypatch):
