@@ -30,7 +30,8 @@ from mseg.evaluation.statistics import bootstrap_mean
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = read_results(ROOT / "results")
 FILES = sorted((ROOT / "results").glob("*/*/*.json"))
-# Rows with the number found that do not exist yet; whoever publishes one takes it out.
+# Rows with the number found that do not exist yet; whoever publishes one takes it out. `consistent` on synth
+# takes about seven hours of a core: it is run for every number.
 LACKING = {
     ("synth", "recipe-0000ce94"): {"consistent"},
     ("hopkins155", "data-f8bdcfbe"): {"consistent"},

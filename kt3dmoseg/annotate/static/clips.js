@@ -125,7 +125,7 @@ export function clips() {
   body.querySelector("[aria-current=true]")?.focus();
 }
 
-body.onpointerup = () => requestAnimationFrame(drawClips);
+addEventListener("pointerup", () => requestAnimationFrame(drawClips));
 
 function drawClips() {
   const { summaries } = state;

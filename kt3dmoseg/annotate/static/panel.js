@@ -22,8 +22,11 @@ const MOTIONS = [1, 2, 3, 4, 5, 6, 7, 8, 9, 0, "reject"];
 const list = byId("objects");
 const properties = byId("properties");
 
+let waiting = false; // for the button to be released: a click on what is drawn again would be lost
+
 function drawList() {
-  if (!state.doc || state.dragging || list.querySelector(":active")) return; // a click would be lost
+  waiting = Boolean(list.querySelector(":active"));
+  if (!state.doc || state.dragging || waiting) return;
   const { objects } = state.doc;
   const focused = list.contains(document.activeElement) && document.activeElement.closest(".entry")?.dataset.id;
   fill(list, objects.length ? objects.map(entry)
@@ -107,7 +110,7 @@ function counts() {
   return [head(`${labels.label.length} trajectories`), element("div", { className: "counts" }, cells), ...open];
 }
 
-list.onpointerup = list.onpointercancel = () => requestAnimationFrame(drawList);
+addEventListener("pointerup", () => waiting && requestAnimationFrame(drawList));
 list.onscroll = () => set({ scrolled: list.scrollTop });
 on(["doc", "dragging", "selected", "clip", "unseen", "locked", "weak"], drawList);
 on(["clip"], () => fill(properties.elements.kind, state.clip.kinds.map((kind) => element("option", {}, kind))));
