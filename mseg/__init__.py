@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from mseg import methods as methods
     from mseg import types as types
     from mseg.estimator import MotionSegmenter as MotionSegmenter
+    from mseg.evaluation import compare as compare
     from mseg.evaluation import score as score
     from mseg.methods import segment as segment
     from mseg.types import Hypotheses as Hypotheses
