@@ -296,6 +296,9 @@ def test_a_picture_that_changed_is_sent_again(clips, tmp_path):
     cv2.imwrite(str(path), 255 - cv2.imread(str(path)))
     second = page.get("/api/clips/two/frames/0", headers=again)
     assert (second.status_code, second.content != first.content) == (200, True)
+    path.unlink()
+    gone = page.get("/api/clips/two/frames/0", headers=again)
+    assert (gone.status_code, str(path) in gone.json()["error"]) == (500, True)
 
 
 @pytest.mark.parametrize("text", ["", "Ada\nAda\n", "x" * 101])

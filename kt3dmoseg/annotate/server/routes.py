@@ -27,7 +27,7 @@ from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.annotate.server.clip_session import WORK_STATES, ClipSession, NotTrackedError
 from kt3dmoseg.app import typed
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.files import read_bytes
+from kt3dmoseg.files import one_line, read_bytes
 from kt3dmoseg.io.images import read_frame
 from kt3dmoseg.parallel import run_apart
 
@@ -140,7 +140,8 @@ class Routes:
         if index >= len(frames):
             raise HTTPException(404, f"the clip has frames 0 to {len(frames) - 1}")
         path = frames[index]
-        found = path.stat()
+        with one_line(path):
+            found = path.stat()
         kept = {"cache-control": "private, no-cache", "etag": f'"{found.st_mtime_ns:x}-{found.st_size:x}"'}
         if request.headers.get("if-none-match") == kept["etag"]:
             return Response(status_code=304, headers=kept)
