@@ -83,7 +83,7 @@ def show(
     check_rate(rate)
     loaded = load(clip)
     target = Path(output or loaded.name)
-    suffix = "" if target.is_dir() else target.suffix.lower()
+    suffix = "" if output is None or target.is_dir() else target.suffix.lower()
     if suffix not in ("", ".png", *MOVING_SUFFIXES):
         expected = f"a suffix of {', '.join(MOVING_SUFFIXES)}, .png, or none for a folder"
         raise InvalidValueError(f"{target}", expected=expected, found=repr(target.suffix))

@@ -21,6 +21,7 @@ from kt3dmoseg.matching import match_labels
 from kt3dmoseg.text import count
 from kt3dmoseg.tracking import find_cuts, track
 from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
+from mseg.errors import SegmentationError
 from mseg.methods import segment
 from mseg.spreading import dense_mask, spread_labels
 
@@ -84,6 +85,7 @@ def tracked_shots(
             tracks = track(frames, flow, min_length=min(_SHORTEST, shot.frames))
         except InvalidValueError as error:
             shot = replace(shot, reason=f"{error}")
+            deque(own, maxlen=0)  # the next shot begins behind its frames
         else:
             labels, times = Labels(np.zeros(len(tracks), dtype=np.int64)), info.timestamps
             when = numbers[first:end], None if times is None else times[first:end]
@@ -144,6 +146,8 @@ def _segmented_twice(
     """Label all trajectories; the second time with a part of the largest group, in which small ones drown."""
     step(0)
     first = segment(tracks, rows="all", **options)
+    if not first.labels.any():
+        raise SegmentationError("video", expected="a motion", found="outliers only")
     of_largest = first.labels == np.bincount(first.labels[first.labels > 0]).argmax()
     largest, others = np.flatnonzero(of_largest), np.flatnonzero(~of_largest)
     part = max(_FEWEST, round(_BACKGROUND * len(largest)))

@@ -34,7 +34,7 @@ def spread_labels(tracks: Trajectories, rows: IntArray, labels: IntArray) -> Int
             motion = (end[last] - start[first]) * (_MOTION / max(gap, 1))
             place = np.hstack([start[first], motion])
             _vote(votes, row[asked[row]], place[asked[row]], known[row], place)
-    votes[~votes.any(axis=1), sizes.argmax()] = 1
+    votes[~votes.any(axis=1), np.where(values > 0, sizes, 0).argmax()] = 1
     return np.asarray(values[np.where(known >= 0, known, votes.argmax(axis=1))], dtype=np.int64)
 
 

@@ -213,7 +213,7 @@ def collected(
             scored=runs[0].n,
             wrong=[round(run.values["error"] * run.n) for run in runs],
             found=[run.n_found for run in runs],
-            seconds=round(float(each), 2),
+            seconds=round(float(each), 6),
             failures={str(run.seed): run.reason for run in runs if run.reason},
         )
     return PublishedResult(
@@ -247,7 +247,8 @@ def read_results(folder: PathLike) -> dict[tuple[str, str], list[PublishedResult
         group = found.setdefault((one.benchmark, one.dataset_version), [])
         if group and one.data != group[0].data:
             raise FileFormatError(str(path), expected=f"the clips of {group[0].path}", found="others")
-        group.append(one)
+        # Pages take figures by their place, in whatever order a file has its clips.
+        group.append(one.model_copy(update={"clips": dict(sorted(one.clips.items()))}))
     if not found:
         expected = "results as BENCHMARK/VERSION/METHOD.json"
         raise InputFileError(os.fspath(folder), expected=expected, found="none")

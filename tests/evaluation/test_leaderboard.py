@@ -71,6 +71,30 @@ def test_partial_or_failed_never_ranks_above_complete(board, tmp_path):
     assert [rank for rank, e in ranked if e.method != "partial"] == [1, 2]
 
 
+@pytest.mark.browser
+def test_the_page_ranks_boards_of_one_benchmark_apart(board, tmp_path, browser):
+    small = {"example_two": CLIPS["example_two"]}
+    for method, wrong in (("a0", 0), ("a3", 3)):
+        board.add(scored(tmp_path, method, wrong))
+    for method, wrong in (("p5", 5), ("p7", 7)):
+        folder = write_submission(
+            tmp_path / method, small.values(), {"example_two": wronged(wrong)}, SubmissionMeta(method)
+        )
+        board.add(score_submission(folder, small))
+    export(board, tmp_path / "board.html")
+    page = browser.new_page()
+    page.goto((tmp_path / "board.html").as_uri())
+    rows = page.locator("table.board tbody tr").all_inner_texts()
+    assert [row.split()[:2] for row in rows] == [["1", "a0"], ["2", "a3"], ["1", "p5"], ["2", "p7"]]
+    page.close()
+
+
+def wronged(wrong):
+    label = truth()["example_two"]
+    label[:wrong] = 3 - label[:wrong]
+    return label
+
+
 def test_a_clip_without_labels_among_the_data_changes_nothing(board, tmp_path):
     clip = CLIPS["example_two"]
     bare = replace(clip, name="bare", labels=Labels(0 * clip.labels.label))

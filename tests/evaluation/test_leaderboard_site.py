@@ -217,6 +217,15 @@ def test_commands(data, tmp_path, capsys):
 
 
 @pytest.mark.browser
+def test_figures_belong_to_their_clips_in_whatever_order_a_file_has_them(results, tmp_path):
+    [path] = results.glob("*/*/coreg-found.json")
+    before = write_site(results, tmp_path / "before").read_text()
+    turned = json.loads(path.read_text())
+    turned["clips"] = dict(reversed(turned["clips"].items()))
+    path.write_text(json.dumps(turned))
+    assert write_site(results, tmp_path / "after").read_text() == before
+
+
 def test_filters_ranks_and_links_in_chromium(results, tmp_path, browser):
     from playwright.sync_api import expect
 
@@ -241,6 +250,11 @@ def test_filters_ranks_and_links_in_chromium(results, tmp_path, browser):
     assert listed() == [["1", "subset"]]
     shown.locator("a").first.click()
     assert page.locator("details.row[open]").inner_text().startswith("subset, number found: 5.00 %")
+    assert listed() == [["1", "subset"]]  # as the address still says
+    assert "name=sub" in page.url
+    page.goto(page.url.partition("#")[0] + "#board-1")
+    expect(shown).to_have_count(8 + len(load_protocol("kt3dmoseg").published))
+    page.goto(address)
     page.locator("button[type=reset]").click()
     page.locator("input[name=name]").fill("50% of")
     page.reload()

@@ -82,6 +82,11 @@ def test_short_lives_and_lonely_ones():
     alone[2, 3:] = (80, 80)
     tracks = Trajectories(alone, np.isfinite(alone[..., 0]))
     assert spread_labels(tracks, np.array([0, 1]), np.array([3, 3])).tolist() == [3, 3, 3]
+    # Outliers are no motion, however many they are.
+    outliers = np.array([0, 0, 0, 7])
+    seen = np.eye(5, dtype=bool)
+    alone = Trajectories(np.where(seen[..., None], np.ones(2), np.nan), seen)
+    assert spread_labels(alone, np.arange(4), outliers).tolist() == [0, 0, 0, 7, 7]
 
 
 def test_memory_grows_linearly():

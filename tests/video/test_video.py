@@ -19,7 +19,7 @@ from kt3dmoseg.io.images import (
 )
 from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.tracking import find_cuts
-from kt3dmoseg.types import Clip, Trajectories
+from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg import shots as parts
 from mseg.cli import main
 from mseg.types import Segmentation
@@ -221,3 +221,12 @@ def test_the_largest_group_is_thinned_the_second_time(monkeypatch):
     assert (len(seen[0]), len(seen[1])) == (1000, 250)  # 200 of the background, and all others
     assert set(range(950, 1000)) <= set(seen[1].tolist())
     assert (np.bincount(labels).tolist(), margin) == ([0, 950, 50], 20.0)
+
+
+def test_a_shot_of_outliers_only_is_not_segmented_and_the_others_are(monkeypatch):
+    tracks = Trajectories(np.zeros((6, 6, 2)), np.ones((6, 6), dtype=bool))
+    monkeypatch.setattr(parts, "segment", lambda *_, **__: Segmentation(np.zeros(6, dtype=np.int64)))
+    clip = Clip("shot", tracks, np.arange(6), Labels(np.zeros(6, dtype=np.int64)))
+    shot = parts.segmented(parts.Shot("shot", 6, clip), {"method": "any"}, lambda *_: None)
+    assert shot.clip is None
+    assert "expected a motion, found outliers only" in shot.reason

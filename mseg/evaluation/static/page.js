@@ -15,8 +15,8 @@ const keep = (changes, anchor = address().anchor) => {
 
 // --- tables --------------------------------------------------------------------------------------------------
 const valueOf = (row, k) => {
-  const text = row.cells[k].textContent.trim();
-  return isNaN(parseFloat(text)) ? text.toLowerCase() : parseFloat(text);
+  const cell = row.cells[k], text = cell.textContent.trim();
+  return cell.tagName === "TH" || isNaN(parseFloat(text)) ? text.toLowerCase() : parseFloat(text); // "1R2RC" is a name
 };
 
 function sort(table, k, down) {
@@ -114,6 +114,7 @@ function view(root) {
 
   const seed = () => (choice ? Number(choice.value) : runs.length ? runs[0].seed : 0);
   const runOf = (k) => runs.find((r) => r.method === k && r.seed === seed()) ?? runs.find((r) => r.method === k);
+  const seedOf = (k) => (runOf(k).seed === seed() ? "" : ` (seed ${runOf(k).seed}; none of seed ${seed()})`); // it failed
   const wrongOf = (method, n) => (method === "" ? methods : [Number(method)]).some((k) => runOf(k).wrong[n]); // in the truth: by any
   const at = (n, f) => 2 * (n * data.n_frames + f);
   const place = (n, f) => [xy[at(n, f)] / data.scale, xy[at(n, f) + 1] / data.scale];
@@ -136,6 +137,10 @@ function view(root) {
     output.textContent = `frame ${data.numbers[frame]}`;
     slider.setAttribute("aria-valuetext", output.textContent);
     canvases.forEach((canvas) => paint(canvas, frame, canvas.dataset.method));
+    all("figcaption[data-method]", root).forEach((each) => {
+      each.dataset.text ??= each.textContent;
+      each.textContent = each.dataset.text + seedOf(Number(each.dataset.method));
+    });
     drawStrip(frame);
   }
 
@@ -211,7 +216,7 @@ function view(root) {
       pen.fillStyle = style.getPropertyValue("--ink");
       if (!f && METHODS.length > 1) pen.fillText(METHODS[methods[k]].split(" ")[0], 2 * density, k * high + 2 * density);
     }));
-    strip.title = methods.map((k, i) => `${METHODS[k]}: ${table[i][frame]} wrong in frame ${data.numbers[frame]}`).join("; ");
+    strip.title = methods.map((k, i) => `${METHODS[k]}${seedOf(k)}: ${table[i][frame]} wrong in frame ${data.numbers[frame]}`).join("; ");
   }
 
   function remember() {
@@ -347,15 +352,34 @@ function showOnly(text) {
 all(".only button").forEach((each) => each.addEventListener("click", () => { keep({ bin: "" }); showOnly(""); }));
 
 // --- what the address asks for -------------------------------------------------------------------------------
+function fill(form, values) {
+  [...form.elements].filter((e) => e.name).forEach((e) => {
+    if (e.type === "checkbox") e.checked = Boolean(values[e.name]);
+    else e.value = values[e.name] ?? "";
+  });
+  filter(form);
+}
+
+// A link of the page keeps what is shown in the address, but for the place in a clip.
+addEventListener("click", (event) => {
+  const link = event.target.closest("a[href^='#']");
+  if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  event.preventDefault();
+  const [, anchor, rest] = /^#([^&]*)&?(.*)$/.exec(link.getAttribute("href"));
+  const { frame, track, part, ...shown } = address().values;
+  const values = new URLSearchParams({ ...shown, ...Object.fromEntries(new URLSearchParams(rest)) });
+  const hash = `#${anchor}${values.size ? "&" : ""}${values}`;
+  if (location.hash === hash) follow();
+  else location.hash = hash;
+});
+
 function follow() {
   const { anchor, values } = address(), target = document.getElementById(anchor);
-  forms.forEach((form) => {
-    [...form.elements].filter((e) => values[e.name]).forEach((e) => {
-      if (e.type === "checkbox") e.checked = true;
-      else e.value = values[e.name];
-    });
-    filter(form);
-  });
+  forms.forEach((form) => fill(form, values));
+  if (target?.closest("[hidden]")) { // a filter hides what is asked for
+    forms.forEach((form) => fill(form, {}));
+    keep(Object.fromEntries(forms.flatMap((form) => [...form.elements].map((e) => [e.name, ""]))));
+  }
   const [, id, k, down] = /^(.*)\.(\d+)(d?)$/.exec(values.sort ?? "") ?? [];
   if (id && document.getElementById(id)) sort(document.getElementById(id), Number(k), Boolean(down));
   if ((values.bin ?? "") !== (only ? `${only.axis}.${only.bin}` : "")) showOnly(values.bin ?? "");
