@@ -290,9 +290,12 @@ def test_help_is_fast_and_imports_nothing_heavy(package, command):
         "import resource; used = resource.getrusage(resource.RUSAGE_SELF)\n"
         f"print(used.ru_utime + used.ru_stime, *[m for m in {HEAVY} if m in sys.modules], file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    seconds, *heavy = done.stderr.split()
-    assert heavy == []
+    for last in (False, False, True):  # the first may write bytecode, and others may have the processor
+        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+        seconds, *heavy = done.stderr.split()
+        assert heavy == []
+        if last or float(seconds) < 0.5:
+            break
     assert float(seconds) < 0.5
 
 
