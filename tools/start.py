@@ -35,7 +35,7 @@ def main(arguments: list[str]) -> int:
     job, rest = arguments[0], arguments[1:]
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # every process would compile all packages again
     try:
-        python = _environment(JOBS[job])
+        python = environment(JOBS[job])
     except subprocess.CalledProcessError as error:
         command = " ".join(map(str, error.cmd))
         print(
@@ -62,7 +62,7 @@ def _test(python: Path, rest: list[str]) -> int:
     return code
 
 
-def _environment(extras: str) -> Path:
+def environment(extras: str) -> Path:
     """Create or update the virtual environment; return its interpreter."""
     folder = "Scripts" if os.name == "nt" else "bin"
     python = ENVIRONMENT / folder / ("python.exe" if os.name == "nt" else "python")

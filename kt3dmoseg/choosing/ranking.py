@@ -171,12 +171,13 @@ def _measure_part(
     return windows
 
 
-def select(windows: Sequence[Window], settings: ChooseOptions) -> list[Window]:
+def select(windows: Sequence[Window], options: ChooseOptions | None = None) -> list[Window]:
     """Choose diverse windows: the best first, then always the best that is apart from those of its recording.
 
     A window counts 0.85 times its score for every one that is chosen of its recording already. Windows with a
     cut are never chosen.
     """
+    settings = options or ChooseOptions()
     left = [window for window in windows if not window.cut]
     chosen: list[Window] = []
     taken: Counter[str] = Counter()

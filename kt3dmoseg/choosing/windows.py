@@ -84,12 +84,13 @@ def _worth(value: float, what: str) -> float:
     return value / (value + _HALF[what])
 
 
-def measure_windows(source: FrameSource, settings: ChooseOptions) -> list[Window]:
+def measure_windows(source: FrameSource, options: ChooseOptions | None = None) -> list[Window]:
     """Measure every window of a part of a recording, as long as the longest window or longer, held in memory.
 
     They come by their first frame, then their length; their recording is the source's name. KT3DMoSegError
     when the frames cannot be read or tracked.
     """
+    settings = options or ChooseOptions()
     frames = list(source.frames(settings.colour))
     starts, numbers, windows = find_cuts(frames)[0], source.numbers(), windows_of(len(frames), settings)
     found = []
