@@ -34,7 +34,6 @@ FILES = sorted((ROOT / "results").glob("*/*/*.json"))
 # takes about seven hours of a core: it is run for every number.
 LACKING = {
     ("synth", "recipe-0000ce94"): {"consistent"},
-    ("hopkins155", "data-f8bdcfbe"): {"consistent"},
 }
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
 SUBSET = Configuration("subset", {"alpha": 8})
