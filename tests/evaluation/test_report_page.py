@@ -344,6 +344,38 @@ def test_in_chromium(submission, tmp_path, browser):
     page.context.close()
 
 
+@pytest.mark.browser
+def test_a_seed_that_failed_and_names_of_any_form(tmp_path, browser):
+    """Another seed is shown and named where one failed; clips are sorted as names, also as 1R2RC; all fits."""
+    from playwright.sync_api import expect
+
+    clips = {new: replace(CLIPS[old], name=new) for new, old in zip(("1R2RC", "10R"), CLIPS, strict=True)}
+    labels = dict(zip(clips, truth().values(), strict=True))
+    meta = SubmissionMeta("a_name_without_any_place_to_break_it_" * 3)
+    folder = write_submission(tmp_path / "s", clips.values(), {0: labels, 1: labels}, meta)
+    [labelled] = folder.glob("*1/1R2RC.csv")
+    labelled.unlink()
+    write_failure(labelled.parent, clips["1R2RC"], "no luck")
+    second = write_submission(tmp_path / "b", clips.values(), {0: labels, 1: labels}, SubmissionMeta("b"))
+    (path,) = write_report([folder, second], clips, tmp_path / "r.html")
+    page = browser.new_context(viewport={"width": 390, "height": 800}, offline=True).new_page()
+    page.goto(path.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    names = page.locator("#per-clip tbody th")
+    header = page.locator("#per-clip thead th").first
+    for _ in range(2):
+        header.locator("button").click()
+        ordered = sorted(clips, reverse=header.get_attribute("aria-sort") == "descending")
+        assert [name.split()[0] for name in names.all_inner_texts()] == ordered
+    section = page.locator("#clip-1R2RC")
+    section.locator("select").scroll_into_view_if_needed()
+    section.locator("select").select_option("seed 1")
+    captions = section.locator("figcaption")
+    expect(captions.nth(1)).to_contain_text("(seed 0; none of seed 1)")
+    expect(captions.nth(2)).not_to_contain_text("seed")
+    page.context.close()
+
+
 def test_the_tables_of_two_methods_lie_in_one_folder(tmp_path):
     folder, wrong = perfect(tmp_path / "s"), tmp_path / "wrong"
     one = {name: np.where(label == 1, 1, 2) for name, label in truth().items()}

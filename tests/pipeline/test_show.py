@@ -292,6 +292,13 @@ def test_a_suffix_in_capitals_and_a_folder_with_a_dot(file, tmp_path):
     assert (tmp_path / "ONE.PNG").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_clip_whose_name_has_a_dot_is_shown_in_a_folder_of_that_name(clip, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    save(dataclasses.replace(clip, name="clip.v2"), "clip.v2.h5")
+    assert main(["show", "clip.v2.h5"]) == 0
+    assert len(list((tmp_path / "clip.v2").glob("clip.v2_*.png"))) == 6
+
+
 def test_frames_of_another_clip(file, tmp_path, capsys):
     write_clip(tmp_path / "other", frames=3)
     assert main(["show", str(file), "--frames", str(tmp_path / "other")]) == 2

@@ -133,6 +133,23 @@ def test_each_shot_by_itself(scene, tmp_path):
     }
 
 
+def test_a_shot_that_cannot_be_tracked_leaves_its_frames_to_no_other(scene, tmp_path, monkeypatch):
+    _, other = rendered(seed=5, frames=6)
+    folder, seen = write(tmp_path / "trip", [*scene[1], *other]), []
+
+    def tracked(frames, *_, **options):
+        if not seen:
+            seen.append([])
+            raise InvalidValueError("frames", expected="light", found="none")
+        seen.append(list(frames))
+        return kt3dmoseg.track(seen[-1], **options)
+
+    monkeypatch.setattr(parts, "track", tracked)
+    shots = mseg.video(folder, output=tmp_path / "out", method="one_motion", report=id, quiet=True)
+    assert [shot.clip is None for shot in shots] == [True, False]
+    assert np.array_equal(seen[1], other)
+
+
 def test_no_cut_where_brightness_changes_or_nothing_is_seen(scene):
     frames = scene[1]
     assert find_cuts([*frames[:4], *(frame // 2 + 20 for frame in frames[4:])])[0] == [0]
