@@ -346,7 +346,7 @@ def test_in_chromium(submission, tmp_path, browser):
 
 @pytest.mark.browser
 def test_a_seed_that_failed_and_names_of_any_form(tmp_path, browser):
-    """Another seed is shown and named where one failed; clips are sorted as names, also as 1R2RC; all fits."""
+    """Where a seed failed another is shown and named; 1R2RC is sorted as a name; a long name fits."""
     from playwright.sync_api import expect
 
     clips = {new: replace(CLIPS[old], name=new) for new, old in zip(("1R2RC", "10R"), CLIPS, strict=True)}
