@@ -169,7 +169,7 @@ def covisible_frames(trajectories: Trajectories) -> Float32Array:
 
 def count_parts(visible: BoolArray, gap: int) -> int:
     """Count the parts of trajectories (n, F) that no pair of frames sees together, or no frame (gap 0)."""
-    pairs = (visible[:, : visible.shape[1] - gap] & visible[:, gap:]).astype(np.int64)
+    pairs = (visible[:, : max(visible.shape[1] - gap, 0)] & visible[:, gap:]).astype(np.int64)
     pairs = pairs[pairs.any(axis=1)][:, pairs.any(axis=0)]
     if not pairs.size:
         return 0

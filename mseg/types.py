@@ -22,6 +22,9 @@ ModelKind: TypeAlias = Literal["affine", "homography", "fundamental"]
 Grouping: TypeAlias = tuple[IntArray, dict[str, Any]]
 """Labels (m,) int64 of the trajectories that take part, 0 = outlier, and what there is to report."""
 
+MANY = 0.05
+"""Share of the trajectories from which on guesses about them are worth a note."""
+
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
@@ -68,7 +71,11 @@ class Segmentation(Value):
         The others join the largest motion: without evidence that is the best guess. Where all that took part
         are outliers, so are they.
         """
-        sizes = np.bincount(labels)[1:]
+        left, sizes = int((~used).sum()), np.bincount(labels)[1:]
+        report = {**report, "trajectories_left_out": left}
+        if left > MANY * len(used):
+            guess = f"{left} trajectories took no part and were put into the largest motion"
+            report["warnings"] = [*report.get("warnings", ()), guess]
         everywhere = np.full(len(used), sizes.argmax() + 1 if len(sizes) else 0, dtype=np.int64)
         everywhere[used] = labels
         return cls(everywhere, report)

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array, diags_array
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.clustering.kmeans import kmeans
-from mseg.errors import TooFewPointsError
+from mseg.errors import SegmentationError, TooFewPointsError
 
 # A symmetric (N, N) array, or anything with that shape that multiplies vectors (N, b) float64.
 Symmetric: TypeAlias = Any
@@ -34,12 +34,14 @@ def normalised_laplacian(affinity: _Array) -> _Array:
     """Compute I - D^-1/2 W D^-1/2, (N, N) of the dtype of the weights W >= 0, D the diagonal of row sums.
 
     A vertex without any weight gets the row of the identity, so it takes part in no smooth eigenvector.
-    Eigenvalues are in 0..2. InvalidValueError when weights are not finite or negative.
+    Eigenvalues are in 0..2. InvalidValueError when weights are not finite or negative, SegmentationError when
+    none is positive.
     """
     # Ng, Jordan, Weiss, "On spectral clustering: analysis and an algorithm", NIPS 2001; von Luxburg, "A
     # tutorial on spectral clustering", 2007, section 3.2.
     _check_weights(affinity)
     degree = affinity.sum(axis=1)
+    _check_ties(degree)
     scale = np.zeros_like(degree)
     np.divide(1.0, np.sqrt(degree), out=scale, where=degree > 0)
     laplacian: _Array = affinity * -scale[:, None]
@@ -63,9 +65,10 @@ class GraphLaplacian:
         _check_weights(weights.data)
         self.shape = weights.shape
         degree = np.asarray(weights.sum(axis=1))
+        _check_ties(degree)
         weight = uniform * degree.mean() / len(degree) if len(degree) else 0.0
         self.root_degree = np.sqrt(np.where(degree > 0, degree + weight * len(degree), 0.0))
-        """(N,) float64, square roots of the row sums, the uniform part included; 0 without weight."""
+        """(N,) float64, square roots of the row sums and of the uniform part of N ties; 0 without weight."""
         scale = np.zeros(len(degree))
         np.divide(1.0, self.root_degree, out=scale, where=degree > 0)
         self._adjacency: Any = diags_array(scale) @ weights @ diags_array(scale)
@@ -177,6 +180,11 @@ def count_by_eigengap(affinity: FloatArray) -> int:
 def _check_weights(weights: _Array) -> None:
     if weights.size and not (np.isfinite(weights).all() and weights.min() >= 0):
         raise InvalidValueError("affinity", expected="finite weights >= 0", found="NaN, inf or negative")
+
+
+def _check_ties(degree: _Array) -> None:
+    if degree.size and not degree.any():  # any partition would do
+        raise SegmentationError("affinity", expected="ties between points", found="none")
 
 
 def _dense(matrix: Symmetric, count: int) -> FloatArray:

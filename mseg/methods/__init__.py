@@ -19,7 +19,7 @@ from mseg.errors import FaultyMethodError
 from mseg.spreading import spread_labels
 from mseg.types import Method, Segmentation
 
-ALGORITHM_VERSION: int = 9
+ALGORITHM_VERSION: int = 10
 """Part of the identity of stored results; raised by hand whenever the labels of a method change."""
 
 # Largest number of trajectories that are segmented where all are labelled: kernels grow with its square.
@@ -185,6 +185,8 @@ def check_whole(name: str, value: object, least: int) -> None:
 def _clip(value: Any, visible: npt.ArrayLike | None) -> Clip:  # noqa: ANN401  # checked
     if not isinstance(value, (Clip, Trajectories)):
         pair = isinstance(value, tuple) and len(value) == 2
+        if pair and visible is not None:
+            raise InvalidValueError("visible", expected="nothing with a pair (xy, visible)", found="an array")
         value = _trajectories(*(value if pair else (value, visible)))
     elif visible is not None:
         raise InvalidValueError("visible", expected="nothing with a clip", found="an array")

@@ -12,7 +12,7 @@ Rules, the same for all of them:
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -23,7 +23,7 @@ from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
 from mseg.completion import Completion, complete, complete_locally, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
-from mseg.types import Grouping, Segmentation
+from mseg.types import MANY, Grouping, Segmentation
 
 _FEWEST_FRAMES = 2
 # Of 640 x 480 pixels, the images of most Hopkins155 sequences, where thresholds were chosen.
@@ -74,7 +74,9 @@ def complete_data(
             clip.name, expected="complete trajectories", found=f"{gaps} missing positions",
             fix="use completion='chen'",
         )  # fmt: skip
-    filled = _filled(trajectory_matrix(kept.xy[:, frames]), completion, rank)
+    extent = np.ptp(kept.xy[kept.visible], axis=0) if kept.image_size is None else kept.image_size
+    unit = float(np.hypot(*extent)) / _DIAGONAL or 1.0
+    filled = _filled(trajectory_matrix(kept.xy[:, frames]), completion, rank, unit)
     pixels = filled.matrix
     if np.ptp(pixels, axis=1).max() <= np.finfo(np.float64).eps * np.abs(pixels).max():
         raise SegmentationError(clip.name, expected="trajectories that differ", found="one, repeated")
@@ -82,19 +84,21 @@ def complete_data(
         "completion_rank": filled.rank,
         "completion_rms_pixels": filled.rms,
         "completion_undetermined": filled.undetermined,
-        "trajectories_left_out": int((~used).sum()),
         **filled.convergence.report("completion_"),
     }
     xy = normalised(pixels.T.reshape(len(kept), -1, 2), normalising_matrix(trajectories, clip.camera))
-    extent = np.ptp(kept.xy[kept.visible], axis=0) if kept.image_size is None else kept.image_size
-    unit = float(np.hypot(*extent)) / _DIAGONAL or 1.0
+    if filled.undetermined > MANY * len(kept):
+        report["warnings"] = [f"{filled.undetermined} trajectories are too short to fill their gaps"]
     report = report if gaps or completion == "rpca" else {}
     return CompleteData(pixels, unit, trajectory_matrix(xy), used, report)
 
 
-def _filled(matrix: FloatArray, completion: str, rank: int) -> Completion:
+def _filled(matrix: FloatArray, completion: str, rank: int, unit: float) -> Completion:
+    if completion == "local":
+        local = complete_locally(matrix / unit, rank)
+        return replace(local, matrix=local.matrix * unit, rms=local.rms * unit)
     if completion != "rpca":
-        return complete_locally(matrix, rank) if completion == "local" else complete(matrix, rank)
+        return complete(matrix, rank)
     seen = np.isfinite(matrix)
     # Far from the origin the common position would be the one direction that counts.
     centre = np.nanmean(matrix, axis=1, keepdims=True)

@@ -33,7 +33,7 @@ class ConsistentMoSeg(ViewMethod):
        0 <= C <= 5, D_v >= 1e-4 and 0 <= W <= I of trace K, by turns over D_v, C and W, each in closed form.
        The last term is l2 times the sum of the K smallest eigenvalues of the Laplacian of C, which is zero
        exactly when the graph has K components.
-    3. Affinity: the sum of the symmetric parts of C o D_v, of each column the largest entries that make up
+    3. Affinity: the sum of C o D_v, of each column the largest entries that make up
        90 per cent of its sum, then spectral clustering.
 
     Source: Jiang, Xu, Ma, Yang, Cao, Huang, "What to select: pursuing consistent motion segmentation from
@@ -41,14 +41,13 @@ class ConsistentMoSeg(ViewMethod):
     Yan, "Subspace clustering by block diagonal representation", TPAMI 2019; l1 = 0.001, l2 = 0.015 are theirs
     for Hopkins155 and MTPV62 (0.005 and 0.05 for Hopkins12, 0.001 and 0.01 for KT3DMoSeg). Deviation: their
     affinity is left unsymmetric by the last step and goes into spectral clustering as such; here it is
-    averaged with its transpose, and a small uniform weight is added as in the paper's views. The affinity
-    itself equals that of their code (docs/methods.md).
+    averaged with its transpose, and a small uniform weight is added as in the paper's views.
     Input: gaps allowed. Number of motions: given or found. Outliers: not handled. Cost: that of the three
     views and up to 500 sweeps of O(N^2 K); O(N^2) memory.
     """
 
     alpha: float = option(3.0, "power of the kernel before neighbours are chosen", low=0)
-    specific_weight: float = option(0.001, "weight l1 of the view-specific parts", low=0)
+    specific_weight: float = option(0.001, "weight l1 of the view-specific parts", low=1e-9)
     rank_weight: float = option(0.015, "weight l2 of the graph's K smallest eigenvalues", low=0)
     share: float = option(0.9, "share of a column's sum that is kept", low=0, high=1)
     tolerance: float = option(1e-3, "largest squared change at convergence", low=0)
@@ -58,7 +57,7 @@ class ConsistentMoSeg(ViewMethod):
         """Find the shared graph and cut it."""
         kernels = np.array([view.toarray() for view in views])
         shared, specific, convergence = self.solve(kernels, n_motions)
-        affinity = symmetric_parts(shared, specific)
+        affinity = shared * specific.sum(axis=0)
         kept = keep_largest(np.where(affinity < _NEGLIGIBLE, 0.0, affinity), self.share)
         graph = self.laplacian(csr_array((kept + kept.T) / 2))
         labels, report = self.read_out(unit_rows(smallest_eigenvectors(graph, n_motions)), n_motions, rng)
@@ -134,12 +133,6 @@ def _sweep(
         laplacian[i, i] += value
         laplacian[j, j] += value
     return 2 * max(moved_c, moved_d)
-
-
-def symmetric_parts(shared: FloatArray, specific: FloatArray) -> FloatArray:
-    """Sum (N, N) of the symmetric parts of ``C o D_v``, of `shared` C (N, N) and `specific` D_v (V, N, N)."""
-    total = shared * specific.sum(axis=0)
-    return np.asarray((total + total.T) / 2)
 
 
 def _component_factors(

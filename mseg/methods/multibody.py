@@ -121,7 +121,6 @@ class MultiBody:
             "margin": min(others) - costs[best] if others else None,
             "noise": scene.noise * scene.width,
             "focal": scene.focal * scene.width,
-            "trajectories_left_out": int((~used).sum()),
         }
         return Segmentation.of_part(labels, used, report)
 

@@ -105,11 +105,11 @@ class ViewMethod(ABC):
         *streams, kmeans_rng = rng.spawn(len(KINDS) + 1)
         views, used = self.views(clip, streams, n_motions or 1)
         points = clip.evaluated_trajectories.select(used)
-        counted = Count(n_motions or 0, {})
+        counted, groupings = Count(n_motions or 0, {}), dict[int, Grouping]()
         if n_motions is None:
-            counted = self.count_motions(points, views, kmeans_rng)
-        labels, report = self.group(views, counted.number, kmeans_rng)
-        report |= {"n_motions": counted.number, "trajectories_left_out": int((~used).sum())}
+            counted = self.count_motions(points, views, kmeans_rng, groupings)
+        labels, report = groupings.get(counted.number) or self.group(views, counted.number, kmeans_rng)
+        report |= {"n_motions": counted.number}
         if n_motions is None:
             report |= {"count_scores": dict(counted.scores), "runners_up": counted.runners_up}
         return Segmentation.of_part(labels, used, report)
@@ -164,19 +164,24 @@ class ViewMethod(ABC):
         return kernel
 
     def count_motions(
-        self, points: Trajectories, views: Sequence[csr_array], rng: np.random.Generator
+        self,
+        points: Trajectories,
+        views: Sequence[csr_array],
+        rng: np.random.Generator,
+        groupings: dict[int, Grouping],
     ) -> Count:
         """Find the number of motions of the trajectories that take part; `rng` is left as it is.
 
         By code length, or where no group is large enough for that by self-tuning, in the mean of the
-        Laplacians of the views.
+        Laplacians of the views. What `group` gives for numbers that are compared goes into `groupings`.
         """
         criterion: Criterion = "self_tuning" if self.count == "code_length" else self.count
         if self.count == "code_length":
             from mseg.methods.multibody import code_lengths  # which imports this module
 
             most = min(_MOST_MOTIONS, len(points))
-            groups = {k: self.group(views, k, deepcopy(rng))[0] for k in range(1, most + 1)}
+            groupings |= {k: self.group(views, k, deepcopy(rng)) for k in range(1, most + 1)}
+            groups = {k: labels for k, (labels, _) in groupings.items()}
             if costs := code_lengths(points, views, groups, deepcopy(rng)):
                 return Count(min(costs, key=lambda k: costs[k]), {k: -cost for k, cost in costs.items()})
         mean = WeightedSum(*((1 / len(views), self.laplacian(view)) for view in views))

@@ -61,7 +61,7 @@ class TLinkage(CompleteDataMethod):
     finds_n_motions: ClassVar[bool] = True
 
     epsilon: float = option(2.0, "inlier threshold, rms pixels per frame of 640 x 480", low=1e-9)
-    dimension: int = option(5, "dimension of the projection", low=1)
+    dimension: int = option(5, "dimension of the projection", low=_SAMPLE)
     samples: int = option(6, "flats per trajectory", low=1)
     choose_epsilon: bool = option(True, "choose epsilon by code length, where the number of motions is known")
     reject_outliers: bool = option(False, "label clusters that are small by step 6 as outliers")
@@ -172,7 +172,8 @@ def _count_large(sizes: IntArray) -> int:
     ordered = np.sort(np.append(sizes, _SAMPLE))[::-1]
     drops = ordered[:-1] - ordered[1:]
     largest = np.argsort(-drops, kind="stable") + 1
-    return int(largest[1] if largest[0] == 1 and len(largest) > 1 else largest[0])
+    kept = largest[1] if largest[0] == 1 and len(largest) > 1 else largest[0]
+    return max(1, int((sizes >= ordered[kept - 1]).sum()))
 
 
 def _code_length(points: FloatArray, labels: IntArray, flat: int) -> float:
@@ -248,7 +249,7 @@ class RPA(CompleteDataMethod):
     """
 
     sigma: float = option(0.5, "noise scale, rms pixels per frame of 640 x 480", low=1e-9)
-    dimension: int = option(5, "dimension of the projection", low=1)
+    dimension: int = option(5, "dimension of the projection", low=_SAMPLE)
     samples: int = option(6, "flats per trajectory", low=1)
     restarts: int = option(20, "restarts of k-means", low=1)
     reject_outliers: bool = option(False, "label trajectories beyond 5 sigma of all motions as outliers")

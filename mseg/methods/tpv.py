@@ -6,7 +6,7 @@ row by row, the fundamental matrix.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,8 +50,8 @@ class TPV:
        ``sum_g (1/T sum_v n_gv/2 log(d_gv + noise^2) + weight cut(g) / degree(g))`` with d_gv the mean squared
        Sampson distance of the n_gv trajectories of g that pair v sees, T the sum of all n_gv. (Distances
        alone let K geometries per pair explain wrong groups as well; the cut alone parts the largest motion.)
-       Then trajectories move to the group whose matrices fit them best until none moves. Of the five
-       segmentations the cheapest stays.
+       Then trajectories move to the group whose matrices fit them best until none moves or a group would
+       become empty (then reported as not converged). Of the five segmentations the cheapest stays.
     5. Planes that move leave their fundamental matrices undetermined, and wrong groups fit as well. So step 4
        is done with homographies too, on two clusterings; their distances are two numbers (``log`` in place of
        ``1/2 log``). Where these groups explain the trajectories about as well, a mean logarithm of the
@@ -109,7 +109,7 @@ class TPV:
         by_bodies, by_planes = bodies.best(pieces, count), planes.best(pieces[:2], count)
         more = planes.log_variance(by_planes[0]) - bodies.log_variance(by_bodies[0])
         labels, refined = by_planes if more <= _PLANES else by_bodies
-        report = {"pairs": len(views), "n_motions": count, "trajectories_left_out": int((~used).sum())}
+        report = {"pairs": len(views), "n_motions": count}
         report |= {**solved.convergence.report(), **refined.report("reassignment_")}
         return Segmentation.of_part(labels, used, report)
 
@@ -145,19 +145,20 @@ def _collaborative_representation(
     """Solve step 2 by ADMM; coefficients are the sum of magnitudes over the views.
 
     The programme falls apart into one for each column of C; they are solved a few at a time, in single
-    precision. `penalty`, of the splitting of C into a fitted and a sparse copy, changes the way, not the
-    solution. The convergence is that of the block of columns that took longest.
+    precision, and each stops when it has converged, so that the order of trajectories means nothing.
+    `penalty`, of the splitting of C into a fitted and a sparse copy, changes the way, not the solution. The
+    convergence is that of the column that took longest.
     """
     # Mixed norm: Li, Guo, Cheong, Zhou, section 3; splitting: Elhamifar and Vidal, TPAMI 2013, algorithm 2.
     n = views.shape[2]
     _, values, right = np.linalg.svd(np.sqrt(alpha) * views, full_matrices=False)
     gain = (values**2 / (values**2 + penalty))[:, None, :].astype(np.float32)
-    coefficients = np.empty((n, n))
+    coefficients, right = np.empty((n, n)), right.astype(np.float32)
     ends = []
     for start in range(0, n, _BLOCK):
-        block = _Columns(right.astype(np.float32), gain, penalty, np.arange(start, min(start + _BLOCK, n)))
+        columns = np.arange(start, min(start + _BLOCK, n))
+        block = _Columns(right, gain, penalty, tolerance, columns, coefficients)
         ends.append(iterate(block.step, tolerance=tolerance, max_iterations=max_iterations))
-        coefficients[:, block.columns] = np.abs(block.sparse).sum(axis=0).T
     slowest = Convergence(
         all(end.converged for end in ends),
         max(end.iterations for end in ends),
@@ -167,14 +168,23 @@ def _collaborative_representation(
 
 
 class _Columns:
-    """ADMM of some columns of C, kept as rows: arrays are (V, columns, N).
+    """ADMM of those of some columns of C that have not converged, kept as rows: arrays are (V, columns, N).
 
     With ``W = L S V^T`` the fitted copy ``(alpha W^T W + p I)^-1 (alpha W^T w_j + p q)`` is
-    ``q + V h (v_j - V^T q)``, v_j row j of V and ``h = alpha S^2 / (alpha S^2 + p)``.
+    ``q + V h (v_j - V^T q)``, v_j row j of V and ``h = alpha S^2 / (alpha S^2 + p)``. The sums of magnitudes
+    over the views are written to the columns of `coefficients` (N, N).
     """
 
-    def __init__(self, right: Float32Array, gain: Float32Array, penalty: float, columns: IntArray) -> None:
-        self.columns = columns
+    def __init__(
+        self,
+        right: Float32Array,
+        gain: Float32Array,
+        penalty: float,
+        tolerance: float,
+        columns: IntArray,
+        coefficients: FloatArray,
+    ) -> None:
+        self.columns, self.tolerance, self.coefficients = columns, tolerance, coefficients
         self.right, self.left = right, np.ascontiguousarray(right.transpose(0, 2, 1))
         self.gain, self.penalty = gain, np.float32(penalty)
         self.sparse = np.zeros((len(right), len(columns), right.shape[2]), dtype=np.float32)
@@ -189,7 +199,13 @@ class _Columns:
         keep = np.maximum(1 - 1 / np.maximum(self.penalty * size, 1), 0)
         keep[np.arange(len(self.columns)), self.columns] = 0
         before, self.sparse = self.sparse, self.raw * keep
-        return max(float(np.abs(fitted - self.sparse).max()), float(np.abs(self.sparse - before).max()))
+        self.coefficients[:, self.columns] = np.abs(self.sparse).sum(axis=0).T
+        left = np.maximum(np.abs(fitted - self.sparse), np.abs(self.sparse - before)).max(axis=(0, 2))
+        going = left > self.tolerance
+        if going.any() and not going.all():
+            self.columns = self.columns[going]
+            self.sparse, self.raw = self.sparse[:, going], self.raw[:, going]
+        return float(left.max())
 
 
 class _ViewGroups:
@@ -242,12 +258,13 @@ class _ViewGroups:
 
         Distances from a group's matrix are taken for Gaussian with the group's own variance in the view; the
         nats are averaged over the views that see the trajectory and at least nine of the group. No group
-        becomes empty, and a trajectory that no view decides keeps its label. The convergence is that of the
-        share of trajectories that moved.
+        becomes empty: this ends when one would. A trajectory that no view decides keeps its label. The
+        convergence is that of the share of trajectories that moved.
         """
+        emptied = False
 
         def step() -> float:
-            nonlocal labels
+            nonlocal labels, emptied
             masks = _masks(labels)
             nats, views = np.zeros(masks.shape), np.zeros(masks.shape)
             for rows, number, variance, squares in self._residuals(masks):
@@ -257,13 +274,13 @@ class _ViewGroups:
                 views[:, rows] += known
             nats = np.divide(nats, views, out=np.full(nats.shape, _LARGEST), where=views > 0)
             moved = np.where((nats < _LARGEST).any(axis=0), nats.argmin(axis=0) + 1, labels)
-            if len(np.unique(moved)) < len(masks):
+            if emptied := len(np.unique(moved)) < len(masks):
                 return 0.0
             before, labels = labels, moved
             return float((before != labels).mean())
 
         convergence = iterate(step, tolerance=0.0, max_iterations=max_iterations)
-        return labels, convergence
+        return labels, replace(convergence, converged=convergence.converged and not emptied)
 
     def _costs(self, masks: BoolArray) -> FloatArray:
         """Costs (G,) of groups (G, N)."""

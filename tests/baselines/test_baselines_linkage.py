@@ -58,7 +58,17 @@ def test_linkage_separates_orthogonal_tastes():
     np.testing.assert_array_equal(by_size(np.array([7, 3, 3, 9])), [2, 1, 1, 3])
 
 
-@pytest.mark.parametrize(("sizes", "large"), [([40, 30, 2, 1], 2), ([100, 20, 18, 1], 3), ([9], 1)])
+@pytest.mark.parametrize(
+    ("sizes", "large"),
+    [
+        ([40, 30, 2, 1], 2),
+        ([100, 20, 18, 1], 3),
+        ([9], 1),
+        ([50, 3, 2], 1),  # the largest drops are next to the size of a sample, which is no cluster
+        ([50, 4, 1], 2),
+        ([50, 3], 1),
+    ],
+)
 def test_outlier_clusters_come_after_the_largest_drop(sizes, large):
     assert _count_large(np.array(sizes)) == large
 
@@ -207,6 +217,28 @@ def test_tpv_separates_planes_that_move(seed):
     tracks = Trajectories(xy, np.ones(xy.shape[:2], dtype=bool), image_size=(320, 240))
     clip = Clip("planes", tracks, np.arange(120), Labels(truth))
     assert agree(methods.segment(clip, "tpv", n_motions=2).labels, truth)
+
+
+def test_the_order_of_trajectories_means_nothing_to_tpv(make_scene, rng):
+    scene = make_scene(rng, (60, 40), noise=0.5, missing=0.4).evaluated_trajectories
+    order = rng.permutation(len(scene))
+
+    def coefficients(tracks):
+        views = _epipolar_views(tracks, 8, 0.25)
+        return _collaborative_representation(views, 8000.0, 50.0, 2e-3, 400).coefficients
+
+    first, second = coefficients(scene), coefficients(scene.select(order))
+    assert first.max() > 0.1
+    np.testing.assert_allclose(first[np.ix_(order, order)], second, atol=1e-3 * first.max())
+
+
+def test_tpv_reports_a_group_that_would_become_empty(make_scene):
+    clip = make_scene(np.random.default_rng(5), (40, 30))
+    views = _epipolar_views(clip.evaluated_trajectories, 4, 0.25)
+    groups = _ViewGroups(views, np.eye(70), 0.005, 0.0, "fundamental")
+    labels = clip.labels.label.copy()
+    labels[:2] = 3  # two trajectories have no matrix of their own
+    assert not groups.reassign(labels, 100)[1].converged
 
 
 def test_epipolar_distance_is_that_of_sampson(make_scene):

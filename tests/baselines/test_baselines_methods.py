@@ -104,6 +104,40 @@ def test_unknown_number_of_motions(make_scene, name):
             methods.segment(clip, name)
 
 
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("ssc", {"rho": 0}), ("tpv", {"rho": 0}), ("consistent", {"share": 0})]
+)
+def test_an_affinity_without_ties_is_refused(make_scene, rng, name, parameters):
+    with pytest.raises(SegmentationError, match="expected ties between points, found none"):
+        methods.segment(make_scene(rng, (20, 20)), name, n_motions=2, **parameters)
+
+
+def test_guesses_about_many_trajectories_are_noted(make_scene, rng):
+    tracks = make_scene(rng, (40, 40)).dense
+    xy = np.array(tracks.xy)
+    xy[50:, 2:] = np.nan
+    short = methods.segment(xy, "ssc", n_motions=2)
+    assert "30 trajectories are too short to fill their gaps" in short.report["notes"]
+    xy[50:, 1] = np.nan
+    once = methods.segment(xy, "ssc", n_motions=2)
+    assert "30 trajectories took no part and were put into the largest motion" in once.report["notes"]
+    few = methods.segment(xy[:52], "ssc", n_motions=2).report
+    assert few["trajectories_left_out"] == 2
+    assert not any("largest motion" in note or "too short" in note for note in few["notes"])
+
+
+@pytest.mark.parametrize("factor", [0.01, 10.0])
+def test_local_completion_has_no_unit(make_scene, rng, factor):
+    clip = make_scene(rng, (40, 30), noise=0.3, missing=0.5)
+    size = tuple(round(side * factor) for side in clip.dense.image_size)
+    scaled = replace(clip.dense, xy=clip.dense.xy * factor, image_size=size)
+    expected = complete_data(clip, "local")
+    found = complete_data(replace(clip, dense=scaled), "local")
+    np.testing.assert_allclose(found.pixels / factor, expected.pixels, atol=0.02)
+    rms = [data.report["completion_rms_pixels"] for data in (found, expected)]
+    assert rms[0] / factor == pytest.approx(rms[1], rel=0.01)
+
+
 @pytest.mark.parametrize("name", ["ssc", "lrr", "s3c", "lrssc", "tpv", "consistent"])
 def test_failure_to_converge_is_reported(make_scene, name):
     clip = make_scene(np.random.default_rng(10), (15, 15))

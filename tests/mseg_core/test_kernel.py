@@ -18,6 +18,7 @@ from mseg.kernels import (
     _draw_subsets,
     _neighbourhood_mask,
     _preferences,
+    count_parts,
     covisible_frames,
     sample_hypotheses,
     sparsify,
@@ -112,6 +113,11 @@ def test_kernel_separates_motions(make_clip):
     for kind in ("affine", "homography", "fundamental"):
         kernel = view_kernel(trajectories, sample_hypotheses(trajectories, kind, np.random.default_rng(0)))
         assert kernel[same].mean() > 1.3 * kernel[~same].mean()
+
+
+@pytest.mark.parametrize("gap", [5, 7, 20])
+def test_pairs_further_apart_than_the_clip_is_long_join_nothing(gap):
+    assert count_parts(np.ones((3, 4), dtype=bool), gap) == 0
 
 
 def test_same_stream_same_hypotheses(make_clip):

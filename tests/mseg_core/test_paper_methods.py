@@ -123,6 +123,14 @@ def test_variants(options, make_clip):
     assert classification_error(clip.labels.label, labels) < 0.05
 
 
+def test_the_partition_that_was_counted_is_the_one_given(make_clip):
+    clip = make_clip()
+    found = mseg.segment(clip, "subset", seed=3)
+    given = mseg.segment(clip, "subset", n_motions=found.report["n_motions"], seed=3)
+    assert_array_equal(found.labels, given.labels)
+    assert found.report["cuts"] == given.report["cuts"]
+
+
 def test_sum_of_laplacians(make_clip):
     clip = make_clip(points=40)
     labels = mseg.segment(clip, "keradd", n_motions=2, add="laplacians").labels
