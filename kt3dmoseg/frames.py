@@ -202,6 +202,7 @@ class KittiClip(FrameSource):
 
     drive: RawDrive
     cut: Cut = _ALL
+    gaps: str = ""  # the numbers of a clip that skips some, which cannot be built
 
     @property
     def name(self) -> str:
@@ -243,6 +244,9 @@ class KittiClip(FrameSource):
 
     def numbers(self) -> Sequence[int]:
         """Numbers of the frames, of a range also those that are not on disk."""
+        if self.gaps:
+            where = f"{self.where}: {self.name}"
+            raise FileFormatError(where, expected="consecutive frames", found=self.gaps)
         present = self.drive.numbers.tolist() or [0]
         ends = [present[0] if self.cut.first is None else self.cut.first]
         ends.append(present[-1] if self.cut.last is None else self.cut.last)
@@ -319,6 +323,9 @@ def choose_sources(
     """
     whole = drives or part.get("frames") or part.get("name")
     if catalogs:
+        if date or drive or camera:
+            fix = "a catalog states the drive and camera of its clips"
+            raise InvalidValueError("catalogs", expected="no date, drive or camera", found="both", fix=fix)
         found = located_sources(path, catalogs)
     elif date or drive or camera or (whole and any(Path(path).glob(_DRIVE_FOLDERS))):
         found = kitti_sources(path, date=date, drive=drive, camera=camera)
@@ -341,7 +348,7 @@ def located_sources(root: PathLike, catalogs: Sequence[PathLike] = ()) -> list[F
     """List the clips of ``ROOT/located.toml``, as `pull` and `locate` write it, that are on disk.
 
     With `catalogs` those of these files, which must all be on disk, else InputFileError is raised. A
-    FileFormatError is raised when a file is no catalog, or a clip in it skips frames.
+    FileFormatError is raised when a file is no catalog; of a clip that skips frames, when it is read.
     """
     from kt3dmoseg import catalog
     from kt3dmoseg.kitti import RawDrive
@@ -360,10 +367,9 @@ def located_sources(root: PathLike, catalogs: Sequence[PathLike] = ()) -> list[F
             if catalogs:
                 raise
             continue
-        if numbers[-1] - numbers[0] + 1 != len(numbers):
-            where, listing = f"{files[0]}: {clip.name}", catalog.format_numbers(numbers)
-            raise FileFormatError(where, expected="consecutive frames", found=listing)
-        found.append(KittiClip(drive, Cut(numbers[0], numbers[-1], name=clip.name)))
+        whole, listing = numbers[-1] - numbers[0] + 1 == len(numbers), catalog.format_numbers(numbers)
+        gaps = "" if whole else f"{listing} in {files[0].name}"
+        found.append(KittiClip(drive, Cut(numbers[0], numbers[-1], name=clip.name), gaps))
     return found
 
 

@@ -186,7 +186,7 @@ class _Scene:
         bent = np.flatnonzero(held[:, 2] != points[:, 2])
         static[bent] = self.fitted(cameras, bent, held[bent], 2)[1]
         was = self.rows[free[self.rows] < _STATIC]
-        return free, free if (static[was] > _LEVELS[0]).mean() > _MISFITS else static
+        return free, free if was.size and (static[was] > _LEVELS[0]).mean() > _MISFITS else static
 
     def _bounds(self, points: FloatArray, free: FloatArray, cameras: FloatArray) -> FloatArray:
         """Least and largest inverse depth (2, N) of static points: not under the ground, nor floating."""

@@ -5,6 +5,7 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import islice
@@ -16,10 +17,10 @@ import cv2
 from kt3dmoseg import __version__, catalog, choosing, files, tracking
 from kt3dmoseg.choosing import ChooseOptions
 from kt3dmoseg.choosing.windows import Window, measure_windows, metres_between
-from kt3dmoseg.errors import InputFileError, InvalidValueError
+from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import PathLike
 from kt3dmoseg.flow import backend_identity, create
-from kt3dmoseg.frames import Cut, FrameSource, KittiClip, choose_sources, source_names
+from kt3dmoseg.frames import Cut, FrameFolder, FrameSource, KittiClip, choose_sources, source_names
 from kt3dmoseg.io.images import jpeg_address
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.parallel import Progress, cache_key, run_tasks
@@ -105,6 +106,8 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
     """Give the parts of a recording, and the name of the file in which the measures of each are kept."""
     given: Any = source  # a dataclass with a cut
     whole, cut = None, given.cut
+    if cut.step != 1:
+        raise InvalidValueError(f"{source.where}: step", expected="1", found=f"{cut.step}")
     if isinstance(source, KittiClip):  # which may be on disk in parts
         numbers = source.drive.numbers.tolist()
         numbers = [n for n in numbers if (cut.first or 0) <= n and (cut.last is None or n <= cut.last)]
@@ -117,6 +120,8 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
         "versions": versions,
         "flow": backend_identity(create(settings.flow)),
     }
+    labelled = isinstance(source, KittiClip) and source.drive.has_tracklets
+    boxes = files.sha256_file(given.drive.tracklet_file) if labelled else ""
     for run in catalog.runs(numbers):
         last = max(0, len(run) - settings.longest)
         starts = [*range(0, last, max(1, settings.longest // 2)), last]
@@ -124,8 +129,8 @@ def _parts(source: FrameSource, settings: ChooseOptions) -> Iterator[_Part]:
             ends = run[start], run[min(start + settings.longest, len(run)) - 1]
             part = replace(given, cut=replace(cut, first=ends[0], last=ends[1], name=source.name))
             frames = whole or part.inspect().description
-            if isinstance(source, KittiClip):  # both may come later
-                about["known"] = [source.drive.has_tracklets, metres_between(part, *ends) is not None]
+            if isinstance(source, KittiClip):  # both may come later, or change
+                about["known"] = [boxes, metres_between(part, *ends)]
             yield part, f"{cache_key({**about, 'recording': frames, 'part': ends})}.json"
 
 
@@ -161,9 +166,11 @@ def _measure_part(
     del progress
     source, kept = part
     if folder is not None and (folder / kept).is_file():
-        rows = files.parse_json(files.read_bytes(folder / kept, files.JSON_BYTES), f"{folder / kept}")
         named = {"recording": source.name}  # which may have been renamed since
-        return [Window(**row | {"sizes": tuple(row["sizes"])} | named) for row in rows]
+        with suppress(KT3DMoSegError, TypeError, KeyError):  # a damaged file is written again
+            rows = files.parse_json(files.read_bytes(folder / kept, files.JSON_BYTES), f"{folder / kept}")
+            if found := [Window(**row | {"sizes": tuple(row["sizes"])} | named) for row in rows]:
+                return found
     cv2.setNumThreads(1)  # also with one worker, which is the calling process
     windows = measure_windows(source, settings)
     if folder is not None:
@@ -238,8 +245,9 @@ def _page(
     items = []
     for window in chosen:
         source = sources[window.recording]
-        part = f"{window.first}-{window.last}", "--name", window.name, "-o", "FOLDER"
-        build = shlex.join(["kt3dmoseg", "build", source.where, "--range", *part])
+        part = ["--range", f"{window.first}-{window.last}", "--name", window.name, "-o", "FOLDER"]
+        part += ["--colour", settings.colour] if isinstance(source, FrameFolder) else []
+        build = shlex.join(["kt3dmoseg", "build", source.where, *part])
         command = "" if isinstance(source, KittiClip) else build
         items.append((window, row(window), command, _strip(window, source, settings)))
     template = Template(text, autoescape=True, trim_blocks=True, lstrip_blocks=True)

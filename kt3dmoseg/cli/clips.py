@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from json import dumps
 from pathlib import Path
@@ -137,16 +137,20 @@ def build(
     empty = [o for o in outcomes if o.status == "built" and not o.counts["trajectories"]]
     if empty:
         shown = ", ".join(f"{outcome.name} ({outcome.counts['frames']} frames)" for outcome in empty)
-        least = options.get("min_length", TrackOptions.min_length)
-        app.warn(
-            f"no trajectories in {shown}; a track must live --min-length {least} frames, and starts only "
-            "where the picture has structure"
-        )
+        _warn_of_none(shown, options)
     unlabelled = [o.name for o in outcomes if o.status != "failed" and not o.labels]
     if unlabelled and (given := annotations or masks):
         more = " ..." * (len(unlabelled) > 9)
         app.warn(f"nothing in {given} labels {', '.join(unlabelled[:9])}{more}")
     return _code(outcomes)
+
+
+def _warn_of_none(clips: str, options: Mapping[str, Any]) -> None:
+    least = options.get("min_length", TrackOptions.min_length)
+    app.warn(
+        f"no trajectories in {clips}; a track must live --min-length {least} frames, and starts only "
+        "where the picture has structure"
+    )
 
 
 def _run(make: Callable[..., list[Outcome]], total: int, output: Path) -> list[Outcome]:
@@ -266,6 +270,8 @@ def track(
     with progress_bar("frame") as progress:
         clip = track_clip(source, colour=colour, cache=cache, progress=progress, **options)
     save(clip, output)
+    if not len(clip.dense):
+        _warn_of_none(f"{frames} ({clip.n_frames} frames)", options)
     print(f"{output}: {len(clip.dense)} trajectories in {clip.n_frames} frames", file=sys.stderr)
 
 

@@ -56,7 +56,7 @@ class FlowFiles:
     @cached_property
     def _fields(self) -> dict[tuple[str, str], Path]:
         """Files by the checksums of their pairs of frames; of frames that come twice, the first."""
-        checksums = [sha256_arrays(read_frame(path)) for path in frame_paths(self._folder("frames"))]
+        checksums = [sha256_arrays(read_frame(path, "luma")) for path in frame_paths(self._folder("frames"))]
         found: dict[tuple[str, str], Path] = {}
         forward, backward = (self._files(which, len(checksums) - 1) for which in ("forward", "backward"))
         for (first, second), there, back in zip(pairwise(checksums), forward, backward, strict=True):

@@ -353,10 +353,10 @@ def _video_facts(path: str, *_: int) -> tuple[FloatArray, int]:  # size and time
 
 
 def resized(frame: ByteArray, size: tuple[int, int]) -> ByteArray:
-    """Return a frame at another size (width, height)."""
-    smaller = size[0] <= frame.shape[1] and size[1] <= frame.shape[0]
-    way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(frame, size, interpolation=way), dtype=np.uint8)
+    """Return a frame at another size (width, height); along a side that is shorter, pixels are averaged."""
+    least = min(size[0], frame.shape[1]), min(size[1], frame.shape[0])
+    averaged = cv2.resize(frame, least, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(averaged, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 def write_png(path: PathLike, picture: ByteArray) -> None:

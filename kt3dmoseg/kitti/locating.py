@@ -72,7 +72,7 @@ def locate(
                 target.keep_located([located])
                 numbers, proof = format_numbers(located.numbers or ()), located.proof or "given"
                 report(f"{clip.name}: {clip.drive.name} camera {located.camera} frames {numbers} ({proof})")
-            except (NotLocatedError, AbsentError) as error:
+            except (NotLocatedError, AbsentError, FileFormatError) as error:
                 if len(wanted) == 1:
                     raise
                 failures[clip.name] = error

@@ -229,13 +229,18 @@ class RawDrive(Calibration):
         return np.array([packet.T_w_imu for packet in packets], dtype=np.float64).reshape(-1, 4, 4)
 
     @property
+    def tracklet_file(self) -> Path:
+        """File of the drive's tracklet labels; KITTI has none for many drives."""
+        return self._drive_folder / TRACKLET_FILE
+
+    @property
     def has_tracklets(self) -> bool:
-        """Whether the drive's tracklet labels are on disk; KITTI has none for many drives."""
-        return (self._drive_folder / TRACKLET_FILE).is_file()
+        """Whether the tracklet labels are on disk."""
+        return self.tracklet_file.is_file()
 
     def tracklets(self) -> list[Tracklet]:
         """Read the labelled 3D boxes of the drive."""
-        path = self._drive_folder / TRACKLET_FILE
+        path = self.tracklet_file
         if not self.has_tracklets:
             raise InputFileError(f"{path}: no such file", fix="KITTI has tracklets for some drives only")
         return read_tracklets(path)

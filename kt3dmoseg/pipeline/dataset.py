@@ -102,7 +102,7 @@ def build_clip(
     label 0. InputFileError or FileFormatError for frames, annotation or masks that cannot be read;
     InvalidValueError or UnknownNameError for a bad option.
     """
-    settings = _Settings(options, flow_parameters, cache, shift)
+    settings = _Settings(options, flow_parameters, cache, shift, tracks is not None)
     if isinstance(source, (str, os.PathLike)):
         source = one_source(source)
     [files] = find_labels([source.name], annotation, masks)
@@ -181,7 +181,7 @@ def build_dataset(
     MissingDependencyError
         When the flow backend needs a package that is not installed.
     """
-    settings = _Settings(options, flow_parameters, cache, shift)
+    settings = _Settings(options, flow_parameters, cache, shift, tracks is not None)
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     names = source_names(sources)
     labels = find_labels(names, annotations, masks)
@@ -251,6 +251,7 @@ class _Settings:
         flow: Mapping[str, Any] | None,
         cache: PathLike | None,
         shift: int | None,
+        tracked: bool,
     ) -> None:
         own, tracker = option_names(BuildOptions), option_names(TrackOptions)
         for name in options:
@@ -259,6 +260,15 @@ class _Settings:
         self.build = from_mapping(BuildOptions, {k: v for k, v in options.items() if k in own})
         self.tracks = from_mapping(TrackOptions, {k: v for k, v in options.items() if k in tracker})
         self.flow, self.cache, self.shift = create(self.build.flow, **(flow or {})), cache, shift
+        self.options = asdict(self.build) | asdict(self.tracks)
+        self.flow_identity: Any = backend_identity(self.flow)
+        if tracked:  # by another tracker: what ours would do neither counts nor may be asked for
+            plain = {**asdict(TrackOptions()), "flow": BuildOptions.flow}
+            asked = [key for key in plain if key != "min_length" and self.options.pop(key) != plain[key]]
+            if asked:
+                expected = "no options of tracking with given trajectories, but for min_length"
+                raise InvalidValueError("tracks", expected=expected, found=", ".join(asked))
+            self.flow_identity = ""
 
 
 def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, progress: Progress) -> Outcome:
@@ -282,8 +292,6 @@ def _build_file(settings: _Settings, output: Path, force: bool, task: _Task, pro
     sizes = clip.n_frames, len(clip.dense), len(clip.evaluated), clip.n_motions
     counts = dict(zip(("frames", "trajectories", "evaluated", "motions"), sizes, strict=True))
     counts |= clip.provenance.get("dropped", {})
-    nothing = [named for label, named in clip.labels.names.items() if label not in clip.labels.motions]
-    job.notes += [f"nothing is labelled as {several(nothing)}"] if nothing else []
     return Outcome(name, "built", reason, target, counts, labels, tuple(job.notes))
 
 
@@ -330,8 +338,8 @@ class _Job:
             "name": self.source.name,
             "source": self.info.description,
             "labels": labels,
-            "options": asdict(settings.build) | asdict(settings.tracks),
-            "flow": backend_identity(settings.flow),
+            "options": settings.options,
+            "flow": settings.flow_identity,
             "versions": {name: library.__version__ for name, library in _LIBRARIES.items()},
             "algorithms": {"tracking": tracking.ALGORITHM_VERSION, "pipeline": pipeline.ALGORITHM_VERSION},
         }
@@ -356,6 +364,11 @@ class _Job:
             names = self.info.names or [f"{number:06d}.png" for number in numbers]
             labels = label_clip(source.name, self.files, dense, names, settings.shift, self.notes)
         info, (rows, chosen) = self.info, self._evaluated(labels, len(dense))
+        known, kept = [{*each.motions.tolist()} if each else set() for each in (labels, chosen)]
+        for what, lacking in (("labelled as", {*chosen.names} - known), ("evaluated of", known - kept)):
+            if lacking:
+                named = [chosen.names.get(label, f"motion {label}") for label in sorted(lacking)]
+                self.notes.append(f"nothing is {what} {several(named)}")
         return Clip(
             source.name, dense, rows, chosen, np.array(numbers), info.timestamps, info.camera, provenance
         )

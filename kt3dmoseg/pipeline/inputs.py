@@ -6,6 +6,7 @@ id is taken as one motion.
 """
 
 import os
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -185,13 +186,14 @@ def read_tracks(
     """Read the trajectories of a clip with these frames, and count what is left out, in words.
 
     Whatever `kt3dmoseg.load` reads is taken; its labels are not. Points outside of the image count as not
-    visible; tracks that are then shorter than `min_length` are dropped, as those of our own tracker.
-    FileFormatError when they are of another number of frames, or of other ones by their recorded numbers, or
-    follow the frames only with x and y exchanged, or scaled.
+    visible; tracks that are then shorter than `min_length` are dropped, as those of our own tracker. Errors
+    are those of the frames, and FileFormatError when the trajectories are of another number of frames, or of
+    other ones by their recorded numbers, or follow the frames only with x and y exchanged, or scaled.
     """
     clip = load(path)
     given, stated = clip.dense, clip.frame_numbers.tolist()
     pictures = np.stack(list(islice(frames, APART + 1)))
+    deque(frames, maxlen=0)  # damaged ones are found, and those of another size
     count, (height, width) = len(numbers), pictures.shape[1:]
     fix = "give the tracks of all frames of the clip, and of no others"
     if given.n_frames != count:

@@ -71,7 +71,7 @@ class DrivePlan:
 
 
 def plan_drives(seed: int = 0) -> list[DrivePlan]:
-    """Plan the 200 drives of a seed: the same numbers of every kind in both parts, in random combinations."""
+    """Plan the 200 drives of a seed; both parts have as many of each number, and nearly of each kind."""
     plans = []
     for half, part in enumerate(_PARTS):
         rng = np.random.default_rng([seed, half])

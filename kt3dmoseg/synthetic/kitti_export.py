@@ -60,18 +60,24 @@ def write_drive(scene: Scene, root: PathLike, *, date: str = "2011_09_26", drive
 
     Below `root` it writes ``{date}/{date}_drive_{drive:04d}_sync/`` with ``image_00/data/%010d.png``,
     ``oxts/`` and ``tracklet_labels.xml``, and ``{date}/calib_*.txt``. The drive's folder, which is returned,
-    appears complete or not at all. InputFileError when it exists or nothing can be written,
-    InvalidValueError when `date`, YYYY_MM_DD, or `drive`, 0 to 9999, is malformed.
+    appears complete or not at all. InputFileError when it exists, nothing can be written, or the day has
+    another calibration, InvalidValueError when `date`, YYYY_MM_DD, or `drive`, 0 to 9999, is malformed.
     """
     target = Path(root) / Drive(date, drive).folder
     start = datetime.strptime(f"{date} 09", "%Y_%m_%d %H")
     if target.exists():
         raise InputFileError(f"{target}: exists already", fix="remove it, or write another drive number")
+    calibration = {target.parent / name: text for name, text in _calibration(scene, start).items()}
+    for path, text in calibration.items():
+        if path.exists() and path.read_text() != text:  # by which the other drives of the day are read
+            expected, fix = "the calibration of this scene", "write another date, or to another folder"
+            raise InputFileError(f"{path}", expected=expected, found="another", fix=fix)
     check_writable(target.parent)
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".part", dir=target.parent) as work:
         _write_files(scene, Path(work, "new"), start)
-        _write_calibration(scene, target.parent, start)
+        for path, text in calibration.items():
+            write_text(path, text)
         os.replace(Path(work, "new"), target)
     return target
 
@@ -87,8 +93,8 @@ def _write_files(scene: Scene, folder: Path, start: datetime) -> None:
     write_text(folder / "tracklet_labels.xml", _tracklet_xml(scene))
 
 
-def _write_calibration(scene: Scene, day: Path, start: datetime) -> None:
-    """Write the three files; the four cameras differ by their position along the baseline only."""
+def _calibration(scene: Scene, start: datetime) -> dict[str, str]:
+    """Three files by their names; the four cameras differ by their position along the baseline only."""
     stamp = f"calib_time: {start:%d-%b-%Y %H:%M:%S}\n"
     lines = [stamp, f"corner_dist: {_numbers(0.0995)}\n"]
     for camera, offset in enumerate((0.0, _BASELINE, 0.0, _BASELINE)):
@@ -98,11 +104,12 @@ def _write_calibration(scene: Scene, day: Path, start: datetime) -> None:
         values = {"S": size, "K": scene.K, "D": np.zeros(5), "R": np.eye(3), "T": shift}
         rectified = {"S_rect": size, "R_rect": np.eye(3), "P_rect": projection}
         lines += [f"{key}_{camera:02d}: {_numbers(value)}\n" for key, value in (values | rectified).items()]
-    write_text(day / "calib_cam_to_cam.txt", "".join(lines))
+    found = {"calib_cam_to_cam.txt": "".join(lines)}
     none = f"delta_f: {_numbers(np.zeros(2))}\ndelta_c: {_numbers(np.zeros(2))}\n"
     for name, T, distortion in (("velo_to_cam", T_CAM_VELO, none), ("imu_to_velo", T_VELO_IMU, "")):
         text = f"{stamp}R: {_numbers(T[:3, :3])}\nT: {_numbers(T[:3, 3])}\n{distortion}"
-        write_text(day / f"calib_{name}.txt", text)
+        found[f"calib_{name}.txt"] = text
+    return found
 
 
 def _numbers(values: FloatArray | float) -> str:

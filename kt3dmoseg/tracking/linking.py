@@ -124,7 +124,8 @@ def at_boundary(xy: FloatArray, w: FloatArray, forward: Float32Array, options: T
 def gradient(forward: Float32Array, xy: FloatArray, reach: int) -> FloatArray:
     """Differentiate a flow's components along x and y, (N, 2, 2); 0 where the flow is not known.
 
-    By differences between the pixels `reach` to either side of the nearest one.
+    By differences between the pixels `reach` to either side of the nearest one, at the border of the picture
+    the last one, over twice the reach.
     """
     height, width = forward.shape[:2]
     x, y = np.rint(xy).astype(np.intp).T

@@ -64,7 +64,8 @@ def track(
     frames : path-like, or iterable of arrays or of path-likes
         A folder of images, or a video; or gray frames (H, W) uint8, as an array (F, H, W) has, or the paths
         of images.
-        An array whose last dimension is by far the shortest is taken for (H, W, F) and refused. An iterator
+        An array whose last dimension is by far the shortest, or with 3 or 4 rows, may be (H, W, F) or one
+        picture in colour and is refused: give ``list(frames)``. An iterator
         is consumed one frame at a time, so a clip of any length needs only the memory of two frames,
         one pair of flow fields, and its trajectories.
     flow : str or Flow
@@ -310,6 +311,7 @@ class RunTrajectories(Trajectories):
 
     def at(self, frame: int) -> tuple[IntArray, FloatArray]:
         """Rows and positions in one frame; see `Trajectories.at`."""
+        frame = range(self.n_frames)[frame]
         rows = np.flatnonzero((self._start <= frame) & (frame < self._start + self._lengths))
         return rows, self._points[self._offset[rows] + frame - self._start[rows]]
 

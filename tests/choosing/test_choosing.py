@@ -22,6 +22,7 @@ from kt3dmoseg.synthetic import SceneOptions, make_scene
 from kt3dmoseg.synthetic.kitti_export import write_drive
 
 FRAMES, SPEED = 26, 8.0
+NO_TRACKLETS = "<boost_serialization><tracklets><count>0</count></tracklets></boost_serialization>"
 OPTIONS = {"shortest": 10, "longest": 12, "stride": 6, "apart": 0, "movers": "tracklets"}
 
 
@@ -155,7 +156,11 @@ def test_missing_frames_and_cuts_are_in_no_clip_and_the_page_builds_a_name_with_
     assert not any(window.cut for window in selected)
     page = ranking._page(selected[:1], 1, {source.name: source}, options)
     command = html.unescape(re.search(r"<code>(.*?)</code>", page)[1])
-    assert shlex.split(command)[2::4] == [str(folder), selected[0].name]
+    words = shlex.split(command)
+    assert (words[2], words[words.index("--name") + 1]) == (str(folder), selected[0].name)
+    assert words[-2:] == ["--colour", "luma"]  # as was measured
+    with pytest.raises(InvalidValueError, match="step: expected 1, found 2"):
+        choose(choose_sources(folder, step=2), shortest=6, longest=8)
 
 
 def test_a_recording_that_was_renamed_or_copied_keeps_its_measures(rng, tmp_path):
@@ -170,6 +175,20 @@ def test_a_recording_that_was_renamed_or_copied_keeps_its_measures(rng, tmp_path
     assert {w.recording for w in choose(tmp_path / "second", **options)} == {"second"}
     both = choose([first, tmp_path / "second"], **options)
     assert {w.recording for w in both} == {"first", "second"}
+
+
+def test_what_changed_or_was_damaged_is_measured_again(root, tmp_path):
+    shutil.copytree(root, tmp_path / "kitti")
+    sources = choose_sources(tmp_path / "kitti", drive=1, frames=(0, 11))
+    options = OPTIONS | {"count": 1, "output": tmp_path / "out"}
+    [first] = choose(sources, **options)
+    assert first.motions
+    [kept] = (tmp_path / "out" / "measured").iterdir()
+    for damaged in ("{}", "[]", '[{"a": 1}]', kept.read_text()[:40]):
+        kept.write_text(damaged)
+        assert choose(sources, **options) == [first]
+    sources[0].drive.tracklet_file.write_text(NO_TRACKLETS)
+    assert [window.motions for window in choose(sources, **options)] == [0]
 
 
 def test_a_drive_that_is_on_disk_in_parts_has_windows_in_each(root, tmp_path):

@@ -10,6 +10,7 @@ from kt3dmoseg import flow
 from kt3dmoseg.errors import InputFileError, InvalidValueError, UnknownNameError
 from kt3dmoseg.flow import Flow
 from kt3dmoseg.io.flow_files import write_flow
+from kt3dmoseg.io.images import frame_paths, read_frame, write_png
 
 SHIFT = (3.0, -2.0)
 INSIDE = (slice(16, -16), slice(16, -16))
@@ -125,6 +126,17 @@ def test_files_are_sorted_by_their_numbers_without_hidden_ones(clip, tmp_path):
         (tmp_path / f"flow_{number}_fwd.flo").write_bytes((clip / "forward" / source).read_bytes())
     (tmp_path / "._flow_9_fwd.flo").write_bytes(b"left by macOS")
     field = flow.create("files", **folders | {"forward": str(tmp_path)})(texture(), shifted(texture()))
+    np.testing.assert_array_equal(field[0, 0], np.float32(SHIFT))
+
+
+def test_files_take_frames_in_colour_as_luma(clip, tmp_path):
+    folders = {name: str(clip / name) for name in ("forward", "backward")}
+    pictures = [read_frame(path) for path in frame_paths(clip / "frames")]
+    for number, picture in enumerate(pictures):
+        tinted = np.stack([picture, np.minimum(picture, 250) + 5, picture], axis=2).astype(np.uint8)
+        write_png(tmp_path / f"{number:06d}.png", tinted)
+    a, b = [read_frame(path, "luma") for path in frame_paths(tmp_path)][:2]
+    field = flow.create("files", frames=str(tmp_path), **folders)(a, b)
     np.testing.assert_array_equal(field[0, 0], np.float32(SHIFT))
 
 

@@ -12,6 +12,7 @@ from PIL import Image
 
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.io import images
 from kt3dmoseg.io.images import (
     decode,
     decode_indices,
@@ -28,6 +29,13 @@ def _frames(folder, names, picture=None):
     for name in names:
         cv2.imwrite(str(folder / name), np.zeros((4, 6), np.uint8) if picture is None else picture)
     return folder
+
+
+def test_what_is_shorter_is_averaged_whatever_the_other_side_is():
+    picture = np.zeros((200, 600), np.uint8)
+    picture[:, 1::3] = 255
+    for height in (100, 200, 400):
+        assert (images.resized(picture, (200, height)) == 85).all()
 
 
 def test_frames_come_in_the_order_of_their_numbers(tmp_path):

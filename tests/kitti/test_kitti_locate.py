@@ -215,6 +215,17 @@ def test_all_clips_are_tried_before_the_error(world: World) -> None:
     assert "Hidden" in catalog.load(world.root / "located.toml", built_in=False)
 
 
+def test_a_clip_without_frames_of_its_own_does_not_stop_the_others(world: World, tmp_path: Path) -> None:
+    text = world.catalog.read_text()
+    world.catalog.write_text(text.replace("clips.Hidden", "clips.Aaa") + "\n" + text)
+    _recode(world, lambda image: image[::-1].copy())
+    _own(world, tmp_path / "Hidden").rename(tmp_path / "own")
+    (tmp_path / "both" / "Aaa").mkdir(parents=True)
+    (tmp_path / "own").rename(tmp_path / "both" / "Hidden")
+    with pytest.raises(NotLocatedError, match="2 of 2 clips were not located: found Aaa, Hidden"):
+        _locate(world, "Aaa", "Hidden", frames=str(tmp_path / "both"))
+
+
 def test_drive_that_the_server_lacks_does_not_stop_the_others(world: World) -> None:
     with pytest.raises(NotLocatedError, match="1 of 2 clips were not located: found Seq071_Clip01"):
         _locate(world, "Seq071_Clip01", "Hidden")

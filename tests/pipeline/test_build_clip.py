@@ -266,11 +266,14 @@ def test_the_located_clips_of_a_kitti_root_are_built_by_name(tmp_path):
     assert build_clip(sources["Second"]).frame_numbers.tolist() == [47, 48, 49, 50, 51]
     with pytest.raises(InputFileError, match=r"40-51.*found 52; fetch it"):
         build_clip(sources["InPart"])
-    catalog.save(root / "located.toml", [Entry("Gap", drive, 0, 3, numbers=(40, 41, 43))])
+    gap = Entry("Gap", drive, 0, 3, numbers=(40, 41, 43))
+    catalog.save(root / "located.toml", [gap, clips[0]])
+    first, skips = find_sources(root)  # one that cannot be built does not stop the others
+    assert build_clip(first).n_frames == 6
     with pytest.raises(
-        FileFormatError, match=r"located\.toml: Gap: expected consecutive frames, found 40-41"
+        FileFormatError, match=r"Gap: expected consecutive frames, found 40-41,43 in located\.toml"
     ):
-        find_sources(root)
+        build_clip(skips)
 
 
 def test_an_absurd_range_takes_no_memory(tmp_path):

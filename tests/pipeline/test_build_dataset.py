@@ -297,6 +297,9 @@ def test_clips_without_a_trajectory_are_reported_in_the_summary(tmp_path, capsys
     assert "--min-length 5 frames" in printed.err
     assert main([*command, "--workers", "1", "--min-length", "3"]) == 0
     assert capsys.readouterr().err == ""
+    short = str(tmp_path / "frames" / "short")
+    assert main(["track", short, "-o", str(tmp_path / "short.h5"), *FLOW]) == 0
+    assert "no trajectories in" in capsys.readouterr().err
 
 
 def _colour(folder):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from build_scenes import FRAMES, write_clip, write_masks
 
 from kt3dmoseg import load, track
 from kt3dmoseg.cli import main
-from kt3dmoseg.errors import FileFormatError, InputFileError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io import save
 from kt3dmoseg.io.point_tracks import write_layout
 from kt3dmoseg.pipeline import build_clip, build_dataset
@@ -81,6 +83,28 @@ def test_tracks_that_do_not_fit_the_frames_are_refused(scene, tmp_path):
     turned = Trajectories(tracks.xy[..., ::-1], tracks.visible)
     with pytest.raises(FileFormatError, match=r"a\.npz: tracks: .* only as \(y, x\); give points"):
         build_clip(frames, tracks=_write(tmp_path / "a.npz", turned))
+
+
+def test_options_of_our_tracker_are_refused_and_not_recorded(scene, tmp_path):
+    frames, _, tracks = scene
+    path = _write(tmp_path / "a.npz", tracks)
+    for option in ({"spacing": 6}, {"flow": "farneback"}):
+        with pytest.raises(InvalidValueError, match=f"but for min_length, found {next(iter(option))}"):
+            build_clip(frames, tracks=path, **option)
+    recorded = build_clip(frames, tracks=path, min_length=4).provenance["inputs"]
+    assert recorded["options"]["min_length"] == 4
+    assert not {"spacing", "flow"} & {*recorded["options"]}
+    assert not recorded["flow"]
+
+
+def test_every_frame_is_read(scene, tmp_path):
+    frames, _, tracks = scene
+    copy = tmp_path / "frames" / "a"
+    shutil.copytree(frames, copy)
+    last = sorted(copy.iterdir())[-1]
+    last.write_bytes(last.read_bytes()[:100])
+    with pytest.raises(KT3DMoSegError, match=last.name):
+        build_clip(copy, tracks=_write(tmp_path / "a.npz", tracks))
 
 
 def test_missing_tracks_are_named_and_the_other_clips_are_built(scene, tmp_path):

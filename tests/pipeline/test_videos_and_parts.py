@@ -60,6 +60,12 @@ def test_track_build_and_show_take_a_video_and_keep_its_times(video, tmp_path, c
     assert "warning" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("asked", [{"camera": 1}, {"drive": 9}, {"date": "2011_10_03"}])
+def test_a_drive_is_not_asked_for_next_to_a_catalog(asked, tmp_path):
+    with pytest.raises(InvalidValueError, match="catalogs: expected no date, drive or camera"):
+        choose_sources(tmp_path, catalogs=[tmp_path / "located.toml"], **asked)
+
+
 def test_python_tracks_a_video(video):
     tracks = track(video, flow="dis_medium")
     frames = list(VideoFile(video).frames("luma"))

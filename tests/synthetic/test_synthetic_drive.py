@@ -81,6 +81,15 @@ def test_an_existing_drive_is_not_replaced(small, root):
     assert sorted(root.rglob("*")) == before
 
 
+def test_a_day_keeps_its_calibration(small, root):
+    before = {path: path.read_text() for path in (root / DATE).glob("calib_*.txt")}
+    other = make_scene(SceneOptions(width=160, height=48, frames=2, objects=0))
+    with pytest.raises(InputFileError, match=r"calib_cam_to_cam\.txt: expected the calibration"):
+        write_drive(other, root, drive=8)
+    assert {path: path.read_text() for path in (root / DATE).glob("calib_*.txt")} == before
+    assert not list(root.rglob("*_0008_sync"))
+
+
 def test_a_failure_leaves_no_drive(small, tmp_path, monkeypatch):
     real = cv2.imencode
     calls = []

@@ -6,6 +6,7 @@ import pickle
 import tracemalloc
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -45,7 +46,9 @@ def test_runs_are_the_dense_arrays(made, min_length):
     assert (len(tracks), tracks.n_frames, tracks.image_size) == (len(dense), dense.n_frames, (64, 48))
     np.testing.assert_array_equal(tracks.lengths, dense.lengths)
     np.testing.assert_array_equal(tracks.track_id, dense.track_id)
-    for frame in range(dense.n_frames):
+    with pytest.raises(IndexError):
+        tracks.at(dense.n_frames)
+    for frame in range(-1, dense.n_frames):
         for found, wanted in zip(tracks.at(frame), dense.at(frame), strict=True):
             np.testing.assert_array_equal(found, wanted)
     for found, wanted in zip(tracks.block(1, 3), dense.block(1, 3), strict=True):
