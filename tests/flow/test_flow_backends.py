@@ -135,7 +135,7 @@ def test_files_take_frames_in_colour_as_luma(clip, tmp_path):
     for number, picture in enumerate(pictures):
         tinted = np.stack([picture, np.minimum(picture, 250) + 5, picture], axis=2).astype(np.uint8)
         write_png(tmp_path / f"{number:06d}.png", tinted)
-    a, b = [read_frame(path, "luma") for path in frame_paths(tmp_path)][:2]
+    a, b = [read_frame(path, "luma") for path in frame_paths(tmp_path)][1:]
     field = flow.create("files", frames=str(tmp_path), **folders)(a, b)
     np.testing.assert_array_equal(field[0, 0], np.float32(SHIFT))
 
