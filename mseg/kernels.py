@@ -167,13 +167,19 @@ def covisible_frames(trajectories: Trajectories) -> Float32Array:
     return np.asarray(seen @ seen.T)
 
 
-def count_parts(visible: BoolArray, gap: int) -> int:
-    """Count the parts of trajectories (n, F) that no pair of frames sees together, or no frame (gap 0)."""
+def parts(visible: BoolArray, gap: int) -> IntArray:
+    """Part trajectories (n, F) that no pair of frames sees together, or no frame (gap 0).
+
+    The parts (n,) are 0, 1, ... by their first trajectories; -1 is what no pair sees.
+    """
     pairs = (visible[:, : max(visible.shape[1] - gap, 0)] & visible[:, gap:]).astype(np.int64)
-    pairs = pairs[pairs.any(axis=1)][:, pairs.any(axis=0)]
-    if not pairs.size:
-        return 0
-    return int(connected_components(block_array([[None, csr_array(pairs)], [csr_array(pairs.T), None]]))[0])
+    found, seen = np.full(len(visible), -1), pairs.any(axis=1)
+    if seen.any():
+        joined = csr_array(pairs[seen][:, pairs.any(axis=0)])
+        graph: Any = block_array([[None, joined], [csr_array(joined.T), None]])
+        part = connected_components(graph)[1][: seen.sum()]
+        found[seen] = np.unique(part, return_inverse=True)[1]
+    return found
 
 
 def _top_count(n_hypotheses: int, fraction: float) -> int:

@@ -72,7 +72,8 @@ class _Body(NamedTuple):
 def propose(request: Request) -> Labels:
     """Find what moves by itself: 1 for the static scene, 2, 3, ... for movers, the surest first.
 
-    TooFewPointsError when fewer than 50 trajectories live for 4 frames.
+    TooFewPointsError when fewer than 50 trajectories are seen in 4 frames: of a long clip in 4 of 30 that are
+    spread over it.
     """
     scene = _Scene(request.trajectories, request.frames)
     labels = np.ones(len(request.trajectories), dtype=np.int64)
@@ -93,7 +94,7 @@ class _Scene:
         self.length = self.tracks.lengths
         self.rows = np.flatnonzero(self.length >= _SHORTEST)
         if len(self.rows) < _FEWEST:
-            expected = f"{_FEWEST} trajectories of {_SHORTEST} frames"
+            expected = f"{_FEWEST} trajectories seen in {_SHORTEST} of {len(frames)} frames"
             raise TooFewPointsError("mseg", expected=expected, found=str(len(self.rows)))
         seen = tracks.xy[tracks.visible]
         width = tracks.image_size[0] if tracks.image_size else float(np.ptp(seen, axis=0).max()) or 1.0

@@ -22,8 +22,10 @@ from kt3dmoseg.text import count
 from kt3dmoseg.tracking import find_cuts, track
 from kt3dmoseg.types import ByteArray, Clip, IntArray, Labels, Trajectories
 from mseg.errors import SegmentationError
+from mseg.kernels import parts
 from mseg.methods import segment
 from mseg.spreading import dense_mask, spread_labels
+from mseg.types import Segmentation
 
 # Motions are found in this many frames at once; a longer shot is taken in parts that overlap.
 _PART, _OVERLAP = 40, 10
@@ -34,6 +36,10 @@ _TINT = 0.35  # of moving objects in it
 # tenth of its background too.
 _BACKGROUND, _FEWEST = 0.1, 200
 
+_MOST_MOTIONS = 255  # of a mask
+_APART = "parts of the shot have no trajectory in common; the largest motions of both are taken for one"
+
+_Found: TypeAlias = tuple[IntArray, float | None, list[str]]  # labels, margin, notes
 _Progress: TypeAlias = Callable[[int, int | None, str], None]
 _Pictures: TypeAlias = Iterator[ByteArray]
 
@@ -47,6 +53,7 @@ class Shot:
     clip: Clip | None = None  # every trajectory, with its label: 1 is the largest motion, the background
     margin: float | None = None  # what the next best number of motions costs more, in the least sure part
     reason: str = ""  # why no motions were found; then there is no clip
+    notes: tuple[str, ...] = ()  # what one must know to trust the motions, see `mseg.segment`
 
     def __str__(self) -> str:
         start = f"{self.name}: {count(self.frames, 'frame')}"
@@ -54,7 +61,7 @@ class Shot:
             return f"{start}, not segmented: {self.reason}"
         found = f"{len(self.clip.dense)} trajectories, {count(self.clip.n_motions, 'motion')}"
         more = "" if self.margin is None else f" (the next best number costs {self.margin:.1f} more)"
-        return f"{start}, {found}{more}"
+        return "; ".join((f"{start}, {found}{more}", *self.notes))
 
 
 def clip_shot(path: Path, frames: PathLike | None) -> Iterator[tuple[Shot, _Pictures | None]]:
@@ -101,7 +108,7 @@ def segmented(shot: Shot, options: dict[str, Any], bar: _Progress) -> Shot:
     if clip is None:
         return shot
     try:
-        labels, margin = _motions(clip, options, bar)
+        labels, margin, notes = _motions(clip, options, bar)
     except KT3DMoSegError as error:
         return replace(shot, clip=None, reason=f"{error}")
     values, group = np.unique(labels, return_inverse=True)
@@ -110,55 +117,81 @@ def segmented(shot: Shot, options: dict[str, Any], bar: _Progress) -> Shot:
     found = Labels(np.where(values > 0, rank, 0)[group], background=1, names={1: "background"})
     origin = {**clip.provenance, "labels": {"found_by": "mseg video", **options}}
     clip = replace(clip, evaluated=np.arange(len(clip.dense)), labels=found, provenance=origin)
-    return replace(shot, clip=clip, margin=margin)
+    if clip.n_motions > _MOST_MOTIONS:
+        return replace(shot, clip=None, reason=f"{clip.n_motions} motions, more than a mask can hold")
+    asked = options.get("n_motions")
+    notes += (
+        [f"groups found: {clip.n_motions}, asked for: {asked}"] if asked not in (None, clip.n_motions) else []
+    )
+    return replace(shot, clip=clip, margin=None if asked else margin, notes=(*dict.fromkeys(notes),))
 
 
-def _motions(clip: Clip, options: dict[str, Any], bar: _Progress) -> tuple[IntArray, float | None]:
+def _motions(clip: Clip, options: dict[str, Any], bar: _Progress) -> _Found:
     """Label all trajectories, those of a long shot in parts, joined by the trajectories that they share."""
     if clip.n_frames <= _PART:
         return _segmented_twice(clip.dense, options, lambda half: bar(half, 2, f"{clip.name}: motions"))
-    labels, margins, failure = np.zeros(len(clip.dense), dtype=np.int64), [], None
+    labels, margins, notes, failure = np.zeros(len(clip.dense), dtype=np.int64), [], list[str](), None
     firsts = range(0, clip.n_frames - _OVERLAP, _PART - _OVERLAP)
     for k, first in enumerate(firsts):
         step = partial(lambda k, half: bar(2 * k + half, 2 * len(firsts), f"{clip.name}: motions"), k)
         rows, tracks = _part(clip.dense, first, min(first + _PART, clip.n_frames))
         try:
-            here, margin = _segmented_twice(tracks, options, step)
+            here, margin, known = _segmented_twice(tracks, options, step)
         except KT3DMoSegError as error:
             failure = error
+            notes.append(f"frames from the {first + 1}th on: {error}")
             continue
         margins.append(margin)
+        notes += known
         before = labels[rows]
         same = match_labels(here[before > 0], before[before > 0])
+        if labels.any() and not before.any():
+            same = {_largest(here): _largest(labels)}
+            notes.append(_APART)
         new = [label for label in np.unique(here[here > 0]).tolist() if label not in same]
         same |= {label: int(labels.max()) + j for j, label in enumerate(new, start=1)}
         labels[rows] = np.where(before > 0, before, [same.get(label, 0) for label in here.tolist()])
     if failure and not labels.any():
         raise failure
-    known = np.flatnonzero(labels)
+    rows = np.flatnonzero(labels)
     least = min((margin for margin in margins if margin is not None), default=None)
-    return spread_labels(clip.dense, known, labels[known]), least
+    return spread_labels(clip.dense, rows, labels[rows]), least, notes
 
 
-def _segmented_twice(
-    tracks: Trajectories, options: dict[str, Any], step: Callable[[int], None]
-) -> tuple[IntArray, float | None]:
+def _largest(labels: IntArray) -> int:
+    """Return the label of most trajectories, 0 if none has one."""
+    return int(np.bincount(labels[labels > 0], minlength=1).argmax())
+
+
+def _segmented_twice(tracks: Trajectories, options: dict[str, Any], step: Callable[[int], None]) -> _Found:
     """Label all trajectories; the second time with a part of the largest group, in which small ones drown."""
     step(0)
     first = segment(tracks, rows="all", **options)
     if not first.labels.any():
         raise SegmentationError("video", expected="a motion", found="outliers only")
-    of_largest = first.labels == np.bincount(first.labels[first.labels > 0]).argmax()
+    of_largest = first.labels == _largest(first.labels)
     largest, others = np.flatnonzero(of_largest), np.flatnonzero(~of_largest)
     part = max(_FEWEST, round(_BACKGROUND * len(largest)))
     if not len(others) or part >= len(largest):
-        return first.labels, first.report.get("margin")
+        return _found(tracks, first)
     drawn = np.random.default_rng(options.get("seed", 0)).choice(largest, part, replace=False)
     rows = np.union1d(drawn, others)
     thinned = Clip("shot", tracks, rows, Labels(np.zeros(len(rows), dtype=np.int64)))
     step(1)
-    second = segment(thinned, rows="all", **options)
-    return second.labels, second.report.get("margin")
+    return _found(tracks, segment(thinned, rows="all", **options))
+
+
+def _found(tracks: Trajectories, found: Segmentation) -> _Found:
+    """Give the labels; of parts that no trajectory joins, the largest motions are one: the background."""
+    labels, part, notes = np.array(found.labels), parts(tracks.visible, 1), [*found.report.get("notes", ())]
+    background = _largest(labels[part <= 0])
+    for k in range(1, part.max(initial=0) + 1):
+        inside, own = part == k, _largest(labels[part == k])
+        if not (own and background):
+            continue
+        labels[inside & (found.labels == background)] = labels.max() + 1
+        labels[inside & (found.labels == own)] = background
+    return labels, found.report.get("margin"), notes
 
 
 def _part(tracks: Trajectories, first: int, last: int) -> tuple[IntArray, Trajectories]:
@@ -174,15 +207,23 @@ def _part(tracks: Trajectories, first: int, last: int) -> tuple[IntArray, Trajec
 
 
 def write_shot(clip: Clip, pictures: _Pictures | None, folder: Path, rate: float, bar: _Progress) -> str:
-    """Write a shot; return a note when OpenCV cannot write the overlay."""
-    save(clip, folder / f"{clip.name}.h5")
-    painted, note = _painted(clip, pictures, folder / "masks" / clip.name, bar), ""
+    """Write a shot, the clip's file when the masks are there; return a note when there can be no overlay."""
+    masks, note = folder / "masks" / clip.name, ""
+    painted = _painted(clip, pictures, masks, bar)
     try:
         write_moving(folder / f"{clip.name}.mp4", painted, rate)
     except InputFileError as error:
+        deque(painted, maxlen=0)
+        if pictures is not None and not _mask(masks, clip.frame_numbers[-1]).is_file():
+            raise
         note = f"; no overlay: {error}"
     deque(painted, maxlen=0)
+    save(clip, folder / f"{clip.name}.h5")
     return note
+
+
+def _mask(folder: Path, number: int) -> Path:
+    return folder / f"{number:05d}.png"
 
 
 def _painted(clip: Clip, pictures: _Pictures | None, masks: Path, bar: _Progress) -> _Pictures:
@@ -201,7 +242,7 @@ def _painted(clip: Clip, pictures: _Pictures | None, masks: Path, bar: _Progress
         rows, xy = clip.dense.at(frame)
         label = clip.labels.label[rows]
         mask = dense_mask(picture, xy[label > 0], label[label > 0])
-        write_bytes(masks / f"{number:05d}.png", encode_indices(np.maximum(mask, 1) - 1, palette))
+        write_bytes(_mask(masks, number), encode_indices(np.maximum(mask, 1) - 1, palette))
         canvas, moves = draw_frame(painting, frame, gray(picture, clip.name, "luma"), title), mask > 1
         canvas[moves] = (1 - _TINT) * canvas[moves] + _TINT * colours[mask[moves]]
         yield canvas

@@ -22,6 +22,8 @@ def spread_labels(tracks: Trajectories, rows: IntArray, labels: IntArray) -> Int
     In every frame the two labelled ones vote that are nearest in position and motion. What shares no frame
     with any joins the largest motion. Memory grows linearly with N.
     """
+    if not len(rows):
+        return np.zeros(len(tracks), dtype=np.int64)
     values, group, sizes = np.unique(labels, return_inverse=True, return_counts=True)
     known = np.full(len(tracks), -1)
     known[rows] = group

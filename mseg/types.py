@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.io.predictions import label_vector
-from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Labels, Value, frozen
+from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray, Value, frozen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,8 +142,10 @@ class Segmentation(Value):
 
     def _on(self, clip: Clip) -> tuple[Clip, IntArray]:
         """Give the clip with the rows of these labels as the evaluated ones, and the labels."""
-        if self.rows is not None:
-            clip = replace(clip, evaluated=self.rows, labels=Labels(np.zeros(len(self.rows), dtype=np.int64)))
+        if self.rows is not None and len(clip.dense) > self.rows.max(initial=-1):
+            known = np.zeros(len(clip.dense), dtype=np.int64)
+            known[clip.evaluated] = clip.labels.label
+            clip = replace(clip, evaluated=self.rows, labels=replace(clip.labels, label=known[self.rows]))
         if len(clip.evaluated) != len(self.labels):
             expected, found = f"{len(self.labels)} evaluated trajectories", f"{len(clip.evaluated)}"
             raise InvalidValueError(f"clip {clip.name}", expected=expected, found=found)

@@ -43,7 +43,7 @@ def video(
     output : path
         New folder for what is found.
     n_motions : int, optional
-        Number of motions of every shot (default: found).
+        Number of motions of every shot, or of every 40 frames of a longer one (default: found).
     method : str
         Method, see 'mseg methods'.
     flow : str
@@ -92,6 +92,10 @@ def video(
     part, is_clip = (range_, step, size), source.is_file() and source.suffix.lower() in CLIP_SUFFIXES
     if is_clip and part != ("", 1, ""):
         raise InvalidValueError("range, step and size", expected="frames or a video", found=f"{source}")
+    if is_clip and flow != "dis":
+        raise InvalidValueError("flow", expected="frames or a video", found=f"{source}, with trajectories")
+    if frames is not None and not is_clip:
+        raise InvalidValueError("frames", expected="a clip file that they are of", found=f"{source}")
     taken = None if is_clip else one_source(source, frames=range_, step=step, size=size)
     info = taken.inspect() if taken else None
     for note in info.notes if info else ():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -72,8 +72,8 @@ def plot_painting(
 ) -> Axes:
     """Plot one frame with trails of 8 frames, or with `frame` None the whole trajectories.
 
-    `picture` (H, W) or (H, W, 3) lies below; pixels as everywhere: x right, y down, from the centre of the
-    top-left one.
+    `picture` (H, W) or (H, W, 3), uint8 or 0 to 1, lies below; pixels as everywhere: x right, y down, from
+    the centre of the top-left one.
     """
     tracks = painting.trajectories
     if frame is not None and not (isinstance(frame, (int, np.integer)) and 0 <= frame < tracks.n_frames):
@@ -118,6 +118,11 @@ def _checked_picture(
     if shape[2:] not in ((), (3,)) or len(shape) < 2 or (size and shape[1::-1] != size):
         wanted = f"{size[::-1]}" if size else "(H, W)"
         raise InvalidValueError("picture", expected=f"{wanted}, or with 3 channels", found=f"shape {shape}")
+    values: Any = picture
+    if picture.dtype.kind == "f" and ((values >= 0) & (values <= 1)).all():
+        return np.asarray(np.rint(255 * picture), dtype=np.uint8)  # as matplotlib reads files
+    if picture.dtype != np.uint8:
+        raise InvalidValueError("picture", expected="uint8, or 0 to 1", found=f"{picture.dtype}")
     return picture
 
 

@@ -92,6 +92,8 @@ def painting_of(clip: Clip, by: str | None, prediction: PathLike | None) -> Pain
     """Colour by "label", "length" or "prediction"; by default by what there is, the prediction first."""
     if not clip.n_frames:
         raise InvalidValueError(clip.name, expected="a clip with frames", found="none")
+    if prediction and by not in (None, "prediction"):
+        raise InvalidValueError("pred", expected="by='prediction'", found=f"by={by!r}")
     by = by or ("prediction" if prediction else "label" if clip.n_motions else "length")
     if by == "prediction":
         if prediction is None:

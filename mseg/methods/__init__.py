@@ -128,7 +128,7 @@ def segment(
     UnknownNameError, InvalidValueError
         For a bad method name, parameter, number of motions, seed, clip or array.
     """
-    from mseg.kernels import count_parts  # which takes long to import
+    from mseg.kernels import parts  # which takes long to import
 
     check_whole("seed", seed, 0)
     if n_motions is not None:
@@ -145,8 +145,8 @@ def segment(
         raise InvalidValueError("method", expected=expected, found=f"{chosen!r:.60}")
     result = _segmentation(chosen, hidden, n_motions, seed)
     outliers, gap = bool(getattr(chosen, "reject_outliers", False)), getattr(chosen, "gap", 1)
-    parts = count_parts(hidden.evaluated_trajectories.visible, gap if isinstance(gap, int) else 1)
-    notes = _notes(result, n_motions, outliers=outliers, parts=parts)
+    part = parts(hidden.evaluated_trajectories.visible, gap if isinstance(gap, int) else 1)
+    notes = _notes(result, n_motions, outliers=outliers, parts=int(part.max(initial=-1)) + 1)
     report = {**result.report, "notes": notes}
     if rows == "evaluated":
         return Segmentation(result.labels, report)

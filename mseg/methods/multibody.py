@@ -40,14 +40,14 @@ from mseg.geometry import rigid
 from mseg.methods.paper import KINDS, Subset
 from mseg.types import Segmentation
 
-ALGORITHM_VERSION: int = 10  # raised when results of this method change
+ALGORITHM_VERSION: int = 11  # raised when results of this method change
 
 # Noise of tracked points, as fractions of the width of the image: the scale on which bodies are adjusted, and
 # the least that is believed, below which lenses and trackers err alike for all points.
 _NOISE = 2.5e-4
 _LEAST_NOISE = 8e-5
-# Focal lengths tried where none is known, in widths of the image; the usual one, and what a square of the
-# logarithm of another over it costs; sets asked, their trajectories, and how much one of them counts at most.
+# Focal lengths tried (a camera's own is not used), in widths of the image; the usual one, and what a square
+# of the logarithm of another over it costs; sets asked, their trajectories, how much one counts at most.
 _FOCAL = (0.6, 0.8, 1.1, 1.5, 2.1, 3.0)
 _USUAL_FOCAL, _UNUSUAL_FOCAL = 0.8, 10.0
 _FOCAL_SETS, _FOCAL_SAMPLE, _FOCAL_DOUBT = 12, 32, 20.0
@@ -62,6 +62,10 @@ _NOISIEST = 10.0
 _NOISIER = 0.28
 # Cost of a trajectory that fits no motion, at most.
 _MISFIT = 3.0
+# A trajectory is still that stays within this of its mean, in widths of the image; what leaves it by more
+# than three times as much has moved. Where at least this share is still, the camera is. A body that moves
+# explains still points, too, as points far away, which cost this much then: they have a place and no depth.
+_STILL, _STILL_SHARE, _FAR_AWAY = 7.5e-4, 0.3, 1.0
 # A trajectory of this many frames weighs 1, the heaviest one 1.5.
 _USUAL_LENGTH = 10
 _HEAVIEST = 1.5
@@ -75,7 +79,7 @@ _SMALLEST = 6
 _SWEEPS = 10
 # Least fall of the cost that counts as one.
 _GAIN = 1e-9
-# Price of a body and coherence in partitions that were not made to cost little; see docs/methods.md.
+# Price of a body and coherence in partitions that were not made to cost little.
 _PRICE_OF_ANY, _COHERENCE_OF_ANY = 8.0, 18.0
 
 
@@ -123,6 +127,11 @@ class MultiBody:
             "focal": scene.focal * scene.width,
         }
         return Segmentation.of_part(labels, used, report)
+
+
+def _means(points: Trajectories) -> FloatArray:
+    """Mean place (N, 2) of each trajectory."""
+    return np.asarray(np.nansum(points.xy, axis=1) / np.maximum(points.lengths, 1)[:, None])
 
 
 def _edges(views: Sequence[csr_array], weight: float) -> csr_array:
@@ -184,6 +193,10 @@ class _Scene:
         indicator = self.member.astype(np.float64)
         self.atom_edges = indicator @ (self.edges @ indicator.T)
         self.focal, self.noise, self.misfit = 1.0, _NOISE, _MISFIT
+        off = np.where(points.visible, np.linalg.norm(points.xy - _means(points)[:, None], axis=2), 0.0)
+        apart = np.sqrt((off**2).sum(axis=1) / np.maximum(points.lengths, 1)) / self.width
+        stands = (apart < _STILL).mean() > _STILL_SHARE
+        self.still, self.moved = stands & (apart < _STILL), stands & (apart > 3 * _STILL)
 
     def groupings(self, most: int, price: float) -> dict[int, _Grouping]:
         """Best grouping into M motions, for each M."""
@@ -283,8 +296,10 @@ class _Scene:
         """Cost (B, N) of trajectories under bodies; see the module."""
         scale = np.array([self._scale(body) for body in bodies])[:, None]
         square = np.stack([body.square for body in bodies])
-        residual = np.log1p(square / (_UNEXPLAINED**2 * scale))
-        return self.weight * np.minimum(residual + _NOISIER * np.log(scale / self.noise**2), self.misfit)
+        relative = square / (_UNEXPLAINED**2 * scale)
+        cost = np.minimum(np.log1p(relative) + _NOISIER * np.log(scale / self.noise**2), self.misfit)
+        moves = (relative[:, self.moved] < 1).sum(axis=1) >= _SMALLEST
+        return np.asarray(self.weight * (cost + _FAR_AWAY * (moves[:, None] & self.still)))
 
     def _choose(self, bodies: list[_Body], most: int) -> dict[int, _Choice]:
         """Choose M bodies and the one that each atom follows, for each M.
@@ -403,7 +418,7 @@ def code_lengths(
     partitions: Mapping[int, IntArray],
     rng: np.random.Generator,
 ) -> dict[int, float]:
-    """Cost, as `MultiBody` has it, of partitions (N,) of N trajectories, by number of motions.
+    """Cost, much as `MultiBody` has it, of partitions (N,) of N trajectories, by number of motions.
 
     A body is adjusted to every group. A partition with a group too small for one has no cost.
     """

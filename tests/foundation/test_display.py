@@ -108,6 +108,11 @@ def test_a_picture_of_another_size_is_refused():
     with pytest.raises(InvalidValueError, match=r"picture: expected \(30, 40\)"):
         CLIP.plot(0, picture=np.zeros((40, 30)))
     assert CLIP.plot(0, picture=np.zeros((30, 40, 3), np.uint8)).images
+    [shown] = CLIP.plot(0, picture=np.full((30, 40), 0.5)).images  # as plt.imread reads a file
+    assert (shown.get_array() == 128).all()
+    for picture in (np.full((30, 40), 300, np.uint16), np.full((30, 40), 1.5)):
+        with pytest.raises(InvalidValueError, match="picture: expected uint8, or 0 to 1"):
+            CLIP.plot(0, picture=picture)
 
 
 def test_a_segmentation_of_another_clip_is_refused():

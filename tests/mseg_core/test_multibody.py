@@ -85,6 +85,21 @@ def test_an_atom_that_fits_no_body_follows_its_neighbours(neighbour):
     assert choice.bodies[choice.group[2]] == choice.bodies[choice.group[3]] == neighbour
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_only_shifts_before_a_camera_that_stands_still_is_a_motion_of_its_own(seed):
+    """Its body explains still points, too, as points far away."""
+    rng, frames = np.random.default_rng(seed), np.arange(12)[None]
+    still = rng.uniform((0, 0), (640, 360), (100, 2))[:, None] + np.zeros((1, 12, 1))
+    x, y, depth = rng.uniform((-1, -1, 10), (1, 1, 12), (100, 3)).T[..., None]
+    near = depth - 0.2 * frames
+    moving = np.stack([400 * (x + 0.15 * frames) / near + 320, 400 * y / near + 180], axis=2)
+    xy = np.concatenate([still, moving]) + rng.normal(0, 0.01, (200, 12, 2))
+    tracks = Trajectories(xy, np.ones((200, 12), dtype=bool), image_size=(640, 360))
+    found = mseg.segment(tracks, "multibody", seed=seed)
+    assert classification_error(np.repeat([1, 2], 100), found.labels) <= 0.02
+    assert found.report["n_motions"] == 2
+
+
 def test_the_number_is_that_asked_for():
     clip = drive(2, SCENES["three cars"])
     for number in (1, 2, 3, 4):

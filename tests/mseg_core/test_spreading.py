@@ -55,6 +55,23 @@ def test_rows_are_evaluated_or_all(make_clip):
         mseg.segment(make_clip(), "one_motion", rows="some")
 
 
+def test_all_rows_are_compared_with_the_labels_that_are_known(make_clip):
+    clip = make_clip(points=20)
+    half = replace(clip, evaluated=np.arange(20), labels=Labels(clip.labels.label[:20]))
+    found = mseg.segment(half, "subset", n_motions=clip.n_motions, rows="all")
+    shown, labels = found._on(half)
+    assert len(shown.evaluated) == len(labels) == len(clip.dense)
+    np.testing.assert_array_equal(shown.labels.label[:20], half.labels.label)
+    assert not shown.labels.label[20:].any()
+
+
+def test_nothing_evaluated_spreads_to_nothing(make_clip):
+    clip = replace(
+        make_clip(points=4), evaluated=np.zeros(0, dtype=int), labels=Labels(np.zeros(0, dtype=int))
+    )
+    assert not mseg.segment(clip, "one_motion", rows="all").labels.any()
+
+
 def test_labels_of_another_clip_are_refused(clip, make_clip):
     found = mseg.segment(make_clip(points=2), "one_motion", rows="all")
     with pytest.raises(InvalidValueError):

@@ -211,6 +211,12 @@ def test_a_full_disk_leaves_no_half_video(name, file, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["clip.h5"]
 
 
+def test_a_prediction_that_would_not_be_shown_is_refused(file, tmp_path, capsys):
+    line = ["show", str(file), "-o", str(tmp_path / "a.png"), "--by", "length", "--pred", "none.csv"]
+    assert main(line) == 2
+    assert "--pred: expected --by prediction, found --by length" in capsys.readouterr().err
+
+
 def test_a_prediction_in_one_picture(file, tmp_path, capsys):
     (tmp_path / "pred.csv").write_text("track,label\n0,3\n1,3\n2,3\n")
     out = tmp_path / "one.png"

@@ -150,6 +150,60 @@ def test_a_shot_that_cannot_be_tracked_leaves_its_frames_to_no_other(scene, tmp_
     assert np.array_equal(seen[1], other)
 
 
+def test_what_no_trajectory_joins_has_one_background(scene, tmp_path):
+    """Black frames between two scenes are no cut; each scene is static, and no object of the other."""
+    _, other = rendered(seed=5, frames=8, objects=0)
+    _, first = rendered(seed=4, frames=8, objects=0)
+    folder = write(tmp_path / "dark", [*first, *[np.zeros_like(first[0])] * 3, *other])
+    lines = []
+    [shot] = mseg.video(folder, output=tmp_path / "out", report=lines.append, quiet=True)
+    assert "parts of the clip have no trajectory in common" in lines[0]
+    for frames in (range(8), range(11, 19)):
+        seen = shot.clip.labels.label[shot.clip.dense.visible[:, frames].any(axis=1)]
+        assert np.bincount(seen).argmax() == 1
+
+
+def test_a_disk_that_is_full_before_the_masks_are_there_is_a_failure(scene, tmp_path, monkeypatch):
+    wrote = []
+
+    def write_bytes(path, content):
+        wrote.append(path)
+        if len(wrote) == 4:
+            raise InputFileError(f"{path}", expected="a file", found="No space left on device")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+    monkeypatch.setattr(parts, "write_bytes", write_bytes)
+    folder = write(tmp_path / "drive", scene[1])
+    options = {"output": tmp_path / "out", "method": "one_motion", "report": id, "quiet": True}
+    with pytest.raises(InputFileError, match=r"00004\.png.*No space left"):
+        mseg.video(folder, **options)
+    assert not list((tmp_path / "out").glob("*.h5"))  # it comes last: what it stands for is complete
+
+
+def test_options_that_would_do_nothing_are_refused(scene, found, tmp_path):
+    folder = write(tmp_path / "drive", scene[1])
+    with pytest.raises(InvalidValueError, match="frames: expected a clip file"):
+        mseg.video(folder, folder, output=tmp_path / "out", quiet=True)
+    with pytest.raises(InvalidValueError, match="flow: expected frames or a video"):
+        mseg.video(found[2] / "drive.h5", output=tmp_path / "out", flow="farneback", quiet=True)
+
+
+def test_a_number_of_motions_that_is_given_has_no_margin_and_one_not_reached_a_note(monkeypatch):
+    tracks = Trajectories(np.zeros((6, 6, 2)) + np.arange(6)[:, None, None], np.ones((6, 6), dtype=bool))
+    clip = Clip("shot", tracks, np.arange(6), Labels(np.zeros(6, dtype=np.int64)))
+    labels = np.array([1, 1, 1, 2, 2, 2])
+    monkeypatch.setattr(parts, "segment", lambda *_, **__: Segmentation(labels, {"margin": -3.0}))
+    shot = parts.segmented(parts.Shot("shot", 6, clip), {"method": "any", "n_motions": 3}, lambda *_: None)
+    assert f"{shot}" == "shot: 6 frames, 6 trajectories, 2 motions; groups found: 2, asked for: 3"
+    many = np.arange(1, 301)
+    tracks = Trajectories(np.zeros((300, 6, 2)), np.ones((300, 6), dtype=bool))
+    clip = Clip("shot", tracks, np.arange(300), Labels(np.zeros(300, dtype=np.int64)))
+    monkeypatch.setattr(parts, "segment", lambda *_, **__: Segmentation(many))
+    shot = parts.segmented(parts.Shot("shot", 6, clip), {"method": "any"}, lambda *_: None)
+    assert shot.reason == "300 motions, more than a mask can hold"
+
+
 def test_no_cut_where_brightness_changes_or_nothing_is_seen(scene):
     frames = scene[1]
     assert find_cuts([*frames[:4], *(frame // 2 + 20 for frame in frames[4:])])[0] == [0]
@@ -233,7 +287,7 @@ def test_the_largest_group_is_thinned_the_second_time(monkeypatch):
 
     monkeypatch.setattr(parts, "segment", halves)
     steps = []
-    labels, margin = parts._segmented_twice(tracks, {"method": "any", "seed": 1}, steps.append)
+    labels, margin, _ = parts._segmented_twice(tracks, {"method": "any", "seed": 1}, steps.append)
     assert steps == [0, 1]
     assert (len(seen[0]), len(seen[1])) == (1000, 250)  # 200 of the background, and all others
     assert set(range(950, 1000)) <= set(seen[1].tolist())
