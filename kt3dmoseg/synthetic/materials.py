@@ -60,7 +60,8 @@ class Noise:
 def _texels(position: FloatArray, footprint: FloatArray) -> tuple[_Index, _Index, _Index, Float32Array]:
     """Level, the two neighbouring texels there, and the linear weight of the second."""
     # The level whose texels come nearest to the footprint: the rounded binary logarithm.
-    level = np.clip(np.frexp((np.sqrt(2) * footprint).astype(np.float32))[1] - 1, 0, _LEVELS)
+    level = np.frexp((np.sqrt(2) * footprint).astype(np.float32))[1] - 1
+    level = np.minimum(np.maximum(level, 0), _LEVELS)
     inside = position * _SHRINK[level] - 0.5
     low = np.floor(inside)
     first, mask = low.astype(np.int32), _WIDTH[level] - 1
@@ -228,7 +229,7 @@ def block_letters(
 
 def _above(x: FloatArray, edge: FloatArray | float, width: FloatArray) -> FloatArray:
     """Average the indicator of x > edge over an interval of `width` around x."""
-    return np.asarray(np.clip((x - edge) / np.maximum(width, 1e-9) + 0.5, 0, 1))
+    return np.minimum(np.maximum((x - edge) / np.maximum(width, 1e-9) + 0.5, 0), 1)
 
 
 def band(x: FloatArray, low: float, high: float, width: FloatArray) -> FloatArray:

@@ -29,6 +29,7 @@ BACKGROUND = 1
 _FOCAL, _CENTRE, _KITTI_SIZE = 721.5377, (609.5593, 172.854), (1242, 375)
 _CAMERA_HEIGHT = 1.65
 _PITCH, _ROLL, _BOUNCE = 0.0035, 0.0025, 0.012  # radians, radians, metres: a car on its springs
+_RAYS = 200_000  # painted together, as long as they fit into the caches of a processor
 _SAME_DEPTH = 1e-6  # relative; a point is hidden only by what is nearer than this
 
 
@@ -165,9 +166,11 @@ class Scene:
         x, y = (np.arange(-1, size + 1, dtype=np.float64) for size in self.image_size)
         offsets = render.ray_offsets(self.options.samples)
         light = np.zeros(self.image_size[::-1])
-        for offset in offsets:
-            rays = self._rays((x + offset[0])[None], (y + offset[1])[:, None])
-            light += render.gather(self._painter.paint(mesh, *rays, camera, spacing), offset)
+        together = max(1, _RAYS // light.size)
+        for some in np.split(offsets, range(together, len(offsets), together)):
+            rays = self._rays(x + some[:, :1, None], y[:, None] + some[:, 1:, None])
+            for seen, offset in zip(self._painter.paint(mesh, *rays, camera, spacing), some, strict=True):
+                light += render.gather(seen, offset)
         rng = np.random.default_rng([self.options.seed, 1 + frame])
         return render.expose(light / len(offsets), self.options.noise, rng)
 
