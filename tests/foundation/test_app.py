@@ -110,9 +110,9 @@ def call(capsys):
 
 @pytest.mark.parametrize(("to", "why"), [("&-", "closed"), ("/dev/full", "No space left on device")])
 def test_output_that_cannot_be_written_is_a_failure(to, why):
-    command = f"{sys.executable} -m mseg methods >{to}"
+    command = f"{sys.executable} -m kt3dmoseg catalog list >{to}"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
-    assert (done.returncode, done.stderr) == (2, f"mseg: standard output: {why}\n")
+    assert (done.returncode, done.stderr) == (2, f"kt3dmoseg: standard output: {why}\n")
 
 
 def parsed(call, *flags):
