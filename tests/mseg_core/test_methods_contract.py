@@ -6,7 +6,8 @@ import dataclasses
 import inspect
 import pickle
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from kt3dmoseg.options import describe
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.errors import SegmentationError
 from mseg.evaluation import classification_error
+from mseg.kernels import kernel_cache
 from mseg.methods import METHODS
 
 pytestmark = pytest.mark.parametrize("method", METHODS.names())
@@ -25,6 +27,18 @@ pytestmark = pytest.mark.parametrize("method", METHODS.names())
 @pytest.fixture(scope="module")
 def tiny(make_clip) -> Clip:
     return make_clip(points=16)
+
+
+@pytest.fixture(scope="module")
+def kernels(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("kernels")
+
+
+@pytest.fixture
+def shared(kernels) -> Iterator[None]:
+    """Kernels of a clip are made for the first method that has them, not for each."""
+    with kernel_cache(kernels):
+        yield
 
 
 def test_is_a_described_frozen_dataclass(method):
@@ -59,6 +73,7 @@ def scaled(make_clip) -> Callable[[float], Clip]:
     return scale
 
 
+@pytest.mark.usefixtures("shared")
 @pytest.mark.parametrize("factor", [0.001, 10.0])
 def test_the_unit_of_coordinates_does_not_matter(method, factor, scaled):
     pixels, other = (mseg.segment(scaled(by), method, n_motions=2).labels for by in (1.0, factor))
@@ -106,6 +121,7 @@ CASES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
+@pytest.mark.usefixtures("shared")
 @pytest.mark.parametrize("case", CASES)
 def test_degenerate_clips_give_labels_or_a_reason(method, case, make_clip):
     clip = _clip(CASES[case](np.array(make_clip(points=12).dense.xy)))
