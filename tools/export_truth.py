@@ -122,7 +122,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path)
-    for name, value in (("seed", 0), ("frames", 12), ("width", 1242), ("height", 375), ("objects", 3)):
+    defaults = {"seed": 0, "frames": 12, "width": 1242, "height": 375, "objects": 3, "samples": 2}
+    for name, value in defaults.items():
         parser.add_argument(f"--{name}", type=int, default=value)
     given = vars(parser.parse_args(argv))
     out = given.pop("out")

@@ -30,7 +30,7 @@ def tools():
 @pytest.fixture(scope="module")
 def world(tools, tmp_path_factory):
     root = tmp_path_factory.mktemp("world")
-    options = {"width": 480, "height": 144, "frames": 6, "objects": 3}
+    options = {"width": 480, "height": 144, "frames": 6, "objects": 3, "samples": 1}
     assert tools[1]([str(root), *(f"--{name}={value}" for name, value in options.items())]) == 0
     scene = make_scene(SceneOptions(**options))
     x, y = np.meshgrid(np.arange(4, 480, 6), np.arange(4, 144, 6))
