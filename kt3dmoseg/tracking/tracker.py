@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sized
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -23,7 +23,6 @@ from kt3dmoseg.frames import FrameSource, one_source
 from kt3dmoseg.io.images import Colour, read_frame
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking import TrackOptions
-from kt3dmoseg.tracking.appearance import Appearance
 from kt3dmoseg.tracking.linking import inside, new_seeds, step
 from kt3dmoseg.tracking.point_trackers import PointTracker, create_tracker, follow
 from kt3dmoseg.types import (
@@ -36,6 +35,9 @@ from kt3dmoseg.types import (
     Trajectories,
     frozen,
 )
+
+if TYPE_CHECKING:
+    from kt3dmoseg.tracking.appearance import Appearance
 
 Progress: TypeAlias = Callable[[int, int | None], None]
 Frames: TypeAlias = "str | os.PathLike[str] | Iterable[ByteArray | str | os.PathLike[str]]"
@@ -107,7 +109,7 @@ def track(
         _reject_beyond(chosen, len(pictures), pictures[0].shape)
         return follow(create_tracker(tracker), pictures, chosen, settings, report)
     backend = create_flow(flow) if isinstance(flow, str) else flow
-    looks = Appearance(settings) if settings.appearance or settings.anchor else None
+    looks = _appearance(settings) if settings.appearance or settings.anchor else None
     ids, xy, count = np.zeros(0, dtype=np.int64), np.zeros((0, 2)), 0
     seen: list[tuple[IntArray, FloatArray]] = []
     before: ByteArray | None = None
@@ -135,6 +137,12 @@ def track(
     _reject_beyond(chosen, len(seen), frame.shape)
     least = settings.min_length if chosen is None else 0
     return RunTrajectories(seen, count, least, (frame.shape[1], frame.shape[0]))
+
+
+def _appearance(settings: TrackOptions) -> "Appearance":
+    from kt3dmoseg.tracking.appearance import Appearance  # numba, half a second that few options need
+
+    return Appearance(settings)
 
 
 def _check_axes(frames: Frames) -> None:
