@@ -34,13 +34,14 @@ def connected(pairs: IntArray, rows: IntArray, smallest: int) -> list[IntArray]:
 
 def near_pairs(tracks: Trajectories, rows: IntArray) -> IntArray:
     """Pairs (P, 2) of the rows that come near each other in some frame."""
-    found = [np.zeros((0, 2), dtype=np.int64)]
+    size = 1 + int(rows.max(initial=0))
+    found = [np.zeros(0, dtype=np.int64)]
     for frame in range(tracks.n_frames):
         here = rows[tracks.visible[rows, frame]]
         if len(here) > 1:
-            near = cKDTree(tracks.xy[here, frame]).query_pairs(_REACH, output_type="ndarray")
-            found.append(here[near])
-    return np.unique(np.concatenate(found), axis=0)
+            near = here[cKDTree(tracks.xy[here, frame]).query_pairs(_REACH, output_type="ndarray")]
+            found.append(near[:, 0] * size + near[:, 1])  # one number each: rows of two are sorted slowly
+    return np.stack(np.divmod(np.unique(np.concatenate(found)), size), axis=1)
 
 
 def alike(tracks: Trajectories, pairs: IntArray, strictness: float = 1.0) -> BoolArray:
