@@ -48,24 +48,27 @@ class Noise:
     ) -> Float32Array:
         """Noise (R,) at u, v, averaged over fu, fv; the pattern repeats after `period`; all in metres."""
         scale, flat = _SIZE / period, self._flat
-        level_u, left, right, part_u = _texels(u * scale, fu * scale)
-        level_v, low, high, part_v = _texels(v * scale, fv * scale)
-        start, width = self._start[level_v, level_u], _WIDTH[level_u]
+        level_u, width, left, right, part_u = _texels(u * scale, fu * scale)
+        level_v, _, low, high, part_v = _texels(v * scale, fv * scale)
+        start = self._start.take(level_v * len(_WIDTH) + level_u)
         top, bottom = start + low * width, start + high * width
         upper = _mix(flat.take(top + left), flat.take(top + right), part_u)
         lower = _mix(flat.take(bottom + left), flat.take(bottom + right), part_u)
         return _mix(upper, lower, part_v)
 
 
-def _texels(position: FloatArray, footprint: FloatArray) -> tuple[_Index, _Index, _Index, Float32Array]:
-    """Level, the two neighbouring texels there, and the linear weight of the second."""
+def _texels(
+    position: FloatArray, footprint: FloatArray
+) -> tuple[_Index, _Index, _Index, _Index, Float32Array]:
+    """Level, its width, the two neighbouring texels there, and the linear weight of the second."""
     # The level whose texels come nearest to the footprint: the rounded binary logarithm.
     level = np.frexp((np.sqrt(2) * footprint).astype(np.float32))[1] - 1
     level = np.minimum(np.maximum(level, 0), _LEVELS)
-    inside = position * _SHRINK[level] - 0.5
+    inside = position * _SHRINK.take(level) - 0.5
     low = np.floor(inside)
-    first, mask = low.astype(np.int32), _WIDTH[level] - 1
-    return level, first & mask, (first + 1) & mask, (inside - low).astype(np.float32)
+    first, width = low.astype(np.int32), _WIDTH.take(level)
+    mask = width - 1
+    return level, width, first & mask, (first + 1) & mask, (inside - low).astype(np.float32)
 
 
 def _mix(first: Float32Array, second: Float32Array, share: Float32Array) -> Float32Array:
