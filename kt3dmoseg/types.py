@@ -241,7 +241,11 @@ class Labels(Value):
         if np.ndim(self.background):  # type: ignore[arg-type]
             raise InvalidValueError("background", expected="a label", found=f"{self.background!r:.60}")
         background = None if self.background is None else int(frozen(self.background, np.int64))
-        names = MappingProxyType(dict(self.names))
+        for key, name in self.names.items():
+            number = isinstance(key, (int, np.integer)) and not isinstance(key, bool) and abs(key) < 10**18
+            if not (number and isinstance(name, str)):
+                raise InvalidValueError("names", expected="{label: name}", found=f"{ {key: name}!r:.60}")
+        names = MappingProxyType({int(key): name for key, name in self.names.items()})
         self._set(label=frozen(raw, np.int64), names=names, background=background)
 
     def __repr__(self) -> str:

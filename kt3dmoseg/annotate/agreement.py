@@ -218,16 +218,17 @@ def compare(
     """Compare two annotations of a clip, with their objects paired so that they overlap most (Kuhn 1955).
 
     Those that differ most come first. What overlaps by an IoU of less than 0.1 is two objects, of which each
-    annotator missed one. `labels` (n,) of the same trajectories join the motions; where they tell nothing,
-    those of paired objects correspond.
+    annotator missed one; what is never visible is missed by nobody. `labels` (n,) of the same trajectories
+    join the motions; where they tell nothing, those of paired objects correspond.
     """
     one, two = ({item.id: item for item in side.objects} for side in annotations)
     (ids, others), size = map(list, regions), annotations[0].image_size
     overlap = overlaps(*regions, size)
     chosen = zip(*linear_sum_assignment(overlap, maximize=True), strict=True)
     found = [(ids[i], others[j], float(overlap[i, j])) for i, j in chosen if overlap[i, j] > _SAME_PLACE]
-    found += [(i, 0, 0.0) for i in sorted(set(ids) - {i for i, _, _ in found})]
-    found += [(0, j, 0.0) for j in sorted(set(others) - {j for _, j, _ in found})]
+    mine, theirs = ({i for i, r in side.items() if any(map(_is_seen, r))} for side in regions)
+    found += [(i, 0, 0.0) for i in sorted(mine - {i for i, _, _ in found})]
+    found += [(0, j, 0.0) for j in sorted(theirs - {j for _, j, _ in found})]
     compared = agree(*labels) if labels else None
     out = []
     for i, j, iou in found:
@@ -265,6 +266,10 @@ def _most_apart(a: Sequence[Region], b: Sequence[Region], size: tuple[int, int])
     pairs = zip_longest(a, b, fillvalue=Region("outside"))
     counts = [int(np.count_nonzero(_seen(x, size) != _seen(y, size))) for x, y in pairs]
     return int(np.argmax(counts or [0]))
+
+
+def _is_seen(region: Region) -> bool:
+    return region.visibility == "visible" and bool(region.polygons)
 
 
 def _seen(region: Region, size: tuple[int, int]) -> BoolArray:

@@ -6,7 +6,7 @@ The functions are the commands `kt3dmoseg annotations`; what they need is import
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
@@ -158,6 +158,7 @@ def import_annotations(
         raise InputFileError(f"{root}", expected="a file or folder", found="nothing")
 
     there: dict[str, bool] = {}
+    every = list(_clips(clips, annotations))
 
     def work(clip: _Clip) -> ClipReport | None:
         content = annotate.formats.content_of(root, clip.name, suffix)
@@ -166,6 +167,7 @@ def import_annotations(
             return None
         current = clip.current()
         plan = annotate.formats.plan(format, content, current, clip.names, choices)
+        plan.doubts.extend(_of_one_file(root, content, clip.name, len(every)))
         if dry_run:
             return ClipReport(clip.name, not plan.doubts, (*plan.lines(), "nothing written"))
         if plan.doubts and not force:
@@ -182,7 +184,7 @@ def import_annotations(
         done = f"wrote {clip.annotation}, revision {saved.revision}"
         return ClipReport(clip.name, ok=True, lines=(*plan.lines(), done))
 
-    reports = _for_each(_clips(clips, annotations), work, report, root, "a file or folder")
+    reports = _for_each(every, work, report, root, "a file or folder")
     _report_rest(reports, root, there, report)
     return reports
 
@@ -326,7 +328,7 @@ def compare(
 
 
 def _for_each(
-    clips: Iterator[_Clip],
+    clips: Iterable[_Clip],
     work: Callable[[_Clip], ClipReport | None],
     report: Callable[[ClipReport], object],
     searched: AnyPath,
@@ -349,6 +351,12 @@ def _for_each(
     return out
 
 
+def _of_one_file(root: Path, content: bytes, clip: str, count: int) -> list[str]:
+    """Doubt that one file that is read for several clips is of this one, unless it names it."""
+    doubtful = root.is_file() and count > 1 and clip.encode() not in content
+    return [f"{root} is one file for {count} clips, and does not name {clip}"] * doubtful
+
+
 def _report_rest(
     reports: Reports, source: Path, there: Mapping[str, bool], report: Callable[[ClipReport], object]
 ) -> None:
@@ -357,7 +365,7 @@ def _report_rest(
 
     rest = {
         "it has nothing of": [clip for clip, found in there.items() if not found],
-        "left out, of no clip:": [name for name in names_in(source) if Path(name).stem not in there],
+        "left out, of no clip:": [n for n in names_in(source) if not {n, Path(n).stem} & there.keys()],
     }
     if lines := tuple(f"{words} {several(names)}" for words, names in rest.items() if names):
         reports.append(ClipReport(f"{source}", ok=True, lines=lines))
@@ -372,8 +380,12 @@ def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) 
 
     root = Path(given)
     files = clip_paths(root)
+    others = clip_paths(Path(tracks)) if files and tracks is not None else {}
+    if files and tracks is not None and not files.keys() & others.keys():
+        found = several(others) or "none"
+        raise InputFileError(f"{tracks}", expected=f"tracks of {several(files)}", found=found)
     for name, file in files.items():
-        clip = io.load(file)
+        clip = io.load(others.get(name, file))
         names = [f"{number:06d}.png" for number in clip.frame_numbers.tolist()]
         yield _Clip(name, names, clip.dense.image_size, Path(annotations, f"{name}.json"), clip.dense)
     for source in find_clips(root, annotations=annotations, tracks=tracks).values() if not files else ():

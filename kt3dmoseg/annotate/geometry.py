@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.annotate.model import Polygon
 from kt3dmoseg.types import BoolArray, FloatArray
@@ -77,12 +78,20 @@ def resample(polygon: FloatArray, count: int) -> FloatArray:
     return np.stack([np.interp(at, length, closed[:, axis]) for axis in (0, 1)], axis=1)
 
 
+def in_order_of(first: Sequence[Polygon], second: Sequence[Polygon]) -> list[Polygon]:
+    """Order the polygons of `second` as those of `first`, as many, to which they are nearest (Kuhn 1955)."""
+    ends = [np.array([np.mean(polygon, axis=0) for polygon in side]) for side in (first, second)]
+    apart = np.linalg.norm(ends[0][:, None] - ends[1], axis=2)
+    return [second[k] for k in linear_sum_assignment(apart)[1].tolist()]
+
+
 def blend(first: Sequence[FloatArray], second: Sequence[FloatArray], weight: float) -> list[FloatArray]:
     """Blend two outlines of one region: 0 gives the first, 1 the second.
 
     Polygons with the same corners are blended vertex by vertex. Others are resampled, turned the
-    same way round and shifted against each other until they fit best. Regions of different
-    numbers of polygons cannot be blended: the one of larger weight is taken.
+    same way round and shifted against each other until they fit best. Of several polygons those at
+    the same place of the lists belong together. Regions of different numbers of polygons cannot be
+    blended: the one of larger weight is taken.
     """
     if len(first) != len(second):
         return list(first if weight < 0.5 else second)

@@ -83,8 +83,8 @@ class Fingerprint:
     pixels: str
 
     def __post_init__(self) -> None:
-        check_integer(self.crc32, "crc32", 0xFFFFFFFF)
-        check_integer(self.bytes, "bytes", 1 << 40)
+        object.__setattr__(self, "crc32", check_integer(self.crc32, "crc32", 0xFFFFFFFF))
+        object.__setattr__(self, "bytes", check_integer(self.bytes, "bytes", 1 << 40))
         _check_text("pixels", self.pixels, "[0-9a-f]{64}", "64 hexadecimal digits")
 
 
@@ -117,7 +117,8 @@ class Entry:
             object.__setattr__(self, "size", tuple(check_integer(s, "size", 1 << 16) for s in self.size))
         numbers = self.numbers or ()
         _require(bool(numbers or self.frames), "numbers", "numbers or frames", "neither")
-        _require(check_integer(self.length, "length", MOST_FRAMES) > 0, "length", "at least 1", 0)
+        object.__setattr__(self, "length", check_integer(self.length, "length", MOST_FRAMES))
+        _require(self.length > 0, "length", "at least 1", 0)
         for key, values in (("numbers", numbers), ("frames", self.frames)):
             _require(len(values) in (0, self.length), key, f"{self.length}, the length", len(values))
         ascending = all(a < b for a, b in pairwise(numbers))

@@ -230,8 +230,11 @@ def convert(source: PathLike, target: PathLike, *, layout: str = "") -> list[str
     """
     if Path(target).exists() and Path(target).resolve() == Path(source).resolve():
         raise InvalidValueError(os.fspath(target), expected="another file than the source", found="the same")
-    suffix = Path(target).suffix.lower()
-    if suffix in CLIP_SUFFIXES or layout:
+    from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow, write_flow  # imports OpenCV
+
+    suffix, given = Path(target).suffix.lower(), Path(source).suffix.lower()
+    of_flow = suffix in FLOW_SUFFIXES and given in {*FLOW_SUFFIXES} - {*CLIP_SUFFIXES}
+    if layout or (suffix in CLIP_SUFFIXES and not of_flow):
         from kt3dmoseg.io.point_tracks import write_layout
 
         clip = load(source)
@@ -242,8 +245,6 @@ def convert(source: PathLike, target: PathLike, *, layout: str = "") -> list[str
             before["xy"], after["xy"] = before["xy"].round(9), after["xy"].round(9)
         lost = {f.words for name, f in FIELDS.items() if not _same(before.get(name), after.get(name))}
         return sorted(lost)
-    from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow, write_flow  # imports OpenCV
-
     if suffix not in FLOW_SUFFIXES:
         known = ", ".join(dict.fromkeys((*CLIP_SUFFIXES, *FLOW_SUFFIXES)))
         raise InvalidValueError(os.fspath(target), expected=f"a suffix of {known}", found=repr(suffix))

@@ -46,6 +46,7 @@ _MAX_RATIO, _FREE = 300, 1 << 24
 _MAX_DEPTH, _MAX_FIELDS, _MAX_DIMS = 8, 4096, 8
 _HEADER = 128
 _MATRIX, _COMPRESSED, _INT32, _UINT32, _INT8, _TEXT = (14,), 15, (5,), (6,), (1,), (1, 2, 4, 16, 17, 18)
+_TWO_BYTES = (4, 17)  # of text: uint16 and UTF-16
 _STORAGE = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NUMERIC = dict(enumerate(("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"), start=6))
 _CELL, _STRUCT, _CHAR = 1, 2, 4
@@ -283,9 +284,9 @@ class _Matrix:
         return name, ("complex" if klass in _NUMERIC else _OTHER.get(klass, f"class {klass}"), shape)
 
     def _text(self, length: int) -> str:
-        payload = bytes(self._next(_TEXT)[1]) if length else b""
+        kind, payload = self._next(_TEXT) if length else (0, b"")
         two_bytes = "utf-16-le" if self.order == "<" else "utf-16-be"
-        return payload.decode(two_bytes if len(payload) == 2 * length else "utf-8", errors="replace")
+        return bytes(payload).decode(two_bytes if kind in _TWO_BYTES else "utf-8", errors="replace")
 
     def _struct(self) -> dict[str, Value]:
         width, names = self._integers(_INT32, 1)[0], bytes(self._next(_INT8)[1])

@@ -133,6 +133,8 @@ def write_layout(clip: Clip, path: PathLike, name: str) -> None:
 
 def _filled(xy: FloatArray, visible: BoolArray) -> FloatArray:
     """Give points (N, F, 2) that are not visible the last visible position, else the first; 0 if none."""
+    if not visible.shape[1]:
+        return xy
     frames = np.arange(visible.shape[1])
     last = np.maximum.accumulate(np.where(visible, frames, -1), axis=1)
     chosen = np.where(last >= 0, last, visible.argmax(axis=1)[:, None])

@@ -32,7 +32,7 @@ FIELDS = {
     "trajectories": {
         "clip": "name of the clip",
         "track": "identity of the trajectory in its clip",
-        "first_frame": "index of the first frame in which it is visible, from 0",
+        "first_frame": "index of the first frame in which it is visible, from 0; -1 for none",
         "last_frame": "index of the last one",
         "length": "number of frames in which it is visible",
         "evaluated": "whether it is scored",

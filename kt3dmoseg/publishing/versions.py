@@ -14,6 +14,7 @@ import json
 import re
 import shutil
 from collections.abc import Mapping, Sequence
+from datetime import date
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,10 @@ def publish(
     for what, (form, expected) in _FORMS.items():
         if not re.fullmatch(form, text := getattr(settings, what)):
             raise InvalidValueError(what, expected=expected, found=repr(text))
+    try:
+        date.fromisoformat(settings.date or "2026-11-30")
+    except ValueError:
+        raise InvalidValueError("date", expected="YYYY-MM-DD", found=repr(settings.date)) from None
     paths = dataset_paths(dataset)
     parts = _splits(list(paths), splits)
     facts = _manifest(paths, parts, settings)
@@ -199,6 +204,9 @@ def _write_table(file: Path, what: str, clips: Sequence[Path]) -> None:
 
     rows = trajectory_rows if what == "trajectories" else point_rows
     schema = pa.Schema.from_pandas(rows(load(clips[0])), preserve_index=False).remove_metadata()
+    for k, field in enumerate(schema):  # of a clip without trajectories texts have no type
+        if field.name in ("clip", "motion"):
+            schema = schema.set(k, pa.field(field.name, pa.string()))
     with atomic_path(file) as temporary, pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
         for path in clips:
             table = pa.Table.from_pandas(rows(load(path)), schema=schema, preserve_index=False)
@@ -211,9 +219,11 @@ def trajectory_rows(clip: Clip) -> pd.DataFrame:
     label, evaluated = np.zeros(count, dtype=np.int64), np.isin(np.arange(count), clip.evaluated)
     label[clip.evaluated] = clip.labels.label
     names = [clip.labels.names.get(value, "") if value else "" for value in label.tolist()]
-    last = visible.shape[1] - 1 - visible[:, ::-1].argmax(axis=1)
+    seen = visible.any(axis=1)
+    first = np.where(seen, visible.argmax(axis=1), -1)
+    last = np.where(seen, visible.shape[1] - 1 - visible[:, ::-1].argmax(axis=1), -1)
     columns = {"clip": np.full(count, clip.name, dtype=object), "track": clip.dense.track_id}
-    columns |= {"first_frame": visible.argmax(axis=1), "last_frame": last, "length": clip.dense.lengths}
+    columns |= {"first_frame": first, "last_frame": last, "length": clip.dense.lengths}
     columns |= {"evaluated": evaluated, "label": label, "motion": np.array(names, dtype=object)}
     return pd.DataFrame(columns | {"background": label == (clip.labels.background or -1)})
 

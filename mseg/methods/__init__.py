@@ -19,7 +19,7 @@ from mseg.errors import FaultyMethodError
 from mseg.spreading import spread_labels
 from mseg.types import Method, Segmentation
 
-ALGORITHM_VERSION: int = 10
+ALGORITHM_VERSION: int = 11
 """Part of the identity of stored results; raised by hand whenever the labels of a method change."""
 
 # Largest number of trajectories that are segmented where all are labelled: kernels grow with its square.

@@ -7,6 +7,7 @@ row by row, the fundamental matrix.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -61,9 +62,9 @@ class TPV:
 
     Source: Li, Guo, Cheong, Zhou, "Perspective motion segmentation via collaborative clustering", ICCV 2013.
     No code of it is public, and the paper was not at hand: it too over-segments and merges, but which pairs,
-    alpha, the stopping rule, the scaling of the affinity and all of steps 4 and 5 are ours.
+    alpha, the number of steps, the scaling of the affinity and all of steps 4 and 5 are ours.
     Input: gaps allowed. Number of motions: given, or the relative eigengap of the affinity (ours). Outliers:
-    not handled. Cost: P pairs, O(P N^2) per iteration, up to 400, O(N^3) for the spectral step; O(N^2)
+    not handled. Cost: P pairs, O(P N^2) for each of 100 steps, O(N^3) for the spectral step; O(N^2)
     memory.
     """
 
@@ -74,8 +75,7 @@ class TPV:
     alpha: float = option(8000.0, "weight of the fit", low=1e-9)
     penalty: float = option(50.0, "penalty of ADMM's splitting", low=1e-9)
     rho: float = option(0.7, "share of a column's l1 norm that is kept", low=0, high=1)
-    tolerance: float = option(2e-3, "largest residual of the constraint and step at convergence", low=0)
-    max_iterations: int = option(400, "cap on ADMM iterations", low=1)
+    iterations: int = option(100, "steps of ADMM, as many for every trajectory", low=1)
     noise: float = option(0.005, "least distance that counts, with points sqrt 2 from their centre", low=1e-9)
     cut: float = option(6.0, "weight of the normalised cut against nats per trajectory and pair", low=0)
     restarts: int = option(20, "restarts of k-means", low=1)
@@ -96,8 +96,7 @@ class TPV:
             views,
             alpha=self.alpha,
             penalty=self.penalty,
-            tolerance=self.tolerance,
-            max_iterations=self.max_iterations,
+            iterations=self.iterations,
         )
         affinity = sparse_affinity(solved.coefficients, self.rho)
         count = n_motions or count_by_eigengap(affinity)
@@ -109,8 +108,8 @@ class TPV:
         by_bodies, by_planes = bodies.best(pieces, count), planes.best(pieces[:2], count)
         more = planes.log_variance(by_planes[0]) - bodies.log_variance(by_bodies[0])
         labels, refined = by_planes if more <= _PLANES else by_bodies
-        report = {"pairs": len(views), "n_motions": count}
-        report |= {**solved.convergence.report(), **refined.report("reassignment_")}
+        report: dict[str, Any] = {"pairs": len(views), "n_motions": count}
+        report |= {"residual": solved.convergence.residual, **refined.report("reassignment_")}
         return Segmentation.of_part(labels, used, report)
 
 
@@ -140,51 +139,35 @@ def _epipolar_views(trajectories: Trajectories, most: int, gap: float) -> FloatA
 
 
 def _collaborative_representation(
-    views: FloatArray, alpha: float, penalty: float, tolerance: float, max_iterations: int
+    views: FloatArray, alpha: float, penalty: float, iterations: int
 ) -> Representation:
     """Solve step 2 by ADMM; coefficients are the sum of magnitudes over the views.
 
     The programme falls apart into one for each column of C; they are solved a few at a time, in single
-    precision, and each stops when it has converged, so that the order of trajectories means nothing.
-    `penalty`, of the splitting of C into a fitted and a sparse copy, changes the way, not the solution. The
-    convergence is that of the column that took longest.
+    precision. `penalty`, of the splitting of C into a fitted and a sparse copy, changes the way, not the
+    solution. All columns take the same steps: one that stopped by itself would not compare with the others.
     """
     # Mixed norm: Li, Guo, Cheong, Zhou, section 3; splitting: Elhamifar and Vidal, TPAMI 2013, algorithm 2.
     n = views.shape[2]
     _, values, right = np.linalg.svd(np.sqrt(alpha) * views, full_matrices=False)
     gain = (values**2 / (values**2 + penalty))[:, None, :].astype(np.float32)
-    coefficients, right = np.empty((n, n)), right.astype(np.float32)
-    ends = []
+    coefficients, residual = np.empty((n, n)), 0.0
     for start in range(0, n, _BLOCK):
-        columns = np.arange(start, min(start + _BLOCK, n))
-        block = _Columns(right, gain, penalty, tolerance, columns, coefficients)
-        ends.append(iterate(block.step, tolerance=tolerance, max_iterations=max_iterations))
-    slowest = Convergence(
-        all(end.converged for end in ends),
-        max(end.iterations for end in ends),
-        max(end.residual for end in ends),
-    )
-    return Representation(coefficients, slowest)
+        block = _Columns(right.astype(np.float32), gain, penalty, np.arange(start, min(start + _BLOCK, n)))
+        residual = max(residual, *[block.step() for _ in range(iterations)][-1:])
+        coefficients[:, block.columns] = np.abs(block.sparse).sum(axis=0).T
+    return Representation(coefficients, Convergence(True, iterations, residual))
 
 
 class _Columns:
-    """ADMM of those of some columns of C that have not converged, kept as rows: arrays are (V, columns, N).
+    """ADMM of some columns of C, kept as rows: arrays are (V, columns, N).
 
     With ``W = L S V^T`` the fitted copy ``(alpha W^T W + p I)^-1 (alpha W^T w_j + p q)`` is
-    ``q + V h (v_j - V^T q)``, v_j row j of V and ``h = alpha S^2 / (alpha S^2 + p)``. The sums of magnitudes
-    over the views are written to the columns of `coefficients` (N, N).
+    ``q + V h (v_j - V^T q)``, v_j row j of V and ``h = alpha S^2 / (alpha S^2 + p)``.
     """
 
-    def __init__(
-        self,
-        right: Float32Array,
-        gain: Float32Array,
-        penalty: float,
-        tolerance: float,
-        columns: IntArray,
-        coefficients: FloatArray,
-    ) -> None:
-        self.columns, self.tolerance, self.coefficients = columns, tolerance, coefficients
+    def __init__(self, right: Float32Array, gain: Float32Array, penalty: float, columns: IntArray) -> None:
+        self.columns = columns
         self.right, self.left = right, np.ascontiguousarray(right.transpose(0, 2, 1))
         self.gain, self.penalty = gain, np.float32(penalty)
         self.sparse = np.zeros((len(right), len(columns), right.shape[2]), dtype=np.float32)
@@ -192,6 +175,7 @@ class _Columns:
         self.raw = np.zeros_like(self.sparse)
 
     def step(self) -> float:
+        """Return the largest violation of the constraint, or change if it is larger."""
         fitted = 2 * self.sparse - self.raw
         fitted += ((self.left[:, self.columns] - fitted @ self.left) * self.gain) @ self.right
         self.raw += fitted - self.sparse
@@ -199,13 +183,7 @@ class _Columns:
         keep = np.maximum(1 - 1 / np.maximum(self.penalty * size, 1), 0)
         keep[np.arange(len(self.columns)), self.columns] = 0
         before, self.sparse = self.sparse, self.raw * keep
-        self.coefficients[:, self.columns] = np.abs(self.sparse).sum(axis=0).T
-        left = np.maximum(np.abs(fitted - self.sparse), np.abs(self.sparse - before)).max(axis=(0, 2))
-        going = left > self.tolerance
-        if going.any() and not going.all():
-            self.columns = self.columns[going]
-            self.sparse, self.raw = self.sparse[:, going], self.raw[:, going]
-        return float(left.max())
+        return max(float(np.abs(fitted - self.sparse).max()), float(np.abs(self.sparse - before).max()))
 
 
 class _ViewGroups:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from annotation_scenes import drawn_by_hand, write_clip, zipped
 
-from kt3dmoseg.annotate import Mark, formats, load_annotation, save_revision
+from kt3dmoseg.annotate import KeyFrame, Mark, formats, load_annotation, save_revision
 from kt3dmoseg.annotate.exchange import compare_annotations, import_annotations
 from kt3dmoseg.cli import main
 
@@ -66,6 +66,38 @@ def test_what_a_source_lacks_and_has_in_addition_is_reported(data, capsys):
 def test_clip_files_need_no_frames(data):
     assert load(data, "--shift", "-1", clips="tracks") == 0  # without frames they are numbered from 0
     assert len(load_annotation(data / "notes" / "one.json").objects[0].key_frames) == 6
+
+
+def test_one_file_is_not_of_every_clip(data, capsys):
+    (data / "masks" / "two").rename(data / "two")
+    assert load(data, source="masks/one.zip") == 2
+    assert "one.zip is one file for 2 clips, and does not name one" in capsys.readouterr().out
+    assert not list((data / "notes").glob("*.json"))
+    assert load(data, source="masks/one.zip", clips="frames/one") == 0
+
+
+def test_given_tracks_take_the_place_of_those_in_clip_files(data, capsys):
+    assert load(data) == 0
+    lines = {}
+    for tracks in ("tracks", "nothing"):
+        code = run(data, "check", data / "tracks", "--tracks", data / tracks)
+        lines[tracks] = code, "".join(capsys.readouterr())
+    assert lines["tracks"][0] == 0
+    assert lines["nothing"][0] == 2
+    assert "nothing: expected tracks of one, two" in lines["nothing"][1]
+
+
+def test_what_is_never_visible_is_missed_by_nobody(data, capsys):
+    assert load(data) == 0
+    path = data / "notes" / "one.json"
+    annotation = load_annotation(path)
+    hidden = replace(annotation.objects[0], id=7, name="hidden", key_frames=(KeyFrame(0, "outside"),))
+    save_revision(path, replace(annotation, objects=(*annotation.objects, hidden)))
+    capsys.readouterr()
+    words = [data / "notes", data / "notes", data / "frames", "--json"]
+    assert main(["annotations", "compare", *map(str, words)]) == 0
+    found = {each["clip"]: each for each in json.loads(capsys.readouterr().out)}
+    assert [pair["iou"] for pair in found["one"]["objects"]] == [1.0]
 
 
 def test_a_dry_run_writes_nothing(data, capsys):

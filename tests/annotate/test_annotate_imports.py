@@ -686,6 +686,24 @@ def test_a_plan_says_which_objects_may_be_one(name, content, note):
     assert [note in line for line in said] == [True] * bool(note)
 
 
+def test_parts_keep_their_places_whatever_the_order_in_which_they_are_found(tracks):
+    """A pole hides the middle of a car; in the last frame the right half is found first."""
+    pictures = {}
+    for frame, up in ((0, 0), (F - 1, 1)):
+        picture = np.zeros((240, 320), np.uint8)
+        picture[80:160, 60 + 5 * frame : 100 + 5 * frame] = 1
+        picture[80 - up : 160, 120 + 5 * frame : 160 + 5 * frame] = 1
+        pictures[f"{frame:06d}.png"] = cv2.imencode(".png", picture)[1].tobytes()
+    plan = formats.plan("davis", zipped(**pictures), LIKE, NAMES)
+    [item] = plan.annotation.objects
+    places = [sorted(np.mean(p, axis=0)[0] for p in k.polygons) for k in item.key_frames if k.polygons]
+    listed = [[np.mean(p, axis=0)[0] for p in k.polygons] for k in item.key_frames if k.polygons]
+    assert len(listed) == 2
+    orders = {tuple(np.argsort(each).tolist()) for each in listed}
+    assert len(orders) == 1
+    assert [len(each) for each in places] == [2, 2]
+
+
 def test_a_person_decides_about_shift_and_scale(tracks):
     plan = formats.plan("davis", masks(), LIKE, FROM_ONE, Choices(shift=1))
     assert not plan.doubts

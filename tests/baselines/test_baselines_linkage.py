@@ -170,7 +170,7 @@ def test_collaboration_leaves_unseen_points_out(rng):
     for view in views:
         view[:, 7] = 0
     solved = _collaborative_representation(
-        np.array([v / np.maximum(np.linalg.norm(v, axis=0), 1e-9) for v in views]), 8000.0, 50.0, 2e-3, 200
+        np.array([v / np.maximum(np.linalg.norm(v, axis=0), 1e-9) for v in views]), 8000.0, 50.0, 200
     )
     assert not solved.coefficients[7].any()
     assert not solved.coefficients[:, 7].any()
@@ -225,7 +225,7 @@ def test_the_order_of_trajectories_means_nothing_to_tpv(make_scene, rng):
 
     def coefficients(tracks):
         views = _epipolar_views(tracks, 8, 0.25)
-        return _collaborative_representation(views, 8000.0, 50.0, 2e-3, 400).coefficients
+        return _collaborative_representation(views, 8000.0, 50.0, 100).coefficients
 
     first, second = coefficients(scene), coefficients(scene.select(order))
     assert first.max() > 0.1

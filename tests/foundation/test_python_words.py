@@ -20,7 +20,12 @@ from mseg.cli import main as mseg_main
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = {"cli.py", "cli", "app.py", "demo.py", "server"}  # what only command lines and the page say
 COMMANDS |= {"site.py"}  # which runs git
-NAMES = ("build --propose", "--name", "--range", "--colour")  # of who made an annotation; parts of the command on a page
+NAMES = (
+    "build --propose",
+    "--name",
+    "--range",
+    "--colour",
+)  # of who made an annotation; parts of the command on a page
 FLAG = re.compile(r"(?<![\w-])--[a-z]")
 
 

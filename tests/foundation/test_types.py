@@ -168,6 +168,12 @@ def test_objects_print_as_one_line():
             lambda: kt3dmoseg.Clip("a", two_tracks(), [0], {"label": [1]}),
             "labels: expected Labels, found dict",
         ),
+        (
+            lambda: kt3dmoseg.Labels([1], names={1.0: "car"}),
+            "names: expected {label: name}, found {1.0: 'car'}",
+        ),
+        (lambda: kt3dmoseg.Labels([1], names={"car": 1}), "names: expected {label: name}"),
+        (lambda: kt3dmoseg.Labels([1], names={1: None}), "names: expected {label: name}"),
         (lambda: kt3dmoseg.Labels([1], names=None), "names: expected a mapping, found None"),
         (lambda: kt3dmoseg.Clip("a", two_tracks(), [0.5], Labels([1])), "expected whole numbers, found"),
         (lambda: kt3dmoseg.Camera("a", object()), "expected numbers, found"),

@@ -10,6 +10,7 @@ import pytest
 
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.io.flow_files import FLOW_SUFFIXES, read_flow, write_flow
+from kt3dmoseg.io.formats import convert
 
 
 @pytest.fixture
@@ -26,6 +27,14 @@ def test_fields_survive(suffix, field, tmp_path):
     assert back.dtype == np.float32
     np.testing.assert_allclose(back, field, atol=1 / 128 if suffix == ".png" else 0)
     assert np.isnan(back[1, 2]).all()
+
+
+def test_convert_writes_every_format(rng, tmp_path):
+    field = rng.normal(size=(6, 8, 2)).astype(np.float32)
+    write_flow(tmp_path / "a.flo", field)
+    for suffix in FLOW_SUFFIXES:
+        convert(tmp_path / "a.flo", tmp_path / f"b{suffix}")
+        np.testing.assert_allclose(read_flow(tmp_path / f"b{suffix}"), field, atol=0.01)
 
 
 def test_flo_is_what_opencv_writes(rng, tmp_path):

@@ -328,6 +328,12 @@ def test_what_is_not_decoded_is_named(tmp_path):
     assert read["s"] == ("sparse", (3, 3))
 
 
+def test_text_of_two_bytes_a_character_is_read_as_it_was_stored(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"name": "\u0414\u043e\u0440\u043e\u0433\u0430", "plain": "road"})
+    found = read_mat(tmp_path / "a.mat")
+    assert (found["name"], found["plain"]) == ("\u0414\u043e\u0440\u043e\u0433\u0430", "road")
+
+
 def test_a_big_endian_file_is_read(tmp_path):
     body = (
         struct.pack(">IIII", 6, 8, 6, 0)

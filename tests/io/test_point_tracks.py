@@ -76,6 +76,13 @@ def test_what_is_written_as_a_tracker_does_is_read_again(tracks, tmp_path, layou
     np.testing.assert_allclose(found.dense.xy, dense.xy, atol=1e-9)
 
 
+def test_a_clip_of_no_frames_is_written_in_every_layout(tmp_path):
+    none = Trajectories(np.zeros((3, 0, 2)), np.zeros((3, 0), dtype=bool), image_size=(64, 48))
+    clip = Clip("none", none, np.arange(3), Labels(np.zeros(3, dtype=int)))
+    for layout in WRITTEN:
+        write_layout(clip, tmp_path / f"{layout}.npz", layout)
+
+
 def test_layouts_that_do_not_fit_are_refused(tracks, tmp_path, capsys):
     xy, visible = tracks
     dense = Trajectories(np.where(visible[..., None], xy, np.nan), visible)

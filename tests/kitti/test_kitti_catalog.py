@@ -112,6 +112,13 @@ def test_each_problem_is_one_line(tmp_path: Path, text: str, reason: str) -> Non
         catalog.load(path)
 
 
+def test_numbers_that_are_written_as_texts_are_numbers() -> None:
+    found = catalog.Fingerprint("12", "294096", "0" * 64)
+    assert (found.crc32, found.bytes) == (12, 294096)
+    entry = catalog.Entry("A", catalog.Drive("2011_09_26", 5), 0, "2", numbers=(1, 2))
+    assert entry.length == 2
+
+
 def test_missing_catalog_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputFileError, match=r"none\.toml"):
         catalog.load(tmp_path / "none.toml")

@@ -145,6 +145,8 @@ def test_a_missing_package_is_named_before_anything_is_written(built, tmp_path, 
     [
         ({"name": ""}, "name: expected a name"),
         ({"version": "two"}, "version: expected a version, as 1.0.0, found 'two'"),
+        ({"date": "yesterday"}, "date: expected YYYY-MM-DD, found 'yesterday'"),
+        ({"date": "2026-02-30"}, "date: expected YYYY-MM-DD"),
         ({"license": ""}, "license: expected an SPDX identifier.*license=ID"),
         (
             {"splits": ["test=z*"]},
@@ -155,6 +157,27 @@ def test_a_missing_package_is_named_before_anything_is_written(built, tmp_path, 
 def test_what_a_version_needs_is_asked_for(built, tmp_path, changes, message):
     with pytest.raises(InvalidValueError, match=message):
         publish(built, tmp_path / "v", **ABOUT | changes)
+
+
+def test_clips_and_tracks_without_anything_to_see_are_published(built, tmp_path):
+    shutil.copytree(built, tmp_path / "clips")
+    first = load(built / "a.h5")
+    none = replace(
+        first,
+        dense=first.dense.select(np.zeros(0, dtype=int)),
+        evaluated=np.zeros(0, dtype=int),
+        labels=Labels([]),
+    )
+    save(none, tmp_path / "clips" / "a.h5")
+    second = load(built / "b_test.h5")
+    xy, seen = np.array(second.dense.xy), np.array(second.dense.visible)
+    xy[0], seen[0] = np.nan, False
+    dense = replace(second.dense, xy=xy, visible=seen)
+    save(replace(second, dense=dense), tmp_path / "clips" / "b_test.h5")
+    publish(tmp_path / "clips", tmp_path / "v", **ABOUT)
+    tracks = pd.read_parquet(tmp_path / "v/data/trajectories/train.parquet")
+    assert set(tracks["clip"]) == {"b_test"}
+    assert tracks.loc[0, ["first_frame", "last_frame", "length"]].tolist() == [-1, -1, 0]
 
 
 def test_kitti_keeps_its_licence_and_builds_are_not_mixed(built, tmp_path):

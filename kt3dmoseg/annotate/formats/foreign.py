@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import count, islice
+from itertools import count, islice, pairwise
 from pathlib import PurePosixPath
 from typing import Any, TypeAlias
 
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kt3dmoseg.annotate import model
+from kt3dmoseg.annotate.geometry import in_order_of
 from kt3dmoseg.annotate.model import (
     MAX_OBJECTS,
     MAX_POINTS,
@@ -383,7 +384,9 @@ def assemble(
     objects = []
     for number, (key, item) in enumerate(found.items(), start=1):
         identity = key if numbered and isinstance(key, int) else number
-        name = item.name.strip()[:500] or f"object {identity}"
+        word = item.kind.strip()[:480]
+        word = "object" if word in ("", "other") else word
+        name = item.name.strip()[:500] or f"{word} {identity}"
         motion = next(free) if item.motion is None else item.motion
         keys = _key_frames(item, frames)
         kind, note = kind_of(item.kind), item.note[:500]
@@ -392,8 +395,15 @@ def assemble(
 
 
 def _key_frames(item: ForeignObject, annotated: Collection[int]) -> tuple[model.KeyFrame, ...]:
-    """Those frames in which the object is seen, and of the `annotated` ones those from which it is gone."""
+    """Those frames in which the object is seen, and of the `annotated` ones those from which it is gone.
+
+    Of parts that a file lists in any order, as masks are searched, each keeps its place from frame to frame.
+    """
     seen = item.visibility
+    for last, frame in pairwise(sorted(item.polygons)):
+        first, second = item.polygons[last], item.polygons[frame]
+        if len(first) == len(second) > 1:
+            item.polygons[frame] = in_order_of(first, second)
     keys = [model.KeyFrame(k, visibility, tuple(item.polygons.get(k, ()))) for k, visibility in seen.items()]
     before = True
     for frame in sorted({*annotated, *seen}):
