@@ -75,6 +75,7 @@ class ForeignObject:
     note: str = ""
     visibility: dict[int, Visibility] = field(default_factory=dict)
     polygons: dict[int, list[Polygon]] = field(default_factory=dict)
+    of_masks: bool = False  # then the parts of a frame are in the order in which they were found
 
     def add(self, frame: int, polygons: Iterable[Polygon] = (), visibility: Visibility = "visible") -> None:
         """Add polygons in one frame; what is there already stays."""
@@ -397,10 +398,10 @@ def assemble(
 def _key_frames(item: ForeignObject, annotated: Collection[int]) -> tuple[model.KeyFrame, ...]:
     """Those frames in which the object is seen, and of the `annotated` ones those from which it is gone.
 
-    Of parts that a file lists in any order, as masks are searched, each keeps its place from frame to frame.
+    Each part of a mask keeps its place in the list from frame to frame.
     """
     seen = item.visibility
-    for last, frame in pairwise(sorted(item.polygons)):
+    for last, frame in pairwise(sorted(item.polygons) if item.of_masks else ()):
         first, second = item.polygons[last], item.polygons[frame]
         if len(first) == len(second) > 1:
             item.polygons[frame] = in_order_of(first, second)

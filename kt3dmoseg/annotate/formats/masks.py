@@ -272,7 +272,9 @@ def _read_mots_text(content: bytes, into: Import) -> None:
             if str(frame) in frames:
                 into.count("pixels in masks", height * width // 8)  # decoding is cheap
                 if outlines := outlines_of(into.fit(decode_rle(text, height, width, "rle"), "size"), into):
-                    into.object(identity).add(frames[str(frame)], outlines)
+                    item = into.object(identity)
+                    item.of_masks = True
+                    item.add(frames[str(frame)], outlines)
     _name_mots(into)
 
 
@@ -295,6 +297,7 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> list[
         for value, box in enumerate(ndimage.find_objects(image), start=1):
             if box is not None:
                 item = into.object(value)
+                item.of_masks = True
                 item.add(frame, outlines_of(image[box] == value, into, (box[1].start, box[0].start)))
     return void_ids(used.union(map(int, into.found)), bits, what)
 
