@@ -464,7 +464,8 @@ def frames_of(clip: Clip, root: PathLike) -> list[ByteArray]:
     """Read the frames of a clip, (H, W) uint8 each: as many as it has, and of its size.
 
     `frame_folder` finds them below `root`, or `root` is their folder or video. Of pictures in colour the luma
-    is taken, of a KITTI drive the frames of the clip's numbers. Those of another clip are refused.
+    is taken, of a KITTI drive the frames of the clip's numbers. Those of another clip are refused where the
+    clip records what it was made from.
     """
     source = _source_of(clip, frame_folder(clip, root) or Path(root))
     frames = list(source.frames("luma"))
