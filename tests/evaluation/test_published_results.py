@@ -30,8 +30,8 @@ from mseg.evaluation.statistics import bootstrap_mean
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = read_results(ROOT / "results")
 FILES = sorted((ROOT / "results").glob("*/*/*.json"))
-# Rows that do not exist yet; whoever publishes one takes it out. `consistent` takes about seven hours of a core
-# there: it is run for every number. `tpv` has changed since its rows on synth were measured.
+# Rows that do not exist yet; whoever publishes one takes it out. `consistent` is run for every number, which
+# takes about seven hours of a core. `tpv` has changed since its rows on synth were measured.
 LACKING = {("synth", "recipe-0000ce94"): {"consistent, number found", "tpv", "tpv, number found"}}
 PAPER = {"affine", "homography", "fundamental", "keradd", "coreg", "subset"}
 SUBSET = Configuration("subset", {"alpha": 8})
