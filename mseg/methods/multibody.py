@@ -65,7 +65,8 @@ _MISFIT = 3.0
 # A trajectory is still that stays within this of its mean, in widths of the image; what leaves it by more
 # than three times as much has moved. Where at least this share is still, the camera is. A body that moves
 # explains still points, too, as points far away, which cost this much then: they have a place and no depth.
-_STILL, _STILL_SHARE, _FAR_AWAY = 7.5e-4, 0.3, 1.0
+# In fewer frames than the last of these a camera that moves slowly looks still, too.
+_STILL, _STILL_SHARE, _FAR_AWAY, _LEAST_LIFE = 7.5e-4, 0.3, 1.0, 5
 # A trajectory of this many frames weighs 1, the heaviest one 1.5.
 _USUAL_LENGTH = 10
 _HEAVIEST = 1.5
@@ -195,8 +196,10 @@ class _Scene:
         self.focal, self.noise, self.misfit = 1.0, _NOISE, _MISFIT
         off = np.where(points.visible, np.linalg.norm(points.xy - _means(points)[:, None], axis=2), 0.0)
         apart = np.sqrt((off**2).sum(axis=1) / np.maximum(points.lengths, 1)) / self.width
-        stands = (apart < _STILL).mean() > _STILL_SHARE
-        self.still, self.moved = stands & (apart < _STILL), stands & (apart > 3 * _STILL)
+        judged = points.lengths >= _LEAST_LIFE
+        still, moved = judged & (apart < _STILL), judged & (apart > 3 * _STILL)
+        stands = still.sum() > _STILL_SHARE * judged.sum()
+        self.still, self.moved = stands & still, stands & moved
 
     def groupings(self, most: int, price: float) -> dict[int, _Grouping]:
         """Best grouping into M motions, for each M."""

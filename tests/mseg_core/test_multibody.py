@@ -100,6 +100,15 @@ def test_what_only_shifts_before_a_camera_that_stands_still_is_a_motion_of_its_o
     assert found.report["n_motions"] == 2
 
 
+@pytest.mark.parametrize(("frames", "still"), [(4, 0), (5, 60)])
+def test_short_lives_do_not_show_that_the_camera_is_still(frames, still):
+    rng, xy = np.random.default_rng(0), np.full((80, 12, 2), np.nan)
+    xy[:60, :frames] = rng.uniform(0, 300, (60, 1, 2))
+    xy[60:] = rng.uniform(0, 300, (20, 1, 2)) + 5 * np.arange(12)[:, None]
+    tracks = Trajectories(xy, np.isfinite(xy[..., 0]), image_size=SIZE)
+    assert _Scene(tracks, csr_array((80, 80)), np.arange(80) % 4, rng).still.sum() == still
+
+
 def test_the_number_is_that_asked_for():
     clip = drive(2, SCENES["three cars"])
     for number in (1, 2, 3, 4):
