@@ -95,8 +95,8 @@ def _cells(given: PublishedResult | None, found: PublishedResult | None) -> dict
             cells[part] = _mean(given.errors[[clips.index(name) for name in names]]) if given else ABSENT
     cells["number given"] = _mean(given.errors) if given else ABSENT
     cells["median"] = f"{100 * np.median(given.errors.mean(axis=1)):.2f}" if given else ABSENT
-    same = protocol.published_dataset_version in ("", first.dataset_version) and given
-    printed = protocol.published.get(first.published, {}).get("all", {}).get("mean") if same else None
+    known = protocol.of_version(first.dataset_version).published if given else {}
+    printed = known.get(first.published, {}).get("all", {}).get("mean")
     cells[f"printed, all {protocol.n_clips}"] = ABSENT if printed is None else f"{printed:.2f}"
     cells["number found"] = _mean(found.errors) if found else ABSENT
     cells["right, %"] = f"{100 * found.right:.0f}" if found else ABSENT

@@ -257,7 +257,7 @@ def join_labels(found: Prediction, clip: Clip, file: str) -> tuple[IntArray | No
         fix = "keep one row per trajectory"
         problems.append(Problem("duplicate-rows", file, clip.name, "each trajectory once", text, fix))
     if not np.array_equal(ids, np.sort(wanted)):
-        code, text, fix = _mismatch(ids, label, wanted, clip)
+        code, text, fix = _mismatch(ids, found.columns["label"], wanted, clip)
         expected = f"the {len(wanted)} evaluated trajectories"
         problems.append(Problem(code, file, clip.name, expected, text, fix))
     return (None, problems) if problems else (label[np.searchsorted(ids, wanted)], [])
@@ -269,7 +269,7 @@ def _mismatch(ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip) -> t
     if found > n and np.array_equal(ids, np.sort(clip.dense.track_id)):
         text = f"{found} labels: those are all trajectories of the clip"
         return "all-trajectories", text, "keep the evaluated ones (clip.dense.track_id[clip.evaluated])"
-    if 0 < 2 * found < n and np.isin(label, wanted).mean() > _SAME:
+    if 0 < 2 * found < n and np.isin(wanted, label).mean() > _SAME:
         return "swapped-columns", "the ids in the column label", "swap the columns: track first, then label"
     if found == n and np.array_equal(ids - 1, np.sort(wanted)):
         text = "ids that are each one larger, counted from 1 as in MATLAB"
@@ -280,7 +280,7 @@ def _mismatch(ids: IntArray, label: IntArray, wanted: IntArray, clip: Clip) -> t
     missing, extra = np.setdiff1d(wanted, ids).tolist(), np.setdiff1d(ids, wanted).tolist()
     parts = [f"{len(missing)} missing (track {several(missing, 5)})"] if missing else []
     parts += [f"{len(extra)} that are not evaluated (track {several(extra, 5)})"] if extra else []
-    if len(missing) > _SAME * n:
+    if len(missing) > _SAME * n and len(extra) > _SAME * found:
         fix = "most ids do not fit: these look like labels for another clip or another version of the data"
         return "other-trajectories", " and ".join(parts), fix
     return "trajectories", " and ".join(parts), "write one row per evaluated trajectory, by its track id"

@@ -94,9 +94,11 @@ def publish(
         if not re.fullmatch(form, text := getattr(settings, what)):
             raise InvalidValueError(what, expected=expected, found=repr(text))
     try:
-        date.fromisoformat(settings.date or "2026-11-30")
+        proper = not settings.date or f"{date.fromisoformat(settings.date)}" == settings.date
     except ValueError:
-        raise InvalidValueError("date", expected="YYYY-MM-DD", found=repr(settings.date)) from None
+        proper = False
+    if not proper:
+        raise InvalidValueError("date", expected="YYYY-MM-DD", found=repr(settings.date))
     paths = dataset_paths(dataset)
     parts = _splits(list(paths), splits)
     facts = _manifest(paths, parts, settings)

@@ -65,6 +65,7 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
     authors: list[str] = Field(default=[], description="of a submission; of our own the source is documented")
     link: str = Field(default="", description="paper or code")
     supervised: bool = Field(default=False, description="whether trained with labels, of other clips")
+    baseline: bool = Field(default=False, description="whether one label for a whole clip is meant")
     seeds: list[_Count] = Field(min_length=1)
     clips: dict[str, ClipResult] = Field(min_length=1)
 
@@ -141,7 +142,7 @@ class PublishedResult(BaseModel, strict=True, extra="forbid", frozen=True):
 
     def text(self) -> str:
         """Write as JSON, one line per field and per clip."""
-        optional = {n for n in ("authors", "link", "supervised") if n not in self.model_fields_set}
+        optional = {"authors", "link", "supervised", "baseline"} - self.model_fields_set
         values = self.model_dump(exclude={"clips", *optional})
         lines = [f" {json.dumps(name)}: {json.dumps(value)}," for name, value in values.items()]
         clips = {name: clip.model_dump(exclude_defaults=True) for name, clip in self.clips.items()}
@@ -161,13 +162,14 @@ def json_schema() -> dict[str, Any]:
 def publish(result: BenchmarkResult, folder: PathLike) -> list[Path]:
     """Write one file per configuration of a `mseg.benchmark.run` into a folder; returns their paths.
 
-    InvalidValueError when a file there has seeds or clips that this run lacks, or a run's worker died.
+    InvalidValueError when a file there has seeds or clips that this run lacks, files there are of other data,
+    or a run's worker died.
     """
     made = {}
     for m in range(len(result.configurations)):
         new = _published(result, m)
         path = Path(folder) / new.path
-        old = read_result(path) if path.is_file() else new
+        old = former(new, folder) or new
         lost = [*map(str, sorted({*old.seeds} - {*new.seeds})), *(c for c in old.clips if c not in new.clips)]
         if lost:
             expected, found = "no more seeds and clips than this run has", f"{', '.join(lost[:5])} there only"
@@ -177,6 +179,20 @@ def publish(result: BenchmarkResult, folder: PathLike) -> list[Path]:
     for path, text in made.items():
         write_text(path, text)
     return list(made)
+
+
+def former(new: PublishedResult, folder: PathLike) -> PublishedResult | None:
+    """Read the file that a result replaces; InvalidValueError when files next to it are of other data."""
+    path = Path(folder) / new.path
+    for other in sorted(path.parent.glob("*.json")):
+        if (old := read_result(other)).data != new.data:
+            expected, found = (
+                f"the data of {new.title}",
+                f"other clips or labels, called {old.dataset_version}",
+            )
+            fix = "publish into another folder, or remove what is there"
+            raise InvalidValueError(str(other), expected=expected, found=found, fix=fix)
+    return read_result(path) if path.is_file() else None
 
 
 def _published(result: BenchmarkResult, m: int) -> PublishedResult:

@@ -11,7 +11,15 @@ from kt3dmoseg.text import count, several
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation import Protocol
 from mseg.evaluation.protocol import share
-from mseg.evaluation.results import LISTED, ResultsTable, by_axis, clip_table, error_table, published_name
+from mseg.evaluation.results import (
+    LISTED,
+    ResultsTable,
+    by_axis,
+    clip_table,
+    error_table,
+    published_name,
+    version_notes,
+)
 from mseg.evaluation.scoring import ScoreTable
 
 RECIPE = "recipe-"
@@ -124,7 +132,7 @@ class BenchmarkResult:
             "clips": self.motions,
             "methods": [{"method": c.method, "parameters": dict(c.parameters)} for c in self.configurations],
             "errors": self.errors.tolist(),
-            "seconds": self.seconds.tolist(),
+            "seconds": [[[None if np.isnan(s) else s for s in c] for c in m] for m in self.seconds.tolist()],
             **lists,
         }
 
@@ -141,6 +149,7 @@ class BenchmarkResult:
         notes = []
         if len(self.clips) < self.protocol.n_clips:
             notes.append("A part of the benchmark: the printed figures are for all of it.")
+        notes += version_notes(self.tables[0])
         for group in self.protocol.groups:
             missing = group.n_clips - len(self.protocol.clips_of(group, self.motions))
             absent = [name for name in group.clips if name not in self.motions]

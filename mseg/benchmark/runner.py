@@ -153,7 +153,9 @@ def run(
             clip_score(name, seed, clips[name].labels, None if out.reason else out.labels, out.reason)
             for (name, seed), out in runs_of.items()
         )
-        tables.append(ScoreTable(tuple(scores), evaluation.SubmissionMeta(made.title), protocol, source))
+        predicted = cache_key({f"{name} {seed}": out.labels for (name, seed), out in runs_of.items()})
+        of_method, meta = replace(source, submission_sha256=predicted), evaluation.SubmissionMeta(made.title)
+        tables.append(ScoreTable(tuple(scores), meta, protocol, of_method))
         notes += [(made, name, seed, out.notes) for (name, seed), out in runs_of.items() if out.notes]
     seconds = np.array([outcomes[key].seconds for key in runs.keys.values()])
     shape = (len(configurations), len(clips), len(wanted))

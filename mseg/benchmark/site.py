@@ -19,7 +19,7 @@ from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.io.images import jpeg_address
 from kt3dmoseg.types import Clip
-from mseg.benchmark.publishing import PublishedResult, collected, read_result, read_results
+from mseg.benchmark.publishing import PublishedResult, collected, former, read_result, read_results
 from mseg.benchmark.runner import BASELINES, find_clips
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation.protocol import load_protocol
@@ -49,7 +49,8 @@ def write_site(
         rows = [_row(each, history.get(each.path.as_posix(), [])) for each in group]
         shown = {name: picture for name, picture in pictures.items() if name in first.clips}
         key = f"{benchmark}/{version}"
-        boards.append(DataRows(key, about, load_protocol(benchmark), first.motions, rows, shown))
+        protocol = load_protocol(benchmark).of_version(version)
+        boards.append(DataRows(key, about, protocol, first.motions, rows, shown))
     boards.sort(key=lambda board: board.protocol.name != "kt3dmoseg")
     notes = [] if history else ["No history: git does not know these results."]
     page = Path(output) / "index.html"
@@ -68,7 +69,7 @@ def _row(result: PublishedResult, history: Sequence[Version]) -> Row:
         result.errors,
         [clip.scored for clip in result.clips.values()],
         number=result.n_motions,
-        kind="baseline" if result.method in BASELINES else "measured",
+        kind="baseline" if result.baseline or result.method in BASELINES else "measured",
         supervised=result.supervised,
         authors=", ".join(names),
         link=result.link,
@@ -138,15 +139,16 @@ def submit(
 ) -> list[Path]:
     """Score a submission and write ``BENCHMARK/VERSION/METHOD.json`` and ``METHOD.zip``; returns their paths.
 
-    RejectedSubmissionError when it is invalid; InvalidValueError when its clips are of no benchmark, or the
-    row of that file name is another's: it has no predictions, or another title.
+    RejectedSubmissionError when it is invalid; InvalidValueError when its clips are of no benchmark, results
+    there are of other data, or the row of that file name is another's: it has no predictions, or another
+    title.
     """
     source = Path(submission)
     result = _scored(score_submission(source, data, benchmark=benchmark))
     path = Path(results) / result.path
-    old = read_result(path).title if path.is_file() else ""
-    if old and (old != result.title or not path.with_suffix(".zip").is_file()):
-        found, fix = f"that of {old}, a method of others", "choose another name in meta.toml"
+    old = former(result, results)
+    if old and (old.title != result.title or not path.with_suffix(".zip").is_file()):
+        found, fix = f"that of {old.title}, a method of others", "choose another name in meta.toml"
         raise InvalidValueError("method", expected="a name of its own", found=found, fix=fix)
     if source.is_dir():
         files = sorted([source / META, *prediction_files(source)])
@@ -174,6 +176,7 @@ def _scored(scores: ScoreTable) -> PublishedResult:
         authors=list(meta.authors),
         link=meta.link,
         supervised=meta.supervised,
+        baseline=meta.baseline,
     )
 
 

@@ -170,6 +170,8 @@ def _sentence(pair: Pair, spec: Metric, delta: FloatArray) -> str:
         return f"{text}There are too few clips ({n_clips}) to show whether it is consistent over clips."
     test = f"(Wilcoxon with Holm's correction, p = {pair.p_holm:.3g})"
     if pair.p_holm < _SIGNIFICANT and signed_ranks(delta).sum() * pair.difference < 0:
-        return f"{text}But on most clips {worse} is better, consistently {test}: a few clips decide the mean."
+        return (
+            f"{text}But over the clips {worse} is better, consistently {test}: a few clips decide the mean."
+        )
     verdict = "is consistent" if pair.p_holm < _SIGNIFICANT else "could be chance"
     return f"{text}Over the clips it {verdict} {test}."

@@ -32,7 +32,7 @@ class Contingency:
     @cached_property
     def assignment(self) -> IntArray:
         """Group of each motion, (M,): the one-to-one choice with most agreement; -1 = none."""
-        return best_assignment(self.counts)
+        return best_assignment(self.counts, self.sizes)
 
     @cached_property
     def sizes(self) -> IntArray:
@@ -80,16 +80,18 @@ def contingency(truth: npt.ArrayLike, pred: npt.ArrayLike, *, background: int | 
     return Contingency(table[:, ~none], table[:, none].sum(axis=1), motions, groups[~none], static)
 
 
-def best_assignment(counts: IntArray) -> IntArray:
+def best_assignment(counts: IntArray, sizes: IntArray | None = None) -> IntArray:
     """Choose a different group for each motion so that most trajectories agree: columns (M,), -1 = none.
 
-    Of equally good choices, that with the larger sum of intersections over unions is taken. Here the first
-    motion has 3 + 2 trajectories and the second 4 + 0; the other choice would agree on 3 + 0:
+    Of equally good choices, that with the larger sum of intersections over unions is taken; `sizes` (M,) are
+    those of the motions where some of their trajectories are in no group. Here the first motion has 3 + 2
+    trajectories and the second 4 + 0; the other choice would agree on 3 + 0:
 
     >>> best_assignment(np.array([[3, 2], [4, 0]])).tolist()
     [1, 0]
     """
-    union = counts.sum(axis=1, keepdims=True) + counts.sum(axis=0, keepdims=True) - counts
+    motions = counts.sum(axis=1) if sizes is None else sizes
+    union = motions[:, None] + counts.sum(axis=0) - counts
     overlap = counts / np.maximum(union, 1)
     # Each overlap is at most 1, so all of them together weigh less than one trajectory.
     return assign(counts + overlap / (2 * max(1, min(counts.shape))))

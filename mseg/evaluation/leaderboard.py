@@ -189,6 +189,8 @@ class Leaderboard:
 
         Methods that found the number of motions are ranked apart, after those that were given it.
         """
+        if benchmark not in ("", "custom"):
+            load_protocol(benchmark)  # refuses a misspelt name
         with self._open() as (_, kept):
             wanted = [e for e in kept if benchmark in ("", e.benchmark)]
             tables = {e: from_json(kept[e], f"{self.path}: entry {e.id}") for e in wanted}
@@ -313,7 +315,8 @@ def _board(tables: Mapping[Entry, ScoreTable]) -> Board:
     )
     fullest = tables[max(tables, key=lambda e: (not e.claimed, e.clips))]
     entries = {_row(e, table, complete=table.names == fullest.names): e for e, table in tables.items()}
-    rows = DataRows(title, about, fullest.benchmark, fullest.motions, [*entries])
+    protocol = fullest.benchmark.of_version(first.dataset_version)
+    rows = DataRows(title, about, protocol, fullest.motions, [*entries])
     ranked = [(rank, entries[row]) for rank, row, _ in rows.ranked]
     notes = [f"{e.method}: {several(each, 1)}" for _, e in ranked if (each := method_notes(tables[e]))]
     return Board(rows, ranked, notes)

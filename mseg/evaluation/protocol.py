@@ -1,10 +1,12 @@
 """Benchmark protocols as data: which clips count, in which groups, and what was published on them."""
 
+from __future__ import annotations
+
 import re
 import tomllib
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
@@ -74,17 +76,16 @@ class Protocol:
     versions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # -> clip -> clip_checksum
     axes: tuple[Axis, ...] = ()  # by which the error is broken down
     attributes: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)  # clip -> axis -> value
-    names: str = ""  # regular expression by which clips of a benchmark that lists none are recognised
     data: str = ""  # conventional name of the folder that holds the clips
 
     def holds(self, clip: str) -> bool:
         """Whether a clip of that name counts in this benchmark."""
         return clip not in self.exclude and self.group("all").holds(clip)
 
-    def recognises(self, clip: str) -> bool:
-        """Whether a clip is listed in this benchmark, or named as its clips are."""
-        listed = any(clip in group.clips for group in self.groups)
-        return listed or re.fullmatch(self.names, clip) is not None
+    def of_version(self, version: str) -> Protocol:
+        """Return it without the published results where those are of another version of the data."""
+        same = self.published_dataset_version in ("", version)
+        return self if same else replace(self, published={})
 
     def group(self, name: str) -> Group:
         """Return the group of that name; UnknownNameError when there is none."""
@@ -182,6 +183,6 @@ def choose_protocol(name: str, clips: Iterable[str]) -> Protocol:
     if name not in ("", "custom"):
         return load_protocol(name)
     names, known = list(clips), list(map(load_protocol, list_protocols()))
-    counts = [sum(map(protocol.recognises, names)) for protocol in known]
+    counts = [sum(map(protocol.holds, names)) for protocol in known]
     most = max(counts)
     return protocol_of_clips(names) if name or 2 * most <= len(names) else known[counts.index(most)]

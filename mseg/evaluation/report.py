@@ -265,11 +265,9 @@ def _shown(checked: Validation, scores: ScoreTable, clip: Clip, seed: int) -> In
     table = scores.of(clip.name, seed).table
     if table is None:
         return np.full(len(clip.labels), -1)
-    labels = checked.labels[seed, clip.name]
-    colour = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int64)
-    for group, number in _group_colours(table).items():
-        colour[group] = number
-    return colour[labels]
+    groups, of_group = np.unique(checked.labels[seed, clip.name], return_inverse=True)
+    colours = _group_colours(table)
+    return np.array([colours.get(group, 0) for group in groups.tolist()])[of_group]
 
 
 def _packed(values: npt.NDArray[Any]) -> str:

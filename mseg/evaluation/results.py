@@ -171,11 +171,21 @@ def _median(values: FloatArray, scale: int = 100) -> str:
 
 def unique_names(tables: Sequence[ScoreTable]) -> list[str]:
     """Names of the methods, numbered where they occur more than once."""
-    methods = [table.meta.method for table in tables]
-    return [
-        f"{name} ({methods[: i + 1].count(name)})" if methods.count(name) > 1 else name
-        for i, name in enumerate(methods)
-    ]
+    methods, names = [table.meta.method for table in tables], list[str]()
+    for name in methods:
+        numbered = (f"{name} ({number})" for number in range(1, 2 * len(methods)))
+        free = (each for each in numbered if each not in (*methods, *names))
+        names.append(next(free) if methods.count(name) > 1 else name)
+    return names
+
+
+def version_notes(scores: ScoreTable) -> list[str]:
+    """Note that the published results are of another version of the data, if they are."""
+    protocol, version = scores.benchmark, scores.provenance.dataset_version
+    if protocol.of_version(version).published == protocol.published:
+        return []
+    printed = f"printed figures are for version {protocol.published_dataset_version!r}"
+    return [f"Data version {version!r}; {printed}: not comparable."]
 
 
 def headline(*tables: ScoreTable) -> ResultsTable:
@@ -194,9 +204,7 @@ def headline(*tables: ScoreTable) -> ResultsTable:
     notes = [f"Scored: {protocol.coverage(first.names)}{more}."]
     if len(first.names) < protocol.n_clips:
         notes.append("A part of the benchmark: the printed figures are for all of it.")
-    version, wanted = first.provenance.dataset_version, protocol.published_dataset_version
-    if protocol.published and wanted and version != wanted:
-        notes.append(f"Data version {version!r}; printed figures are for version {wanted!r}: not comparable.")
+    notes += version_notes(first)
     for name, table in zip(unique_names(tables), tables, strict=True):
         summary, of = table.summary(), f"{name}: " if len(tables) > 1 else ""
         low, high = summary.interval
@@ -220,7 +228,7 @@ def method_notes(scores: ScoreTable) -> list[str]:
     if other:
         listed = several(list(other), LISTED)
         notes.append(f"Other groups than motions, though their number was given: {listed}.")
-    reported = [f"The method reports on {clip}: {note}." for clip, note in meta.notes.items()]
+    reported = [f"The method reports on {clip}: {' '.join(n.split())}." for clip, n in meta.notes.items()]
     more = len(reported) - LISTED
     return [*notes, *reported[:LISTED], *([f"And on {more} more clips."] if more > 0 else [])]
 

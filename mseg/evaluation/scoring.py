@@ -35,7 +35,14 @@ from mseg.evaluation.protocol import (
     protocol_of_clips,
 )
 from mseg.evaluation.statistics import Summary, summarise
-from mseg.evaluation.submission import SubmissionMeta, bare_labels, check_names, prediction_runs, wrong_fields
+from mseg.evaluation.submission import (
+    SubmissionMeta,
+    bare_labels,
+    check_names,
+    clip_checksum,
+    prediction_runs,
+    wrong_fields,
+)
 from mseg.evaluation.validation import Validation, load_clips, validate_submission
 from mseg.types import Segmentation
 
@@ -258,18 +265,21 @@ def score(
     else:
         expected = f"a mapping of clip names to labels, for {several(list(truths), 5)}"
         raise InvalidValueError("pred", expected=expected, found=type(pred).__name__)
-    clips = []
+    clips, given = [], hashlib.sha256()
     for seed, run in runs.items():
         check_names(run, truths, "pred", complete=True)
         for name, clip in truths.items():
             where = "pred" if len(truths) == 1 else f"pred of {name}"
             predicted = _predicted(run[name], clip, where, outliers=outliers)
+            given.update(f"{name} {seed} {predicted.tolist()}\n".encode())
             clips.append(clip_score(name, seed or 0, _labels(clip), predicted))
     protocol = choose_protocol(benchmark, truths) if benchmark else None
     foreign = [name for name in truths if protocol and not protocol.holds(name)]
     if foreign:
         raise InvalidValueError("truth", expected=f"clips of {benchmark}", found=several(foreign, 5))
-    return ScoreTable(tuple(clips), protocol=protocol, provenance=provenance_of(truths))
+    checksums = {name: clip_checksum(clip) for name, clip in truths.items() if isinstance(clip, Clip)}
+    source = provenance_of(truths, checksums, submission=given.hexdigest())
+    return ScoreTable(tuple(clips), protocol=protocol, provenance=source)
 
 
 def _truths(truth: Any) -> dict[str, Clip | Labels]:  # noqa: ANN401  # checked
@@ -382,7 +392,7 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     clips = []
     for seed in checked.submission.seeds or [0]:
         for name, clip in checked.clips.items():
-            pred = checked.labels.get((seed, name))
+            pred = None if checked.fault(seed, name) else checked.labels.get((seed, name))
             clips.append(clip_score(name, seed, clip.labels, pred, _reason(checked, seed, name)))
     meta, problems = checked.submission.meta, tuple(checked.problems)
     version = checked.protocol.version_of(checked.checksums) or meta.dataset_version or "unnamed"
@@ -404,10 +414,9 @@ def provenance_of(
 
 def _reason(checked: Validation, seed: int, name: str) -> str:
     read, key = checked.submission, (seed, name)
-    if key in read.failures:
-        return f"failed: {read.failures[key]}"
-    found = next((p.found for p in checked.problems if p.file == read.files.get(key)), "")
-    return f"invalid: {found}" if key in read.files else "missing"
+    if fault := checked.fault(seed, name):
+        return f"invalid: {fault}"
+    return f"failed: {read.failures[key]}" if key in read.failures else "missing"
 
 
 # --- scores as JSON, so that they can be kept, compared and ranked without the data ---------------
@@ -538,8 +547,7 @@ def _impossible_source(table: ScoreTable, benchmark: str) -> Iterator[str]:
     protocol, source = table.benchmark, table.provenance
     if benchmark not in ("custom", *list_protocols()):
         yield f"benchmark {benchmark!r:.40}"
-    known = protocol.recognises if table.protocol else protocol.holds
-    foreign = [name for name in table.names if not (known(name) and protocol.holds(name))]
+    foreign = (name for name in table.names if not protocol.holds(name))
     yield from (f"clip {name} in {protocol.title}" for name in foreign)
     checksums = {name: value for name, value in table.meta.fingerprints.items() if name in table.motions}
     if protocol.contradicts(source.dataset_version, checksums):

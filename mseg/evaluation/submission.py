@@ -332,9 +332,9 @@ class Submission:
         """Names of the clips, of any seed, sorted."""
         return sorted({clip for _, clip in self.files})
 
-    def bad(self, code: str, file: str, expected: str, found: str, fix: str) -> None:
+    def bad(self, code: str, file: str, expected: str, found: str, fix: str, clip: str = "") -> None:
         """Add a problem."""
-        self.problems.append(Problem(code, file, "", expected, found, fix))
+        self.problems.append(Problem(code, file, clip, expected, found, fix))
 
 
 def read_submission(path: PathLike, *, most: int = MAX_ROWS) -> Submission:
@@ -447,7 +447,7 @@ def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission, 
     key = int(place[1] or 0), place[2]
     if key in out.files:
         found, fix = f"also {out.files[key]}", "keep one of them"
-        return out.bad("duplicate-clip", name, "one file per clip and seed", found, fix)
+        return out.bad("duplicate-clip", name, "one file per clip and seed", found, fix, clip=key[1])
     out.files[key] = name
     if place[3].lower() == FAILED:
         reason = " ".join(content.decode("utf-8", "replace").split())[:300]

@@ -57,6 +57,12 @@ class Validation:
         """Whether it can be scored: valid, or wrong only in clips that are missing or have one label."""
         return bool(self.clips) and all(problem.code in _SCORABLE for problem in self.problems)
 
+    def fault(self, seed: int, name: str) -> str:
+        """Say what forbids scoring the labels of a clip and seed; empty when nothing does."""
+        others = {*self.submission.files.values()} - {self.submission.files.get((seed, name), "")}
+        grave = (p for p in self.problems if p.clip == name and p.code not in _SCORABLE)
+        return next((problem.found for problem in grave if problem.file not in others), "")
+
     def __str__(self) -> str:
         runs = count(len(self.submission.seeds), "seed")
         what = f"{count(len(self.clips), 'clip')}, {runs}, {self.protocol.title}"
@@ -184,7 +190,9 @@ def _check_extra(name: str, file: str, given: Mapping[str, Clip], out: Validatio
     """Report whether a predicted clip that is not scored is a mistake."""
     protocol = out.protocol
     if name in given or protocol.holds(name):
-        reason = "it never counts" if name in protocol.exclude else "no labels for it in the data here"
+        reason = "no labels for it in the data here"
+        if not protocol.holds(name):
+            reason = "it never counts" if name in protocol.exclude else f"it is no clip of {protocol.title}"
         out.notes.append(Problem("not-scored", file, name, found=reason))
         return
     stem = name.removesuffix("_Tracks").removesuffix("_truth")

@@ -61,7 +61,7 @@ def test_a_mean_that_one_clip_decides_is_not_called_consistent(tmp_path):
     rarely = scores_of(tmp_path, "rarely", [[1] * 12])
     for pair in (compare([often, rarely]).pairs[0], compare([rarely, often]).pairs[0]):
         assert "rarely is better than often by" in pair.sentence
-        assert "But on most clips often is better, consistently (Wilcoxon" in pair.sentence
+        assert "But over the clips often is better, consistently (Wilcoxon" in pair.sentence
         assert pair.p < 0.05
 
 

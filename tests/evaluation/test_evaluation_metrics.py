@@ -152,6 +152,12 @@ def test_tie_goes_to_the_larger_overlap():
     assert best_assignment(np.array([[2, 2, 0], [3, 0, 5]])).tolist() == [1, 2]
 
 
+def test_a_tie_does_not_depend_on_numbers_where_there_are_outliers():
+    for first, second in ((1, 2), (2, 1)):
+        table = contingency([first] * 8 + [second] * 2, [1, 1, *[0] * 6, 1, 1])
+        assert all_metrics()["iou"](table) == pytest.approx(0.25)
+
+
 def test_background_against_moving():
     truth = [1] * 6 + [2] * 3 + [3] * 3
     pred = [1] * 5 + [2] + [2] * 3 + [1] + [3] * 2

@@ -90,3 +90,14 @@ def test_prevalence_and_checksums_are_those_of_the_data(data_root):
     prints = {name: fingerprint(clip) for name, clip in clips.items()}
     assert protocol.version_of(prints) == "2018"
     assert protocol.version_of({**prints, "Seq005_Clip01": "0" * 16}) == ""
+
+
+def test_clips_of_another_benchmark_do_not_count():
+    hopkins, mtpv = load_protocol("hopkins155"), load_protocol("mtpv62")
+    for name in ("MTPV_data_Boat", "oc1R2RC", "Seq005_Clip01", "Cars1", "mine"):
+        assert not hopkins.holds(name)
+        assert mtpv.holds(name) == name.startswith("MTPV")
+    assert choose_protocol("", ["MTPV_data_Boat", "cars1", "1R2RC"]).name == "mtpv62"
+    assert choose_protocol("", ["cars1", "1R2RC", "1R2RC_g12"]).name == "hopkins155"
+    assert mtpv.of_version("any").published == mtpv.published
+    assert not load_protocol("kt3dmoseg").of_version("mine").published

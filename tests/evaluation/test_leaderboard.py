@@ -6,12 +6,14 @@ import sys
 from contextlib import closing
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from evaluation_helpers import CLIPS, perfect, truth
 
 import kt3dmoseg
+import mseg
 import mseg.cli
-from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, UnknownNameError
 from kt3dmoseg.types import Labels
 from mseg.evaluation import SubmissionMeta, leaderboard, score, score_submission, write_submission
 from mseg.evaluation.leaderboard import Leaderboard, export
@@ -445,3 +447,18 @@ def test_a_claim_on_another_version_of_the_data_is_refused(tmp_path):
     scores = score_submission(folder, [named])
     with pytest.raises(FileFormatError, match="dataset version '2018'"):
         claim(scores, lambda s: s["provenance"].update(dataset_version="2018"))
+
+
+def test_a_misspelt_benchmark_is_refused(board, tmp_path):
+    board.add(scored(tmp_path, "one", 1))
+    assert board.boards("custom")
+    with pytest.raises(UnknownNameError, match="did you mean 'kt3dmoseg'"):
+        board.boards("kt3dmosegg")
+
+
+def test_bare_scores_of_two_predictions_are_two_entries(board):
+    clip = CLIPS["example_two"]
+    wrong = np.where(np.arange(len(clip.labels)) < 3, 2, clip.labels.label)
+    assert board.add(mseg.score(clip, clip.labels)) == (1, True)
+    assert board.add(mseg.score(clip, wrong)) == (2, True)
+    assert board.add(mseg.score(clip, wrong)) == (2, False)

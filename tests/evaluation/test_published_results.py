@@ -244,6 +244,17 @@ def test_results_of_other_data_are_not_mixed(run, tmp_path):
         read_results(tmp_path / "nothing")
 
 
+def test_results_of_other_data_are_not_published_next_to_them(run, tmp_path):
+    publish(run, tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.json")}
+    other = tuple(replace(t, provenance=replace(t.provenance, dataset_sha256="b" * 64)) for t in run.tables)
+    with pytest.raises(
+        InvalidValueError, match=r"one_motion\.json: .*found other clips or labels, called 2018"
+    ):
+        publish(replace(run, tables=other), tmp_path)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.json")} == before
+
+
 def test_results_of_one_recipe_may_differ_in_rounding_but_not_in_clips(run, tmp_path):
     tables = tuple(
         replace(t, provenance=replace(t.provenance, dataset_version="recipe-12345678")) for t in run.tables

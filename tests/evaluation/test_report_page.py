@@ -18,7 +18,7 @@ from kt3dmoseg.types import Clip, Labels
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation import SubmissionMeta, report, score_submission, write_failure, write_submission
 from mseg.evaluation.report import write_report
-from mseg.evaluation.results import ResultsTable, headline, per_clip, rendered
+from mseg.evaluation.results import ResultsTable, headline, per_clip, rendered, unique_names
 
 
 @pytest.fixture
@@ -426,3 +426,21 @@ def test_from_a_bar_to_a_clip_a_frame_a_trajectory_and_its_neighbours(three, tmp
     assert "part=1.50" in page.url
     assert messages == []
     page.context.close()
+
+
+def test_large_labels_need_no_large_table(tmp_path):
+    labels = {name: np.where(label == 1, 2**52, label) for name, label in truth().items()}
+    folder = write_submission(tmp_path / "s", CLIPS.values(), labels, META)
+    assert write_report(folder, CLIPS, tmp_path / "r.html")
+
+
+def test_notes_are_one_line(tmp_path):
+    folder = perfect(tmp_path / "s", meta=replace(META, notes={"example_two": "first\nsecond & line"}))
+    assert "first second & line" in rendered(score_submission(folder, CLIPS), "latex")
+
+
+def test_two_methods_of_one_name_never_get_that_of_a_third(tmp_path):
+    names = ["A", "A", "A (1)"]
+    folders = [perfect(tmp_path / f"{i}", meta=SubmissionMeta(name)) for i, name in enumerate(names)]
+    tables = [score_submission(folder, CLIPS) for folder in folders]
+    assert unique_names(tables) == ["A (2)", "A (3)", "A (1)"]

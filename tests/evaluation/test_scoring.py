@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,13 @@ import mseg.cli
 from kt3dmoseg.errors import InvalidValueError, UnknownNameError
 from kt3dmoseg.types import Labels
 from mseg.errors import RejectedSubmissionError
-from mseg.evaluation import SubmissionMeta, score_submission, write_failure, write_submission
+from mseg.evaluation import (
+    SubmissionMeta,
+    score_submission,
+    validate_submission,
+    write_failure,
+    write_submission,
+)
 from mseg.types import Segmentation
 
 
@@ -229,3 +236,49 @@ def test_scoring_itself_imports_nothing_heavier_than_the_assignment(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("wrong", ["checksum", "two files", "failed too"])
+def test_forced_clips_with_problems_count_as_fully_wrong_even_with_readable_labels(tmp_path, wrong):
+    name = "example_two"
+    given = {"fingerprints": {name: "0" * 16}} if wrong == "checksum" else {}
+    folder = perfect(tmp_path / "s", meta=replace(META, **given))
+    if wrong == "two files":
+        np.savez(folder / f"{name}.npz", track=np.arange(3), label=np.arange(3))
+    if wrong == "failed too":
+        (folder / f"{name}.failed").write_text("no")
+    scores = score_submission(folder, CLIPS, force=True)
+    assert {c.clip: c.values["error"] for c in scores.clips} == {"example_three": 0, name: 1}
+    [failure] = scores.failures
+    assert failure.clip == name
+    assert failure.reason.startswith("invalid: ")
+
+
+def test_a_forced_seed_with_a_problem_leaves_the_others_alone(tmp_path):
+    folder = perfect(tmp_path / "s", seeds=2)
+    (folder / "seed-1" / "example_two.csv").write_text("track,label\n1,nan\n")
+    assert score_submission(folder, CLIPS, force=True).matrix().tolist() == [[0, 0], [0, 1]]
+
+
+def test_scores_of_bare_labels_know_their_trajectories_and_predictions():
+    clip = CLIPS["example_two"]
+    moved = replace(clip, dense=replace(clip.dense, xy=clip.dense.xy + 0.01))
+    tables = [
+        mseg.score(each, label) for each in (clip, moved) for label in (clip.labels, truth()[clip.name])
+    ]
+    sources = [table.provenance for table in tables]
+    assert sources[0] == sources[1] != sources[2]
+    assert sources[0].dataset_sha256 != sources[2].dataset_sha256
+    other = mseg.score(clip, 3 - clip.labels.label).provenance
+    assert other.dataset_sha256 == sources[0].dataset_sha256
+    assert other.submission_sha256 != sources[0].submission_sha256
+    assert mseg.score({clip.name: clip}, truth()[clip.name]).provenance == sources[0]
+
+
+def test_a_clip_of_another_benchmark_is_said_to_be_one(tmp_path):
+    names = "Seq005_Clip01", "Seq013_Clip01", "mydrive01"
+    clips = [replace(CLIPS["example_two"], name=name) for name in names]
+    label = CLIPS["example_two"].labels.label
+    folder = write_submission(tmp_path / "s", clips, dict.fromkeys(names, label), META)
+    [note] = validate_submission(folder, clips).notes
+    assert note.found == "it is no clip of KT3DMoSeg"

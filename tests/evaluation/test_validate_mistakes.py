@@ -176,6 +176,8 @@ MISTAKES = [
     ("row-numbers", lambda f: rewrite(f, range(len(IDS)), LABEL), "clip.dense.track_id[clip.evaluated]"),
     ("other-trajectories", lambda f: rewrite(f, IDS + 1000, LABEL), "another version of the data"),
     ("trajectories", lambda f: rewrite(f, IDS[2:], LABEL[2:]), "2 missing"),
+    ("trajectories", lambda f: rewrite(f, IDS[:10], LABEL[:10]), "30 missing"),
+    ("trajectories", lambda f: rewrite(f, IDS[:1], LABEL[:1]), "39 missing"),
     ("too-many-groups", lambda f: rewrite(f, IDS, IDS + 1), "swapped"),
     ("mixed-seeds", mixed_seeds, "seed folder"),
     (

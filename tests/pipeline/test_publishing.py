@@ -147,6 +147,7 @@ def test_a_missing_package_is_named_before_anything_is_written(built, tmp_path, 
         ({"version": "two"}, "version: expected a version, as 1.0.0, found 'two'"),
         ({"date": "yesterday"}, "date: expected YYYY-MM-DD, found 'yesterday'"),
         ({"date": "2026-02-30"}, "date: expected YYYY-MM-DD"),
+        ({"date": "20260130"}, "date: expected YYYY-MM-DD"),
         ({"license": ""}, "license: expected an SPDX identifier.*license=ID"),
         (
             {"splits": ["test=z*"]},
