@@ -80,14 +80,15 @@ class Agreement:
 def agree(a: npt.ArrayLike, b: npt.ArrayLike) -> Agreement:
     """Compare two labellings (n,) of the same trajectories; 0 = unlabelled.
 
-    The labels of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955).
+    The motions of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955); label 1,
+    the background, is the same in both.
     Raises InvalidValueError when the lengths differ.
     """
     mine, other = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
     if mine.ndim != 1 or mine.shape != other.shape:
         found = f"{mine.shape} and {other.shape}"
         raise InvalidValueError("labels", expected="two vectors of one length", found=found)
-    matching = match_labels(mine, other)
+    matching = {1: 1} | match_labels(mine * (mine > 1), other * (other > 1))
     spare = int(max(other.max(initial=0), mine.max(initial=0))) + 1
     names = {0: 0} | {label: spare + label for label in mine.tolist() if label} | matching
     return Agreement(np.array([names[label] for label in mine.tolist()], dtype=np.int64), other, matching)

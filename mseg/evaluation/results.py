@@ -185,7 +185,7 @@ def version_notes(scores: ScoreTable) -> list[str]:
     if protocol.of_version(version).published == protocol.published:
         return []
     printed = f"printed figures are for version {protocol.published_dataset_version!r}"
-    return [f"Data version {version!r}; {printed}: not comparable."]
+    return [f"Data version {version or 'unnamed'!r}; {printed}: not comparable."]
 
 
 def headline(*tables: ScoreTable) -> ResultsTable:

@@ -9,6 +9,7 @@ import { attempt, cancel, edit, editLast, editable, notify, regionOf, select, se
 import { rowsWhere, visitNext } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
+const CARRIED = "It is being carried there: press C again";
 // Blended outlines have more points than anyone should drag.
 const TOLERANCE = 0.4;
 
@@ -41,8 +42,16 @@ function withKey(doc, frame, ...region) {
 const seenAs = ({ visibility }) => (visibility === "occluded" ? visibility : "visible");
 
 /** Make the selected object's region here a key frame. */
-export const draw = (polygons, visibility = seenAs(regionHere())) =>
-  edit(withKey(state.doc, state.frame, polygons.map(rounded), visibility));
+export const draw = (polygons, visibility = seenAs(regionHere()), doc = state.doc) =>
+  edit(withKey(doc, state.frame, polygons.map(rounded), visibility));
+
+/** The document in which the frame before keeps what is seen there: a first key frame counts before itself, too. */
+function keptBefore(item) {
+  const { doc, frame } = state;
+  if (!frame || item.key_frames[0].frame <= frame) return doc;
+  const { polygons, visibility } = editableRegion(item, frame - 1);
+  return setKey(doc, item.id, frame - 1, polygons, visibility);
+}
 
 /** Change an object's properties, while one is selected that may be changed. */
 export const update = withObject((_, { id }, fields) => edit(changeObject(state.doc, id, fields)));
@@ -52,7 +61,7 @@ export const update = withObject((_, { id }, fields) => edit(changeObject(state.
 export function setTool(tool, mode = "object") {
   const pending = tool === "select" ? null : { points: [], mode, freehand: false };
   set({ tool, pending, lassoed: null, vertex: null, cross: state.keyboard ? state.cross : null });
-  if (tool === "click") select(null);
+  if (tool === "click") deselect();
 }
 
 export const redraw = withObject((_, mode, tool = "draw") => setTool(tool, mode));
@@ -96,7 +105,7 @@ export function enter() {
   if (tool === "brush") return cross && paint([cross], pending.mode === "add");
   const last = (tool === "click" ? clicksHere() : pending.points).at(-1);
   const further = cross && !(last && distance(last, cross) < 0.5);
-  if (tool === "click") return further ? click(cross, true) : select(null);
+  if (tool === "click") return further ? click(cross, true) : deselect();
   return further ? addPoint([...cross]) : finish();
 }
 
@@ -121,6 +130,9 @@ function inTurn(action) {
   turn = turn.then(() => attempt(() => clip === state.clip && action(frame)));
   return turn;
 }
+
+/** So that what was clicked before still belongs to what was selected. */
+const deselect = () => inTurn(() => select(null));
 
 /** Outline what moves with a point: the selected object, else a new one. Where that is outlined, or carried to,
  *  clicks add to it or take away. */
@@ -164,10 +176,11 @@ async function makeKeys(id) {
 function makeKeysSoon(id) {
   const { clip } = state;
   clearTimeout(quiet);
-  set({ making: true });
+  set({ making: id }); // which merging renumbers
   const own = quiet = setTimeout(async () => {
-    if (clip === state.clip && objectOf(state.doc, id)) await attempt(() => makeKeys(id));
-    if (own === quiet) set({ making: false });
+    const { making } = state;
+    if (clip === state.clip && objectOf(state.doc, making)) await attempt(() => makeKeys(making));
+    if (own === quiet) set({ making: null });
   }, QUIET);
 }
 
@@ -202,15 +215,16 @@ async function outline(asked) {
 // Brush and eraser
 
 /** Add to the outline what a disc covers along a line, or take it away. */
-export const paint = (stroke, adds) => inTurn(async (frame) => {
+export const paint = (stroke, adds, id = state.selected) => inTurn(async (frame) => {
+  if (id !== state.selected) return notify("Another object was selected meanwhile: paint again");
   const item = editable();
-  if (!item) return;
+  if (!item) return undefined;
   const { clip, brush } = state;
   const { polygons, visibility } = editableRegion(item, frame);
   const answer = await ask(clip.name, "paint", { polygons, stroke, radius: brush, adds });
-  if (!holds(clip, item, frame)) notify("Edited meanwhile: paint again");
-  else if (!answer.polygons.length) notify("Nothing would be left; Delete takes the object out of this frame");
-  else edit(setKey(state.doc, item.id, frame, answer.polygons.map(rounded), seenAs({ visibility })));
+  if (!holds(clip, item, frame)) return notify("Edited meanwhile: paint again");
+  if (!answer.polygons.length) return notify("Nothing would be left; Delete takes the object out of this frame");
+  return edit(setKey(state.doc, item.id, frame, answer.polygons.map(rounded), seenAs({ visibility })));
 });
 
 export function resizeBrush(factor) {
@@ -259,6 +273,7 @@ export const copyToNext = withObject((item) => {
   const next = state.frame + 1;
   if (next >= state.clip.n_frames) return undefined;
   if (!state.regions) notify("No trajectories yet: copied without motion");
+  else if (objectOf(state.carried, item.id)?.key_frames !== item.key_frames) return notify(CARRIED);
   const { key, visibility, polygons } = editableRegion(item, next);
   if (visibility !== "visible" || !polygons.length) return notify("It is not visible there");
   if (!key) edit(withKey(state.doc, next, polygons));
@@ -270,7 +285,8 @@ export const setVisibility = withObject((item, visibility) => {
   const drawn = item.key_frames.filter((key) => key.polygons?.length).sort((a, b) => far(a) - far(b));
   const polygons = [regionHere(), ...drawn].find((region) => region.polygons.length)?.polygons ?? [];
   if (visibility === "visible" && !polygons.length) notify("Draw it here first: press R");
-  else draw(visibility === "outside" ? [] : polygons, visibility);
+  else if (visibility === "visible") draw(polygons, visibility);
+  else draw(visibility === "outside" ? [] : polygons, visibility, keptBefore(item));
 });
 
 export const toggleVisibility = withObject((item, wanted) => {
@@ -291,11 +307,12 @@ export const enterHere = withObject(() => {
 });
 
 export const deleteHere = withObject((item) => {
-  const { doc, frame, clip } = state;
+  const { frame, clip } = state;
   // Outside here, and back in the next frame as it is there.
   const { visibility, polygons, key } = regionOf(item, frame + 1);
-  const back = frame + 1 < clip.n_frames && visibility !== "outside" && !key;
-  edit(withKey(back ? withKey(doc, frame + 1, polygons, visibility) : doc, frame, [], "outside"));
+  const back = frame + 1 < clip.n_frames && visibility !== "outside" && (!key || doubts.has(polygons));
+  const doc = keptBefore(item);
+  edit(withKey(back ? withKey(doc, frame + 1, [...polygons], visibility) : doc, frame, [], "outside"));
   notify(`${item.name} is not in this frame; Shift+Delete removes it from the whole clip`);
 });
 

@@ -29,13 +29,13 @@ export function setKey(doc, id, frame, polygons, visibility = "visible") {
 
 /** Merge two documents made from the same saved one: nothing that either side drew is lost.
  *  Objects changed on one side only are taken from there; changed on both, both are kept, mine under new ids:
- *  `moved` has these by the old ones. */
-export function merge(base, mine, theirs) {
+ *  `moved` has these by the old ones. With `only`, no others than these are kept twice. */
+export function merge(base, mine, theirs, only = null) {
   const [objects, doubles] = mergeLists([base, mine, theirs].map((doc) => doc.objects), (item) => item.id);
   const [marks] = mergeLists([base, mine, theirs].map((doc) => doc.marks ?? []), JSON.stringify);
   let doc = { ...mine, revision: theirs.revision, objects, marks };
   const moved = new Map();
-  for (const item of doubles) {
+  for (const item of doubles.filter(({ id }) => only?.has(id) ?? true)) {
     const { name, ...values } = item;
     const named = name === `object ${item.id}` ? {} : { name };
     // If it is not in the base, two new objects got one id.
@@ -57,7 +57,8 @@ function mergeLists(lists, keyOf) {
   for (const key of new Set([...theirs.keys(), ...mine.keys()])) {
     const [old, my, their] = [base, mine, theirs].map((items) => items.get(key));
     let kept = [their, my];
-    if (same(my, old) || same(my, their)) kept = [their];
+    if (same(my, their)) kept = [my]; // with what is known here of its outlines
+    else if (same(my, old)) kept = [their];
     else if (same(their, old)) kept = [my];
     const [first, double] = kept.filter(Boolean);
     if (first) merged.push(first);

@@ -12,21 +12,33 @@ const POLL = 500;
 const HEADS = ["clip", "frames", "objects", "assigned to", "state", "set by", "in doubt", "minutes", "saved"];
 
 /** Open a clip, or report why it cannot be opened. */
-export async function openClip(name, remember = "pushState") {
+export async function openClip(name, remember = "pushState", leaving = false) {
   try {
-    await flush(); // what cannot be saved of the present clip stays in this browser
+    await flush();
     const clip = await ask(name);
+    await flush(); // what was drawn meanwhile
+    if (saver.pending && !leaving) return stay(name, remember);
     history[remember](null, "", `?clip=${encodeURIComponent(name)}`);
     stop();
     saver.base = undefined;
+    close(); // what a dialogue is about is of the clip before
     begin(clip, { work: clip.work, doc: clip.annotation, view: fit(clip.image_size) });
     byId("stage").focus({ preventScroll: true });
     await startFrom(name, clip.annotation);
-    attempt(() => loadTracks(clip).then(() => proposeBuilt(clip)));
+    return attempt(() => loadTracks(clip).then(() => proposeBuilt(clip)));
   } catch (error) {
     const again = button("Try again", () => (close(), openClip(name, remember)));
-    open("The clip cannot be opened", paragraph(error.message), row(again, button("Close", close)));
+    return open("The clip cannot be opened", paragraph(error.message),
+      row(again, button("Other clips", clips), button("Close", close)));
   }
+}
+
+/** Ask before a clip is left that cannot be saved. */
+function stay(name, remember) {
+  if (remember === "replaceState") history.pushState(null, "", `?clip=${encodeURIComponent(saver.clip)}`); // Back was pressed
+  const go = button("Leave it", () => (close(), openClip(name, remember, true)));
+  open("Not saved", paragraph(`The edits of ${saver.clip} could not be saved. They stay in this browser, and are saved `
+    + "when the clip is opened here again."), row(button("Stay here", close, "primary"), go));
 }
 
 export async function openNext(by) {
@@ -69,7 +81,7 @@ async function setWork(name, wanted) {
   const by = yourName() || await askName();
   if (!by) return;
   const { work } = await ask(name, "state", { ...wanted, by }, { method: "PUT" });
-  if (name === state.clip.name) set({ work });
+  if (name === state.clip?.name) set({ work });
   await refresh();
 }
 
@@ -117,9 +129,11 @@ const filter = element("input", {
 
 export function clips() {
   const rename = button(`You: ${yourName() || "?"}`, askName, "", {
-    title: "Whose name is kept with the states that you set", disabled: Boolean(state.clip.annotator),
+    title: "Whose name is kept with the states that you set", disabled: Boolean(state.clip?.annotator),
   });
-  const team = element("datalist", { id: "team" }, state.clip.team.map((value) => element("option", { value })));
+  const names = state.clip?.team ?? []; // without a clip the first one cannot be opened
+  const team = element("datalist", { id: "team" }, names.map((value) => element("option", { value })));
+  if (!state.summaries) refresh();
   open("Clips", filter, body, team, row(button("Close", close), rename));
   drawClips();
   body.querySelector("[aria-current=true]")?.focus();
@@ -142,7 +156,7 @@ function drawClips() {
 function total(summaries) {
   const counting = summaries.filter((summary) => summary.counting).length;
   const states = Map.groupBy(summaries, (summary) => stateOf(summary).now);
-  const counts = state.clip.states.map((name) => `${states.get(name)?.length ?? 0} ${name}`).join(", ");
+  const counts = (state.clip?.states ?? [...states.keys()]).map((name) => `${states.get(name)?.length ?? 0} ${name}`).join(", ");
   return element("p", { role: "status" }, `${summaries.length} clips: ${counts}.`
     + (counting ? ` Counting ${counting} more…` : ""));
 }
@@ -172,7 +186,7 @@ function assignment({ name, work }) {
 function cells(summary) {
   const { name, n_frames, objects = "", revision, counts, weak, error } = summary;
   const go = button(name, () => (close(), openClip(name)), "",
-    { "data-clip": name, ariaCurrent: name === state.clip.name });
+    { "data-clip": name, ariaCurrent: name === state.clip?.name });
   const { now, detail } = stateOf(summary);
   let hint = counts ? doubtOf(counts, weak) : "";
   if (error) hint = element("span", { className: "bad" }, error);

@@ -68,7 +68,8 @@ const start = (proposer) =>
 
 /** Show what was proposed while the clip was built, where nobody has drawn anything yet. */
 export function proposeBuilt(clip) {
-  const untouched = clip === state.clip && !state.doc.revision && !state.doc.objects.length && !byId("dialog").open;
+  const untouched = clip === state.clip && !state.doc.revision && !state.doc.objects.length && !state.pending
+    && !byId("dialog").open;
   if (untouched && clip.proposers.built === "") start("built");
 }
 
@@ -173,7 +174,10 @@ function decide(found, again, more = []) {
   const used = nextMotion(doc) - 1;
   const ownMotion = (item) => ({ ...item, motion: item.motion >= 1 ? item.motion + used : item.motion });
   const add = () => objects.map(ownMotion).reduce(addObject, doc);
-  const replace = () => ({ ...doc, objects, marks: [] });
+  const replace = () => {
+    set({ unseen: new Set(), locked: new Set() }); // by their numbers, which others have now
+    return { ...doc, objects, marks: [] };
+  };
   const drawn = doc.objects.length + (doc.marks?.length ?? 0);
   const choose = drawn
     ? [settled("Add to what is drawn", add, "primary"), settled(`Replace what is drawn (${drawn})`, replace)]
@@ -194,7 +198,7 @@ export function compare() {
     return inform("Compare", "Start kt3dmoseg label with --compare FOLDER, the folder of the other annotator's files.");
   }
   return work("Two annotators", "Comparing…", "compare", state.doc, (found) => {
-    set({ compared: { ...found, at: null, settled: [] }, proposals: null, review: null });
+    set({ compared: { ...found, at: null, settled: [], motions: new Map() }, proposals: null, review: null });
     list();
   });
 }
@@ -234,8 +238,10 @@ function withTheirs({ first_id: mine, second_id: theirs, motion }) {
   const { doc, compared } = state;
   const own = objectOf(doc, mine);
   if (theirs === null) return { ...doc, objects: doc.objects.filter((item) => item !== own) };
-  const { kind, key_frames, ...other } = compared.theirs.find((item) => item.id === theirs);
-  const taken = { kind, key_frames, motion: motion ?? nextMotion(doc) };
+  const { kind, key_frames, motion: number, ...other } = compared.theirs.find((item) => item.id === theirs);
+  // Two objects of one motion stay of one.
+  compared.motions.set(number, motion ?? compared.motions.get(number) ?? nextMotion(doc));
+  const taken = { kind, key_frames, motion: compared.motions.get(number) };
   return own ? changeObject(doc, mine, taken) : addObject(doc, { ...other, ...taken });
 }
 

@@ -4,7 +4,7 @@ import * as actions from "./actions.js";
 import { clips, openNext } from "./clips.js";
 import { button, byId, close, element, fill, open, row, walk } from "./dom.js";
 import { compare, exchange, nextDifference, propose, skip } from "./exchange.js";
-import { at } from "./pointer.js";
+import { at, isDragging } from "./pointer.js";
 import { flush } from "./saving.js";
 import { attempt, redo, select, selectedObject, state, toggleObject, undo } from "./state.js";
 import { zoomTimeline } from "./panel.js";
@@ -137,7 +137,7 @@ function help() {
 export function press(name) {
   const entry = TABLE.get(name);
   if (!entry || !state.doc) return false;
-  if (state.dragging && name !== "Escape") return true; // nothing else changes under the pointer
+  if ((state.dragging || isDragging()) && name !== "Escape") return true; // nothing else changes under the pointer
   attempt(() => entry.run(name));
   return true;
 }

@@ -75,7 +75,8 @@ function drawProperties() {
 function change({ target }) {
   const { name } = target;
   const value = target.value.trim();
-  if (value !== (shown[name] ?? "") && (value || name !== "name")) update(shown, { [name]: value });
+  const { id } = state.doc.objects.find((item) => item.key_frames === shown.key_frames) ?? shown; // merging renumbers
+  if (value !== (shown[name] ?? "") && (value || name !== "name")) update({ id }, { [name]: value });
   if (target.matches("select") && byPointer) target.blur(); // typed letters go on choosing
 }
 
@@ -303,6 +304,7 @@ function writeText() {
   if (doc && !dragging) fill(byId("timeline-text"), doc.objects.map((item) => element("li", {}, sentence(item))));
 }
 
+addEventListener("keydown", ({ key }) => key === "Escape" && (drag = null), true);
 Object.assign(canvas, { onpointerdown: down, onpointermove: move, onpointerup: up, onpointercancel: up });
 canvas.addEventListener("wheel", wheel, { passive: false });
 now(["frame"], follow);

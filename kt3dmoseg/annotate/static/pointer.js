@@ -16,6 +16,10 @@ const PINCH = 0.01;
 const stage = byId("stage");
 let drag = null;
 
+/** Whether something is being dragged, drawn or painted. */
+export const isDragging = () => drag !== null;
+addEventListener("keydown", ({ key }) => key === "Escape" && (drag = null), true); // what it did so far is taken back
+
 /** Where an event is, on the screen and on the image. */
 export function at(event) {
   const box = stage.getBoundingClientRect();
@@ -180,7 +184,8 @@ function doubleClick(event) {
 /** The right button takes back a point while drawing, deletes one under it, and else opens the menu. */
 function removeVertex(event) {
   if (!state.view) return;
-  const found = selectedObject() && !state.pending && event.pointerType !== ""
+  const shown = !state.hidden && !state.unseen.has(state.selected);
+  const found = selectedObject() && shown && !state.pending && event.pointerType !== ""
     && nearestVertex(at(event).point, actions.regionHere().polygons, REACH / state.view.scale);
   if (found) actions.deleteVertex(found);
   else if (state.pending) actions.takeBackPoint();

@@ -7,9 +7,10 @@ import { edit, now, on, notify, select, set, state } from "./state.js";
 
 const SOON = 350;
 const TRIES = 5;
-// The server is asked this often whether it is there and can save, and given this long to answer.
+// The server is asked this often whether it is there and can save, and given this long to answer, and to save.
 const PULSE = 2000;
 const PATIENCE = 3000;
+const SAVING = 30000;
 const AWAY = "The server does not answer";
 const TEXT = {
   saved: ({ revision }) => (revision ? `✓ saved · rev ${revision}` : "no edits yet · rev 0"),
@@ -47,8 +48,13 @@ export const saver = {
   clip: null,
   base: undefined,
   revision: 0,
-  get pending() {
+  /** Whether there are edits since then. */
+  get edited() {
     return this.base !== undefined && state.doc !== this.base;
+  },
+  /** Whether it may have something else than is seen here: while edits are on their way, too. */
+  get pending() {
+    return this.edited || (this.base !== undefined && sending !== null);
   },
 };
 
@@ -62,13 +68,13 @@ export async function startFrom(clip, doc) {
   Object.assign(saver, { clip, base: doc, revision: doc.revision });
   show("saved");
   for (const draft of await recover(clip)) {
-    edit(draft.base.revision === doc.revision ? draft.doc : merge(draft.base, draft.doc, state.doc).doc);
+    edit(merge(draft.base, draft.doc, state.doc).doc);
     notify("Edits that had not reached the server are restored");
   }
 }
 
 /** Whose work this is: who has the token or was named on the command line, else whom this browser keeps. */
-export const yourName = () => state.clip.annotator || localStorage.getItem("annotator") || "";
+export const yourName = () => state.clip?.annotator || localStorage.getItem("annotator") || "";
 
 /** Save now. What is on its way was taken before the last edits: it is awaited, then these are sent. */
 export async function flush() {
@@ -103,15 +109,16 @@ async function send() {
   if (state.saving.kind !== "offline") show("busy");
   try {
     const mine = { ...doc, revision, annotator: yourName() || doc.annotator };
-    const answer = await ask(clip, "annotation", mine, { method: "PUT" });
+    const answer = await ask(clip, "annotation", mine, { method: "PUT", signal: AbortSignal.timeout(SAVING) });
     if (clip !== saver.clip) return;
     Object.assign(saver, { base: doc, revision: answer.revision });
-    if (saver.pending) schedule(SOON);
+    if (saver.edited) schedule(SOON);
     else dropDraft();
-    show(saver.pending ? "unsaved" : "saved");
+    show(saver.edited ? "unsaved" : "saved");
   } catch ({ status, body, offline, message }) {
     if (clip !== saver.clip) return;
-    if (status !== 412) show(offline || status >= 500 ? "offline" : "failed", offline ? "" : message);
+    // Without a status there was no answer, or half of one.
+    if (status !== 412) show(!status || status >= 500 ? "offline" : "failed", offline || !status ? "" : message);
     else if (state.dragging) schedule(SOON);
     else join(body.annotation);
   }
@@ -120,11 +127,12 @@ async function send() {
 /** Somebody else saved in between: what both drew is kept, and undo still takes back one's own edits only. */
 export function join(theirs) {
   const { base } = saver;
-  const { doc, moved } = saver.pending ? merge(base, state.doc, theirs) : { doc: theirs, moved: new Map() };
+  const { doc, moved } = saver.edited ? merge(base, state.doc, theirs) : { doc: theirs, moved: new Map() };
   const twice = [...moved.values()].map((id) => objectOf(doc, id).name);
-  const rebased = (before) => merge(base, before, theirs).doc;
+  const rebased = (before) => merge(base, before, theirs, moved).doc;
   Object.assign(saver, { base: theirs, revision: theirs.revision });
-  set({ doc, done: state.done.map(rebased), undone: state.undone.map(rebased) });
+  const making = moved.get(state.making) ?? state.making;
+  set({ doc, making, done: state.done.map(rebased), undone: state.undone.map(rebased) });
   if (moved.has(state.selected)) select(moved.get(state.selected));
   notify(`${theirs.annotator || "Somebody else"} saved meanwhile: both are merged`
     + (twice.length ? `; kept under new numbers: ${twice.join(", ")}` : ""));
@@ -153,7 +161,7 @@ function drawBanner() {
     return;
   }
   let kept = "Everything before is saved; what you edit now is kept in this browser.";
-  if (saver.pending) {
+  if (saver.edited) {
     const [mine, saved] = [new Set(doc.objects), new Set(saver.base.objects)];
     const names = [...new Set([...mine.symmetricDifference(saved)].map((item) => item.name))];
     kept = `Not saved, kept in this ${draftKept ? "browser" : "page only, do not close it"}: `
@@ -167,10 +175,17 @@ function drawBanner() {
 // Drafts: edits that the server does not have yet, so that closing the browser loses nothing. Each tab has
 // its own draft, and holds a lock while it lives, so that others leave its draft alone.
 
-const tab = (sessionStorage.tab ??= crypto.getRandomValues(new Uint32Array(4)).join("-"));
 const keyOf = (clip, owner) => `draft:${clip}:${owner}`;
 
-navigator.locks?.request(`tab:${tab}`, { ifAvailable: true }, () => new Promise(() => {}));
+let tab = "";
+
+function claim(name) {
+  sessionStorage.tab = tab = name ?? crypto.getRandomValues(new Uint32Array(4)).join("-");
+  // A tab that was duplicated has the name of the other.
+  navigator.locks?.request(`tab:${tab}`, { ifAvailable: true }, (lock) => (lock ? new Promise(() => {}) : claim()));
+}
+
+claim(sessionStorage.tab);
 
 function keepDraft() {
   const { clip, base } = saver;
@@ -189,11 +204,24 @@ async function recover(clip) {
   const held = (await navigator.locks?.query())?.held?.map((lock) => lock.name) ?? [];
   const start = keyOf(clip, "");
   const free = (key) => key === keyOf(clip, tab) || !held.includes(`tab:${key.slice(start.length)}`);
-  return Object.keys(localStorage).filter((key) => key.startsWith(start) && free(key)).map((key) => {
-    const draft = JSON.parse(localStorage.getItem(key));
-    localStorage.removeItem(key);
-    return draft;
+  return Object.keys(localStorage).filter((key) => key.startsWith(start) && free(key)).flatMap((key) => {
+    const draft = draftOf(localStorage.getItem(key));
+    if (draft) localStorage.removeItem(key);
+    return draft ?? [];
   });
+}
+
+/** A draft as it was kept; null for one that is damaged, or of other frames than this clip has now. */
+function draftOf(text) {
+  const { n_frames, image_size } = state.doc;
+  try {
+    const { base, doc } = JSON.parse(text);
+    const fits = [base, doc].every((each) => Array.isArray(each.objects) && each.n_frames === n_frames
+      && `${each.image_size}` === `${image_size}`);
+    return fits ? { base, doc } : null;
+  } catch {
+    return null;
+  }
 }
 
 now(["doc", "dragging"], documentChanged);

@@ -2,11 +2,12 @@
 
 import { keyAt, objectOf } from "./annotation.js";
 
-// What every clip begins with. `dragging` is the document from before what is being dragged.
+// What every clip begins with. `dragging` is the document from before what is being dragged, `carried` the one that
+// regions are of.
 const FRESH = {
   doc: null, frame: 0, selected: null, vertex: null, tool: "select", pending: null, lassoed: null, cross: null,
-  pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, moving: null, view: null,
-  computing: "loading", proposals: null, review: null, compared: null, dragging: null, making: false,
+  pointer: null, hovered: null, tracks: null, labels: null, regions: null, weak: null, carried: null, moving: null, view: null,
+  computing: "loading", proposals: null, review: null, compared: null, dragging: null, making: null,
   span: null, flickered: null, playing: false, hint: "", scrolled: 0, done: [], undone: [],
   unseen: new Set(), locked: new Set(), brightness: 1, contrast: 1, brush: 8,
 };
@@ -117,8 +118,14 @@ export function select(id) {
   if (id !== state.selected) set({ selected: id, vertex: null });
 }
 
+/** The server's regions, where they are of this object and not of one that had its number. */
+function regionsOf({ id, key_frames }) {
+  const known = state.carried && objectOf(state.carried, id);
+  return known?.key_frames.some((key) => key_frames.includes(key)) ? state.regions : null;
+}
+
 /** The region of an object in a frame: the document's where a person drew it, else the server's. */
-export function regionOf(item, frame, regions = state.regions) {
+export function regionOf(item, frame, regions = regionsOf(item)) {
   const key = keyAt(item, frame);
   const found = regions?.[item.id]?.[frame];
   if (!key && found && !found.key) return found;

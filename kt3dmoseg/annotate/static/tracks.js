@@ -41,6 +41,7 @@ function progressText({ error, done, total }) {
 }
 
 let timer = 0;
+let missed = false; // what the server should have answered
 let controller = new AbortController();
 
 function labelSoon() {
@@ -55,15 +56,17 @@ async function label() {
   controller = new AbortController();
   const { signal } = controller;
   const { clip, doc } = state;
+  missed = false;
   try {
     // Regions first: they take a fraction of the time, and the next frame waits for them.
     for (const what of ["regions", "labels"]) {
       const { regions, weak, ...labels } = await ask(clip.name, what, doc, { signal });
       if (clip !== state.clip || signal.aborted) return;
-      if (regions) set({ regions, weak });
+      if (regions) set({ regions, weak, carried: doc });
       else if (labels.label) set({ labels });
     }
   } catch ({ status }) {
+    missed = !signal.aborted;
     // Offline or refused: saving reports it; the last labels stay. After a restart the server needs a while.
     if (status === 202 && !signal.aborted) timer = setTimeout(label, POLL);
   }
@@ -217,6 +220,7 @@ function drawTrails(context, all, length, colour) {
 }
 
 now(["doc", "dragging", "tracks"], labelSoon);
+now(["saving"], () => missed && state.saving.kind === "saved" && labelSoon());
 now(["tracks", "labels", "colouring"], group);
 on(["tracks", "labels", "colouring", "frame", "view", "trails", "problems", "lassoed", "flickered", "resized"],
   drawTracks);

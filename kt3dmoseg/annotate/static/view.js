@@ -20,7 +20,9 @@ const canvas = byId("picture");
 // Frames
 
 export function goTo(frame) {
-  set({ frame: clamp(frame, 0, state.clip.n_frames - 1), vertex: null, lassoed: null });
+  const drawing = ["draw", "lasso"].includes(state.tool) && state.pending?.points.length;
+  if (drawing) return notify("An outline is of one frame: Enter ends it, Esc drops it");
+  return set({ frame: clamp(frame, 0, state.clip.n_frames - 1), vertex: null, lassoed: null });
 }
 
 /** Go to the frame of a number, as the files have it. */
