@@ -40,6 +40,7 @@ _FORMER = {"--set": "--parameter"}  # older names of flags, taken and not listed
 _RUNNING: list[cyclopts.App] = []  # the command that runs
 _EXTRAS = dict.fromkeys(("starlette", "uvicorn", "pycocotools"), "label")  # of modules that may be missing
 _EXTRAS["requests"] = "pull"
+_NOUNS: dict[object, str] = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _FOOTER = "Every command takes --help, --help-all and --config FILE (options in TOML, one table per command)."
 
 
@@ -163,7 +164,7 @@ def _row(entry: Any) -> str:  # noqa: ANN401
         labels += " {" + ",".join(entry.choices) + "}"
     elif entry.metavar and not entry.positional_label:
         labels += " " + {"STR": names[-1].strip("-").upper(), "FLOAT": "X"}.get(entry.metavar, entry.metavar)
-    text = entry.description.primary_renderable.plain.rstrip(".")
+    text = re.sub(r"(?<!\.)\.$", "", entry.description.primary_renderable.plain)
     text = text[:1].upper() + text[1:]
     if entry.default not in (None, '""', "None", "()"):
         text += f" (default: {entry.default})"
@@ -182,6 +183,8 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
     program = app.name[0]
     if sys.stdout is None:  # closed: writing fails, and no other file gets its number
         sys.stdout = open(os.devnull)  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):  # as standard error: a file's name may be no UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -292,6 +295,8 @@ def _without_config(words: list[str]) -> tuple[list[str], str]:
     file, *rest = words[at].split("=", 1)[1:] + words[at + 1 :] or [""]
     if not file:
         raise InvalidValueError("--config", expected="a TOML file", found="none")
+    if any(word.partition("=")[0] == "--config" for word in rest):
+        raise InvalidValueError("--config", expected="one file", found="more", fix="join them")
     return words[:at] + rest, file
 
 
@@ -324,20 +329,24 @@ def _mistake(error: cyclopts.CycloptsError) -> str:
     if isinstance(error, cyclopts.CoercionError) and error.token is not None:
         source, flag = error.token.source, error.token.keyword or "/".join(names)
         where = f"argument {flag}" if source == "cli" else f"{source}: {flag}"
-        choices = ", ".join(map(str, typing.get_args(error.target_type)))
-        noun = f"one of {choices}" if choices else "a number"
+        literal = typing.get_origin(error.target_type) is Literal
+        noun = _NOUNS.get(error.target_type, "a number or text")
+        if literal:
+            noun = f"one of {', '.join(map(str, typing.get_args(error.target_type)))}"
         return f"{where}: " + str(error.msg or f"expected {noun}, found {error.token.value!r}")
     return " ".join(str(error).split())
 
 
 def _unknown_option(error: cyclopts.UnknownOptionError) -> str:
     name = error.token.keyword or error.token.value
-    known = [name for argument in error.argument_collection for name in argument.names]
+    taken = (argument for argument in error.argument_collection if argument.parse)
+    known = [name for argument in taken for name in argument.names]
     known = [name for name in known if name.startswith("-") and name not in _FORMER]
     if error.token.source == "cli":
         return str(unknown_name("option", name.partition("=")[0], ["--help", *known]))
     keys = [name.removeprefix("--") for name in known if name.startswith("--")]
-    return str(unknown_name("option", name.strip("[]"), keys, where=error.token.source))
+    name = name.strip("[]").replace("][", ".")
+    return str(unknown_name("option", name, keys, where=error.token.source))
 
 
 def warn(text: str) -> None:

@@ -67,6 +67,8 @@ class Cut:
 
     def of(self, numbers: Sequence[int], where: str) -> Sequence[int]:
         """Return the numbers that are taken; InvalidValueError when they are fewer than two or not there."""
+        if len(numbers) < 2:
+            raise InvalidValueError(where, expected="at least two frames", found=f"{len(numbers)}")
         first = numbers[0] if self.first is None else self.first
         last = numbers[-1] if self.last is None else self.last
         if not numbers[0] <= first < last <= numbers[-1] or last - first < self.step:
@@ -123,7 +125,8 @@ class FrameFolder(FrameSource):
 
     @property
     def name(self) -> str:
-        return self.cut.title(self.folder.resolve().name)
+        folder = self.folder.absolute()  # a link has its own name, not its target's
+        return self.cut.title((folder.resolve() if folder.name == ".." else folder).name)
 
     @property
     def where(self) -> str:
@@ -289,7 +292,7 @@ def one_source(path: PathLike, **part: Any) -> FrameSource:  # noqa: ANN401
     """Return the only clip at a path; InvalidValueError when there are more, see `choose_sources`."""
     found = choose_sources(path, **part)
     if len(found) != 1:
-        names, fix = several(source.name for source in found), "build_dataset builds many"
+        names, fix = several(source.name for source in found), "give one of them"
         raise InvalidValueError(f"{path}", expected="one clip", found=f"{len(found)}: {names}", fix=fix)
     return found[0]
 
@@ -419,6 +422,9 @@ def take(
     wanted = _pair(size, "size", "x", "WIDTHxHEIGHT, as 640x192")
     if step < 1 or (wanted and min(wanted) < 1):
         raise InvalidValueError("step and size", expected="at least 1", found=f"{step}, {wanted}")
+    if wanted and wanted[0] * wanted[1] > images.MAX_PIXELS:
+        expected, found = f"at most {images.MAX_PIXELS} pixels", "{}x{}".format(*wanted)
+        raise InvalidValueError("size", expected=expected, found=found)
     if len(sources) > 1 and (frames or name):
         found, fix = f"{len(sources)}", "give the frames of one, or date=DATE and drive=NUMBER"
         raise InvalidValueError("range and name", expected="one source", found=found, fix=fix)

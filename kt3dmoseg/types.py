@@ -246,7 +246,7 @@ class Labels(Value):
             if not (number and isinstance(name, str)):
                 raise InvalidValueError("names", expected="{label: name}", found=f"{ {key: name}!r:.60}")
         names = MappingProxyType({int(key): name for key, name in self.names.items()})
-        self._set(label=frozen(raw, np.int64), names=names, background=background)
+        self._set(label=frozen(self.label, np.int64), names=names, background=background)
 
     def __repr__(self) -> str:
         return f"Labels({len(self)} of {self.n_motions} motions)"

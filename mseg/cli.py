@@ -252,6 +252,9 @@ def compare(
     paths = [first, *others]
     if data is None and not all(map(_is_scores, paths)):
         data = paths.pop()
+    if data is not None and paths and all(map(_is_scores, paths)):
+        fix = "compare the submissions, to score them again"
+        raise InvalidValueError("data", expected="none for files of scores", found=f"{data}", fix=fix)
     clips = load_clips(data) if data is not None else {}
     tables = [
         load_scores(path) if _is_scores(path) else score_submission(path, clips, benchmark=benchmark)
@@ -450,7 +453,7 @@ def check(
 
 
 def benchmark(
-    benchmark: Annotated[str, Parameter(help="Protocol: kt3dmoseg, hopkins155, hopkins12 or mtpv62.")],
+    benchmark: Annotated[str, Parameter(help="Protocol: kt3dmoseg, hopkins155, hopkins12, mtpv62 or synth.")],
     /,
     *,
     methods: Names = _PAPER,
@@ -477,10 +480,11 @@ def benchmark(
     from kt3dmoseg.files import check_target, check_writable, write_text
     from mseg.benchmark import run
 
-    for file in json or ():
+    for file in set(json or ()) - {"-"}:
         check_target(file)
-    if publish:
-        check_writable(publish)
+        check_writable(Path(file).parent)
+    for folder in filter(None, (publish, None if no_cache else cache, kernels)):
+        check_writable(folder)
     with app.progress_bar("task", quiet=quiet) as progress:
         result = run(
             benchmark,

@@ -14,7 +14,7 @@ from sklearn.utils.validation import validate_data
 
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Clip, IntArray, Trajectories
-from mseg.methods import segment
+from mseg.methods import create, segment
 from mseg.types import Method, Segmentation
 
 _SEEDS = 1 << 31
@@ -61,12 +61,15 @@ class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # sci
         generator = self.random_state
         if not isinstance(generator, (int, np.integer)):
             generator = check_random_state(generator).randint(_SEEDS)
+        method = self.method
+        if self.parameters is not None:
+            if not isinstance(method, str) or not isinstance(self.parameters, Mapping):
+                found = f"{self.parameters!r:.60} for {method!r:.40}"
+                expected = "a mapping, for a method given by name"
+                raise InvalidValueError("parameters", expected=expected, found=found)
+            method = create(method, **self.parameters)
         self.segmentation_: Segmentation = segment(
-            self._points(X),
-            self.method,
-            n_motions=self.n_motions,
-            seed=int(generator),
-            **(self.parameters or {}),
+            self._points(X), method, n_motions=self.n_motions, seed=int(generator)
         )
         groups = np.unique(self.segmentation_.labels, return_inverse=True)[1]
         self.labels_: IntArray = groups - bool((self.segmentation_.labels == 0).any())
@@ -75,6 +78,8 @@ class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # sci
     def _points(self, given: Any) -> Any:  # noqa: ANN401  # `segment` checks it
         if isinstance(given, (Clip, Trajectories)) or np.ndim(given) == 3:
             return given
+        if isinstance(given, np.ma.MaskedArray):
+            given = np.ma.filled(given.astype(np.float64), np.nan)
         least = {"ensure_min_samples": self.n_motions if isinstance(self.n_motions, int) else 1}
         table = validate_data(self, given, dtype=np.float64, ensure_all_finite="allow-nan", **least)
         if table.shape[1] % 2:

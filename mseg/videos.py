@@ -79,11 +79,12 @@ def video(
     from kt3dmoseg.frames import one_source
     from kt3dmoseg.io.formats import CLIP_SUFFIXES
     from kt3dmoseg.io.images import check_rate
-    from mseg.methods import create
+    from mseg.methods import check_whole, create
     from mseg.shots import clip_shot, segmented, tracked_shots, write_shot
 
     source, folder, say = Path(input), Path(output), report or (lambda line: print(line, flush=True))
     create(method)
+    check_whole("seed", seed, 0)
     if folder.is_dir() and any(folder.iterdir()):
         fix = "give another folder, or remove it"
         raise InputFileError(f"{folder}", expected="a new or empty folder", found="files", fix=fix)

@@ -77,18 +77,19 @@ class Agreement:
         return sorted(found, key=lambda group: -len(group[2]))
 
 
-def agree(a: npt.ArrayLike, b: npt.ArrayLike) -> Agreement:
+def agree(a: npt.ArrayLike, b: npt.ArrayLike, *, background: int | None = None) -> Agreement:
     """Compare two labellings (n,) of the same trajectories; 0 = unlabelled.
 
-    The motions of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955); label 1,
-    the background, is the same in both.
+    The labels of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955), but for that
+    of the `background`, if it is the same in both.
     Raises InvalidValueError when the lengths differ.
     """
     mine, other = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
     if mine.ndim != 1 or mine.shape != other.shape:
         found = f"{mine.shape} and {other.shape}"
         raise InvalidValueError("labels", expected="two vectors of one length", found=found)
-    matching = {1: 1} | match_labels(mine * (mine > 1), other * (other > 1))
+    moving = (np.where(labels == background, 0, labels) for labels in (mine, other))
+    matching = match_labels(*moving) | ({} if background is None else {background: background})
     spare = int(max(other.max(initial=0), mine.max(initial=0))) + 1
     names = {0: 0} | {label: spare + label for label in mine.tolist() if label} | matching
     return Agreement(np.array([names[label] for label in mine.tolist()], dtype=np.int64), other, matching)
@@ -230,7 +231,7 @@ def compare(
     mine, theirs = ({i for i, r in side.items() if any(map(_is_seen, r))} for side in regions)
     found += [(i, 0, 0.0) for i in sorted(mine - {i for i, _, _ in found})]
     found += [(0, j, 0.0) for j in sorted(theirs - {j for _, j, _ in found})]
-    compared = agree(*labels) if labels else None
+    compared = agree(*labels, background=1) if labels else None
     out = []
     for i, j, iou in found:
         a, b = one.get(i), two.get(j)

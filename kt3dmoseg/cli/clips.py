@@ -119,11 +119,13 @@ def build(
     interrupted build is finished by the same command. Exit code 2 when a clip failed, after the others are
     built.
     """
-    from kt3dmoseg.frames import choose_sources
+    from kt3dmoseg.frames import FrameFolder, choose_sources
     from kt3dmoseg.pipeline import build_dataset
 
     where: dict[str, Any] = {"date": date, "drive": drive, "camera": camera, "catalogs": catalogs}
     sources = choose_sources(frames, **where, frames=range_, step=step, size=size, name=name)
+    built = {output.resolve()} - {frames.resolve()}  # that an earlier build has put among the frames
+    sources = [s for s in sources if not (isinstance(s, FrameFolder) and s.folder.resolve() in built)]
     names = {source.name.lower() for source in sources}  # one of another case is refused, not passed over
     folder = _ANNOTATIONS if annotations in (None, Path("none")) else annotations
     if annotations is None or propose:  # proposals also go where there is no annotation yet

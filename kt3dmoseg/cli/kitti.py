@@ -52,7 +52,7 @@ def locate(
 
 
 def fetch_release(
-    *names: Annotated[str, Parameter(help="kt3dmoseg (default), hopkins155, hopkins12, mtpv62.")],
+    *names: Annotated[str, Parameter(help="Names: kt3dmoseg (default), hopkins155, hopkins12, mtpv62.")],
     output: Annotated[Root, Parameter(help="Folder to fill.")] = Path("data"),
     mirror: Annotated[
         Url | None, Parameter(help="Address of a folder with the same files, one sub-folder per name.")

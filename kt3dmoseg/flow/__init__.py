@@ -81,6 +81,8 @@ def check_frame(name: str, frame: ByteArray, first: tuple[int, ...] | None = Non
     if not isinstance(frame, np.ndarray) or frame.ndim != 2 or frame.dtype != np.uint8:
         found = f"{getattr(frame, 'dtype', type(frame).__name__)} of shape {np.shape(frame)}"
         raise InvalidValueError(name, expected="a gray frame, (H, W) uint8", found=found)
+    if np.ma.is_masked(frame):
+        raise InvalidValueError(name, expected="no masked pixels", found="some", fix="fill them first")
     size, fix = f"{frame.shape[1]}x{frame.shape[0]}", "enlarge it first"
     if min(frame.shape) < _MIN_SIDE:
         raise InvalidValueError(name, expected=f"sides of at least {_MIN_SIDE} pixels", found=size, fix=fix)

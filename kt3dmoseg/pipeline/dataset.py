@@ -182,6 +182,8 @@ def build_dataset(
         When the flow backend needs a package that is not installed.
     """
     settings = _Settings(options, flow_parameters, cache, shift, tracks is not None)
+    if shift is not None and masks is None:
+        raise InvalidValueError("shift", expected="masks, whose frame numbers it changes", found="none")
     sources = find_sources(frames) if isinstance(frames, (str, os.PathLike)) else list(frames)
     names = source_names(sources)
     labels = find_labels(names, annotations, masks)

@@ -21,6 +21,7 @@ from kt3dmoseg.flow import Flow, backend_identity, check_frame, flow_pair
 from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.frames import FrameSource, one_source
 from kt3dmoseg.io.images import Colour, read_frame
+from kt3dmoseg.matching import number_in
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking import TrackOptions
 from kt3dmoseg.tracking.linking import inside, new_seeds, step
@@ -215,13 +216,34 @@ def track_clip(
     )
 
 
+class _Order:
+    """Refuses paths in the order of their letters: frame1, frame10, frame2."""
+
+    last: Path | None = None
+    direction = 0
+
+    def check(self, path: Path) -> None:
+        last, self.last = self.last, path
+        now = number_in(path.name)
+        before = number_in(last.name) if last is not None and last.parent == path.parent else None
+        if now is None or before is None or last is None:
+            return
+        turn = (now > before) - (now < before)
+        self.direction = self.direction or turn
+        if not turn or turn != self.direction:
+            found, fix = f"{last.name} before {path.name}", "sort them by number, or give their folder"
+            raise InvalidValueError("frames", expected="frames in their order", found=found, fix=fix)
+
+
 def _gray_frames(items: Iterable[ByteArray | str | os.PathLike[str]], colour: Colour) -> Iterator[ByteArray]:
     first: tuple[int, ...] | None = None
-    number = 0
+    number, order = 0, _Order()
     for number, item in enumerate(items, start=1):
         name, frame = f"frame {number - 1}", item
         if isinstance(frame, (str, os.PathLike)):
-            name, frame = os.fspath(frame), read_frame(Path(frame), colour)
+            name = os.fspath(frame)
+            order.check(Path(name))
+            frame = read_frame(Path(name), colour)
         check_frame(name, frame, first)
         first = frame.shape
         yield frame

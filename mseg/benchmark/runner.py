@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import PathLike, check_writable, parse_json, read_bytes, write_text
+from kt3dmoseg.files import PathLike, check_writable, hold_folder, parse_json, read_bytes, write_text
 from kt3dmoseg.frames import recorded_inputs, recorded_source
 from kt3dmoseg.io import dataset_paths, load
 from kt3dmoseg.parallel import Cache, algorithm_version, cache_key, run_tasks
@@ -226,6 +226,9 @@ def predict(
     clips = load_clips(data)
     given = _given(clips, n_motions, number)
     runs = _Runs([configuration], clips, given, wanted, rows)
+    if folder.resolve() == Path(data).resolve():
+        fix = "write to another folder"
+        raise InvalidValueError(f"{folder}", expected="a folder of predictions", found="the data", fix=fix)
     check_writable(folder)
     values, layout = asdict(made), "seed-N" if len(wanted) > 1 else "flat"
     description = {
@@ -236,48 +239,53 @@ def predict(
         "layout": layout,
         "rows": rows,
     }
-    folders = [folder, *([Path(f"{folder}-all")] if rows == "all" else [])]
-    record = _open_record(folder, description)
+    with hold_folder(folder, alone="run"):
+        folders = [folder, *([Path(f"{folder}-all")] if rows == "all" else [])]
+        record = _open_record(folder, description)
 
-    def place(name: str, seed: int) -> str:
-        return name if layout == "flat" else f"seed-{seed}/{name}"
+        def place(name: str, seed: int) -> str:
+            return name if layout == "flat" else f"seed-{seed}/{name}"
 
-    # Files of an outcome, by its key: their names, with clip and seed.
-    files: dict[str, dict[str, tuple[str, int | None]]] = {}
-    for (_, name, seed), key in runs.keys.items():
-        files.setdefault(key, {})[place(name, seed)] = name, None if layout == "flat" else seed
-    _check_seeds(folder, wanted if layout != "flat" else ())
-    written = record["made"]  # file -> key of the outcome in it, seconds, notes
-    kept = {
-        key
-        for key, places in files.items()
-        if all(written.get(file, [""])[0] == key and _is_there(folders, *run) for file, run in places.items())
-    }
-    for key, outcome in runs.outcomes(kept, progress, workers=workers, dask=dask):
-        for file in files[key].keys() & written.keys():
-            del written[file]  # until it is written
+        # Files of an outcome, by its key: their names, with clip and seed.
+        files: dict[str, dict[str, tuple[str, int | None]]] = {}
+        for (_, name, seed), key in runs.keys.items():
+            files.setdefault(key, {})[place(name, seed)] = name, None if layout == "flat" else seed
+        _check_seeds(folder, wanted if layout != "flat" else ())
+        written = record["made"]  # file -> key of the outcome in it, seconds, notes
+        kept = {
+            key
+            for key, places in files.items()
+            if all(
+                written.get(file, [""])[0] == key and _is_there(folders, *run) for file, run in places.items()
+            )
+        }
+        for key, outcome in runs.outcomes(kept, progress, workers=workers, dask=dask):
+            for file in files[key].keys() & written.keys():
+                del written[file]  # until it is written
+                write_text(folder / _RECORD, json.dumps(record, indent=1))
+            for name, seed_of_file in files[key].values():
+                _write_outcome(folders, clips[name], outcome, seed_of_file)
+            if not np.isnan(outcome.seconds):  # else its workers died: the next run tries again
+                written |= {file: [key, outcome.seconds, outcome.notes] for file in files[key]}
             write_text(folder / _RECORD, json.dumps(record, indent=1))
-        for name, seed_of_file in files[key].values():
-            _write_outcome(folders, clips[name], outcome, seed_of_file)
-        if not np.isnan(outcome.seconds):  # else its workers died: the next run tries again
-            written |= {file: [key, outcome.seconds, outcome.notes] for file in files[key]}
-        write_text(folder / _RECORD, json.dumps(record, indent=1))
-    runs_made = {(name, seed): written.get(place(name, seed), ["", 0.0, ""]) for _, name, seed in runs.keys}
-    seconds = sum(each[1] for each in runs_made.values()) / len(wanted)
-    noted = {run: each[2] for run, each in runs_made.items()}
-    meta = evaluation.SubmissionMeta(
-        configuration.title,
-        authors=("mseg",),
-        n_motions_given=any(given.values()),  # those of clips with labels always are
-        hardware=f"{platform.machine()}, one core per clip",
-        seconds=round(seconds, 3),
-        baseline=method in BASELINES,
-        outliers=True,
-        fingerprints={name: evaluation.clip_checksum(clip) for name, clip in clips.items()},
-        parameters={name: str(value) for name, value in values.items()},
-        notes={name: text for name in clips if (text := _note(noted, name, wanted))},
-    )
-    evaluation.write_meta(folder, meta)
+        runs_made = {
+            (name, seed): written.get(place(name, seed), ["", 0.0, ""]) for _, name, seed in runs.keys
+        }
+        seconds = sum(each[1] for each in runs_made.values()) / len(wanted)
+        noted = {run: each[2] for run, each in runs_made.items()}
+        meta = evaluation.SubmissionMeta(
+            configuration.title,
+            authors=("mseg",),
+            n_motions_given=any(given.values()),  # those of clips with labels always are
+            hardware=f"{platform.machine()}, one core per clip",
+            seconds=round(seconds, 3),
+            baseline=method in BASELINES,
+            outliers=True,
+            fingerprints={name: evaluation.clip_checksum(clip) for name, clip in clips.items()},
+            parameters={name: str(value) for name, value in values.items()},
+            notes={name: text for name in clips if (text := _note(noted, name, wanted))},
+        )
+        evaluation.write_meta(folder, meta)
     failed = [path for path in prediction_files(folder) if path.suffix == FAILED]
     reasons = [f"{path.relative_to(folder)}: {path.read_text().strip()}" for path in failed]
     _check_success(f"{folder}", reasons, len(runs.keys))

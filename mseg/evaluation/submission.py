@@ -33,6 +33,7 @@ from kt3dmoseg.files import (
     atomic_path,
     check_writable,
     is_hidden,
+    one_line,
     parse_toml,
     read_bytes,
     sha256_arrays,
@@ -358,7 +359,8 @@ def read_submission(path: PathLike, *, most: int = MAX_ROWS) -> Submission:
         try:
             content = content_of(prefix + name)
         except KT3DMoSegError as error:
-            out.bad("unreadable", prefix + name, "a readable file", str(error), "make the archive again")
+            fix = "make the archive again" if root.is_file() else "check its permissions"
+            out.bad("unreadable", prefix + name, "a readable file", str(error), fix)
             continue
         digest.update(f"{name}\0{len(content)}\0".encode() + content)
         if place is not None:
@@ -374,6 +376,8 @@ def read_submission(path: PathLike, *, most: int = MAX_ROWS) -> Submission:
 
 def _files_of_folder(root: Path, out: Submission) -> tuple[list[str], Callable[[str], bytes]]:
     sizes: dict[str, int] = {}
+    with one_line(root):
+        list(root.iterdir())  # which rglob would take for empty where it may not be read
     for path in sorted(root.rglob("*")):
         name, status = path.relative_to(root).as_posix(), path.lstat()
         if is_hidden(name) or stat.S_ISDIR(status.st_mode):

@@ -226,6 +226,10 @@ def _trajectories(points: Any, visible: npt.ArrayLike | None) -> Trajectories:  
     if xy.ndim != 3 or xy.shape[2] != 2:
         raise InvalidValueError("xy", expected="shape (N, F, 2)", found=f"{xy.shape}")
     mask = np.asarray(np.isfinite(xy).all(axis=2) if visible is None else visible)
+    if np.ma.is_masked(visible):
+        raise InvalidValueError(
+            "visible", expected="no masked values", found="some", fix="give True or False"
+        )
     if not np.isin(mask, (0, 1)).all():
         raise InvalidValueError("visible", expected="True or False", found=f"values of type {mask.dtype}")
     seen: BoolArray = mask.astype(np.bool_)

@@ -220,3 +220,9 @@ def test_objects_are_paired_by_place_and_motion():
         "missed by B: far car",
         "another motion: walker / bike",
     ]
+
+
+def test_the_background_is_the_same_in_both_labellings():
+    found = agree([1] * 4 + [2] * 6, [1] * 4 + [1] * 5 + [2], background=1)
+    assert found.agreement == 0.5
+    assert found.matching == {1: 1, 2: 2}

@@ -1,0 +1,337 @@
+"""The labelling page when a key, a click or somebody else's work comes at an odd moment."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from labeller_page import CORNERS, Page, Server, stored
+
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, save_revision
+
+pytestmark = pytest.mark.browser
+
+THERE = [(200, 20), (260, 20), (260, 50)]
+THIRD = [(20, 150), (60, 150), (60, 180)]
+SEEN = "[...Array(6).keys()].map((f) => labeller.state.regions?.[1]?.[f]?.visibility).join(' ')"
+
+
+def hold(page, pattern):
+    """Let the answers to requests wait; the list that is returned gets them."""
+    held = []
+    page.tab.route(pattern, lambda route: held.append(route))  # builtins have no attributes
+    return held
+
+
+def let_go(page, pattern, held):
+    while not held:
+        page.tab.wait_for_timeout(20)
+    for route in held:
+        route.continue_()
+    page.tab.unroute(pattern)
+
+
+def named(page):
+    return [(item["name"], item["motion"]) for item in page.objects()]
+
+
+def halfway(page, start, stop):
+    page.tab.mouse.move(*page.at(start))
+    page.tab.mouse.down()
+    page.tab.mouse.move(*page.at(stop), steps=4)
+
+
+def go_on(page, stop):
+    page.tab.mouse.move(*page.at(stop), steps=4)
+    page.tab.mouse.up()
+
+
+@pytest.mark.parametrize("keys", [["Shift+P"], ["Escape", "Shift+O"], ["Escape", "n"], []], ids=str)
+def test_escape_takes_back_what_the_pointer_began(page, keys):
+    page.draw()
+    before = page.objects()
+    page.press(*keys)
+    halfway(page, (140, 130), (170, 150))
+    page.press("Escape")
+    go_on(page, (180, 160))
+    assert page.objects() == before
+    assert page.value(
+        "labeller.state.tool === 'select' && !labeller.state.pending && !labeller.state.dragging"
+    )
+
+
+def test_escape_puts_a_key_frame_on_the_timeline_back(page):
+    page.press("ArrowRight", "ArrowRight", "ArrowRight")
+    page.draw()
+    box = page.box("#timeline")
+    y, column = box["y"] + 39, box["width"] / 6
+    page.tab.mouse.move(box["x"] + 3.5 * column, y)
+    page.tab.mouse.down()
+    page.tab.mouse.move(box["x"] + 1.5 * column, y, steps=4)
+    page.until("labeller.state.dragging")
+    page.press("Escape")
+    page.tab.mouse.move(box["x"] + 1.4 * column, y, steps=2)
+    page.tab.mouse.up()
+    assert [key["frame"] for key in page.objects()[0]["key_frames"]] == [3]
+
+
+def test_keys_do_nothing_in_the_middle_of_a_stroke_and_an_outline_stays_in_its_frame(page):
+    page.draw()
+    page.press("Shift+P")
+    halfway(page, (140, 100), (150, 100))
+    page.press("ArrowRight")
+    go_on(page, (160, 100))
+    page.until("labeller.state.doc.objects[0].key_frames[0].polygons[0].length > 4")
+    page.press("Escape", "Escape", "n")
+    for corner in THERE:
+        page.click(corner)
+    page.press("ArrowRight")
+    page.shows("#hint", "An outline is of one frame")
+    page.press("Enter")
+    assert [[key["frame"] for key in item["key_frames"]] for item in page.objects()] == [[0], [0]]
+
+
+@pytest.mark.parametrize(
+    ("key", "seen"),
+    [
+        ("Delete", "visible outside visible visible visible visible"),
+        ("o", "visible occluded occluded visible visible visible"),
+        ("e", "visible outside outside visible visible visible"),
+    ],
+)
+def test_before_the_first_key_frame_the_frames_before_stay_as_they_are(page, key, seen):
+    page.press("ArrowRight", "ArrowRight", "ArrowRight")
+    page.draw()
+    page.press("Home", "ArrowRight", key)
+    page.until(f"{SEEN} === '{seen}'")
+
+
+def test_not_in_this_frame_leaves_the_next_that_was_outlined_by_itself(page):
+    page.press("Shift+O")
+    page.click((250, 50))
+    page.until("labeller.state.doc.objects[0]?.key_frames.length === 6 && !labeller.state.making")
+    page.press("Escape", "ArrowRight", "ArrowRight")
+    page.tab.locator(".entry .object").click()
+    page.press("Delete")
+    page.until(f"{SEEN} === 'visible visible outside visible visible visible'")
+    page.until("!labeller.state.making")
+
+
+def test_clicks_belong_to_what_was_selected_when_they_were_made(page):
+    held = hold(page, "**/outline")
+    page.press("Shift+O")
+    page.click((100, 100))
+    page.press("Enter")
+    page.click((250, 50))
+    page.until("labeller.state.selected === null")
+    let_go(page, "**/outline", held)
+    page.until("labeller.state.doc.objects.length === 2 && !labeller.state.making")
+    first, second = ([x for x, _ in item["key_frames"][0]["polygons"][0]] for item in page.objects())
+    assert max(first) < 200 < min(second)
+
+
+def test_a_stroke_is_not_painted_on_another_object(page):
+    page.draw()
+    page.press("Escape")
+    page.draw(THERE)
+    before = page.objects()
+    held = hold(page, "**/paint")
+    page.tab.locator(".entry .object").first.click()
+    page.press("Shift+P")
+    page.drag((100, 100), (150, 100))
+    page.drag((100, 110), (150, 110))
+    page.tab.locator(".entry .object").last.click()
+    let_go(page, "**/paint", held)
+    page.shows("#hint", "Another object was selected meanwhile")
+    assert page.objects()[1] == before[1]
+
+
+def test_undo_while_a_save_is_on_its_way_is_not_called_saved(page, shared):
+    held = hold(page, "**/annotation")
+    page.draw()
+    page.until("labeller.state.saving.kind === 'busy'")
+    page.press("Control+z")
+    page.until("labeller.state.doc.objects.length === 0")
+    assert page.value("labeller.saver.pending")
+    assert "saved" not in page.tab.locator("#saved").inner_text()
+    assert page.value("Object.keys(localStorage).some((key) => key.startsWith('draft:one'))")
+    let_go(page, "**/annotation", held)
+    assert page.saved() == 2
+    assert not stored(shared).objects
+
+
+def test_a_name_that_is_typed_while_a_merge_comes_goes_to_its_object(context, shared):
+    ada, bo = Page(context, shared.address), Page(context, shared.address)
+    bo.draw(THERE)
+    bo.saved()
+    held = hold(ada, "**/annotation")
+    ada.draw()
+    ada.until("labeller.state.saving.kind === 'busy'")
+    name = ada.tab.locator("[name=name]")
+    name.click()
+    name.fill("my van")
+    let_go(ada, "**/annotation", held)
+    ada.until("labeller.state.doc.objects.length === 2")
+    ada.press("Enter")
+    ada.saved()
+    assert [item.name for item in stored(shared).objects] == ["object 1", "my van"]
+    assert ada.errors == bo.errors == []
+
+
+def test_undo_after_a_merge_makes_no_objects(context, shared):
+    ada = Page(context, shared.address)
+    ada.draw()
+    ada.press("4")
+    ada.saved()
+    bo = Page(context, shared.address)
+    bo.tab.locator(".entry .object").click()
+    name = bo.tab.locator("[name=name]")
+    name.fill("van")
+    name.blur()
+    bo.saved()
+    ada.draw(THERE)
+    ada.saved()
+    assert named(ada) == [("van", 4), ("object 2", 5)]
+    for _ in range(3):
+        ada.press("Control+z")
+        assert named(ada) == [("van", 4)]
+    ada.saved()
+    assert ada.errors == bo.errors == []
+
+
+def test_an_edit_made_while_the_next_clip_is_opened_is_saved(page, shared):
+    held = hold(page, "**/api/clips/two")
+    page.press("PageDown")
+    page.until("!labeller.state.playing")
+    page.draw()
+    let_go(page, "**/api/clips/two", held)
+    page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
+    assert len(stored(shared).objects) == 1
+
+
+def test_a_clip_that_cannot_be_saved_is_left_only_when_asked(page, shared):
+    page.tab.route("**/annotation", lambda route: route.fulfill(status=507, json={"error": "disk full"}))
+    page.draw()
+    page.press("PageDown")
+    page.shows("dialog", "could not be saved")
+    page.tab.get_by_role("button", name="Stay here").click()
+    assert page.value("labeller.state.clip.name") == "one"
+    page.press("PageDown")
+    page.tab.get_by_role("button", name="Leave it").click()
+    page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
+    page.tab.unroute("**/annotation")
+    page.press("PageUp")
+    page.until("labeller.state.clip.name === 'one' && labeller.state.doc.objects.length === 1")
+    page.saved()
+    assert len(stored(shared).objects) == 1
+
+
+def test_edits_of_two_tabs_that_were_closed_are_both_restored(context, clips, server):
+    pages = [Page(context, server.address) for _ in range(2)]
+    server.stop(signal.SIGKILL)
+    for page, corners in zip(pages, (THERE, THIRD), strict=True):
+        page.draw(corners)
+        page.until("labeller.state.saving.kind === 'offline'")
+        page.tab.close()
+    again = Server(clips, server.notes, server.port)
+    try:
+        page = Page(context, again.address)
+        page.until("labeller.state.doc.objects.length === 2")
+        page.saved()
+        assert len(stored(server).objects) == 2
+    finally:
+        again.stop(signal.SIGKILL)
+
+
+def test_a_damaged_draft_or_one_of_other_frames_keeps_nobody_out(page):
+    page.draw()
+    page.saved()
+    other = "{ ...labeller.state.doc, n_frames: 9, objects: [] }"
+    page.value("localStorage.setItem('draft:one:gone', '{')")
+    page.value(f"localStorage.setItem('draft:one:older', JSON.stringify({{ base: {other}, doc: {other} }}))")
+    page.tab.reload()
+    page.ready()
+    assert len(page.objects()) == 1
+    assert not page.tab.locator("dialog[open]").count()
+    assert page.value("Object.keys(localStorage).filter((key) => key.startsWith('draft:')).length") == 2
+    page.value("localStorage.clear()")
+
+
+def test_going_back_closes_the_dialogue_of_the_clip_that_is_left(page):
+    page.press("PageDown")
+    page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
+    held = hold(page, "**/proposals/*")
+    page.press("s")
+    page.tab.get_by_role("button", name="mseg").click()
+    page.shows("dialog", "Asking mseg")
+    page.tab.go_back()
+    page.until("labeller.state.clip.name === 'one' && labeller.state.labels")
+    assert not page.tab.locator("dialog[open]").count()
+    let_go(page, "**/proposals/*", held)
+    page.press("ArrowRight")
+    page.until("labeller.state.frame === 1")
+    assert page.value("labeller.state.review") is None
+
+
+def test_a_copy_waits_for_the_region_of_the_outline_that_is_there_now(page):
+    page.draw()
+    page.until("labeller.state.carried === labeller.state.doc")
+    held = hold(page, "**/regions")
+    page.drag((100, 100), (100, 120))
+    page.press("c")
+    page.shows("#hint", "It is being carried there")
+    assert len(page.objects()[0]["key_frames"]) == 1
+    let_go(page, "**/regions", held)
+    page.until("labeller.state.carried === labeller.state.doc")
+    page.press("c")
+    page.until("labeller.state.doc.objects[0].key_frames.length === 2")
+    lowest = max(y for _, y in page.objects()[0]["key_frames"][1]["polygons"][0])
+    assert lowest > CORNERS[2][1] + 10
+
+
+def test_a_deleted_object_leaves_nothing_to_the_next_of_its_number(page):
+    page.draw()
+    page.until("labeller.state.carried === labeller.state.doc")
+    hold(page, "**/regions")
+    page.press("Shift+Delete")
+    page.draw(THERE)
+    page.press("c")
+    page.press("ArrowRight")
+    keys = page.objects()[0]["key_frames"]
+    assert all(min(x for x, _ in key["polygons"][0]) >= 199 for key in keys)
+    page.tab.unroute("**/regions")
+
+
+def test_two_objects_of_one_motion_stay_of_one_when_they_are_taken(context, clips, tmp_path):
+    def drawn(number, name, motion, corners):
+        return AnnotatedObject(number, name, "car", motion, (KeyFrame(0, polygons=(tuple(corners),)),))
+
+    theirs = (drawn(1, "tractor", 2, THERE), drawn(2, "trailer", 2, THIRD))
+    save_revision(tmp_path / "other" / "one.json", Annotation("one", (320, 200), 6, theirs, annotator="B"))
+    server = Server(clips, tmp_path / "notes", 0, "--compare", str(tmp_path / "other"))
+    try:
+        page = Page(context, server.address)
+        page.press("m")
+        page.tab.locator("dialog td button").first.click()
+        for number in (1, 2):
+            page.shows("#differences", f"{number} of ")
+            page.tab.get_by_role("button", name="Take theirs").click()
+        page.until("labeller.state.doc.objects.length === 2")
+        assert [motion for _, motion in named(page)] == [1, 1]
+    finally:
+        server.stop(signal.SIGKILL)
+
+
+def test_the_other_clips_are_at_hand_when_the_first_cannot_be_read(context, clips, tmp_path):
+    notes = tmp_path / "notes"
+    notes.mkdir()
+    (notes / "one.json").write_text('{"clip": "o')
+    server = Server(clips, notes)
+    try:
+        tab = context.new_page()
+        tab.goto(server.address)
+        tab.get_by_role("button", name="Other clips").click()
+        tab.locator("[data-clip=two]").click()
+        tab.wait_for_url("**/*clip=two*")
+    finally:
+        server.stop(signal.SIGKILL)
