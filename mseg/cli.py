@@ -252,10 +252,10 @@ def compare(
     paths = [first, *others]
     if data is None and not all(map(_is_scores, paths)):
         data = paths.pop()
-    if data is not None and paths and all(map(_is_scores, paths)):
+    clips = load_clips(data) if data is not None else {}
+    if clips and all(map(_is_scores, paths)):
         fix = "compare the submissions, to score them again"
         raise InvalidValueError("data", expected="none for files of scores", found=f"{data}", fix=fix)
-    clips = load_clips(data) if data is not None else {}
     tables = [
         load_scores(path) if _is_scores(path) else score_submission(path, clips, benchmark=benchmark)
         for path in paths

@@ -80,8 +80,8 @@ class Agreement:
 def agree(a: npt.ArrayLike, b: npt.ArrayLike, *, background: int | None = None) -> Agreement:
     """Compare two labellings (n,) of the same trajectories; 0 = unlabelled.
 
-    The labels of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955), but for that
-    of the `background`, if it is the same in both.
+    The labels of `a` are renamed by the one-to-one assignment with the largest overlap (Kuhn 1955), but for
+    that of the `background`, if it is the same in both.
     Raises InvalidValueError when the lengths differ.
     """
     mine, other = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)

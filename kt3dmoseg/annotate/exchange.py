@@ -17,7 +17,7 @@ from cyclopts import Parameter
 from kt3dmoseg import annotate
 from kt3dmoseg.app import AnyEither, AnyFolder, AnyPath, Flag, Name, Whole, group
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
-from kt3dmoseg.text import several, text_table
+from kt3dmoseg.text import count, several, text_table
 
 if TYPE_CHECKING:
     from kt3dmoseg.annotate import Annotation, LabelledTracks, Region
@@ -257,7 +257,7 @@ def check_annotations(
             for other, shared in zip(annotation.objects[:i], overlap[i, :i], strict=True):
                 if shared > _SAME_OBJECT and item.motion != other.motion:
                     problems.append(f"{other.name} and {item.name} have different motions in the same place")
-        lines = [f"{len(annotation.objects)} objects, {len(annotation.motions)} motions"]
+        lines = [f"{count(len(annotation.objects), 'object')}, {count(len(annotation.motions), 'motion')}"]
         if (labelled := clip.labelled(annotation, regions)) is not None:
             counts = ", ".join(f"{count} {name}" for name, count in labelled.counts().items() if count)
             lines[0] += f"; trajectories: {counts}"

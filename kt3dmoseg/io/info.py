@@ -13,7 +13,7 @@ from kt3dmoseg.io import images
 from kt3dmoseg.io.flow_files import read_flow
 from kt3dmoseg.io.formats import clip_files, dataset_paths, first_bytes, load, recognise
 from kt3dmoseg.io.npz import is_lone_array
-from kt3dmoseg.text import text_table
+from kt3dmoseg.text import count, text_table
 from kt3dmoseg.types import Trajectories
 
 _LONG = 100  # characters of one value of the provenance
@@ -64,9 +64,9 @@ def _clip(path: Path) -> dict[str, Any]:
     labels, numbers, times = clip.labels, clip.frame_numbers, clip.timestamps
     known = {0: "unlabelled or outlier", labels.background: "background"} | dict(labels.names)
     motions = []
-    for value, count in zip(*np.unique(labels.label, return_counts=True), strict=True):
-        name, share = known.get(int(value), ""), float(count) / len(labels)
-        motions.append({"motion": int(value), "name": name, "trajectories": int(count), "share": share})
+    for value, size in zip(*np.unique(labels.label, return_counts=True), strict=True):
+        name, share = known.get(int(value), ""), float(size) / len(labels)
+        motions.append({"motion": int(value), "name": name, "trajectories": int(size), "share": share})
     return {
         "kind": "clip",
         "clip": clip.name,
@@ -176,7 +176,7 @@ def _clips_text(clips: Sequence[Mapping[str, Any]]) -> str:
         motions = " ".join(str(m["trajectories"]) for m in clip["motions"] if m["motion"]) or "-"
         sizes = [clip["n_motions"], motions, _missing(clip["evaluated"]), _size(clip["image_size"])]
         rows.append([clip["clip"], *counts, *sizes])
-    rows.append([f"{len(clips)} clips", *totals, "", "", "", ""])
+    rows.append([count(len(clips), "clip"), *totals, "", "", "", ""])
     header = ["clip", "frames", "dense", "evaluated", "motions", "per motion", "missing", "image size"]
     return text_table([[*map(str, row)] for row in rows], header)
 

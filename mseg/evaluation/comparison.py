@@ -14,7 +14,15 @@ from kt3dmoseg.registry import unknown_name
 from kt3dmoseg.text import count
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import Metric, all_metrics
-from mseg.evaluation.results import ABSENT, ResultsTable, clip_table, failure_notes, plot_metric, unique_names
+from mseg.evaluation.results import (
+    ABSENT,
+    ResultsTable,
+    clip_table,
+    failure_notes,
+    number_notes,
+    plot_metric,
+    unique_names,
+)
 from mseg.evaluation.scoring import ScoreTable
 from mseg.evaluation.statistics import (
     Interval,
@@ -121,6 +129,7 @@ def comparison_table(comparison: Comparison) -> ResultsTable:
     for name, table in zip(comparison.names, comparison.tables, strict=True):
         values[name] = table.matrix(comparison.metric)
         notes += failure_notes(table, name)
+    notes += number_notes(comparison.tables, comparison.names)
     unit = " in %" if spec.percent else ""
     title = f"{first.benchmark.title}: {spec.title}{unit}, {spec.better} is better"
     return clip_table(title, values, first.motions, scale=spec.scale, notes=notes)

@@ -179,6 +179,13 @@ def unique_names(tables: Sequence[ScoreTable]) -> list[str]:
     return names
 
 
+def number_notes(tables: Sequence[ScoreTable], names: Sequence[str]) -> list[str]:
+    """Note which methods found the number of motions, where others were given it."""
+    found = [n for n, table in zip(names, tables, strict=True) if not table.meta.n_motions_given]
+    mixed = 0 < len(found) < len(names)
+    return [f"Number of motions found by {several(found, LISTED)}, given to the others."] * mixed
+
+
 def version_notes(scores: ScoreTable) -> list[str]:
     """Note that the published results are of another version of the data, if they are."""
     protocol, version = scores.benchmark, scores.provenance.dataset_version
@@ -204,7 +211,7 @@ def headline(*tables: ScoreTable) -> ResultsTable:
     notes = [f"Scored: {protocol.coverage(first.names)}{more}."]
     if len(first.names) < protocol.n_clips:
         notes.append("A part of the benchmark: the printed figures are for all of it.")
-    notes += version_notes(first)
+    notes += version_notes(first) + number_notes(tables, unique_names(tables))
     for name, table in zip(unique_names(tables), tables, strict=True):
         summary, of = table.summary(), f"{name}: " if len(tables) > 1 else ""
         low, high = summary.interval

@@ -1,5 +1,7 @@
 """What the commands print in addition to what their functions do."""
 
+from dataclasses import replace
+
 import pytest
 from evaluation_helpers import CLIPS, perfect
 
@@ -7,7 +9,7 @@ import kt3dmoseg
 import mseg.cli
 from kt3dmoseg.errors import InputFileError
 from mseg.benchmark import runner
-from mseg.evaluation import example
+from mseg.evaluation import SubmissionMeta, example
 
 
 @pytest.fixture
@@ -110,3 +112,27 @@ def test_clips_without_labels_need_a_number_for_a_method_that_cannot_find_it(tmp
     assert "give --n-motions N" in capsys.readouterr().err
     assert mseg.cli.main([*command[:3], str(tmp_path / "q"), *command[4:], "--n-motions", "2"]) == 0
     assert "failed" not in capsys.readouterr().err
+
+
+def test_places_that_cannot_be_written_are_reported_before_a_benchmark(tmp_path, capsys, monkeypatch):
+    clips = str(tmp_path / "clips")
+    kt3dmoseg.save(replace(CLIPS["example_two"], name="Seq005_Clip01"), f"{clips}/Seq005_Clip01.h5")
+    monkeypatch.setattr(runner, "run_tasks", None)
+    (tmp_path / "file").write_text("")
+    line = ["benchmark", "kt3dmoseg", "--data", clips, "--methods", "one_motion"]
+    for flag, value in (("--json", "file/a.json"), ("--cache", "file"), ("--kernels", "file")):
+        assert "cannot write" in usage_error(capsys, *line, flag, str(tmp_path / value))
+
+
+def test_data_next_to_files_of_scores_are_refused(data, tmp_path, capsys):
+    scores = str(tmp_path / "scores.json")
+    folder = perfect(tmp_path / "s")
+    assert mseg.cli.main(["score", str(folder), data, "--json", "-o", scores]) == 0
+    assert "--data: expected none for files of scores" in usage_error(capsys, "compare", scores, scores, data)
+
+
+def test_it_is_noted_who_was_given_the_number_of_motions(data, tmp_path, capsys):
+    for name, given in (("one", True), ("two", False)):
+        perfect(tmp_path / name, meta=SubmissionMeta(name, n_motions_given=given))
+    assert mseg.cli.main(["compare", str(tmp_path / "one"), str(tmp_path / "two"), data]) == 0
+    assert "Number of motions found by two, given to the others." in capsys.readouterr().out

@@ -250,6 +250,8 @@ def test_a_file_gives_options_and_the_command_line_wins(call, config):
         ("[hello]\nalhpa = 2", "unknown option 'alhpa'; did you mean 'alpha'?"),
         ("[hello]\nseeds = 0", "expected a whole number >= 1, found '0'"),
         ('[hello]\nkind = "c"', "expected one of a, b, found 'c'"),
+        ('[hello]\nfast = "maybe"', "expected true or false, found 'maybe'"),
+        ("[hello.options]\nx = 1", "unknown option 'options.x'"),
         ("[hello]\nrounds = 11", "rounds: expected a number >= 1 and <= 10, found 11"),
         ("hello = 3", "hello: expected a table [hello], found 3"),
         ("[things.ad]", "unknown command 'ad'; did you mean 'add'?"),
@@ -371,3 +373,29 @@ def test_both_packages_list_and_resolve_their_public_names():
             assert getattr(package, name) is not None
         with pytest.raises(AttributeError, match="no attribute 'nothing'"):
             _ = package.nothing
+
+
+def test_two_configuration_files_are_one_line(call, config):
+    code, _, err = call("hello", "x", "--config", config("[hello]\nalpha = 2"), "--config", "other.toml")
+    assert code == 2
+    assert "--config: expected one file, found more" in err
+
+
+def test_help_keeps_dots_that_go_on():
+    for words, text in (
+        (["mseg", "run"], "seed-1/, ... (default: 1)"),
+        (["kt3dmoseg", "build"], "20, ... (default"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", *words, "--help-all"], capture_output=True, text=True, check=True
+        )
+        assert text in " ".join(done.stdout.split())
+
+
+def test_a_closed_standard_error_changes_nothing(tmp_path):
+    line = f"{sys.executable} -m mseg example-submission -o {tmp_path}/made 2>&-"
+    assert subprocess.run(line, shell=True).returncode == 0
+    assert (tmp_path / "made").is_dir()
+    line = f"{sys.executable} -m mseg run {tmp_path}/made-data -o {tmp_path}/run --method one_motion 2>&-"
+    assert subprocess.run(line, shell=True).returncode == 0
+    assert list((tmp_path / "run").glob("*.csv"))

@@ -187,3 +187,8 @@ def test_arguments_of_a_wrong_type_are_refused_in_one_line(call, message):
 
 def test_public_functions_can_be_pickled():
     assert pickle.loads(pickle.dumps(kt3dmoseg.track)) is kt3dmoseg.track
+
+
+def test_masked_labels_are_refused():
+    with pytest.raises(InvalidValueError, match="no masked values"):
+        Labels(np.ma.array([1, 2, 9], mask=[0, 0, 1]))

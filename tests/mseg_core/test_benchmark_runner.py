@@ -15,6 +15,7 @@ from numpy.testing import assert_array_equal
 
 import mseg
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
+from kt3dmoseg.files import hold_folder
 from kt3dmoseg.io import load, save
 from kt3dmoseg.parallel import Cache, run_tasks
 from kt3dmoseg.types import Clip, Labels
@@ -469,3 +470,19 @@ def test_methods_command(capsys):
     assert {"gamma": "0.01"}.items() <= {
         each["name"]: each["default"] for each in subset["parameters"]
     }.items()
+
+
+def test_one_run_at_a_time_writes_into_a_folder_and_none_into_the_data(data, tmp_path):
+    out = tmp_path / "predictions"
+    with hold_folder(out), pytest.raises(KT3DMoSegError, match="another run running in this folder"):
+        predict(data, out, "affine")
+    assert not list(out.iterdir())
+    with pytest.raises(KT3DMoSegError, match="expected a folder of predictions, found the data"):
+        predict(data, data, "affine")
+    assert not (data / "meta.toml").exists()
+
+
+def test_tables_are_told_apart_by_their_labels(serial):
+    first, second = (table.provenance for table in serial.tables)
+    assert first.dataset_sha256 == second.dataset_sha256
+    assert first.submission_sha256 != second.submission_sha256

@@ -11,7 +11,7 @@ from sklearn.cluster import KMeans
 from sklearn.utils.estimator_checks import check_estimator
 
 import mseg
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import InvalidValueError, UnknownNameError
 from kt3dmoseg.types import Trajectories
 
 # What scikit-learn checks with tables that hold no trajectories, and why each check does not apply.
@@ -75,3 +75,21 @@ def test_gaps_are_nan_and_x_without_y_is_refused(rng):
     assert len(mseg.MotionSegmenter("one_motion").fit(table).labels_) == 40
     with pytest.raises(InvalidValueError, match=r"X: expected an even number of columns, .*, found shape"):
         mseg.MotionSegmenter("one_motion").fit(table[:, :-1])
+
+
+def test_masked_values_of_a_table_are_not_visible(rng):
+    xy = moving(rng)
+    hidden = np.zeros_like(xy, dtype=bool)
+    hidden[::5, 2] = True
+    estimator = mseg.MotionSegmenter("subset", n_motions=2, parameters={"hypotheses": 20})
+    masked = estimator.fit_predict(np.ma.array(xy, mask=hidden).reshape(40, -1))
+    assert masked.tolist() == estimator.fit_predict(np.where(hidden, np.nan, xy).reshape(40, -1)).tolist()
+    with pytest.raises(InvalidValueError, match="visible: expected no masked values"):
+        mseg.segment(xy, visible=np.ma.array(np.ones((40, 6)), mask=hidden[..., 0]))
+
+
+def test_parameters_are_those_of_the_method(rng):
+    with pytest.raises(UnknownNameError, match="rows"):
+        mseg.MotionSegmenter("ssc", n_motions=2, parameters={"rows": "all"}).fit(moving(rng))
+    with pytest.raises(InvalidValueError, match="parameters: expected a mapping"):
+        mseg.MotionSegmenter("ssc", n_motions=2, parameters=["alpha"]).fit(moving(rng))

@@ -135,3 +135,33 @@ def test_a_variable_rate_is_said_and_times_are_kept(video, tmp_path, monkeypatch
 def test_parts_that_are_not_there_are_refused(video, part, message):
     with pytest.raises(InvalidValueError, match=message):
         choose_sources(video, **part)[0].inspect()
+
+
+def test_a_link_to_a_folder_has_its_own_name(tmp_path):
+    write_clip(tmp_path / "data" / "a" / "frames")
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "Street").symlink_to(tmp_path / "data" / "a" / "frames")
+    assert [source.name for source in choose_sources(tmp_path / "in")] == ["Street"]
+
+
+def test_a_size_that_no_picture_may_have_is_refused(video):
+    with pytest.raises(
+        InvalidValueError, match="size: expected at most 67108864 pixels, found 100000x100000"
+    ):
+        choose_sources(video, size="100000x100000")
+
+
+def test_building_into_the_folder_of_frames_can_be_repeated(tmp_path, capsys):
+    write_clip(tmp_path / "in" / "street")
+    for status in ("1 built", "1 up to date"):
+        assert (
+            main(["build", str(tmp_path / "in"), "-o", str(tmp_path / "in" / "out"), "--min-length", "3"])
+            == 0
+        )
+        assert status in capsys.readouterr().out
+
+
+def test_a_shift_without_masks_is_refused(tmp_path, capsys):
+    write_clip(tmp_path / "in" / "street")
+    assert main(["build", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--shift", "3"]) == 2
+    assert "--shift: expected masks" in capsys.readouterr().err

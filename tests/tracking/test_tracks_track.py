@@ -199,3 +199,18 @@ def test_options_are_all_explained():
     from kt3dmoseg.options import describe
 
     assert all(text for _, _, text in describe(TrackOptions))
+
+
+def test_paths_in_the_order_of_their_letters_are_refused(tmp_path):
+    paths = [tmp_path / f"frame{number}.png" for number in range(8, 12)]
+    for path, frame in zip(paths, frames(4), strict=True):
+        cv2.imwrite(str(path), frame)
+    assert len(track(paths, Constant())) == len(track(paths[::-1], Constant()))
+    with pytest.raises(InvalidValueError, match=r"found frame11\.png before frame8\.png; sort them"):
+        track(sorted(paths), Constant())
+
+
+def test_masked_pixels_are_refused():
+    masked = [np.ma.masked_less(frame, 9) for frame in frames(4)]
+    with pytest.raises(InvalidValueError, match="frame 0: expected no masked pixels"):
+        track(masked, Constant())
