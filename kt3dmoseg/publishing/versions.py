@@ -253,7 +253,7 @@ def diff(old: PathLike, new: PathLike) -> pd.DataFrame:
     pandas.DataFrame
         `clip`, `change` (added, removed, changed), numbers of trajectories `added`, `removed` and the `same`,
         `labels` that changed among those evaluated in both, `evaluated` in one version only, and `built`: in
-        what the builds differ.
+        what the builds differ, and whether the labels have another `background` or other `names`.
 
     Raises
     ------
@@ -296,6 +296,7 @@ def _changes(a: Clip, b: Clip) -> tuple[int, int, int, int, int, str]:
     changed = int((common[known == 2].nunique(axis=1) == 2).sum())
     inputs = [recorded_inputs(clip.provenance) for clip in (a, b)]
     built = sorted(key for key in {*inputs[0], *inputs[1]} if inputs[0].get(key) != inputs[1].get(key))
+    built += [what for what in ("background", "names") if getattr(a.labels, what) != getattr(b.labels, what)]
     added, removed, once = len(second) - len(common), len(first) - len(common), int((known == 1).sum())
     return added, removed, len(common), changed, once, ", ".join(built)
 

@@ -3,6 +3,8 @@
 They are kept in memory proportional to their points; those to evaluate are chosen by `subsample_background`.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 import os
@@ -140,7 +142,7 @@ def track(
     return RunTrajectories(seen, count, least, (frame.shape[1], frame.shape[0]))
 
 
-def _appearance(settings: TrackOptions) -> "Appearance":
+def _appearance(settings: TrackOptions) -> Appearance:
     from kt3dmoseg.tracking.appearance import Appearance  # numba, half a second that few options need
 
     return Appearance(settings)

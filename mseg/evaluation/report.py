@@ -98,8 +98,10 @@ def write_report(
     ------
     RejectedSubmissionError, InputFileError, InvalidValueError
         When a submission is invalid and not `force`; when the frames of a clip are incomplete, or there are
-        none of any clip; when several are not of the same clips.
+        none of any clip; when several are not of the same clips, or `path` does not end in .html.
     """
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        raise InvalidValueError(os.fspath(path), expected="a page, ending in .html", found="another ending")
     page, given = Path(path), [submission] if isinstance(submission, (str, os.PathLike)) else [*submission]
     if len(given) > len(LETTERS):
         raise InvalidValueError(

@@ -1,5 +1,7 @@
 """The methods, each a frozen dataclass, and this table of their names; the paper's six are in `paper`."""
 
+from __future__ import annotations
+
 import builtins
 import traceback
 from dataclasses import replace

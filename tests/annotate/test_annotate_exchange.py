@@ -174,7 +174,7 @@ def test_export_and_import_again(data, format):
 def test_check_finds_what_is_probably_a_mistake(data, capsys):
     assert load(data) == 0
     assert run(data, "check", data / "frames", "--tracks", data / "tracks") == 0
-    assert "1 motions; trajectories:" in capsys.readouterr().out
+    assert "1 motion; trajectories:" in capsys.readouterr().out
     path = data / "notes" / "one.json"
     found = load_annotation(path)
     (item,) = found.objects

@@ -13,7 +13,7 @@ from evaluation_helpers import CLIPS, META, NAMES, perfect, truth
 
 import kt3dmoseg
 import mseg.cli
-from kt3dmoseg.errors import InputFileError
+from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.types import Clip, Labels
 from mseg.errors import RejectedSubmissionError
 from mseg.evaluation import SubmissionMeta, report, score_submission, write_failure, write_submission
@@ -444,3 +444,10 @@ def test_two_methods_of_one_name_never_get_that_of_a_third(tmp_path):
     folders = [perfect(tmp_path / f"{i}", meta=SubmissionMeta(name)) for i, name in enumerate(names)]
     tables = [score_submission(folder, CLIPS) for folder in folders]
     assert unique_names(tables) == ["A (2)", "A (3)", "A (1)"]
+
+
+def test_a_page_replaces_no_file_of_another_kind(tmp_path):
+    folder = perfect(tmp_path / "s")
+    with pytest.raises(InvalidValueError, match=r"meta\.toml: expected a page, ending in \.html"):
+        write_report(folder, CLIPS, folder / "meta.toml")
+    assert score_submission(folder, CLIPS).error == 0

@@ -117,9 +117,7 @@ def test_bad_options(options, error, words, folder):
 def test_one_clip_is_built_at_a_time(tmp_path):
     for name in "ab":
         write_clip(tmp_path / name)
-    with pytest.raises(
-        InvalidValueError, match="expected one clip, found 2: a, b; build_dataset builds many"
-    ):
+    with pytest.raises(InvalidValueError, match="expected one clip, found 2: a, b; give one of them"):
         build_clip(tmp_path)
     with pytest.raises(InputFileError, match="nowhere: expected frames, a video or a KITTI raw root"):
         build_clip(tmp_path / "nowhere")

@@ -235,3 +235,13 @@ def test_a_clip_that_changed_after_it_was_published_is_noticed(built, published,
         FileFormatError, match=r"b_test\.h5: expected the clip of Two scenes 1\.0\.0, found none"
     ):
         diff(tmp_path / "v", built)
+
+
+def test_another_background_or_name_is_a_difference(built, tmp_path):
+    clip = load(built / "a.h5")
+    for change in ({"background": 2}, {"names": {2: "tram"}}):
+        other = tmp_path / next(iter(change))
+        save(replace(clip, labels=replace(clip.labels, **change)), other / "a.h5")
+        save(load(built / "b_test.h5"), other / "b_test.h5")
+        [row] = [row for row in diff(built, other).to_dict("records") if row["clip"] == "a"]
+        assert (row["labels"], row["built"]) == (0, next(iter(change)))
