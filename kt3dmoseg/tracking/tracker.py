@@ -232,7 +232,7 @@ class _Order:
             return
         turn = (now > before) - (now < before)
         self.direction = self.direction or turn
-        if not turn or turn != self.direction:
+        if turn not in (0, self.direction):
             found, fix = f"{last.name} before {path.name}", "sort them by number, or give their folder"
             raise InvalidValueError("frames", expected="frames in their order", found=found, fix=fix)
 
