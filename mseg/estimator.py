@@ -62,7 +62,7 @@ class MotionSegmenter(ClusterMixin, BaseEstimator):  # type: ignore[misc]  # sci
         if not isinstance(generator, (int, np.integer)):
             generator = check_random_state(generator).randint(_SEEDS)
         method = self.method
-        if self.parameters is not None:
+        if self.parameters:
             if not isinstance(method, str) or not isinstance(self.parameters, Mapping):
                 found = f"{self.parameters!r:.60} for {method!r:.40}"
                 expected = "a mapping, for a method given by name"

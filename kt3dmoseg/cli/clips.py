@@ -120,12 +120,15 @@ def build(
     built.
     """
     from kt3dmoseg.frames import FrameFolder, choose_sources
+    from kt3dmoseg.io.images import numbered_pictures
     from kt3dmoseg.pipeline import build_dataset
 
     where: dict[str, Any] = {"date": date, "drive": drive, "camera": camera, "catalogs": catalogs}
     sources = choose_sources(frames, **where, frames=range_, step=step, size=size, name=name)
-    built = {output.resolve()} - {frames.resolve()}  # that an earlier build has put among the frames
-    sources = [s for s in sources if not (isinstance(s, FrameFolder) and s.folder.resolve() in built)]
+    # An earlier build may have put its output among the frames.
+    inside = [s for s in sources if isinstance(s, FrameFolder) and s.folder.resolve() == output.resolve()]
+    built = [source for source in inside if not numbered_pictures(source.folder)]
+    sources = [source for source in sources if source not in built]
     names = {source.name.lower() for source in sources}  # one of another case is refused, not passed over
     folder = _ANNOTATIONS if annotations in (None, Path("none")) else annotations
     if annotations is None or propose:  # proposals also go where there is no annotation yet

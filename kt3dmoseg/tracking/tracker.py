@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Sized
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +24,7 @@ from kt3dmoseg.flow import Flow, backend_identity, check_frame, flow_pair
 from kt3dmoseg.flow import create as create_flow
 from kt3dmoseg.frames import FrameSource, one_source
 from kt3dmoseg.io.images import Colour, read_frame
-from kt3dmoseg.matching import number_in
+from kt3dmoseg.matching import stem
 from kt3dmoseg.options import from_mapping
 from kt3dmoseg.tracking import TrackOptions
 from kt3dmoseg.tracking.linking import inside, new_seeds, step
@@ -226,10 +227,9 @@ class _Order:
 
     def check(self, path: Path) -> None:
         last, self.last = self.last, path
-        now = number_in(path.name)
-        before = number_in(last.name) if last is not None and last.parent == path.parent else None
-        if now is None or before is None or last is None:
+        if last is None or last.parent != path.parent:
             return
+        now, before = ([int(n) for n in re.findall(r"\d+", stem(p.name))] for p in (path, last))
         turn = (now > before) - (now < before)
         self.direction = self.direction or turn
         if turn not in (0, self.direction):

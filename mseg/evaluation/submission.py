@@ -450,8 +450,10 @@ def _amount(names: list[str], where: str = "") -> str:
 def _add_file(name: str, place: re.Match[str], content: bytes, out: Submission, most: int) -> None:
     key = int(place[1] or 0), place[2]
     if key in out.files:
-        found, fix = f"also {out.files[key]}", "keep one of them"
-        return out.bad("duplicate-clip", name, "one file per clip and seed", found, fix, clip=key[1])
+        found, fix = f"also {name}", "keep one of them"
+        return out.bad(
+            "duplicate-clip", out.files[key], "one file per clip and seed", found, fix, clip=key[1]
+        )
     out.files[key] = name
     if place[3].lower() == FAILED:
         reason = " ".join(content.decode("utf-8", "replace").split())[:300]

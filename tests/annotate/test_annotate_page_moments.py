@@ -335,3 +335,59 @@ def test_the_other_clips_are_at_hand_when_the_first_cannot_be_read(context, clip
         tab.wait_for_url("**/*clip=two*")
     finally:
         server.stop(signal.SIGKILL)
+
+
+def test_a_key_frame_that_is_reshaped_goes_on_being_carried(page):
+    page.draw()
+    page.until("labeller.state.carried === labeller.state.doc")
+    there = page.value("labeller.state.regions[1][5].polygons[0][0]")
+    held = hold(page, "**/regions")
+    page.drag(CORNERS[2], (150, 140))
+    page.press("End", "v", "l")
+    x, y = page.objects()[0]["key_frames"][1]["polygons"][0][0]
+    assert abs(x - 1 - there[0]) < 1
+    assert abs(y - there[1]) < 1
+    let_go(page, "**/regions", held)
+
+
+@pytest.mark.parametrize("key", ["Delete", "o", "e"])
+def test_key_frames_made_by_themselves_do_not_count_as_the_first(page, key):
+    page.press("End", "Shift+O")
+    page.click((250, 50))
+    page.until("labeller.state.doc.objects[0]?.key_frames.length > 2 && !labeller.state.making")
+    page.press("Escape")
+    page.tab.locator(".entry .object").click()
+    page.press("Home", "ArrowRight", "ArrowRight", "ArrowRight", key)
+    page.until(
+        f"labeller.state.carried === labeller.state.doc && {SEEN}.startsWith('visible visible visible o')"
+    )
+    page.until("!labeller.state.making")
+
+
+def test_the_timeline_does_not_change_the_object_that_is_being_drawn(page):
+    page.draw()
+    page.press("Escape")
+    page.draw(THERE)
+    before = page.objects()
+    page.tab.locator(".entry .object").first.click()
+    page.press("r")
+    for corner in CORNERS[:3]:
+        page.click(corner)
+    box = page.box("#timeline")
+    page.tab.mouse.click(box["x"] + 2.5 * box["width"] / 6, box["y"] + 65)
+    page.press("Enter")
+    assert page.objects()[1] == before[1]
+    assert len(page.objects()[0]["key_frames"][0]["polygons"][0]) == 3
+
+
+def test_the_server_away_leaves_copying_and_undo_possible(page, shared):
+    page.tab.route("**/annotation", lambda route: route.abort())
+    page.draw()
+    page.until("labeller.state.saving.kind === 'offline'")
+    page.drag((100, 100), (104, 104))
+    page.press("c")
+    page.until("labeller.state.doc.objects[0].key_frames.length === 2")
+    page.press("Control+z", "Control+z", "Control+z")
+    page.until("labeller.state.doc.objects.length === 0")
+    page.tab.unroute("**/annotation")
+    page.until("labeller.state.saving.kind === 'saved'")

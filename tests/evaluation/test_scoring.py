@@ -282,3 +282,9 @@ def test_a_clip_of_another_benchmark_is_said_to_be_one(tmp_path):
     folder = write_submission(tmp_path / "s", clips, dict.fromkeys(names, label), META)
     [note] = validate_submission(folder, clips).notes
     assert note.found == "it is no clip of KT3DMoSeg"
+
+
+def test_two_files_of_one_seed_leave_the_other_seeds_alone(tmp_path):
+    folder = perfect(tmp_path / "s", seeds=2)
+    (folder / "seed-1" / "example_two.failed").write_text("no")
+    assert score_submission(folder, CLIPS, force=True).matrix().tolist() == [[0, 0], [0, 1]]

@@ -161,6 +161,13 @@ def test_building_into_the_folder_of_frames_can_be_repeated(tmp_path, capsys):
         assert status in capsys.readouterr().out
 
 
+def test_a_clip_may_be_built_into_the_folder_of_another(tmp_path, capsys):
+    for seed, name in enumerate("ab"):
+        write_clip(tmp_path / "in" / name, seed)
+    assert main(["build", str(tmp_path / "in"), "-o", str(tmp_path / "in" / "a"), "--min-length", "3"]) == 0
+    assert "2 built" in capsys.readouterr().out
+
+
 def test_a_shift_without_masks_is_refused(tmp_path, capsys):
     write_clip(tmp_path / "in" / "street")
     assert main(["build", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--shift", "3"]) == 2

@@ -214,3 +214,13 @@ def test_masked_pixels_are_refused():
     masked = [np.ma.masked_less(frame, 9) for frame in frames(4)]
     with pytest.raises(InvalidValueError, match="frame 0: expected no masked pixels"):
         track(masked, Constant())
+
+
+@pytest.mark.parametrize(
+    "names", [["9.975304", "10.011214"], ["f1_640x480", "f2_640x480"], ["im_left", "im_right"]], ids=str
+)
+def test_paths_in_their_order_are_taken(tmp_path, names):
+    paths = [tmp_path / f"{name}.png" for name in names]
+    for path, frame in zip(paths, frames(2), strict=True):
+        cv2.imwrite(str(path), frame)
+    assert len(track(paths, Constant(), min_length=2))

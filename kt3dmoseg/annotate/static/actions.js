@@ -48,9 +48,10 @@ export const draw = (polygons, visibility = seenAs(regionHere()), doc = state.do
 /** The document in which the frame before keeps what is seen there: a first key frame counts before itself, too. */
 function keptBefore(item) {
   const { doc, frame } = state;
-  if (!frame || item.key_frames[0].frame <= frame) return doc;
+  const drawn = item.key_frames.filter((key) => !doubts.has(key.polygons)); // the others are made again
+  if (!frame || drawn[0]?.frame <= frame) return doc;
   const { polygons, visibility } = editableRegion(item, frame - 1);
-  return setKey(doc, item.id, frame - 1, polygons, visibility);
+  return setKey(doc, item.id, frame - 1, [...polygons], visibility);
 }
 
 /** Change an object's properties, while one is selected that may be changed. */
@@ -273,6 +274,7 @@ export const copyToNext = withObject((item) => {
   const next = state.frame + 1;
   if (next >= state.clip.n_frames) return undefined;
   if (!state.regions) notify("No trajectories yet: copied without motion");
+  else if (state.saving.kind === "offline") notify("The server is away: copied as far as it is known");
   else if (objectOf(state.carried, item.id)?.key_frames !== item.key_frames) return notify(CARRIED);
   const { key, visibility, polygons } = editableRegion(item, next);
   if (visibility !== "visible" || !polygons.length) return notify("It is not visible there");

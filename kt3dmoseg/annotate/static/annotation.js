@@ -6,11 +6,14 @@ export const keyAt = (item, frame) => item.key_frames.find((key) => key.frame ==
 export const nextMotion = ({ objects, marks }) =>
   Math.max(0, ...[...objects, ...(marks ?? [])].map((item) => item.motion).filter(Number.isInteger)) + 1;
 
+// Of one object, however it is changed: an id that is free again is taken by another. No part of the text.
+export const ORIGIN = Symbol("origin");
+
 /** Add an object under the next free id; what is not given is of the last one's kind with the next free motion. */
 export function addObject(doc, values) {
   const id = Math.max(0, ...doc.objects.map((item) => item.id)) + 1;
   // In the server's order of fields: documents are compared as text.
-  const item = { id, name: `object ${id}`, kind: doc.objects.at(-1)?.kind ?? "car", motion: nextMotion(doc) };
+  const item = { id, name: `object ${id}`, kind: doc.objects.at(-1)?.kind ?? "car", motion: nextMotion(doc), [ORIGIN]: {} };
   return { ...doc, objects: [...doc.objects, { ...item, ...values, id }] };
 }
 

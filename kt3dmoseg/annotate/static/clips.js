@@ -17,6 +17,8 @@ export async function openClip(name, remember = "pushState", leaving = false) {
     await flush();
     const clip = await ask(name);
     await flush(); // what was drawn meanwhile
+    if (name === saver.clip && clip.annotation.revision < saver.revision) return openClip(name, remember, leaving);
+    if (state.dragging) return notify("Let go first, then open another clip");
     if (saver.pending && !leaving) return stay(name, remember);
     history[remember](null, "", `?clip=${encodeURIComponent(name)}`);
     stop();
@@ -37,8 +39,10 @@ export async function openClip(name, remember = "pushState", leaving = false) {
 function stay(name, remember) {
   if (remember === "replaceState") history.pushState(null, "", `?clip=${encodeURIComponent(saver.clip)}`); // Back was pressed
   const go = button("Leave it", () => (close(), openClip(name, remember, true)));
-  open("Not saved", paragraph(`The edits of ${saver.clip} could not be saved. They stay in this browser, and are saved `
-    + "when the clip is opened here again."), row(button("Stay here", close, "primary"), go));
+  const then = saver.kept ? "They stay in this browser, and are saved when the clip is opened here again."
+    : "This browser cannot keep them: if you leave it, they are lost.";
+  open("Not saved", paragraph(`The edits of ${saver.clip} could not be saved. ${then}`),
+    row(button("Stay here", close, "primary"), go));
 }
 
 export async function openNext(by) {

@@ -175,7 +175,7 @@ function decide(found, again, more = []) {
   const ownMotion = (item) => ({ ...item, motion: item.motion >= 1 ? item.motion + used : item.motion });
   const add = () => objects.map(ownMotion).reduce(addObject, doc);
   const replace = () => {
-    set({ unseen: new Set(), locked: new Set() }); // by their numbers, which others have now
+    set({ unseen: new Set(), locked: new Set(), carried: { objects: [] } }); // by their numbers, which others have now
     return { ...doc, objects, marks: [] };
   };
   const drawn = doc.objects.length + (doc.marks?.length ?? 0);
@@ -198,7 +198,7 @@ export function compare() {
     return inform("Compare", "Start kt3dmoseg label with --compare FOLDER, the folder of the other annotator's files.");
   }
   return work("Two annotators", "Comparing…", "compare", state.doc, (found) => {
-    set({ compared: { ...found, at: null, settled: [], motions: new Map() }, proposals: null, review: null });
+    set({ compared: { ...found, at: null, settled: [] }, proposals: null, review: null });
     list();
   });
 }
@@ -240,8 +240,9 @@ function withTheirs({ first_id: mine, second_id: theirs, motion }) {
   if (theirs === null) return { ...doc, objects: doc.objects.filter((item) => item !== own) };
   const { kind, key_frames, motion: number, ...other } = compared.theirs.find((item) => item.id === theirs);
   // Two objects of one motion stay of one.
-  compared.motions.set(number, motion ?? compared.motions.get(number) ?? nextMotion(doc));
-  const taken = { kind, key_frames, motion: compared.motions.get(number) };
+  const keys = compared.theirs.filter((item) => item.motion === number).flatMap((item) => item.key_frames);
+  const same = doc.objects.find((item) => item.key_frames.some((key) => keys.includes(key)));
+  const taken = { kind, key_frames: [...key_frames], motion: motion ?? same?.motion ?? nextMotion(doc) };
   return own ? changeObject(doc, mine, taken) : addObject(doc, { ...other, ...taken });
 }
 

@@ -248,8 +248,7 @@ function down(event) {
   if (item && keyAt(item, frame) && Math.abs((frame + 0.5 - from) * column - offsetX) <= KEY) {
     drag = { id: item.id, frame };
   }
-  goTo(frame);
-  if (item) select(item.id);
+  if (goTo(frame) && item) select(item.id);
 }
 
 function move(event) {

@@ -48,6 +48,10 @@ export const saver = {
   clip: null,
   base: undefined,
   revision: 0,
+  /** Whether this browser keeps them. */
+  get kept() {
+    return draftKept;
+  },
   /** Whether there are edits since then. */
   get edited() {
     return this.base !== undefined && state.doc !== this.base;
@@ -117,6 +121,7 @@ async function send() {
     show(saver.edited ? "unsaved" : "saved");
   } catch ({ status, body, offline, message }) {
     if (clip !== saver.clip) return;
+    if (!saver.edited) saver.base = { ...saver.base }; // undone meanwhile: what the server has is not known
     // Without a status there was no answer, or half of one.
     if (status !== 412) show(!status || status >= 500 ? "offline" : "failed", offline || !status ? "" : message);
     else if (state.dragging) schedule(SOON);
@@ -207,6 +212,7 @@ async function recover(clip) {
   return Object.keys(localStorage).filter((key) => key.startsWith(start) && free(key)).flatMap((key) => {
     const draft = draftOf(localStorage.getItem(key));
     if (draft) localStorage.removeItem(key);
+    else notify("Edits that are damaged, or of other frames than these, were found in this browser and left there");
     return draft ?? [];
   });
 }

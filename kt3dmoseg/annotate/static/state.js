@@ -1,6 +1,6 @@
 // The page's state: plain values, their listeners, undo and redo, and what is selected.
 
-import { keyAt, objectOf } from "./annotation.js";
+import { ORIGIN, keyAt, objectOf } from "./annotation.js";
 
 // What every clip begins with. `dragging` is the document from before what is being dragged, `carried` the one that
 // regions are of.
@@ -119,9 +119,9 @@ export function select(id) {
 }
 
 /** The server's regions, where they are of this object and not of one that had its number. */
-function regionsOf({ id, key_frames }) {
-  const known = state.carried && objectOf(state.carried, id);
-  return known?.key_frames.some((key) => key_frames.includes(key)) ? state.regions : null;
+function regionsOf(item) {
+  const known = state.carried && objectOf(state.carried, item.id);
+  return known && known[ORIGIN] === item[ORIGIN] ? state.regions : null;
 }
 
 /** The region of an object in a frame: the document's where a person drew it, else the server's. */

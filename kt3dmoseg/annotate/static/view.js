@@ -21,8 +21,9 @@ const canvas = byId("picture");
 
 export function goTo(frame) {
   const drawing = ["draw", "lasso"].includes(state.tool) && state.pending?.points.length;
-  if (drawing) return notify("An outline is of one frame: Enter ends it, Esc drops it");
-  return set({ frame: clamp(frame, 0, state.clip.n_frames - 1), vertex: null, lassoed: null });
+  if (drawing) notify("An outline is of one frame: Enter ends it, Esc drops it");
+  else set({ frame: clamp(frame, 0, state.clip.n_frames - 1), vertex: null, lassoed: null });
+  return !drawing;
 }
 
 /** Go to the frame of a number, as the files have it. */
@@ -43,7 +44,7 @@ export function stop() {
 export function play() {
   const { playing } = state;
   stop();
-  if (playing) return;
+  if (playing || !goTo(state.frame)) return;
   set({ playing: true });
   timer = setInterval(() => goTo((state.frame + 1) % state.clip.n_frames), FRAME_TIME);
 }
