@@ -391,3 +391,12 @@ def test_the_server_away_leaves_copying_and_undo_possible(page, shared):
     page.until("labeller.state.doc.objects.length === 0")
     page.tab.unroute("**/annotation")
     page.until("labeller.state.saving.kind === 'saved'")
+
+
+def test_copies_that_follow_fast_are_all_made(page):
+    page.draw()
+    page.until("labeller.state.carried === labeller.state.doc")
+    held = hold(page, "**/regions")
+    page.press("c", "c", "c")
+    assert [key["frame"] for key in page.objects()[0]["key_frames"]] == [0, 1, 2, 3]
+    let_go(page, "**/regions", held)

@@ -1,7 +1,7 @@
 // What a person can do to the annotation, by key, button or pointer.
 
 import {
-  addObject, changeObject, clamp, distance, inside, keyAt, middle, objectOf, rounded, setKey, simplify, splice,
+  addObject, boundsOf, changeObject, clamp, distance, inside, keyAt, middle, objectOf, rounded, setKey, simplify, splice,
 } from "./annotation.js";
 import { nextOf } from "./dom.js";
 import { ask } from "./saving.js";
@@ -270,12 +270,18 @@ export function removeMarksHere() {
   if (marks.length !== before.length) setMarks(marks);
 }
 
+/** Whether what is seen here is, to two pixels, what the regions were carried from. */
+function asCarried({ id }) {
+  const [now, then] = [regionHere(), state.regions[id]?.[state.frame]].map((region) => boundsOf(region?.polygons ?? []));
+  return Boolean(now && then) && now.every((value, k) => Math.abs(value - then[k]) < 2);
+}
+
 export const copyToNext = withObject((item) => {
   const next = state.frame + 1;
   if (next >= state.clip.n_frames) return undefined;
   if (!state.regions) notify("No trajectories yet: copied without motion");
   else if (state.saving.kind === "offline") notify("The server is away: copied as far as it is known");
-  else if (objectOf(state.carried, item.id)?.key_frames !== item.key_frames) return notify(CARRIED);
+  else if (objectOf(state.carried, item.id)?.key_frames !== item.key_frames && !asCarried(item)) return notify(CARRIED);
   const { key, visibility, polygons } = editableRegion(item, next);
   if (visibility !== "visible" || !polygons.length) return notify("It is not visible there");
   if (!key) edit(withKey(state.doc, next, polygons));
