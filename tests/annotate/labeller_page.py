@@ -91,11 +91,20 @@ class Page:
     def click(self, point, **options):
         self.tab.mouse.click(*self.at(point), **options)
 
-    def drag(self, start, *stops, steps=4):
+    def hold(self, start, *stops, steps=4):
+        """Press the mouse on a place and move it to others, without letting go."""
         self.tab.mouse.move(*self.at(start))
         self.tab.mouse.down()
         for stop in stops:
             self.tab.mouse.move(*self.at(stop), steps=steps)
+
+    def release(self, stop, steps=4):
+        """Move the mouse that is held to a place, and let go."""
+        self.tab.mouse.move(*self.at(stop), steps=steps)
+        self.tab.mouse.up()
+
+    def drag(self, start, *stops, steps=4):
+        self.hold(start, *stops, steps=steps)
         self.tab.mouse.up()
 
     def press(self, *keys):

@@ -13,18 +13,6 @@ pytestmark = pytest.mark.browser
 MOVED = [*CORNERS[:2], (150, 140), CORNERS[3]]
 
 
-def hold(page, start, stop):
-    """Press the mouse on a place and move it to another, without letting go."""
-    page.tab.mouse.move(*page.at(start))
-    page.tab.mouse.down()
-    page.tab.mouse.move(*page.at(stop), steps=3)
-
-
-def release(page, stop):
-    page.tab.mouse.move(*page.at(stop), steps=3)
-    page.tab.mouse.up()
-
-
 def outline(page):
     (key,) = page.objects()[0]["key_frames"]
     return key["frame"], key["polygons"][0]
@@ -38,9 +26,9 @@ def resize(page, width, height):
 
 def test_a_point_stays_under_the_pointer_when_the_window_gets_another_size(page):
     page.draw()
-    hold(page, (140, 130), (145, 135))
+    page.hold((140, 130), (145, 135))
     resize(page, 1000, 600)
-    release(page, (150, 140))
+    page.release((150, 140))
     frame, polygon = outline(page)
     assert frame == 0
     assert near(polygon, MOVED)
@@ -59,13 +47,13 @@ def test_a_new_size_keeps_what_was_zoomed_to_and_the_whole_frame_whole(page):
 
 def test_keys_change_nothing_under_a_pointer_that_drags(page):
     page.draw()
-    hold(page, (140, 130), (145, 135))
+    page.hold((140, 130), (145, 135))
     page.press("ArrowRight", "Shift+Delete", "e", "4")
-    release(page, (150, 140))
+    page.release((150, 140))
     frame, polygon = outline(page)
     assert frame == 0
     assert near(polygon, MOVED)
-    hold(page, (150, 140), (180, 180))
+    page.hold((150, 140), (180, 180))
     page.press("Escape")
     page.tab.mouse.up()
     assert near(outline(page)[1], MOVED)
@@ -75,7 +63,7 @@ def test_reloading_in_the_middle_of_a_drag_loses_only_the_drag(page):
     page.draw()
     page.saved()
     page.tab.on("dialog", lambda dialog: dialog.accept())
-    hold(page, (140, 130), (180, 180))
+    page.hold((140, 130), (180, 180))
     page.tab.reload()
     page.tab.mouse.up()
     page.ready()

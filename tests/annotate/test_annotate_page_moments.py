@@ -35,25 +35,14 @@ def named(page):
     return [(item["name"], item["motion"]) for item in page.objects()]
 
 
-def halfway(page, start, stop):
-    page.tab.mouse.move(*page.at(start))
-    page.tab.mouse.down()
-    page.tab.mouse.move(*page.at(stop), steps=4)
-
-
-def go_on(page, stop):
-    page.tab.mouse.move(*page.at(stop), steps=4)
-    page.tab.mouse.up()
-
-
 @pytest.mark.parametrize("keys", [["Shift+P"], ["Escape", "Shift+O"], ["Escape", "n"], []], ids=str)
 def test_escape_takes_back_what_the_pointer_began(page, keys):
     page.draw()
     before = page.objects()
     page.press(*keys)
-    halfway(page, (140, 130), (170, 150))
+    page.hold((140, 130), (170, 150))
     page.press("Escape")
-    go_on(page, (180, 160))
+    page.release((180, 160))
     assert page.objects() == before
     assert page.value(
         "labeller.state.tool === 'select' && !labeller.state.pending && !labeller.state.dragging"
@@ -78,9 +67,9 @@ def test_escape_puts_a_key_frame_on_the_timeline_back(page):
 def test_keys_do_nothing_in_the_middle_of_a_stroke_and_an_outline_stays_in_its_frame(page):
     page.draw()
     page.press("Shift+P")
-    halfway(page, (140, 100), (150, 100))
+    page.hold((140, 100), (150, 100))
     page.press("ArrowRight")
-    go_on(page, (160, 100))
+    page.release((160, 100))
     page.until("labeller.state.doc.objects[0].key_frames[0].polygons[0].length > 4")
     page.press("Escape", "Escape", "n")
     for corner in THERE:
