@@ -31,5 +31,4 @@ if TYPE_CHECKING:
     from kt3dmoseg.viewing import label as label
     from kt3dmoseg.viewing import show as show
 else:  # imported on first use, so that `--help` stays fast
-    _FORMER = {"build": "pipeline", "tracks": "tracking"}  # names of 0.1.0
-    __getattr__, __dir__, __all__ = lazy(__name__, "__version__", former=_FORMER)
+    __getattr__, __dir__, __all__ = lazy(__name__, "__version__")

@@ -225,7 +225,7 @@ class KittiClip(FrameSource):
         times = drive.timestamps(numbers)
         (width, height), calibrated = images.picture_size(paths[0]), drive.image_size
         if calibrated != (width, height):
-            where = f"{drive.folder}: calibration of camera {drive.camera}"
+            where = f"{drive.root / drive.drive.date}: calibration of camera {drive.camera}"
             expected, found = f"{width}x{height} px, as the frames", "{}x{}".format(*calibrated)
             fix = "it is of another day, or the frames were resized or cropped"
             raise FileFormatError(where, expected=expected, found=found, fix=fix)
@@ -519,7 +519,7 @@ def check_frames(provenance: Mapping[str, Any], clip: str, paths: Sequence[Path]
 
 def recorded_inputs(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return what a built clip was made from, as recorded in its file; empty for other clips."""
-    inputs = provenance.get("inputs", provenance.get("fingerprint"))  # its name in 0.1.0
+    inputs = provenance.get("inputs")
     return inputs if isinstance(inputs, Mapping) else {}
 
 

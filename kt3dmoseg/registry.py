@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from importlib import import_module
 from os import PathLike
-from types import FunctionType, MappingProxyType, NoneType, UnionType
+from types import FunctionType, NoneType, UnionType
 from typing import Any, TypeVar
 
 from kt3dmoseg.errors import InvalidValueError, UnknownNameError
@@ -73,13 +73,11 @@ def unknown_name(kind: str, name: object, known: Iterable[str], *, where: str = 
     return UnknownNameError(f"{where}: {message}" if where else message, fix=fix)
 
 
-def lazy(
-    package: str, *own: str, former: Mapping[str, str] = MappingProxyType({})
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def lazy(package: str, *own: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package whose names are imported on first use.
 
     They are the names that its source imports as themselves for type checkers, ``if TYPE_CHECKING``, and its
-    `own`, which it defines. `former` are modules of the package by older names.
+    `own`, which it defines.
     """
     lines = ast.parse(inspect.getsource(sys.modules[package])).body
     typed = [line for line in lines if isinstance(line, ast.If) and ast.unparse(line.test) == "TYPE_CHECKING"]
@@ -87,8 +85,8 @@ def lazy(
     names = {alias.name: line.module or "" for line in imports for alias in line.names if alias.asname}
 
     def getattr_(name: str) -> Any:  # noqa: ANN401  # the object may be anything
-        if name in former or names.get(name) == package:
-            return import_module(f"{package}.{former.get(name, name)}")
+        if names.get(name) == package:
+            return import_module(f"{package}.{name}")
         if name not in names:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(names[name]), name)

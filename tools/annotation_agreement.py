@@ -19,12 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from kt3dmoseg import io
-from kt3dmoseg.annotate import LabelledTracks, LabelRule, label_tracks_detailed, load_annotation
+from kt3dmoseg.annotate import LabelledTracks, label_tracks_detailed, load_annotation
 from kt3dmoseg.annotate.agreement import Agreement, agree
 from kt3dmoseg.annotate.labelling import REASONS
 from kt3dmoseg.errors import InputFileError, KT3DMoSegError
 from kt3dmoseg.files import write_text
-from kt3dmoseg.options import describe, from_mapping, option_names
 from kt3dmoseg.types import Clip
 
 GOAL = 0.98
@@ -52,10 +51,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--examples", type=int, default=8, help="differing trajectories shown per group")
     parser.add_argument("--json", action="store_true", help="the table as JSON")
     parser.add_argument("-o", "--output", type=Path, help="write to this file instead of the terminal")
-    for name, default, text in describe(LabelRule):
-        parser.add_argument(
-            f"--{name.replace('_', '-')}", default=argparse.SUPPRESS, help=f"{text} ({default})"
-        )
     arguments = parser.parse_args(argv)
     try:
         found = _compare_all(arguments)
@@ -71,7 +66,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _compare_all(arguments: argparse.Namespace) -> list[Comparison]:
-    rule = from_mapping(LabelRule, {k: v for k, v in vars(arguments).items() if k in option_names(LabelRule)})
     paths = io.dataset_paths(arguments.release)
     names = [name for name in paths if not arguments.clip or name in arguments.clip]
     there = [name for name in names if (arguments.annotations / f"{name}.json").exists()]
@@ -79,19 +73,14 @@ def _compare_all(arguments: argparse.Namespace) -> list[Comparison]:
         print(f"annotation_agreement: {name} is not annotated", file=sys.stderr)
     if not there:
         raise InputFileError(f"{arguments.annotations}", expected="<clip>.json", found="none of the clips")
-    return [_compare(io.load(paths[name]), name, arguments, rule) for name in there]
+    return [_compare(io.load(paths[name]), name, arguments) for name in there]
 
 
-def _compare(clip: Clip, name: str, arguments: argparse.Namespace, rule: LabelRule) -> Comparison:
-    options = {key: getattr(rule, key) for key in option_names(LabelRule)}
-    ours = label_tracks_detailed(
-        clip.dense, load_annotation(arguments.annotations / f"{name}.json"), **options
-    )
+def _compare(clip: Clip, name: str, arguments: argparse.Namespace) -> Comparison:
+    ours = label_tracks_detailed(clip.dense, load_annotation(arguments.annotations / f"{name}.json"))
     labels, names = clip.labels.label, {int(m): f"label {m}" for m in clip.labels.motions}
     if arguments.other:
-        other = label_tracks_detailed(
-            clip.dense, load_annotation(arguments.other / f"{name}.json"), **options
-        ).labels
+        other = label_tracks_detailed(clip.dense, load_annotation(arguments.other / f"{name}.json")).labels
         labels, names = other.label[clip.evaluated], dict(other.names)
     return Comparison(clip, ours, names, agree(ours.labels.label[clip.evaluated], labels))
 

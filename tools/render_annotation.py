@@ -21,14 +21,14 @@ import cv2
 import numpy as np
 from overlay import Box, contact_sheets, draw_view
 
-from kt3dmoseg import flow, io
-from kt3dmoseg.annotate import Annotation, FlowMotion, ImageMotion, Region, TrackMotion, propagate
+from kt3dmoseg import io
+from kt3dmoseg.annotate import Annotation, Region, TrackMotion, propagate
 from kt3dmoseg.annotate.geometry import bounds
 from kt3dmoseg.annotate.model import AnnotatedObject, load_annotation
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import write_bytes
 from kt3dmoseg.io.images import frame_paths, read_frame
-from kt3dmoseg.types import ByteArray, Float32Array
+from kt3dmoseg.types import ByteArray
 
 # Screen pixels: the widest crop of an object's sheet.
 _TILE = 490
@@ -53,7 +53,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="only this part; may be repeated",
     )
     parser.add_argument(
-        "--tracks", type=Path, help="carry regions by these trajectories instead of optical flow"
+        "--tracks",
+        type=Path,
+        help="carry regions by these trajectories; otherwise they move in straight lines",
     )
     arguments = parser.parse_args(argv)
     try:
@@ -71,7 +73,8 @@ def _render(arguments: argparse.Namespace) -> int:
         annotation = load_annotation(arguments.annotation)
         _check(annotation, frames)
         name = annotation.clip
-        shown = _regions(annotation, _motion(frames, arguments.tracks), arguments.object)
+        motion = TrackMotion(io.load(arguments.tracks).dense) if arguments.tracks else None
+        shown = _regions(annotation, motion, arguments.object)
     for text in arguments.crop:
         number, box = _crop(text, len(frames))
         picture = draw_view(frames[number], box, arguments.zoom, shown[number], title=f"frame {number}")
@@ -82,24 +85,10 @@ def _render(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _regions(annotation: Annotation, motion: ImageMotion, only: list[int] | None) -> list[Shown]:
+def _regions(annotation: Annotation, motion: TrackMotion | None, only: list[int] | None) -> list[Shown]:
     regions = propagate(annotation, motion)
     items = [item for item in annotation.objects if not only or item.id in only]
     return [[(item, regions[item.id][frame]) for item in items] for frame in range(annotation.n_frames)]
-
-
-def _motion(frames: list[ByteArray], tracks: Path | None) -> ImageMotion:
-    if tracks:
-        return TrackMotion(io.load(tracks).dense)
-    backend = flow.create("dis")
-    fields: dict[tuple[int, int], Float32Array] = {}
-
-    def field(i: int, j: int) -> Float32Array:
-        if (i, j) not in fields:
-            fields[i, j] = backend(frames[i], frames[j])
-        return fields[i, j]
-
-    return FlowMotion(field)
 
 
 def _overviews(folder: Path, name: str, frames: list[ByteArray], shown: list[Shown]) -> None:

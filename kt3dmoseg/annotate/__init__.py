@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from kt3dmoseg.annotate import formats as formats
     from kt3dmoseg.annotate import model as model
     from kt3dmoseg.annotate.labelling import LabelledTracks as LabelledTracks
-    from kt3dmoseg.annotate.labelling import LabelRule as LabelRule
     from kt3dmoseg.annotate.labelling import label_tracks as label_tracks
     from kt3dmoseg.annotate.labelling import label_tracks_detailed as label_tracks_detailed
     from kt3dmoseg.annotate.model import AnnotatedObject as AnnotatedObject
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from kt3dmoseg.annotate.model import load_annotation as load_annotation
     from kt3dmoseg.annotate.model import save_annotation as save_annotation
     from kt3dmoseg.annotate.model import save_revision as save_revision
-    from kt3dmoseg.annotate.propagation import FlowMotion as FlowMotion
-    from kt3dmoseg.annotate.propagation import ImageMotion as ImageMotion
     from kt3dmoseg.annotate.propagation import Region as Region
     from kt3dmoseg.annotate.propagation import TrackMotion as TrackMotion
     from kt3dmoseg.annotate.propagation import propagate as propagate

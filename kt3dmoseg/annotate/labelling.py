@@ -1,21 +1,21 @@
 """From an annotation to a motion label per trajectory.
 
 The rule. In every frame where a trajectory is visible it casts one vote. Let d be its distance to
-the boundary of the nearest region, positive inside; the vote weighs ``min(1, |d| / margin)``, so
+the boundary of the nearest region, positive inside; the vote weighs ``min(1, |d| / 2)``, so
 that near a boundary, where neither the drawing nor the tracker can be trusted, it weighs little.
 Inside regions of one motion it votes for that motion; outside of all regions for the background. A static
 region (motion 0) lies in front of moving ones and a rejected one in front of all. Inside two regions of
 different motions, or in the region of an occluded object, it abstains. The trajectory gets the motion
-with at least `min_share` of its votes, when they weigh at least `min_votes`; otherwise it stays
+with at least 3/4 of its votes, when they weigh at least 1; otherwise it stays
 unlabelled, with the reason.
 
 Along an outline, motion then decides where it is clear: optical flow is smooth over a few pixels, so a
 trajectory a little outside often rides on the object, and one a little inside sometimes on what lies behind.
-A trajectory that keeps within `halo` pixels of the outline of one region in most of its frames is compared,
+A trajectory that keeps within 8 pixels of the outline of one region in most of its frames is compared,
 step by step, with two predictions of its displacement: a similarity fitted to the clear trajectories of that
-object around it (inside by more than the margin), and one fitted to those of the background around it
-(outside by more than `halo`). The side whose median error is smaller by a factor of `ratio` wins. Where the
-two predictions differ by less than `least_gap` pixels, or one side has too few clear trajectories, the
+object around it (inside by more than 2), and one fitted to those of the background around it
+(outside by more than 8). The side whose median error is smaller by a factor of 1.5 wins. Where the
+two predictions differ by less than 0.4 pixels, or one side has too few clear trajectories, the
 outline decides.
 
 A mark overrules all else for the trajectories that it encloses.
@@ -23,35 +23,25 @@ A mark overrules all else for the trajectories that it encloses.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.geometry import inside, signed_distance
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Motion
-from kt3dmoseg.annotate.propagation import ImageMotion, Region, TrackMotion, fit_similarities, propagate
+from kt3dmoseg.annotate.propagation import Region, TrackMotion, fit_similarities, propagate
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.options import from_mapping, option
 from kt3dmoseg.types import BoolArray, FloatArray, IntArray, Labels, Trajectories
 
 Reason: TypeAlias = Literal["labelled", "unseen", "short", "conflict", "rejected"]
 REASONS: tuple[str, ...] = get_args(Reason)
 _LABELLED, _UNSEEN, _SHORT, _CONFLICT, _REJECTED = range(len(REASONS))
+# The rule: pixels, but for the share of the votes, their weight and the factor.
+_MARGIN, _HALO, _LEAST_GAP = 2.0, 8.0, 0.4
+_MIN_SHARE, _MIN_VOTES, _RATIO = 0.75, 1.0, 1.5
 _NEIGHBOURS = 16
 _MIN_STEPS = 3
-
-
-@dataclass(frozen=True)
-class LabelRule:
-    """Constants of the rule."""
-
-    margin: float = option(2.0, "votes weigh fully from this distance to a boundary on, pixels", low=0.01)
-    min_share: float = option(0.75, "share of the votes that the winner needs", low=0.5, high=1.0)
-    min_votes: float = option(1.0, "weight that the votes need together, in full votes", low=0.0)
-    halo: float = option(8.0, "along an outline, up to this far outside, motion decides; pixels", low=0.0)
-    ratio: float = option(1.5, "the motion that wins there must fit better by this factor", low=1.0)
-    least_gap: float = option(0.4, "where the motions differ by less, the outline decides; pixels", low=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,13 +65,7 @@ class LabelledTracks:
         return {name: int((self.reason == k).sum()) for k, name in enumerate(REASONS)}
 
 
-def label_tracks(
-    trajectories: Trajectories,
-    annotation: Annotation,
-    *,
-    motion: ImageMotion | None = None,
-    **options: Any,  # noqa: ANN401
-) -> Labels:
+def label_tracks(trajectories: Trajectories, annotation: Annotation) -> Labels:
     """Label any trajectories of a clip by its annotation.
 
     Parameters
@@ -90,10 +74,6 @@ def label_tracks(
         Of the annotated clip, by whatever tracker.
     annotation : Annotation
         The objects of the clip.
-    motion : ImageMotion, optional
-        What carries regions between key frames; by default the trajectories inside them.
-    **options
-        Fields of `LabelRule`.
 
     Returns
     -------
@@ -103,27 +83,21 @@ def label_tracks(
     Raises
     ------
     InvalidValueError
-        When trajectories and annotation have different numbers of frames or image sizes, or an
-        option is out of bounds.
-    UnknownNameError
-        For a misspelt option.
+        When trajectories and annotation have different numbers of frames or image sizes.
     """
-    return label_tracks_detailed(trajectories, annotation, motion=motion, **options).labels
+    return label_tracks_detailed(trajectories, annotation).labels
 
 
 def label_tracks_detailed(
     trajectories: Trajectories,
     annotation: Annotation,
     *,
-    motion: ImageMotion | None = None,
     regions: Mapping[int, list[Region]] | None = None,
-    **options: Any,  # noqa: ANN401
 ) -> LabelledTracks:
     """Label trajectories, with reasons, as `label_tracks`; `regions` of `propagate`, when they are known."""
-    rule = from_mapping(LabelRule, options, where="label_tracks")
     _check_clip(trajectories, annotation)
     if regions is None:
-        regions = propagate(annotation, motion or TrackMotion(trajectories))
+        regions = propagate(annotation, TrackMotion(trajectories))
     # Signed distance (N, F) to each object's outline, positive inside; -inf far off, NaN where unseen.
     depths = {item.id: np.where(trajectories.visible, -np.inf, np.nan) for item in annotation.objects}
     candidates: tuple[Motion, ...] = (BACKGROUND, *annotation.motions, REJECT)
@@ -135,17 +109,17 @@ def label_tracks_detailed(
         hidden = np.zeros(len(rows), dtype=np.bool_)
         for item in annotation.objects:
             region, column = regions[item.id][frame], candidates.index(item.motion)
-            inner = signed_distance(xy, region.polygons, max(rule.margin, rule.halo))
+            inner = signed_distance(xy, region.polygons, _HALO)
             depths[item.id][rows, frame] = inner
             if region.visibility == "occluded":
                 hidden |= inner > 0
             else:
                 depth[:, column] = np.maximum(depth[:, column], inner)
-        weight, torn = _votes(depth, hidden, rule.margin)
+        weight, torn = _votes(depth, hidden)
         votes[rows] += weight
         contested[rows] |= torn
-    choice, reason = _decide(votes, contested, trajectories.lengths > 0, rule)
-    for rows, motion_there in _decide_by_motion(trajectories, annotation.objects, depths, rule):
+    choice, reason = _decide(votes, contested, trajectories.lengths > 0)
+    for rows, motion_there in _decide_by_motion(trajectories, annotation.objects, depths):
         choice[rows], reason[rows] = candidates.index(motion_there), _LABELLED
     for mark in annotation.marks:
         rows, xy = trajectories.at(mark.frame)
@@ -160,28 +134,26 @@ def label_tracks_detailed(
     return LabelledTracks(labels, reason, votes, candidates)
 
 
-def _votes(depth: FloatArray, hidden: BoolArray, margin: float) -> tuple[FloatArray, BoolArray]:
+def _votes(depth: FloatArray, hidden: BoolArray) -> tuple[FloatArray, BoolArray]:
     """Weights (n, K) of votes in one frame, and where two motions claim a point (n,), from depths (n, K)."""
     static, moving, rejected = depth[:, 0], depth[:, 1:-1], depth[:, -1]
     outside = -np.maximum(moving.max(axis=1, initial=-np.inf), rejected)
     background = np.maximum(np.minimum(static, -rejected), outside)
     uncovered = np.minimum(moving, -np.maximum(static, rejected)[:, None])
-    weight = np.clip(np.column_stack([background, uncovered, rejected]) / margin, 0.0, 1.0)
+    weight = np.clip(np.column_stack([background, uncovered, rejected]) / _MARGIN, 0.0, 1.0)
     torn = (uncovered > 0).sum(axis=1) > 1
     weight[hidden | torn] = 0.0
     return np.asarray(weight), np.asarray(torn)
 
 
-def _decide(
-    votes: FloatArray, contested: BoolArray, seen: BoolArray, rule: LabelRule
-) -> tuple[IntArray, IntArray]:
+def _decide(votes: FloatArray, contested: BoolArray, seen: BoolArray) -> tuple[IntArray, IntArray]:
     """Winner (N,) as a column, and reason (N,)."""
     choice = np.argmax(votes, axis=1)
     total = votes.sum(axis=1)
-    won = votes.max(axis=1) >= rule.min_share * total
+    won = votes.max(axis=1) >= _MIN_SHARE * total
     reason = np.where(won, _LABELLED, _CONFLICT)
     reason[won & (choice == votes.shape[1] - 1)] = _REJECTED
-    few = (total < rule.min_votes) | (total == 0)
+    few = (total < _MIN_VOTES) | (total == 0)
     reason[few] = np.where(contested[few], _CONFLICT, _SHORT)
     reason[~seen] = _UNSEEN
     return choice.astype(np.int64), reason.astype(np.int64)
@@ -201,18 +173,17 @@ def _decide_by_motion(
     trajectories: Trajectories,
     objects: Sequence[AnnotatedObject],
     depths: Mapping[int, FloatArray],
-    rule: LabelRule,
 ) -> Iterator[tuple[IntArray, Motion]]:
     """Yield rows of the trajectories that the rule decides, and their motion (0 = background)."""
     steps = range(trajectories.n_frames - 1)
     with np.errstate(invalid="ignore"):
-        behind = trajectories.visible & np.all([depth < -rule.halo for depth in depths.values()], axis=0)
+        behind = trajectories.visible & np.all([depth < -_HALO for depth in depths.values()], axis=0)
     for item in objects:
         depth = depths[item.id]
         with np.errstate(invalid="ignore"):
-            clear = depth > rule.margin
+            clear = depth > _MARGIN
             # Along the outline: within `halo` outside and about as near inside, in most frames.
-            close = (depth >= -rule.halo) & (depth <= 2 * rule.margin)
+            close = (depth >= -_HALO) & (depth <= 2 * _MARGIN)
         rows = np.flatnonzero(2 * close.sum(axis=1) > trajectories.lengths)
         if item.motion in (BACKGROUND, REJECT) or not len(rows) or not steps:
             continue
@@ -220,9 +191,9 @@ def _decide_by_motion(
         errors[np.isnan(errors).any(axis=2)] = np.nan
         known = np.isfinite(errors[..., 0]).sum(axis=0) >= _MIN_STEPS
         of_object, of_background, gap = np.nanmedian(errors[:, known], axis=0).T
-        clear = gap >= rule.least_gap
-        yield rows[known][clear & (of_background * rule.ratio <= of_object)], BACKGROUND
-        yield rows[known][clear & (of_object * rule.ratio <= of_background)], item.motion
+        clear = gap >= _LEAST_GAP
+        yield rows[known][clear & (of_background * _RATIO <= of_object)], BACKGROUND
+        yield rows[known][clear & (of_object * _RATIO <= of_background)], item.motion
 
 
 def _errors(

@@ -14,14 +14,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from kt3dmoseg.annotate.geometry import area, arrays, blend, bounds, median, resample, signed_distance, size
+from kt3dmoseg.annotate.geometry import area, arrays, blend, median, resample, signed_distance, size
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, Annotation, KeyFrame, Motion, Visibility
-from kt3dmoseg.types import BoolArray, Float32Array, FloatArray, Trajectories
+from kt3dmoseg.types import BoolArray, FloatArray, Trajectories
 
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
@@ -63,17 +63,17 @@ class Region:
     key: bool = False
 
 
-def propagate(annotation: Annotation, motion: ImageMotion | None = None) -> dict[int, list[Region]]:
+def propagate(annotation: Annotation, motion: TrackMotion | None = None) -> dict[int, list[Region]]:
     """Return the regions of every object, by its id, one per frame of the clip.
 
-    `motion` is a `TrackMotion` or `FlowMotion`; without it regions are interpolated in straight lines.
+    Without `motion` regions are interpolated in straight lines.
     """
     frames, objects = annotation.n_frames, annotation.objects
     return {item.id: propagate_keys(item.key_frames, frames, motion, item.motion) for item in objects}
 
 
 def propagate_keys(
-    keys: Sequence[KeyFrame], n_frames: int, motion: ImageMotion | None, number: Motion = 1
+    keys: Sequence[KeyFrame], n_frames: int, motion: TrackMotion | None, number: Motion = 1
 ) -> list[Region]:
     """Return the region in every frame of an object of a motion with these key frames; see `propagate`."""
     if number in _SCENE and isinstance(motion, TrackMotion):
@@ -87,7 +87,7 @@ def propagate_keys(
     return regions
 
 
-def weak_frames(regions: Sequence[Region], motion: ImageMotion) -> list[str]:
+def weak_frames(regions: Sequence[Region], motion: TrackMotion) -> list[str]:
     """Return, per frame, why the region carried to it is in doubt, or "" where it is not.
 
     In doubt is a visible region between key frames that follows fewer than 8 trajectories, or less than 60 %
@@ -138,14 +138,6 @@ def _doubt(before: Region, here: Region, matches: Callable[..., Any], i: int, j:
     return "" if 1 / _JUMP < growth < _JUMP else f"area changes by {abs(growth - 1):.0%}"
 
 
-class ImageMotion(Protocol):
-    """Where points of the image went."""
-
-    def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
-        """Positions (n, 2) in frame `i`, inside the polygons (P, 2) of a region, and in its neighbour `j`."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class TrackMotion:
     """The image motion of the trajectories inside the region; if these are few, also `around` it (pixels)."""
@@ -154,37 +146,12 @@ class TrackMotion:
     around: float = 0.0
 
     def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
-        """Trajectories inside the region in frame `i` that are visible in `j`; see `ImageMotion`."""
+        """Trajectories inside the region in frame `i` that are visible in `j`: positions (n, 2) in both."""
         _, x1, x2 = self.trajectories.pair(i, j)
         kept = signed_distance(x1, region, reach=0.0) >= 0
         if kept.sum() < _ENOUGH and self.around:
             kept = signed_distance(x1, region, reach=self.around) >= -self.around
         return x1[kept], x2[kept]
-
-
-@dataclass(frozen=True, eq=False)
-class FlowMotion:
-    """The image motion of an optical flow, sampled every `spacing` pixels.
-
-    ``flow(i, j)`` is the displacement (H, W, 2) from frame `i` to its neighbour, in pixels; NaN: unknown.
-    """
-
-    flow: Callable[[int, int], Float32Array]
-    spacing: float = 2.0
-
-    def matches(self, region: Sequence[FloatArray], i: int, j: int) -> tuple[FloatArray, FloatArray]:
-        """Points on a grid in the region and where the flow takes them; see `ImageMotion`."""
-        field = self.flow(i, j)
-        height, width = field.shape[:2]
-        left, top, right, bottom = bounds(region)
-        xs = np.arange(max(0.0, np.ceil(left)), min(width - 1.0, right) + 1e-9, self.spacing)
-        ys = np.arange(max(0.0, np.ceil(top)), min(height - 1.0, bottom) + 1e-9, self.spacing)
-        grid = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
-        x1 = grid[signed_distance(grid, region) >= 0]
-        column, row = np.rint(x1).astype(np.int64).T
-        x2 = x1 + field[row, column]
-        known = np.isfinite(x2).all(axis=1)
-        return x1[known], x2[known]
 
 
 def fit_similarities(x1: FloatArray, x2: FloatArray, known: BoolArray) -> tuple[FloatArray, BoolArray]:
@@ -238,7 +205,7 @@ def _median(values: FloatArray, known: BoolArray) -> FloatArray:
 
 
 def _between(
-    key: KeyFrame, after: KeyFrame | None, n_frames: int, motion: ImageMotion | None
+    key: KeyFrame, after: KeyFrame | None, n_frames: int, motion: TrackMotion | None
 ) -> list[list[FloatArray]]:
     """Polygons of the frames strictly between a key frame and the next one, or the end."""
     end = n_frames if after is None else after.frame
@@ -255,7 +222,7 @@ def _between(
 
 
 def _carry(
-    key: KeyFrame, stop: int, target: KeyFrame | None, motion: ImageMotion | None
+    key: KeyFrame, stop: int, target: KeyFrame | None, motion: TrackMotion | None
 ) -> list[list[FloatArray]]:
     """Polygons of the frames from `key` to `stop`, in that order; straight steps lead to `target`."""
     # What hides an occluded object is not the object: its motion must not carry the region along.
@@ -279,7 +246,7 @@ def _carry(
     return chain
 
 
-def _step(region: Sequence[FloatArray], i: int, j: int, motion: ImageMotion | None) -> FloatArray | None:
+def _step(region: Sequence[FloatArray], i: int, j: int, motion: TrackMotion | None) -> FloatArray | None:
     if motion is None or not region:
         return None
     x1, x2 = motion.matches(region, i, j)

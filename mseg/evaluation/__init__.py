@@ -18,7 +18,6 @@ from mseg.evaluation.submission import (
     Submission,
     SubmissionMeta,
     clip_checksum,
-    fingerprint,
     read_submission,
     write_failure,
     write_meta,
@@ -29,7 +28,7 @@ from mseg.evaluation.validation import Validation, validate_submission
 
 __all__ = ["ClipScore", "Group", "Leaderboard", "Protocol", "ScoreTable", "Submission", "SubmissionMeta"]
 __all__ += ["Validation", "classification_error", "clip_checksum", "compare", "example_submission"]
-__all__ += ["fingerprint", "list_protocols", "load_protocol", "read_label_files", "read_submission", "score"]
+__all__ += ["list_protocols", "load_protocol", "read_label_files", "read_submission", "score"]
 __all__ += ["score_submission", "validate_submission", "write_failure", "write_meta", "write_prediction"]
 __all__ += ["write_report", "write_submission"]
 

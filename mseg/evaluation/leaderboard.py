@@ -173,14 +173,6 @@ class Leaderboard:
         with self._open() as (_, kept):
             return list(kept)
 
-    def scores(self, number: int) -> ScoreTable:
-        """Return the full scores of an entry."""
-        with self._open() as (_, kept):
-            for entry, scores in kept.items():
-                if entry.id == number:
-                    return from_json(scores, f"{self.path}: entry {number}")
-        raise self._no_entry(number)
-
     def _no_entry(self, number: int) -> InputFileError:
         return InputFileError(f"{self.path}", expected=f"entry {number}", found="none of that number")
 

@@ -135,9 +135,6 @@ def clip_checksum(clip: Clip) -> str:
     return sha256_arrays(tracks.track_id[order], tracks.visible[order], xy[order])[:16]
 
 
-fingerprint = clip_checksum  # its public name up to version 0.1
-
-
 def looks_like_submission(path: Path) -> bool:
     """Whether a path is a zip or a folder with ``meta.toml``, as opposed to a folder of clips."""
     return path.suffix.lower() == ".zip" or (path / META).is_file()

@@ -5,14 +5,14 @@ Rules, the same for all of them:
 * Trajectories seen in fewer than two frames show no motion. They take no part; at the end
   they join the largest motion, the best guess without evidence.
 * Frames in which no other trajectory is seen are left out.
-* Gaps are filled in pixels, or refused, by the option ``completion``: from one subspace, from similar
-  trajectories, or by robust principal components, which repair gross errors of seen positions as well.
+* Gaps are filled in pixels, or refused, by the option ``completion``: from one subspace, or by
+  robust principal components, which repair gross errors of seen positions as well.
 * Fewer trajectories than motions, fewer than two frames, or trajectories that all coincide are an error.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy as np
 from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.options import option
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, IntArray
-from mseg.completion import Completion, complete, complete_locally, robust_pca
+from mseg.completion import Completion, complete, robust_pca
 from mseg.errors import IncompleteTrajectoriesError, SegmentationError, TooFewPointsError
 from mseg.geometry.subspaces import normalised, normalising_matrix, trajectory_matrix
 from mseg.types import MANY, Grouping, Segmentation
@@ -54,12 +54,12 @@ class CompleteData:
 
 
 def complete_data(
-    clip: Clip, completion: Literal["chen", "local", "rpca", "none"] = "chen", rank: int = 5
+    clip: Clip, completion: Literal["chen", "rpca", "none"] = "chen", rank: int = 5
 ) -> CompleteData:
     """Trajectory matrices of the evaluated trajectories, without gaps.
 
-    `completion` fills gaps by `mseg.completion.complete` or `complete_locally`, takes the low-rank part of
-    `robust_pca`, gaps or not, or refuses gaps; `rank` is that of the completion "chen".
+    `completion` fills gaps by `mseg.completion.complete`, takes the low-rank part of `robust_pca`, gaps or
+    not, or refuses gaps; `rank` is that of the completion "chen".
     """
     trajectories = clip.evaluated_trajectories
     used = trajectories.lengths >= _FEWEST_FRAMES
@@ -76,7 +76,7 @@ def complete_data(
         )  # fmt: skip
     extent = np.ptp(kept.xy[kept.visible], axis=0) if kept.image_size is None else kept.image_size
     unit = float(np.hypot(*extent)) / _DIAGONAL or 1.0
-    filled = _filled(trajectory_matrix(kept.xy[:, frames]), completion, rank, unit)
+    filled = _filled(trajectory_matrix(kept.xy[:, frames]), completion, rank)
     pixels = filled.matrix
     if np.ptp(pixels, axis=1).max() <= np.finfo(np.float64).eps * np.abs(pixels).max():
         raise SegmentationError(clip.name, expected="trajectories that differ", found="one, repeated")
@@ -93,10 +93,7 @@ def complete_data(
     return CompleteData(pixels, unit, trajectory_matrix(xy), used, report)
 
 
-def _filled(matrix: FloatArray, completion: str, rank: int, unit: float) -> Completion:
-    if completion == "local":
-        local = complete_locally(matrix / unit, rank)
-        return replace(local, matrix=local.matrix * unit, rms=local.rms * unit)
+def _filled(matrix: FloatArray, completion: str, rank: int) -> Completion:
     if completion != "rpca":
         return complete(matrix, rank)
     seen = np.isfinite(matrix)
@@ -116,12 +113,11 @@ class CompleteDataMethod(ABC):
     finds_n_motions: ClassVar[bool] = False
     """Whether `n_motions` may be None."""
 
-    completion: Literal["chen", "local", "rpca", "none"] = option(
+    completion: Literal["chen", "rpca", "none"] = option(
         "chen",
-        "how gaps are filled: 'chen' (fixed rank), 'local' (similar trajectories), 'rpca' (repairs gross "
-        "errors too), 'none' to refuse",
+        "how gaps are filled: 'chen' (fixed rank), 'rpca' (repairs gross errors too), 'none' to refuse",
     )
-    completion_rank: int = option(5, "rank of the completion of gaps, or of its start", low=1)
+    completion_rank: int = option(5, "rank of the completion of gaps", low=1)
 
     def segment(self, clip: Clip, *, n_motions: int | None, rng: np.random.Generator) -> Segmentation:
         """Complete the evaluated trajectories of `clip` and group them.

@@ -52,11 +52,6 @@ def test_motion_decides_along_the_outline(scene):
     assert labels.label.tolist() == np.where(moving, 2, 1).tolist()
 
 
-def test_without_a_halo_the_outline_decides(scene):
-    trajectories, _ = scene
-    assert label_tracks(trajectories, annotation(), halo=0).label[-2:].tolist() == [1, 1]
-
-
 def test_far_outside_nothing_is_decided_by_motion(scene):
     trajectories, moving = scene
     starts = trajectories.xy[:, 0].copy()

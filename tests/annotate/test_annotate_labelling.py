@@ -15,7 +15,7 @@ from kt3dmoseg.annotate import (
     label_tracks,
     label_tracks_detailed,
 )
-from kt3dmoseg.errors import InvalidValueError, UnknownNameError
+from kt3dmoseg.errors import InvalidValueError
 from kt3dmoseg.types import Trajectories
 
 FRAMES = 6
@@ -66,7 +66,7 @@ def test_labels_do_not_depend_on_the_order_of_the_trajectories():
 
 @pytest.mark.parametrize(("depth", "weight"), [(1.0, 0.5), (2.0, 1.0), (-1.0, 0.5), (-5.0, 1.0)])
 def test_votes_weigh_by_their_distance_to_the_boundary(depth, weight):
-    result = label_tracks_detailed(straight([(40 + depth, 50)]), annotation(thing()), margin=2.0)
+    result = label_tracks_detailed(straight([(40 + depth, 50)]), annotation(thing()))
     column = 1 if depth > 0 else 0
     assert result.votes[0, column] == pytest.approx(weight * FRAMES)
 
@@ -147,10 +147,3 @@ def test_wrong_clip_is_refused():
     other = Trajectories(np.zeros((1, FRAMES, 2)), np.ones((1, FRAMES), bool), image_size=(10, 10))
     with pytest.raises(InvalidValueError, match="image size"):
         label_tracks(other, annotation())
-
-
-def test_options_are_checked():
-    with pytest.raises(UnknownNameError, match="margin"):
-        label_tracks(straight([(1, 1)]), annotation(), margn=1)
-    with pytest.raises(InvalidValueError, match="min_share"):
-        label_tracks(straight([(1, 1)]), annotation(), min_share=0.2)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kt3dmoseg.annotate import AnnotatedObject, Annotation, FlowMotion, KeyFrame, TrackMotion, propagate
+from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, TrackMotion, propagate
 from kt3dmoseg.annotate.geometry import area, blend, inside, resample, signed_distance
 from kt3dmoseg.annotate.propagation import Region, apply, fit_similarities, weak_frames
 from kt3dmoseg.types import Trajectories
@@ -98,15 +98,6 @@ def test_key_frames_are_exact_whatever_moves():
     regions = propagate(drawn, TrackMotion(tracks()))[1]
     assert regions[5].key
     assert [tuple(map(tuple, p)) for p in regions[5].polygons] == [odd, at(1)]
-
-
-def test_flow_carries_like_trajectories():
-    def flow(i, j):
-        return np.full((120, 150, 2), path(j) - path(i), np.float32)
-
-    drawn = annotation(KeyFrame(0, polygons=(at(0),)), KeyFrame(FRAMES - 1, polygons=(at(FRAMES - 1),)))
-    regions = propagate(drawn, FlowMotion(flow))[1]
-    assert np.abs(regions[4].polygons[0] - SQUARE - path(4)).max() < 0.1
 
 
 def test_too_few_trajectories_fall_back_to_the_line():

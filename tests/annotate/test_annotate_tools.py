@@ -98,7 +98,7 @@ def test_agreement_tool_lists_where_the_two_differ(clip, capsys):
     half = [(60, 70), (100, 70), (100, 130), (60, 130)]
     drawn_by_hand(clip / "other" / "one.json", "drifting box", half)
     arguments = ["--annotations", str(clip / "annotations"), "--release", str(clip / "release")]
-    assert tool("annotation_agreement").main([*arguments, "--other", str(clip / "other"), "--halo", "0"]) == 0
+    assert tool("annotation_agreement").main([*arguments, "--other", str(clip / "other")]) == 0
     text = capsys.readouterr().out
     assert "ours: drifting box, theirs: background" in text
     assert "frame 3 at (" in text
@@ -110,11 +110,9 @@ def test_agreement_tool_without_annotations(clip, capsys):
     assert "one is not annotated" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("motion", ["flow", "tracks"])
-def test_render_tool(clip, capsys, motion):
+def test_render_tool(clip, capsys):
     arguments = [str(clip / "annotations" / "one.json"), "--frames", str(clip / "frames" / "one")]
-    arguments += ["-o", str(clip / "out")]
-    arguments += ["--tracks", str(clip / "tracks" / "one.npz")] if motion == "tracks" else []
+    arguments += ["-o", str(clip / "out"), "--tracks", str(clip / "tracks" / "one.npz")]
     assert tool("render_annotation").main(arguments) == 0
     names = sorted(p.name for p in (clip / "out").iterdir())
     assert names == [f"one_f00{k}.png" for k in range(6)] + ["one_object01_0.png"]

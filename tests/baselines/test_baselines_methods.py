@@ -126,18 +126,6 @@ def test_guesses_about_many_trajectories_are_noted(make_scene, rng):
     assert not any("largest motion" in note or "too short" in note for note in few["notes"])
 
 
-@pytest.mark.parametrize("factor", [0.01, 10.0])
-def test_local_completion_has_no_unit(make_scene, rng, factor):
-    clip = make_scene(rng, (40, 30), noise=0.3, missing=0.5)
-    size = tuple(round(side * factor) for side in clip.dense.image_size)
-    scaled = replace(clip.dense, xy=clip.dense.xy * factor, image_size=size)
-    expected = complete_data(clip, "local")
-    found = complete_data(replace(clip, dense=scaled), "local")
-    np.testing.assert_allclose(found.pixels / factor, expected.pixels, atol=0.02)
-    rms = [data.report["completion_rms_pixels"] for data in (found, expected)]
-    assert rms[0] / factor == pytest.approx(rms[1], rel=0.01)
-
-
 @pytest.mark.parametrize("name", ["ssc", "lrr", "s3c", "lrssc", "consistent"])
 def test_failure_to_converge_is_reported(make_scene, name):
     clip = make_scene(np.random.default_rng(10), (15, 15))

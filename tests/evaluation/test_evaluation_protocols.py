@@ -4,7 +4,7 @@ import pytest
 import kt3dmoseg
 from kt3dmoseg.errors import UnknownNameError
 from kt3dmoseg.io import dataset_paths
-from mseg.evaluation import fingerprint, list_protocols, load_protocol
+from mseg.evaluation import clip_checksum, list_protocols, load_protocol
 from mseg.evaluation.protocol import choose_protocol
 
 
@@ -87,7 +87,7 @@ def test_prevalence_and_checksums_are_those_of_the_data(data_root):
     for name, clip in clips.items():
         share = np.bincount(clip.labels.label).max() / len(clip.labels)
         assert protocol.prevalence[name] == pytest.approx(100 * (1 - share), abs=0.005)
-    prints = {name: fingerprint(clip) for name, clip in clips.items()}
+    prints = {name: clip_checksum(clip) for name, clip in clips.items()}
     assert protocol.version_of(prints) == "2018"
     assert protocol.version_of({**prints, "Seq005_Clip01": "0" * 16}) == ""
 
