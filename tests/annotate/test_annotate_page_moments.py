@@ -167,6 +167,24 @@ def test_a_name_that_is_typed_while_a_merge_comes_goes_to_its_object(context, sh
     assert ada.errors == bo.errors == []
 
 
+def test_an_outline_that_is_drawn_while_a_merge_comes_goes_to_its_object(context, shared):
+    ada, bo = Page(context, shared.address), Page(context, shared.address)
+    bo.draw(THERE)
+    bo.saved()
+    held = hold(ada, "**/annotation")
+    ada.draw()
+    ada.until("labeller.state.saving.kind === 'busy'")
+    ada.press("r")
+    for corner in CORNERS[:3]:
+        ada.click(corner)
+    let_go(ada, "**/annotation", held)
+    ada.until("labeller.state.doc.objects.length === 2")
+    ada.press("Enter")
+    ada.saved()
+    assert [len(item.key_frames[0].polygons[0]) for item in stored(shared).objects] == [len(THERE), 3]
+    assert ada.errors == bo.errors == []
+
+
 def test_undo_after_a_merge_makes_no_objects(context, shared):
     ada = Page(context, shared.address)
     ada.draw()
@@ -353,7 +371,8 @@ def test_key_frames_made_by_themselves_do_not_count_as_the_first(page, key):
     page.until("!labeller.state.making")
 
 
-def test_the_timeline_does_not_change_the_object_that_is_being_drawn(page):
+@pytest.mark.parametrize("by", ["timeline", "list", "key"])
+def test_an_outline_goes_to_the_object_that_it_was_begun_for(page, by):
     page.draw()
     page.press("Escape")
     page.draw(THERE)
@@ -363,8 +382,13 @@ def test_the_timeline_does_not_change_the_object_that_is_being_drawn(page):
     for corner in CORNERS[:3]:
         page.click(corner)
     box = page.box("#timeline")
-    page.tab.mouse.click(box["x"] + 2.5 * box["width"] / 6, box["y"] + 65)
-    page.press("Enter")
+    if by == "timeline":
+        page.tab.mouse.click(box["x"] + 2.5 * box["width"] / 6, box["y"] + 65)
+    elif by == "list":
+        page.tab.locator(".entry .object").last.click()
+    else:
+        page.press("]")
+    page.click(CORNERS[0])  # closes it
     assert page.objects()[1] == before[1]
     assert len(page.objects()[0]["key_frames"][0]["polygons"][0]) == 3
 

@@ -60,7 +60,7 @@ export const update = withObject((_, { id }, fields) => edit(changeObject(state.
 // Drawing
 
 export function setTool(tool, mode = "object") {
-  const pending = tool === "select" ? null : { points: [], mode, freehand: false };
+  const pending = tool === "select" ? null : { points: [], mode, freehand: false, id: state.selected };
   set({ tool, pending, lassoed: null, vertex: null, cross: state.keyboard ? state.cross : null });
   if (tool === "click") deselect();
 }
@@ -71,11 +71,12 @@ export const redraw = withObject((_, mode, tool = "draw") => setTool(tool, mode)
 export function finish() {
   const { pending, tool, frame } = state;
   if (!pending || pending.points.length < 3) return notify("An outline needs at least three points");
-  const { points, mode, freehand } = pending;
+  const { points, mode, freehand, id } = pending;
   const polygon = rounded(freehand ? simplify(points, 0.8 / Math.sqrt(state.view.scale)) : points);
   setTool("select");
   if (tool === "lasso") return catchTracks(frame, polygon);
-  if (mode !== "object" && selectedObject()) {
+  if (mode !== "object" && objectOf(state.doc, id)) {
+    select(id); // another one may be selected since
     return mode === "part" ? draw([...regionHere().polygons, polygon]) : draw([polygon], "visible");
   }
   const first = { frame, visibility: "visible", polygons: [polygon] };

@@ -3,7 +3,7 @@
 
 import { merge, objectOf } from "./annotation.js";
 import { button, byId, download, element, fill } from "./dom.js";
-import { edit, now, on, notify, select, set, state } from "./state.js";
+import { edit, now, on, notify, set, state } from "./state.js";
 
 const SOON = 350;
 const TRIES = 5;
@@ -136,9 +136,13 @@ export function join(theirs) {
   const twice = [...moved.values()].map((id) => objectOf(doc, id).name);
   const rebased = (before) => merge(base, before, theirs, moved).doc;
   Object.assign(saver, { base: theirs, revision: theirs.revision });
-  const making = moved.get(state.making) ?? state.making;
-  set({ doc, making, done: state.done.map(rebased), undone: state.undone.map(rebased) });
-  if (moved.has(state.selected)) select(moved.get(state.selected));
+  const { making, selected, pending, done, undone } = state;
+  const renumbered = (id) => moved.get(id) ?? id;
+  set({
+    doc, making: renumbered(making), selected: renumbered(selected),
+    pending: pending && { ...pending, id: renumbered(pending.id) },
+    done: done.map(rebased), undone: undone.map(rebased),
+  });
   notify(`${theirs.annotator || "Somebody else"} saved meanwhile: both are merged`
     + (twice.length ? `; kept under new numbers: ${twice.join(", ")}` : ""));
 }
