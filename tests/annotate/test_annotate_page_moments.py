@@ -371,6 +371,14 @@ def test_key_frames_made_by_themselves_do_not_count_as_the_first(page, key):
     page.until("!labeller.state.making")
 
 
+def test_a_browser_that_forbids_storage_says_so(context, shared):
+    tab = context.new_page()
+    forbidden = "get() { throw new DOMException('forbidden', 'SecurityError'); }"
+    tab.add_init_script(f"Object.defineProperty(window, 'localStorage', {{ {forbidden} }})")
+    tab.goto(shared.address)
+    tab.get_by_text("Let this page store data in the browser").wait_for()
+
+
 @pytest.mark.parametrize("by", ["timeline", "list", "key"])
 def test_an_outline_goes_to_the_object_that_it_was_begun_for(page, by):
     page.draw()

@@ -184,6 +184,14 @@ function drawBanner() {
 // Drafts: edits that the server does not have yet, so that closing the browser loses nothing. Each tab has
 // its own draft, and holds a lock while it lives, so that others leave its draft alone.
 
+try {
+  void localStorage;
+} catch (error) {
+  fill(document.body, element("p", {}, "Let this page store data in the browser (cookies and site data), and load it "
+    + "again: edits are kept there until the server has them."));
+  throw error;
+}
+
 const keyOf = (clip, owner) => `draft:${clip}:${owner}`;
 
 let tab = "";
