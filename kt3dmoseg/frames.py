@@ -225,7 +225,7 @@ class KittiClip(FrameSource):
         times = drive.timestamps(numbers)
         (width, height), calibrated = images.picture_size(paths[0]), drive.image_size
         if calibrated != (width, height):
-            where = f"{drive.root / drive.drive.date}: calibration of camera {drive.camera}"
+            where = f"{drive.folder}: calibration of camera {drive.camera}"
             expected, found = f"{width}x{height} px, as the frames", "{}x{}".format(*calibrated)
             fix = "it is of another day, or the frames were resized or cropped"
             raise FileFormatError(where, expected=expected, found=found, fix=fix)

@@ -6,7 +6,7 @@ the camera's own timestamps to the nanosecond.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from kt3dmoseg.catalog import CAMERAS, Drive, Fingerprint, check_integer, fingerprint, format_numbers
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, read_bytes
-from kt3dmoseg.kitti.tracklets import Tracklet, read_tracklets
+from kt3dmoseg.kitti.tracklets import Tracklet, TrackletBox, project_box, read_tracklets
 from kt3dmoseg.types import ByteArray, FloatArray, IntArray
 
 CALIBRATION_FILES = ("calib_cam_to_cam.txt", "calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
@@ -78,28 +78,14 @@ def fingerprint_folder(folder: Path) -> tuple[tuple[Fingerprint, ...], tuple[int
     return tuple(mark for mark, _ in frames), sizes.pop()
 
 
-class RawDrive:
-    """One camera of a synchronised, rectified KITTI raw drive; everything is read on first use.
+class Calibration:
+    """Calibration of one camera, 0 to 3, of one day; each of the three files is read on first use.
 
-    `root` is the KITTI raw root, which holds ``2011_09_26/2011_09_26_drive_0005_sync``; `date` the day,
-    ``"2011_09_26"``; `drive` the number, 5 or ``"0005"``; `camera` 0 gray left, 1 gray right, 2 colour left,
-    3 colour right. A drive may be on disk in part. Numbers are those of KITTI's file names.
-
-    InvalidValueError when date, drive or camera is not of KITTI's form; InputFileError when the drive's
-    folder is missing; this or FileFormatError from every reader, when its file is missing or not as promised.
+    `folder` is the day's, with ``calib_*.txt``.
     """
 
-    def __init__(self, root: PathLike, date: str, drive: int | str, camera: int | str = 0) -> None:
-        self.root = Path(root)
-        self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
-        self.camera = check_integer(camera, "camera", CAMERAS[-1])
-        self._drive_folder = self.root / self.drive.folder
-        self._camera_folder = self.root / self.drive.camera_folder(self.camera)
-        if not self._drive_folder.is_dir():
-            raise InputFileError(f"{self._drive_folder}: no such folder", fix=_FIX)
-
-    def __repr__(self) -> str:
-        return f"RawDrive({str(self.root)!r}, {self.drive.date!r}, {self.drive.number}, camera={self.camera})"
+    def __init__(self, folder: PathLike, camera: int) -> None:
+        self.folder, self.camera = Path(folder), camera
 
     @property
     def P(self) -> FloatArray:
@@ -147,7 +133,7 @@ class RawDrive:
         return motion
 
     def _matrix(self, name: str, key: str, shape: tuple[int, ...]) -> FloatArray:
-        path, values = self.root / self.drive.date / name, np.zeros(0)
+        path, values = self.folder / name, np.zeros(0)
         with _reading(path, "lines 'key: numbers'"):
             for line in filter(str.strip, path.read_text(encoding="utf-8", errors="replace").splitlines()):
                 found, colon, numbers = line.partition(":")
@@ -158,6 +144,31 @@ class RawDrive:
             expected, found = f"{np.prod(shape)} numbers", f"{values.tolist()}"
             raise FileFormatError(f"{path}: {key}", expected=expected, found=found)
         return values.reshape(shape)
+
+
+class RawDrive(Calibration):
+    """One camera of a synchronised, rectified KITTI raw drive; everything is read on first use.
+
+    It has the properties of its `Calibration`, as ``K``, ``T_cam_velo``, ``T_cam_imu`` and ``image_size``.
+    `root` is the KITTI raw root, which holds ``2011_09_26/2011_09_26_drive_0005_sync``; `date` the day,
+    ``"2011_09_26"``; `drive` the number, 5 or ``"0005"``; `camera` 0 gray left, 1 gray right, 2 colour left,
+    3 colour right. A drive may be on disk in part. Numbers are those of KITTI's file names.
+
+    InvalidValueError when date, drive or camera is not of KITTI's form; InputFileError when the drive's
+    folder is missing; this or FileFormatError from every reader, when its file is missing or not as promised.
+    """
+
+    def __init__(self, root: PathLike, date: str, drive: int | str, camera: int | str = 0) -> None:
+        self.root = Path(root)
+        self.drive = Drive(date, drive)  # type: ignore[arg-type]  # it converts "0005"
+        super().__init__(self.root / date, check_integer(camera, "camera", CAMERAS[-1]))
+        self._drive_folder = self.root / self.drive.folder
+        self._camera_folder = self.root / self.drive.camera_folder(self.camera)
+        if not self._drive_folder.is_dir():
+            raise InputFileError(f"{self._drive_folder}: no such folder", fix=_FIX)
+
+    def __repr__(self) -> str:
+        return f"RawDrive({str(self.root)!r}, {self.drive.date!r}, {self.drive.number}, camera={self.camera})"
 
     @property
     def numbers(self) -> IntArray:
@@ -183,6 +194,13 @@ class RawDrive:
         """Read one frame: (H, W) uint8 for the gray cameras 0 and 1, (H, W, 3) uint8 RGB for 2 and 3."""
         path = self.frame_path(number)
         return decode_frame(read_bytes(path, LARGEST_FILE), str(path))
+
+    def datetimes(self, numbers: npt.ArrayLike) -> npt.NDArray[np.datetime64]:
+        """Time at which the camera took each frame, (n,) datetime64[ns], KITTI's local clock.
+
+        Line k of the camera's ``timestamps.txt`` (from 0) belongs to frame k.
+        """
+        return self._times(_numbers(numbers))[1:]
 
     def timestamps(self, numbers: npt.ArrayLike) -> FloatArray:
         """Time at which the camera took each frame, (n,) float64 seconds since the drive's first.
@@ -226,6 +244,23 @@ class RawDrive:
         if not self.has_tracklets:
             raise InputFileError(f"{path}: no such file", fix="KITTI has tracklets for some drives only")
         return read_tracklets(path)
+
+    def tracklet_boxes(self, number: int, tracklets: Iterable[Tracklet] | None = None) -> list[TrackletBox]:
+        """Project the tracklets of one frame to boxes in the camera's image: those in view, nearest first.
+
+        `tracklets` are what `tracklets` returned, to read the file once for many frames.
+        """
+        K, T, size = self.K, self.T_cam_velo, self.image_size
+        boxes = []
+        for index, tracklet in enumerate(self.tracklets() if tracklets is None else tracklets):
+            if number not in tracklet.numbers:
+                continue
+            row, corners = tracklet.row(number), tracklet.corners(number) @ T[:3, :3].T + T[:3, 3]
+            box = project_box(corners, K, size)
+            if box is not None:
+                flags = int(tracklet.occlusion[row]), int(tracklet.truncation[row])
+                boxes.append(TrackletBox(index, tracklet.kind, box, float(corners[:, 2].mean()), *flags))
+        return sorted(boxes, key=lambda box: box.depth)
 
     def _times(self, numbers: IntArray) -> npt.NDArray[np.datetime64]:
         """Read the times of the drive's first frame and of these, (1 + n,)."""

@@ -20,6 +20,7 @@ from kt3dmoseg.types import FloatArray, IntArray
 _LARGEST, _MOST_TAGS = 16 << 20, 700_000  # KITTI's have up to some MB; a tag takes 300 bytes of memory
 _NEAREST = 0.1
 _LAST_FRAME = 10**10 - 1
+_FLAGS = ("state", "occlusion", "truncation")
 # Corners in units of (length, width, height), and the pairs of them that differ in one coordinate.
 _UNIT = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 _EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
@@ -41,8 +42,9 @@ class Tracklet:
         Centre of the bottom of the box in laser scanner coordinates, metres.
     yaw : (n,) float64
         Rotation about the upward axis, radians.
-    occlusion : (n,) int64
-        KITTI's flag: 0 visible, 1 partly, 2 fully, -1 unset.
+    state, occlusion, truncation : (n,) int64
+        KITTI's flags: state 1 interpolated, 2 labelled; occlusion 0 visible, 1 partly, 2 fully,
+        -1 unset; truncation 0 in the image, 1 truncated, 2 outside, 99 unset.
     """
 
     kind: str
@@ -50,7 +52,9 @@ class Tracklet:
     numbers: IntArray
     translation: FloatArray
     yaw: FloatArray
+    state: IntArray
     occlusion: IntArray
+    truncation: IntArray
 
     def row(self, number: int) -> int:
         """Return the row of a frame number in the arrays of this tracklet."""
@@ -69,6 +73,32 @@ class Tracklet:
         cos, sin = np.cos(self.yaw[row]), np.sin(self.yaw[row])
         rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return np.asarray((_UNIT * self.size) @ rotation.T + self.translation[row])
+
+
+@dataclass(frozen=True, eq=False)
+class TrackletBox:
+    """A tracklet seen in one frame.
+
+    Parameters
+    ----------
+    index : int
+        Position of the tracklet in `RawDrive.tracklets`.
+    kind : str
+        KITTI's class.
+    box : (4,) float64
+        Left, top, right, bottom in pixels, clipped to the image.
+    depth : float
+        Distance of the box's centre along the camera's axis, metres.
+    occlusion, truncation : int
+        KITTI's flags, as in `Tracklet`.
+    """
+
+    index: int
+    kind: str
+    box: FloatArray
+    depth: float
+    occlusion: int
+    truncation: int
 
 
 def read_tracklets(path: Path) -> list[Tracklet]:
@@ -111,7 +141,7 @@ def _tracklet(item: Element) -> Tracklet:
     first = int(_text(item, "first_frame"))
     size = np.array([float(_text(item, key)) for key in ("l", "w", "h")])
     motion = np.array([[float(_text(pose, key)) for key in ("tx", "ty", "tz", "rz")] for pose in poses])
-    occlusion = np.array([int(_text(pose, "occlusion")) for pose in poses], dtype=np.int64)
+    flags = np.array([[int(_text(pose, key)) for key in _FLAGS] for pose in poses], dtype=np.int64)
     if not 0 <= first <= _LAST_FRAME:
         raise ValueError(f"a tracklet from frame {first} on")
     if not np.isfinite(motion).all():
@@ -120,7 +150,7 @@ def _tracklet(item: Element) -> Tracklet:
         raise ValueError(f"a box of size {size.tolist()}")
     motion, numbers = motion.reshape(-1, 4), np.arange(first, first + len(poses))
     kind = _text(item, "objectType")
-    return Tracklet(kind, size, numbers, motion[:, :3], motion[:, 3], occlusion)
+    return Tracklet(kind, size, numbers, motion[:, :3], motion[:, 3], *flags.reshape(-1, 3).T)
 
 
 def _text(element: Element, key: str) -> str:

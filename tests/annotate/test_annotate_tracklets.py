@@ -154,7 +154,7 @@ GOOD = document(CAR)
         GOOD.replace("<l>4.0", "<l>nan"),
         GOOD.replace("<l>4.0", "<l>-4"),
         GOOD.replace("<tx>20.0", "<tx>1e999"),
-        GOOD.replace("<occlusion>0", "<occlusion>" + "9" * 40),
+        GOOD.replace("<state>2", "<state>" + "9" * 40),
         GOOD.replace("<rz>0.0</rz>", ""),
         "<boost_serialization></boost_serialization>",
         "",

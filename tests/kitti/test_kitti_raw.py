@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
-from kt3dmoseg.kitti import RawDrive, Tracklet
-from kt3dmoseg.kitti.tracklets import project_box, read_tracklets
+from kt3dmoseg.kitti import RawDrive
+from kt3dmoseg.kitti.tracklets import read_tracklets
 
 NUMBERS = [*range(4, 9), 12]
 
@@ -91,6 +91,7 @@ def test_missing_drive_gives_what_to_do(root: Path) -> None:
 def test_timestamps_are_the_cameras_and_keep_nanoseconds(root: Path, drive: RawDrive) -> None:
     oxts = root / drives.DATE / f"{drives.NAME}_sync/oxts/timestamps.txt"
     oxts.write_text("2000-01-01 00:00:00.000000000\n" * 20)  # another sensor's clock
+    assert str(drive.datetimes([7])[0]) == "2011-09-26T13:02:25.700000007"
     # Line k is 0.1 s and 1 ns later than line k - 1; the origin is frame 0, which is not on disk.
     np.testing.assert_allclose(
         drive.timestamps([4, 12]), [4 * 0.100000001, 12 * 0.100000001], rtol=0, atol=1e-12
@@ -182,27 +183,23 @@ def test_damaged_oxts_is_one_error(root: Path, drive: RawDrive, damage: str) -> 
         drive.poses([99])
 
 
-def image_box(drive: RawDrive, tracklet: Tracklet, number: int) -> np.ndarray | None:
-    corners = tracklet.corners(number) @ drive.T_cam_velo[:3, :3].T + drive.T_cam_velo[:3, 3]
-    return project_box(corners, drive.K, drive.image_size)
-
-
 def test_tracklet_in_front_projects_as_computed_by_hand(drive: RawDrive) -> None:
     (tracklet,) = drive.tracklets()
     assert (tracklet.kind, tracklet.numbers.tolist()) == ("Car", [6, 7])
     assert tracklet.size.tolist() == [4.0, 2.0, 1.5]
-    box = image_box(drive, tracklet, 6)
+    (box,) = drive.tracklet_boxes(6)
     # Camera x = -y, y = -z - 0.25, z = x - 0.5. Nearest face at x = 18: depth 17.5; y = -1..1, z = -1..0.5.
     left, right = 31.5 - 100 * 1 / 17.5, 31.5 + 100 * 1 / 17.5
     top, bottom = 23.5 + 100 * -0.75 / 17.5, 23.5 + 100 * 0.75 / 17.5
-    np.testing.assert_allclose(box, [left, top, right, bottom])
-    assert tracklet.occlusion.tolist() == [0, 0]
+    np.testing.assert_allclose(box.box, [left, top, right, bottom])
+    assert box.depth == pytest.approx(19.5)
+    assert (box.occlusion, box.truncation) == (0, 1)
 
 
 def test_box_that_reaches_behind_the_camera_stays_on_its_side(drive: RawDrive) -> None:
     # Its near part lies at the left border; projecting the corners behind would throw it to the right.
-    (tracklet,) = drive.tracklets()
-    assert image_box(drive, tracklet, 7) is None
+    assert drive.tracklet_boxes(7) == []
+    assert drive.tracklet_boxes(5) == []
 
 
 def test_drive_without_tracklets_is_reported(root: Path, drive: RawDrive) -> None:

@@ -15,7 +15,6 @@ from kt3dmoseg.annotate.model import AnnotatedObject, Polygon
 from kt3dmoseg.annotate.proposals import Request
 from kt3dmoseg.errors import InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.kitti import RawDrive, Tracklet
-from kt3dmoseg.kitti.tracklets import project_box
 
 _NEAR = 0.5
 _SMALLEST = 12.0
@@ -91,10 +90,10 @@ def _moving(drive: RawDrive, tracklets: list[Tracklet], numbers: tuple[int, ...]
 def _polygon(drive: RawDrive, tracklet: Tracklet, number: int) -> Polygon | None:
     """Convex hull of the projected corners; the image box where the object reaches behind the camera."""
     corners = tracklet.corners(number) @ drive.T_cam_velo[:3, :3].T + drive.T_cam_velo[:3, 3]
-    box = project_box(corners, drive.K, drive.image_size)
-    if box is None:
+    boxes = drive.tracklet_boxes(number, [tracklet])
+    if not boxes:
         return None
-    left, top, right, bottom = box
+    left, top, right, bottom = boxes[0].box
     if min(right - left, bottom - top) < _SMALLEST:
         return None
     points = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
