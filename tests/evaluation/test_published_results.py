@@ -146,8 +146,8 @@ def test_a_changed_figure_changes_the_table(tool):
     }
     changed = {("kt3dmoseg", "2018"): [first.model_copy(update={"clips": clips})]}
     assert "| 0.00 ±0.00 | 0.00 |" in tool.filled(text, changed)
-    with pytest.raises(SystemExit, match="no table 'methods' of results/kt3dmoseg/2"):
-        tool.filled(text.replace("2018", "2"), RESULTS)
+    with pytest.raises(SystemExit, match="no table 'methods' of results/kt3dmoseg/none"):
+        tool.filled(text.replace("2018", "none"), RESULTS)
 
 
 def test_what_is_published_is_what_was_measured(run, tmp_path, tool):
