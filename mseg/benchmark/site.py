@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from kt3dmoseg.draw.painting import by_label, draw_frame
@@ -50,8 +51,10 @@ def write_site(
         shown = {name: picture for name, picture in pictures.items() if name in first.clips}
         key = f"{benchmark}/{version}"
         protocol = load_protocol(benchmark).of_version(version)
+        if len(protocol.versions) > 1:
+            protocol = replace(protocol, title=f"{protocol.title}, version {version}")
         boards.append(DataRows(key, about, protocol, first.motions, rows, shown))
-    boards.sort(key=lambda board: board.protocol.name != "kt3dmoseg")
+    boards.sort(key=lambda board: (board.protocol.name != "kt3dmoseg", not board.protocol.published))
     notes = [] if history else ["No history: git does not know these results."]
     page = Path(output) / "index.html"
     write_text(page, site_html(boards, title="Motion segmentation leaderboard", notes=notes))
