@@ -93,7 +93,7 @@ class BenchmarkResult:
         """Mean error over clips and seeds, a fraction, of the first configuration of that method."""
         row = [c.method for c in self.configurations].index(method)
         clips = self.protocol.clips_of(self.protocol.group(group), self.motions)
-        return float(self.errors[row, [self.clips.index(name) for name in clips]].mean())
+        return float(self.tables[row].matrix(clips=clips).mean())
 
     def summary(self) -> ResultsTable:
         """One row per configuration: mean, spread over seeds and median of every group, and time."""

@@ -103,16 +103,16 @@ def error_table(
     `published` are rows of the published table to add, '' for none; `extra` more columns, a cell per method.
     """
     protocol, motions = tables[0].benchmark, tables[0].motions
-    groups = [(g, _positions(protocol.clips_of(g, motions), motions)) for g in protocol.groups]
+    groups = [(g, protocol.clips_of(g, motions)) for g in protocol.groups]
     columns = ["method"]
     for group, clips in groups:
         columns += [f"{group.title} ({share(len(clips), group.n_clips)}): mean", "median"]
     more = dict(extra or {})
     rows = []
     for i, (method, table) in enumerate(zip(unique_names(tables), tables, strict=True)):
-        cells, values = [method], table.matrix()
-        for _, clips in groups:
-            cells += [_mean(values[clips]), _median(values[clips])] if clips else [ABSENT, ABSENT]
+        cells = [method]
+        for values in (table.matrix(clips=clips) for _, clips in groups):
+            cells += [_mean(values), _median(values)] if len(values) else [ABSENT, ABSENT]
         rows.append([*cells, *(column[i] for column in more.values())])
     for method in dict.fromkeys(filter(None, published)):
         cells = [f"printed {method} (all {protocol.n_clips})"]
@@ -148,11 +148,6 @@ def clip_table(
     seeds = max((v.shape[1] for v in values.values()), default=1)
     spread = ["mean over seeds ± standard deviation over seeds"] * (seeds > 1)
     return ResultsTable(title, ["clip", "motions", *values], [*rows, *last], [*spread, *notes])
-
-
-def _positions(names: Iterable[str], clips: Iterable[str]) -> list[int]:
-    order = list(clips)
-    return [order.index(name) for name in names]
 
 
 def _mean(values: FloatArray, scale: int = 100) -> str:
@@ -248,9 +243,9 @@ def failure_notes(scores: ScoreTable, method: str = "") -> list[str]:
 
 def by_axis(*tables: ScoreTable, title: str = f"By what makes clips hard: {_ERROR}") -> ResultsTable | None:
     """Break the classification error down by the axes of the benchmark; None where it has none."""
-    protocol, motions, errors = tables[0].benchmark, tables[0].motions, [table.matrix() for table in tables]
+    protocol, motions = tables[0].benchmark, tables[0].motions
     rows = [
-        [f"{axis.title}: {part}", str(len(clips)), *(_mean(e[_positions(clips, motions)]) for e in errors)]
+        [f"{axis.title}: {part}", str(len(clips)), *(_mean(table.matrix(clips=clips)) for table in tables)]
         for axis in protocol.axes
         for part, clips in protocol.bins_of(axis, motions).items()
     ]

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -180,11 +179,12 @@ class ScoreTable:
         """Return the scores of a clip; by default of the first seed."""
         return self._by_key[clip, self.seeds[0] if seed is None else seed]
 
-    def matrix(self, metric: str = "error") -> FloatArray:
-        """Values of a metric, (clips, seeds) float64."""
+    def matrix(self, metric: str = "error", clips: Iterable[str] | None = None) -> FloatArray:
+        """Values of a metric, (clips, seeds) float64; `clips` are some of `names`, by default all."""
         if metric not in self.clips[0].values:
             raise unknown_name("metric", metric, self.metrics)
-        return np.array([[self._by_key[n, s].values[metric] for s in self.seeds] for n in self.names])
+        names = self.names if clips is None else clips
+        return np.array([[self._by_key[n, s].values[metric] for s in self.seeds] for n in names])
 
     def per_clip(self, metric: str = "error") -> FloatArray:
         """Mean over seeds of a metric, (clips,) float64, in the order of `names`."""
@@ -197,9 +197,7 @@ class ScoreTable:
 
     def summary(self, metric: str = "error", clips: list[str] | None = None) -> Summary:
         """Summarise a metric over clips: one or more of `names`, by default all."""
-        wanted = self.names if clips is None else clips
-        rows = [self.names.index(name) for name in wanted]
-        return summarise(self.matrix(metric)[rows], [self.of(name).n for name in wanted])
+        return summarise(self.matrix(metric, clips), [self.of(name).n for name in clips or self.names])
 
     @cached_property
     def _by_key(self) -> dict[tuple[str, int], ClipScore]:
@@ -389,34 +387,26 @@ def score_validated(checked: Validation, *, force: bool = False) -> ScoreTable:
     if not checked.scorable and not (force and checked.clips):
         wrong = f"{count(len(checked.problems), 'problem')}: {predictions.numbered(checked.problems)}"
         raise RejectedSubmissionError(f"submission rejected, {wrong}")
-    clips = []
-    for seed in checked.submission.seeds or [0]:
+    clips, read = [], checked.submission
+    for seed in read.seeds or [0]:
         for name, clip in checked.clips.items():
-            pred = None if checked.fault(seed, name) else checked.labels.get((seed, name))
-            clips.append(clip_score(name, seed, clip.labels, pred, _reason(checked, seed, name)))
-    meta, problems = checked.submission.meta, tuple(checked.problems)
+            fault, failure = checked.fault(seed, name), read.failures.get((seed, name))
+            reason = f"invalid: {fault}" if fault else f"failed: {failure}" if failure else "missing"
+            pred = None if fault else checked.labels.get((seed, name))
+            clips.append(clip_score(name, seed, clip.labels, pred, reason))
+    meta, problems = read.meta, tuple(checked.problems)
     version = checked.protocol.version_of(checked.checksums) or meta.dataset_version or "unnamed"
-    source = provenance_of(checked.clips, checked.checksums, version, checked.submission.sha256)
+    source = provenance_of(checked.clips, checked.checksums, version, read.sha256)
     return ScoreTable(tuple(clips), meta, checked.protocol, source, problems)
 
 
 def provenance_of(
-    truths: Mapping[str, Clip | Labels],
-    checksums: Mapping[str, str] = MappingProxyType({}),
-    version: str = "",
-    submission: str = "",
+    truths: Mapping[str, Clip | Labels], checksums: Mapping[str, str], version: str = "", submission: str = ""
 ) -> Provenance:
     """Describe the data that is scored, by names, checksums and labels."""
     hashes = {name: hashlib.sha256(_labels(t).label.tobytes()).hexdigest() for name, t in truths.items()}
     text = "\n".join(f"{name} {checksums.get(name, '')} {hashes[name]}" for name in sorted(hashes))
     return Provenance(version, hashlib.sha256(text.encode()).hexdigest(), submission, __version__)
-
-
-def _reason(checked: Validation, seed: int, name: str) -> str:
-    read, key = checked.submission, (seed, name)
-    if fault := checked.fault(seed, name):
-        return f"invalid: {fault}"
-    return f"failed: {read.failures[key]}" if key in read.failures else "missing"
 
 
 # --- scores as JSON, so that they can be kept, compared and ranked without the data ---------------
