@@ -310,12 +310,10 @@ def jpegs(pictures: Sequence[ByteArray], most: int) -> list[str]:
     """
     from kt3dmoseg.io.images import jpeg_address  # Codabench scores without OpenCV
 
-    made: list[str] = []
     for width, quality in _SIZES:
         made = [jpeg_address(picture, width, quality) for picture in pictures]
         if sum(map(len, made)) <= most:
-            break
-    step = max(1, -(-sum(map(len, made)) // max(1, most)))
-    while sum(map(len, made[::step])) > most:
-        step += 1
+            return made
+    fitting = (step for step in range(2, len(made)) if sum(map(len, made[::step])) <= most)
+    step = next(fitting, len(made))  # at least one is shown
     return [address if i % step == 0 else "" for i, address in enumerate(made)]
