@@ -1,10 +1,8 @@
 """Submissions to start from: a simple example, or one made of label files (MATLAB, text, Brox ``.dat``)."""
 
 import re
-import shutil
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -75,28 +73,31 @@ def example_submission(
     if data is None and source is not None:
         expected = "the folder of clips that the labels are for"
         raise InvalidValueError("data", expected=expected, found="nothing")
-    with _new_folder(output) as folder:
-        place = Path(data) if data is not None else folder.with_name(folder.name + "-data")
-        if data is None:
-            for clip in made_up_clips().values():
-                save(clip, place / f"{clip.name}.h5")
-        clips = load_clips(place)
-        protocol = choose_protocol(benchmark, clips)
-        meta, note = SubmissionMeta(method or "unnamed", benchmark=protocol.name), ""
-        labels: Any
-        if source is not None:
-            labels, note = labels_and_note(source, clips, names=protocol.clips, zero=zero)
-            used = {name: clips[name] for name in labels}
-            meta = replace(meta, outliers=any(0 in v for v in labels.values()))
-        else:
-            used = {name: clip for name, clip in clips.items() if protocol.holds(name)}
-            runs = {seed: {n: _left_right(c, seed) for n, c in used.items()} for seed in range(seeds)}
-            labels = runs[0] if seeds == 1 else runs
-            meta = replace(meta, **_EXAMPLE | ({"method": method} if method else {}))
-        version = protocol.version_of({name: clip_checksum(clip) for name, clip in used.items()})
-        meta = replace(meta, dataset_version=version or "unnamed")
-        write_submission(folder, used.values(), labels, meta, format=format)
-        return Written(folder, place, len(used), note)
+    folder = Path(output)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        expected, fix = "a new or empty folder", "choose another output"
+        raise InvalidValueError(f"{folder}", expected=expected, found="something there", fix=fix)
+    place = Path(data) if data is not None else folder.with_name(folder.name + "-data")
+    if data is None:
+        for clip in made_up_clips().values():
+            save(clip, place / f"{clip.name}.h5")
+    clips = load_clips(place)
+    protocol = choose_protocol(benchmark, clips)
+    meta, note = SubmissionMeta(method or "unnamed", benchmark=protocol.name), ""
+    labels: Any
+    if source is not None:
+        labels, note = labels_and_note(source, clips, names=protocol.clips, zero=zero)
+        used = {name: clips[name] for name in labels}
+        meta = replace(meta, outliers=any(0 in v for v in labels.values()))
+    else:
+        used = {name: clip for name, clip in clips.items() if protocol.holds(name)}
+        runs = {seed: {n: _left_right(c, seed) for n, c in used.items()} for seed in range(seeds)}
+        labels = runs[0] if seeds == 1 else runs
+        meta = replace(meta, **_EXAMPLE | ({"method": method} if method else {}))
+    version = protocol.version_of({name: clip_checksum(clip) for name, clip in used.items()})
+    meta = replace(meta, dataset_version=version or "unnamed")
+    write_submission(folder, used.values(), labels, meta, format=format)
+    return Written(folder, place, len(used), note)
 
 
 def made_up_clips() -> dict[str, Clip]:
@@ -124,20 +125,6 @@ def _left_right(clip: Clip, seed: int) -> IntArray:
     label = np.full(len(x), 2, dtype=np.int64)
     label[np.argsort(x, kind="stable")[:cut]] = 1
     return label
-
-
-@contextmanager
-def _new_folder(output: PathLike) -> Iterator[Path]:
-    """Give a folder to fill; of one that could not be filled, nothing stays."""
-    folder = Path(output)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        expected, fix = "a new or empty folder", "choose another output"
-        raise InvalidValueError(f"{folder}", expected=expected, found="something there", fix=fix)
-    try:
-        yield folder
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
 
 
 @strict

@@ -7,9 +7,8 @@ from evaluation_helpers import CLIPS, perfect
 
 import kt3dmoseg
 import mseg.cli
-from kt3dmoseg.errors import InputFileError
 from mseg.benchmark import runner
-from mseg.evaluation import SubmissionMeta, example
+from mseg.evaluation import SubmissionMeta
 
 
 @pytest.fixture
@@ -81,17 +80,6 @@ def test_an_output_that_cannot_be_written_is_reported_before_the_work(data, tmp_
     printed = usage_error(capsys, "run", data, "-o", str(tmp_path / "file"))
     assert "cannot write" in printed
     assert "a file is where a folder should be" in printed
-
-
-def test_an_example_that_could_not_be_written_completely_leaves_nothing(data, tmp_path, capsys, monkeypatch):
-    def full_disk(folder, *_, **__):
-        (folder / "first.csv").parent.mkdir()
-        (folder / "first.csv").write_text("track,label")
-        raise InputFileError("meta.toml: cannot write: No space left on device")
-
-    monkeypatch.setattr(example, "write_submission", full_disk)
-    usage_error(capsys, "example-submission", data, "-o", str(tmp_path / "new"))
-    assert not (tmp_path / "new").exists()
 
 
 def test_a_leaderboard_that_cannot_be_written_is_one_line(data, tmp_path, capsys):
