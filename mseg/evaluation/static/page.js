@@ -4,14 +4,16 @@ const all = (what, root = document) => [...root.querySelectorAll(what)];
 const make = (tag, text, values = {}) => Object.assign(document.createElement(tag), { textContent: text }, values);
 
 // --- the address: #ANCHOR&name=value&... ---------------------------------------------------------------------
-const address = () => {
-  const [, anchor, rest] = /^#?([^&]*)&?(.*)$/.exec(location.hash);
+const address = (hash = location.hash) => {
+  const [, anchor, rest] = /^#?([^&]*)&?(.*)$/.exec(hash);
   return { anchor: decodeURI(anchor), values: Object.fromEntries(new URLSearchParams(rest)) };
 };
-const keep = (changes, anchor = address().anchor) => {
-  const values = Object.entries({ ...address().values, ...changes }).filter(([, value]) => value !== "");
-  history.replaceState(null, "", `#${encodeURI(anchor)}${values.length ? "&" : ""}${new URLSearchParams(values)}`);
+const written = (anchor, values) => {
+  const stated = new URLSearchParams(Object.entries(values).filter(([, value]) => value !== ""));
+  return `#${encodeURI(anchor)}${stated.size ? "&" : ""}${stated}`;
 };
+const keep = (changes, anchor = address().anchor) =>
+  history.replaceState(null, "", written(anchor, { ...address().values, ...changes }));
 
 // --- tables --------------------------------------------------------------------------------------------------
 const valueOf = (row, k) => {
@@ -75,13 +77,13 @@ function filter(form) {
 }
 
 const forms = all("form.filters");
+const cleared = (form) => Object.fromEntries([...form.elements].map((each) => [each.name, ""]));
 forms.forEach((form) => {
   form.addEventListener("submit", (event) => event.preventDefault());
   form.addEventListener("reset", () => setTimeout(() => form.dispatchEvent(new Event("input"))));
   form.addEventListener("input", () => {
     filter(form);
-    const cleared = [...form.elements].filter((e) => e.name).map((e) => [e.name, ""]);
-    keep(Object.fromEntries([...cleared, ...new FormData(form)]));
+    keep({ ...cleared(form), ...Object.fromEntries(new FormData(form)) });
   });
 });
 
@@ -365,10 +367,8 @@ addEventListener("click", (event) => {
   const link = event.target.closest("a[href^='#']");
   if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
   event.preventDefault();
-  const [, anchor, rest] = /^#([^&]*)&?(.*)$/.exec(link.getAttribute("href"));
-  const { frame, track, part, ...shown } = address().values;
-  const values = new URLSearchParams({ ...shown, ...Object.fromEntries(new URLSearchParams(rest)) });
-  const hash = `#${anchor}${values.size ? "&" : ""}${values}`;
+  const { anchor, values } = address(link.getAttribute("href")), { frame, track, part, ...shown } = address().values;
+  const hash = written(anchor, { ...shown, ...values });
   if (location.hash === hash) follow();
   else location.hash = hash;
 });
@@ -378,7 +378,7 @@ function follow() {
   forms.forEach((form) => fill(form, values));
   if (target?.closest("[hidden]")) { // a filter hides what is asked for
     forms.forEach((form) => fill(form, {}));
-    keep(Object.fromEntries(forms.flatMap((form) => [...form.elements].map((e) => [e.name, ""]))));
+    forms.forEach((form) => keep(cleared(form)));
   }
   const [, id, k, down] = /^(.*)\.(\d+)(d?)$/.exec(values.sort ?? "") ?? [];
   if (id && document.getElementById(id)) sort(document.getElementById(id), Number(k), Boolean(down));
