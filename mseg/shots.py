@@ -217,7 +217,6 @@ def write_shot(clip: Clip, pictures: _Pictures | None, folder: Path, rate: float
         if pictures is not None and not _mask(masks, clip.frame_numbers[-1]).is_file():
             raise
         note = f"; no overlay: {error}"
-    deque(painted, maxlen=0)
     save(clip, folder / f"{clip.name}.h5")
     return note
 

@@ -16,9 +16,9 @@ from mseg.evaluation.results import (
     ResultsTable,
     by_axis,
     clip_table,
+    data_notes,
     error_table,
     published_name,
-    version_notes,
 )
 from mseg.evaluation.scoring import ScoreTable
 
@@ -146,10 +146,7 @@ class BenchmarkResult:
         return f"{have}, {seeds}: {what}, lower is better"
 
     def _notes(self) -> list[str]:
-        notes = []
-        if len(self.clips) < self.protocol.n_clips:
-            notes.append("A part of the benchmark: the printed figures are for all of it.")
-        notes += version_notes(self.tables[0])
+        notes = data_notes(self.tables[0])
         for group in self.protocol.groups:
             missing = group.n_clips - len(self.protocol.clips_of(group, self.motions))
             absent = [name for name in group.clips if name not in self.motions]

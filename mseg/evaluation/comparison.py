@@ -129,7 +129,7 @@ def comparison_table(comparison: Comparison) -> ResultsTable:
     for name, table in zip(comparison.names, comparison.tables, strict=True):
         values[name] = table.matrix(comparison.metric)
         notes += failure_notes(table, name)
-    notes += number_notes(comparison.tables, comparison.names)
+    notes += number_notes(comparison.tables)
     unit = " in %" if spec.percent else ""
     title = f"{first.benchmark.title}: {spec.title}{unit}, {spec.better} is better"
     return clip_table(title, values, first.motions, scale=spec.scale, notes=notes)

@@ -108,7 +108,7 @@ def write_report(
             "report", expected=f"at most {len(LETTERS)} submissions", found=str(len(given))
         )
     check_target(page)
-    clips = data if len(given) == 1 else load_clips(data)
+    clips = load_clips(data)
     checked = [validate_submission(each, clips, benchmark=benchmark) for each in given]
     scores = [score_validated(each, force=force) for each in checked]
     contents = {page.name: report_html(checked, scores, frames=frames)}

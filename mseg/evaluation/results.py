@@ -174,20 +174,23 @@ def unique_names(tables: Sequence[ScoreTable]) -> list[str]:
     return names
 
 
-def number_notes(tables: Sequence[ScoreTable], names: Sequence[str]) -> list[str]:
+def number_notes(tables: Sequence[ScoreTable]) -> list[str]:
     """Note which methods found the number of motions, where others were given it."""
-    found = [n for n, table in zip(names, tables, strict=True) if not table.meta.n_motions_given]
-    mixed = 0 < len(found) < len(names)
+    named = zip(unique_names(tables), tables, strict=True)
+    found = [name for name, table in named if not table.meta.n_motions_given]
+    mixed = 0 < len(found) < len(tables)
     return [f"Number of motions found by {several(found, LISTED)}, given to the others."] * mixed
 
 
-def version_notes(scores: ScoreTable) -> list[str]:
-    """Note that the published results are of another version of the data, if they are."""
-    protocol, version = scores.benchmark, scores.provenance.dataset_version
-    if protocol.of_version(version).published == protocol.published:
-        return []
-    printed = f"printed figures are for version {protocol.published_dataset_version!r}"
-    return [f"Data version {version or 'unnamed'!r}; {printed}: not comparable."]
+def data_notes(scores: ScoreTable) -> list[str]:
+    """Note that the published results are of more clips or another version of the data, if they are."""
+    protocol, version, notes = scores.benchmark, scores.provenance.dataset_version, []
+    if len(scores.names) < protocol.n_clips:
+        notes.append("A part of the benchmark: the printed figures are for all of it.")
+    if protocol.of_version(version).published != protocol.published:
+        printed = f"printed figures are for version {protocol.published_dataset_version!r}"
+        notes.append(f"Data version {version or 'unnamed'!r}; {printed}: not comparable.")
+    return notes
 
 
 def headline(*tables: ScoreTable) -> ResultsTable:
@@ -203,10 +206,8 @@ def headline(*tables: ScoreTable) -> ResultsTable:
         for group, names in first.groups()
     )
     more = f" ({parts})" if len(protocol.groups) > 1 else ""
-    notes = [f"Scored: {protocol.coverage(first.names)}{more}."]
-    if len(first.names) < protocol.n_clips:
-        notes.append("A part of the benchmark: the printed figures are for all of it.")
-    notes += version_notes(first) + number_notes(tables, unique_names(tables))
+    scored = f"Scored: {protocol.coverage(first.names)}{more}."
+    notes = [scored, *data_notes(first), *number_notes(tables)]
     for name, table in zip(unique_names(tables), tables, strict=True):
         summary, of = table.summary(), f"{name}: " if len(tables) > 1 else ""
         low, high = summary.interval
