@@ -120,6 +120,7 @@ function view(root) {
   const wrongOf = (method, n) => (method === "" ? methods : [Number(method)]).some((k) => runOf(k).wrong[n]); // in the truth: by any
   const at = (n, f) => 2 * (n * data.n_frames + f);
   const place = (n, f) => [xy[at(n, f)] / data.scale, xy[at(n, f) + 1] / data.scale];
+  const far = (n, f, x, y) => Math.hypot(place(n, f)[0] - x, place(n, f)[1] - y);
   const visible = (n, f) => xy[at(n, f)] !== MISSING;
   const wanted = (n) => !only || (truth[n] > 0 && bins[only.axis][n] === only.bin);
 
@@ -164,12 +165,12 @@ function view(root) {
       Object.assign(pen, { lineWidth: width, strokeStyle: colour, globalAlpha: alpha });
       pen.stroke();
     };
-    const ring = (n, size, width, colour) => {
+    const circle = (n, size) => {
       const [x, y] = place(n, frame);
       pen.beginPath();
       pen.arc(toX(x), toY(y), size, 0, 7);
-      stroke(width, colour);
     };
+    const ring = (n, size, width, colour) => { circle(n, size); stroke(width, colour); };
     (predicted ? run.shown : truth).forEach((label, n) => {
       const wrong = wrongOf(method, n);
       if (!visible(n, frame) || (onlyErrors.checked && !wrong)) return;
@@ -180,9 +181,7 @@ function view(root) {
         pen.lineTo(toX(x), toY(y));
       }
       stroke(radius * 0.7, colour, 0.7 * faint);
-      const [x, y] = place(n, frame);
-      pen.beginPath();
-      pen.arc(toX(x), toY(y), radius, 0, 7);
+      circle(n, radius);
       Object.assign(pen, { fillStyle: colour, globalAlpha: faint });
       pen.fill();
       stroke(0.7, "rgba(0,0,0,.65)", faint);
@@ -206,15 +205,13 @@ function view(root) {
     const pen = strip.getContext("2d"), style = getComputedStyle(strip), step = width / data.n_frames;
     const frames = [...Array(data.n_frames).keys()], table = methods.map((k) => frames.map((f) => wrongIn(runOf(k), f)));
     const most = Math.max(1, ...table.flat());
-    pen.fillStyle = style.getPropertyValue("--hover");
-    pen.fillRect(frame * step, 0, step, strip.height);
+    const bar = (colour, ...box) => { pen.fillStyle = style.getPropertyValue(colour); pen.fillRect(...box); };
+    bar("--hover", frame * step, 0, step, strip.height);
     Object.assign(pen, { font: `${11 * density}px sans-serif`, textBaseline: "top" });
     table.forEach((row, k) => row.forEach((n, f) => {
-      pen.fillStyle = style.getPropertyValue(f === frame ? "--ink" : "--bad");
       const tall = n ? Math.max(density, (n / most) * (high - 4 * density)) : 0;
-      pen.fillRect(f * step + density, (k + 1) * high - tall, step - 2 * density, tall);
-      pen.fillStyle = style.getPropertyValue("--line");
-      pen.fillRect(f * step + density, (k + 1) * high - 1, step - 2 * density, 1);
+      bar(f === frame ? "--ink" : "--bad", f * step + density, (k + 1) * high - tall, step - 2 * density, tall);
+      bar("--line", f * step + density, (k + 1) * high - 1, step - 2 * density, 1);
       pen.fillStyle = style.getPropertyValue("--ink");
       if (!f && METHODS.length > 1) pen.fillText(METHODS[methods[k]].split(" ")[0], 2 * density, k * high + 2 * density);
     }));
@@ -240,10 +237,10 @@ function view(root) {
   }
 
   function select(n) {
-    const frame = Number(slider.value), far = (k) => Math.hypot(...place(k, frame).map((v, i) => v - place(n, frame)[i]));
+    const frame = Number(slider.value), apart = (k) => far(k, frame, ...place(n, frame));
     track = n;
     const near = [...Array(count).keys()].filter((k) => n >= 0 && k !== n && visible(k, frame) && visible(n, frame));
-    neighbours = near.sort((a, b) => far(a) - far(b)).slice(0, NEIGHBOURS);
+    neighbours = near.sort((a, b) => apart(a) - apart(b)).slice(0, NEIGHBOURS);
     picked.replaceChildren(...(n < 0 ? [] : described(n)));
     draw();
     remember();
@@ -284,9 +281,9 @@ function view(root) {
       if (from && from.moved) return;
       const [x, y, unit] = where(event), frame = Number(slider.value);
       const shown = (n) => visible(n, frame) && wanted(n) && (!onlyErrors.checked || wrongOf(canvas.dataset.method, n));
-      const far = (n) => Math.hypot(place(n, frame)[0] - x, place(n, frame)[1] - y);
-      const found = [...Array(count).keys()].filter(shown).reduce((a, b) => (a < 0 || far(b) < far(a) ? b : a), -1);
-      select(found >= 0 && far(found) < NEAR * unit ? found : -1);
+      const apart = (n) => far(n, frame, x, y);
+      const found = [...Array(count).keys()].filter(shown).reduce((a, b) => (a < 0 || apart(b) < apart(a) ? b : a), -1);
+      select(found >= 0 && apart(found) < NEAR * unit ? found : -1);
     });
     canvas.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && !event.metaKey) return; // the page scrolls
