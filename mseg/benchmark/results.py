@@ -117,13 +117,6 @@ class BenchmarkResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as plain values, for JSON."""
-        lists = {
-            plural: [{"method": c.title, "clip": n, "seed": s, what: text} for c, n, s, text in values]
-            for plural, what, values in (
-                ("failures", "reason", self.failures),
-                ("notes", "note", self.notes),
-            )
-        }
         return {
             "benchmark": self.protocol.name,
             "coverage": self.protocol.coverage(self.clips),
@@ -133,7 +126,10 @@ class BenchmarkResult:
             "methods": [{"method": c.method, "parameters": dict(c.parameters)} for c in self.configurations],
             "errors": self.errors.tolist(),
             "seconds": [[[None if np.isnan(s) else s for s in c] for c in m] for m in self.seconds.tolist()],
-            **lists,
+            "failures": [
+                {"method": c.title, "clip": n, "seed": s, "reason": r} for c, n, s, r in self.failures
+            ],
+            "notes": [{"method": c.title, "clip": n, "seed": s, "note": t} for c, n, s, t in self.notes],
         }
 
     def _seconds(self) -> list[str]:
