@@ -17,7 +17,7 @@ from kt3dmoseg.draw.painting import by_label, draw_frame
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import PathLike, read_bytes, write_bytes, write_text, zip_bytes
 from kt3dmoseg.frames import frame_folder, frames_of
-from kt3dmoseg.io import dataset_paths, load
+from kt3dmoseg.io import load, load_dataset
 from kt3dmoseg.io.images import jpeg_address
 from kt3dmoseg.types import Clip
 from mseg.benchmark.publishing import PublishedResult, collected, former, read_result, read_results
@@ -42,7 +42,7 @@ def write_site(
     Clips in the folders `data` with pictures in `frames` are shown with their true motions. Errors as those
     of `mseg.benchmark.publishing.read_results`.
     """
-    history, pictures = _history(Path(results)), _pictures(data, frames)
+    history, pictures = _history(Path(results)), {} if frames is None else _pictures(data, Path(frames))
     boards = []
     for (benchmark, version), group in read_results(results).items():
         first = group[0]
@@ -84,16 +84,14 @@ def _row(result: PublishedResult, history: Sequence[Version]) -> Row:
     )
 
 
-def _pictures(data: Sequence[PathLike], frames: PathLike | None) -> dict[str, str]:
+def _pictures(data: Sequence[PathLike], frames: Path) -> dict[str, str]:
     """Draw the true motions on the middle frame of every clip whose frames are there."""
     made = {}
-    for folder in data if frames is not None else ():
-        for name, path in dataset_paths(folder).items():
-            clip = load(path)
-            if frame_folder(clip, Path(frames or "")) and clip.n_motions:
+    for folder in data:
+        for name, clip in load_dataset(folder).items():
+            if frame_folder(clip, frames) and clip.n_motions:
                 middle = clip.n_frames // 2
-                picture = frames_of(clip, Path(frames or ""))[middle]
-                drawn = draw_frame(by_label(clip), middle, picture)
+                drawn = draw_frame(by_label(clip), middle, frames_of(clip, frames)[middle])
                 made[name] = jpeg_address(drawn[..., ::-1], _WIDTH, _QUALITY)
     return made
 
@@ -103,10 +101,10 @@ def _history(folder: Path) -> dict[str, list[Version]]:
     log = _git(folder, "log", "--format=%x00%h %cs", "--name-only", "--relative", "--", "*.json")
     found: dict[str, list[Version]] = {}
     former: dict[str, bytes] = {}
-    for commit in (log or b"").decode().split("\0")[1:]:
+    for commit in log.decode().split("\0")[1:]:
         (number, date), *names = (line.split(" ", 1) for line in commit.splitlines() if line)
         for name in (each[0] for each in names if (folder / each[0]).is_file()):
-            content = _git(folder, "show", f"{number}:./{name}") or b""
+            content = _git(folder, "show", f"{number}:./{name}")
             before = former.setdefault(name, (folder / name).read_bytes())
             if content not in (b"", before):
                 found.setdefault(name, []).append(_version(date, content))
@@ -124,14 +122,14 @@ def _version(date: str, content: bytes) -> Version:
     return Version(date, float(old.errors.mean()), names)
 
 
-def _git(folder: Path, *arguments: str) -> bytes | None:
-    """Return what git prints about a folder; None when it has none, or it is not in a checkout."""
+def _git(folder: Path, *arguments: str) -> bytes:
+    """Return what git prints about a folder; nothing without git, or where the folder is in no checkout."""
     program = shutil.which("git")
     if program is None:
-        return None
+        return b""
     line = [program, "-C", str(folder), "-c", "core.quotepath=off", *arguments]
     done = subprocess.run(line, capture_output=True, timeout=_SECONDS)
-    return done.stdout if done.returncode == 0 else None
+    return done.stdout if done.returncode == 0 else b""
 
 
 # --- submissions --------------------------------------------------------------------------------------------
