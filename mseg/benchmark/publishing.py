@@ -186,10 +186,8 @@ def former(new: PublishedResult, folder: PathLike) -> PublishedResult | None:
     path = Path(folder) / new.path
     for other in sorted(path.parent.glob("*.json")):
         if (old := read_result(other)).data != new.data:
-            expected, found = (
-                f"the data of {new.title}",
-                f"other clips or labels, called {old.dataset_version}",
-            )
+            expected = f"the data of {new.title}"
+            found = f"other clips or labels, called {old.dataset_version}"
             fix = "publish into another folder, or remove what is there"
             raise InvalidValueError(str(other), expected=expected, found=found, fix=fix)
     return read_result(path) if path.is_file() else None

@@ -164,7 +164,7 @@ def submit(
 def _scored(scores: ScoreTable) -> PublishedResult:
     """Put the scores of a submission into the form of published results."""
     meta = scores.meta
-    if scores.protocol is None or scores.benchmark.name == "custom":
+    if scores.benchmark.name == "custom":
         raise InvalidValueError("submission", expected="clips of a benchmark", found="clips of none")
     return collected(
         scores,

@@ -284,9 +284,11 @@ def _truths(truth: Any) -> dict[str, Clip | Labels]:  # noqa: ANN401  # checked
     """Clips, or bare labels, by name."""
     if isinstance(truth, Mapping) and predictions.label_table(truth, "truth") is None:
         return {name: _truth(value, f"truth of {name}", name) for name, value in truth.items()}
+    if isinstance(truth, (str, os.PathLike)):
+        return {**load_clips(truth)}
     clips = truth if isinstance(truth, (list, tuple)) else [truth]
-    if isinstance(truth, (str, os.PathLike)) or (clips and all(isinstance(each, Clip) for each in clips)):
-        return {**load_clips(truth if isinstance(truth, (str, os.PathLike)) else clips)}
+    if clips and all(isinstance(each, Clip) for each in clips):
+        return {**load_clips(clips)}
     return {"clip": _truth(truth, "truth", "clip")}
 
 
@@ -297,10 +299,8 @@ def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401 
     if table is None:
         label = predictions.label_vector(value, where)
         if predictions.is_zero_based(label) and np.bincount(label).argmax() == 0:
-            found, fix = (
-                "mostly label 0, which is not scored",
-                "add 1 if they count from 0, or give Labels(truth)",
-            )
+            found = "mostly label 0, which is not scored"
+            fix = "add 1 if they count from 0, or give Labels(truth)"
             raise InvalidValueError(where, expected="labels 1, 2, ...", found=found, fix=fix)
         return Labels(label)
     n = len(table.columns["track"])
