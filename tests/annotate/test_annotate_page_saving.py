@@ -117,7 +117,7 @@ def test_a_server_that_falls_silent_in_the_middle_of_an_answer_does_not_answer(p
 
 def test_a_folder_that_cannot_be_written_is_noticed_before_the_first_edit(page, shared):
     shared.notes.write_text("a file where the folder should be")
-    page.shows("#banner", "expected a folder")
+    page.shows("#banner", "a file is where a folder should be")
     shared.notes.unlink()
     page.tab.locator("#banner").wait_for(state="hidden")
 

@@ -6,7 +6,6 @@ was saved, with the names of objects that were ``added``, ``changed``, ``removed
 """
 
 import json
-import os
 import threading
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
@@ -26,7 +25,7 @@ from kt3dmoseg.annotate.propagation import Region, TrackMotion
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.app import warn
 from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
-from kt3dmoseg.files import hold_folder, listed, parse_json, read_bytes, write_text
+from kt3dmoseg.files import check_writable, hold_folder, listed, parse_json, read_bytes, write_text
 from kt3dmoseg.frames import ClipFiles, check_frames
 from kt3dmoseg.io.formats import recognise
 from kt3dmoseg.io.images import picture_size, read_frame, read_frames
@@ -219,10 +218,11 @@ class ClipSession:
 
     def trouble(self) -> str:
         """Return why the annotation cannot be saved as things are; "" when it can."""
-        folder = next(path for path in self.source.annotation.absolute().parents if path.exists())
-        if not folder.is_dir():
-            return f"{folder}: expected a folder, found a file"
-        return "" if os.access(folder, os.W_OK) else f"{folder}: cannot write there"
+        try:
+            check_writable(self.source.annotation.parent)
+        except KT3DMoSegError as error:
+            return str(error)
+        return ""
 
     def summary(self, pool: Executor) -> dict[str, Any]:
         """Return how far the clip is, JSON-able, as counted last; the pool counts where a file has changed.
