@@ -1,4 +1,4 @@
-"""Plane geometry of regions: inside tests, distances to a boundary, resampling, blending."""
+"""Plane geometry of regions: distances to a boundary, resampling, blending."""
 
 from collections.abc import Sequence
 
@@ -7,16 +7,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.annotate.model import Polygon
-from kt3dmoseg.types import BoolArray, FloatArray
+from kt3dmoseg.types import FloatArray
 
 # Largest root mean square shift of corners, as a share of the outline's size, of one edited outline.
 _SAME_CORNERS = 0.15
 _SAMPLES = 72
-
-
-def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Find which of the points (N, 2) lie in a polygon (P, 2) or on it, by the even-odd rule: (N,) bool."""
-    return np.asarray(signed_distance(points, [polygon], reach=0.0) >= 0)
 
 
 def signed_distance(points: FloatArray, polygons: Sequence[FloatArray], reach: float = np.inf) -> FloatArray:

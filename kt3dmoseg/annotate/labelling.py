@@ -28,7 +28,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from kt3dmoseg.annotate.geometry import inside, signed_distance
+from kt3dmoseg.annotate.geometry import arrays, signed_distance
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Motion
 from kt3dmoseg.annotate.propagation import Region, TrackMotion, fit_similarities, propagate
 from kt3dmoseg.errors import InvalidValueError
@@ -123,7 +123,7 @@ def label_tracks_detailed(
         choice[rows], reason[rows] = candidates.index(motion_there), _LABELLED
     for mark in annotation.marks:
         rows, xy = trajectories.at(mark.frame)
-        held = rows[inside(xy, np.array(mark.polygon))]
+        held = rows[signed_distance(xy, arrays([mark.polygon]), reach=0.0) >= 0]
         choice[held] = candidates.index(mark.motion)
         reason[held] = _REJECTED if mark.motion == REJECT else _LABELLED
     number = np.array([0 if motion == REJECT else motion + 1 for motion in candidates], dtype=np.int64)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kt3dmoseg.annotate import AnnotatedObject, Annotation, KeyFrame, TrackMotion, propagate
-from kt3dmoseg.annotate.geometry import area, blend, inside, resample, signed_distance
+from kt3dmoseg.annotate.geometry import area, blend, resample, signed_distance
 from kt3dmoseg.annotate.propagation import Region, apply, fit_similarities, weak_frames
 from kt3dmoseg.types import Trajectories
 
@@ -169,4 +169,5 @@ def test_inside_is_even_odd():
     star = np.array(
         [(0, 0), (10, 0), (10, 10), (0, 10), (0, 0), (3, 3), (7, 3), (7, 7), (3, 7), (3, 3)], float
     )
-    assert inside(np.array([(1.0, 1.0), (5.0, 5.0), (11.0, 5.0)]), star).tolist() == [True, False, False]
+    depth = signed_distance(np.array([(1.0, 1.0), (5.0, 5.0), (11.0, 5.0)]), [star], reach=0.0)
+    assert (depth >= 0).tolist() == [True, False, False]
