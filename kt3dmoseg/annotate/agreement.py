@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from kt3dmoseg.annotate.formats.masks import mask_of
+from kt3dmoseg.annotate.geometry import arrays, bounds
 from kt3dmoseg.annotate.model import BACKGROUND, REJECT, AnnotatedObject, Annotation, Motion
 from kt3dmoseg.annotate.propagation import Region
 from kt3dmoseg.errors import InvalidValueError
@@ -124,28 +125,23 @@ def same_place(annotation: Annotation) -> str:
     shown: dict[int, list[tuple[AnnotatedObject, list[FloatArray]]]] = {}
     for item in annotation.objects:
         for key in item.key_frames:
-            if key.visibility == "visible" and key.polygons:
-                shown.setdefault(key.frame, []).append((item, [np.array(p) for p in key.polygons]))
+            if key.visibility == "visible":
+                shown.setdefault(key.frame, []).append((item, arrays(key.polygons)))
     tried = 0
     for frame, drawn in sorted(shown.items()):
-        ends = [np.concatenate(polygons) for _, polygons in drawn]
-        low, high = (np.array([getattr(end, side)(axis=0) for end in ends]) for side in ("min", "max"))
+        motions = np.array([str(item.motion) for item, _ in drawn])
+        low, high = np.array([np.reshape(bounds(polygons), (2, 2)) for _, polygons in drawn]).swapaxes(0, 1)
         sides = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
         shared, area = np.maximum(sides, 0).prod(axis=2), (high - low).prod(axis=1)
-        alike = np.triu(shared > _DOUBLED * (area[:, None] + area - shared), 1)
-        for i, j in np.argwhere(alike).tolist()[: _MOST_PAIRS - tried]:
-            (one, a), (two, b) = drawn[i], drawn[j]
-            corner, scale = (
-                np.minimum(low[i], low[j]),
-                _FINE / np.ptp([low[i], high[i], low[j], high[j]], axis=0),
-            )
-            masks = [mask_of([(p - corner) * scale for p in side], (_FINE, _FINE)) for side in (a, b)]
+        alike = (shared > _DOUBLED * (area[:, None] + area - shared)) & (motions[:, None] != motions)
+        for i, j in np.argwhere(np.triu(alike)).tolist()[: _MOST_PAIRS - tried]:
             tried += 1
-            if (
-                one.motion != two.motion
-                and (masks[0] & masks[1]).sum() > _DOUBLED * (masks[0] | masks[1]).sum()
-            ):
-                return f"{one.name} and {two.name} have different motions in the same place in frame {frame}"
+            corner = np.minimum(low[i], low[j])
+            scale = _FINE / (np.maximum(high[i], high[j]) - corner)
+            a, b = (mask_of([(p - corner) * scale for p in drawn[k][1]], (_FINE, _FINE)) for k in (i, j))
+            if (a & b).sum() > _DOUBLED * (a | b).sum():
+                names = f"{drawn[i][0].name} and {drawn[j][0].name}"
+                return f"{names} have different motions in the same place in frame {frame}"
     return ""
 
 
@@ -228,7 +224,10 @@ def compare(
     overlap = overlaps(*regions, size)
     chosen = zip(*linear_sum_assignment(overlap, maximize=True), strict=True)
     found = [(ids[i], others[j], float(overlap[i, j])) for i, j in chosen if overlap[i, j] > _SAME_PLACE]
-    mine, theirs = ({i for i, r in side.items() if any(map(_is_seen, r))} for side in regions)
+    mine, theirs = (
+        {i for i, of in side.items() if any(r.visibility == "visible" and r.polygons for r in of)}
+        for side in regions
+    )
     found += [(i, 0, 0.0) for i in sorted(mine - {i for i, _, _ in found})]
     found += [(0, j, 0.0) for j in sorted(theirs - {j for _, j, _ in found})]
     compared = agree(*labels, background=1) if labels else None
@@ -268,10 +267,6 @@ def _most_apart(a: Sequence[Region], b: Sequence[Region], size: tuple[int, int])
     pairs = zip_longest(a, b, fillvalue=Region("outside"))
     counts = [int(np.count_nonzero(_seen(x, size) != _seen(y, size))) for x, y in pairs]
     return int(np.argmax(counts or [0]))
-
-
-def _is_seen(region: Region) -> bool:
-    return region.visibility == "visible" and bool(region.polygons)
 
 
 def _seen(region: Region, size: tuple[int, int]) -> BoolArray:
