@@ -56,6 +56,12 @@ def size(polygons: Sequence[FloatArray]) -> float:
     return sum(abs(area(polygon)) for polygon in polygons)
 
 
+def without_specks(polygons: Sequence[Polygon]) -> list[Polygon]:
+    """Leave out the polygons that are smaller than a tenth of the largest."""
+    sizes = [size([polygon]) for polygon in arrays(polygons)]
+    return [polygon for polygon, own in zip(polygons, sizes, strict=True) if own >= 0.1 * max(sizes)]
+
+
 def median(values: FloatArray, axis: int) -> FloatArray:
     """Median without NaN; much faster than numpy's for short axes."""
     ordered = np.sort(values, axis=axis)

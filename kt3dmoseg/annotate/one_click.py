@@ -25,7 +25,7 @@ from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
-from kt3dmoseg.annotate.geometry import arrays, bounds, median, signed_distance
+from kt3dmoseg.annotate.geometry import arrays, bounds, median, signed_distance, without_specks
 from kt3dmoseg.annotate.model import LEAST_BOX, Box, Click, Polygon, Stroke
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
@@ -70,7 +70,6 @@ _STRENGTH, _MOST_ODDS, _CERTAIN, _PULL, _PULL_SHARE = 0.05, 6.0, 3.0, 0.13, 0.1
 _SMOOTH, _LEAK, _ITERATIONS = 0.5, 0.01, 80
 _TOLERANCE = 0.7
 _FINE = 3  # of the brush: cells per pixel
-_LEAST = 0.1  # parts smaller than this share of the largest are specks
 
 
 class Steps:
@@ -297,9 +296,7 @@ def _fitted(shape: Sequence[Polygon], last: IntArray, box: FloatArray) -> list[F
 
 def _outlined(mask: BoolArray) -> list[Polygon]:
     """Outline a mask (H, W): without specks, smooth, with few corners."""
-    polygons = polygons_of(cv2.medianBlur(mask.astype(np.uint8), 5) > 0, tolerance=_TOLERANCE)
-    sizes = [cv2.contourArea(np.array(polygon, dtype=np.float32)) for polygon in polygons]
-    return [p for p, size in zip(polygons, sizes, strict=True) if size >= _LEAST * max(sizes)]
+    return without_specks(polygons_of(cv2.medianBlur(mask.astype(np.uint8), 5) > 0, tolerance=_TOLERANCE))
 
 
 def _cut(

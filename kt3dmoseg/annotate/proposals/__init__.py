@@ -18,7 +18,7 @@ import numpy as np
 from kt3dmoseg.annotate.formats import content_of, load
 from kt3dmoseg.annotate.formats.foreign import ForeignObject, assemble
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
-from kt3dmoseg.annotate.geometry import arrays, size
+from kt3dmoseg.annotate.geometry import arrays, without_specks
 from kt3dmoseg.annotate.model import PROPOSALS, AnnotatedObject, Annotation, Polygon, load_annotation
 from kt3dmoseg.annotate.propagation import TrackMotion, propagate
 from kt3dmoseg.errors import FileFormatError, InputFileError
@@ -168,7 +168,4 @@ def outline(points: FloatArray, image_size: tuple[int, int]) -> list[Polygon]:
         cv2.circle(canvas, point.tolist(), _REACH, 1, -1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _SHRINK + 1, 2 * _SHRINK + 1))
     inner = cv2.erode(canvas, disc)[_REACH:-_REACH, _REACH:-_REACH].astype(np.bool_)
-    polygons = polygons_of(inner, tolerance=1.0)
-    sizes = [size([polygon]) for polygon in arrays(polygons)]
-    # Parts smaller than a tenth of the largest are single stray trajectories.
-    return [polygon for polygon, area in zip(polygons, sizes, strict=True) if area >= 0.1 * max(sizes)]
+    return without_specks(polygons_of(inner, tolerance=1.0))  # of single stray trajectories
