@@ -19,14 +19,14 @@ from typing import Any, TypeAlias
 import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import coo_array, diags_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import diags_array
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
 from kt3dmoseg.annotate.formats.masks import mask_of, polygons_of
 from kt3dmoseg.annotate.geometry import arrays, bounds, median, signed_distance, without_specks
 from kt3dmoseg.annotate.model import LEAST_BOX, Box, Click, Polygon, Stroke
+from kt3dmoseg.neighbours import connected
 from kt3dmoseg.types import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, Trajectories
 
 Frames: TypeAlias = Callable[[int], ByteArray]
@@ -124,12 +124,10 @@ class Steps:
 
     def joined(self, rows: IntArray, seeds: BoolArray) -> BoolArray:
         """Those that chains of the rows join to the seeds, (n,)."""
-        at = np.union1d(rows, np.flatnonzero(seeds))
-        pairs = cKDTree(self.xy[at]).query_pairs(_REACH, output_type="ndarray")
-        links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(at), len(at)))
-        group = connected_components(links, directed=False)[1]
-        out = np.zeros(len(seeds), dtype=np.bool_)
-        out[at] = np.isin(group, group[seeds[at]])
+        at, out = np.union1d(rows, np.flatnonzero(seeds)), seeds.copy()
+        pairs = at[cKDTree(self.xy[at]).query_pairs(_REACH, output_type="ndarray")]
+        for part in connected(pairs, at, smallest=2):
+            out[part] |= seeds[part].any()
         return out
 
     def own_group(self, chosen: BoolArray) -> int:
