@@ -6,7 +6,7 @@ The functions are the commands `kt3dmoseg annotations`; what they need is import
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
@@ -28,8 +28,6 @@ notes = group("annotations", "Import, export, check and compare the annotations 
 
 _SAME_OBJECT = 0.5
 _SHOWN = {"agreement": ".2%", "both": ".2%", "kappa": ".3f"}
-_CLIPS = "A folder of frames, a clip file, or a folder with one of these per clip."
-_TRACKS = "Clip file or folder of them with trajectories."
 
 
 @dataclass(frozen=True)
@@ -54,10 +52,10 @@ class Reports(list[ClipReport]):
         return 0 if all(report.ok for report in self) else KT3DMoSegError.exit_code
 
 
-_Clips = Annotated[AnyEither, Parameter(help=_CLIPS)]
+_Clips = Annotated[AnyEither, Parameter(help="A folder of frames, a clip file, or a folder of these.")]
 _Notes = Annotated[AnyFolder, Parameter(help="Folder of <clip>.json.")]
 _Format = Annotated[Name, Parameter(help="One of cvat, coco, labelme, davis, mots_png or mots_txt.")]
-_Tracks = Annotated[AnyEither | None, Parameter(help=_TRACKS)]
+_Tracks = Annotated[AnyEither | None, Parameter(help="Clip file or folder of them with trajectories.")]
 _Report = Annotated[Callable[[ClipReport], object], Parameter(parse=False)]
 
 
@@ -157,12 +155,10 @@ def import_annotations(
     if not root.exists():
         raise InputFileError(f"{root}", expected="a file or folder", found="nothing")
 
-    there: dict[str, bool] = {}
     every = list(_clips(clips, annotations))
 
     def work(clip: _Clip) -> ClipReport | None:
         content = annotate.formats.content_of(root, clip.name, suffix)
-        there[clip.name] = content is not None
         if content is None:
             return None
         current = clip.current()
@@ -185,7 +181,7 @@ def import_annotations(
         return ClipReport(clip.name, ok=True, lines=(*plan.lines(), done))
 
     reports = _for_each(every, work, report, root, "a file or folder")
-    _report_rest(reports, root, there, report)
+    _report_rest(reports, root, [clip.name for clip in every], report)
     return reports
 
 
@@ -358,14 +354,15 @@ def _of_one_file(root: Path, content: bytes, clip: str, count: int) -> list[str]
 
 
 def _report_rest(
-    reports: Reports, source: Path, there: Mapping[str, bool], report: Callable[[ClipReport], object]
+    reports: Reports, source: Path, clips: Sequence[str], report: Callable[[ClipReport], object]
 ) -> None:
     """Report of which clips a source has nothing, and what it has of none."""
     from kt3dmoseg.files import names_in
 
+    found = {each.clip for each in reports}
     rest = {
-        "it has nothing of": [clip for clip, found in there.items() if not found],
-        "left out, of no clip:": [n for n in names_in(source) if not {n, Path(n).stem} & there.keys()],
+        "it has nothing of": [clip for clip in clips if clip not in found],
+        "left out, of no clip:": [n for n in names_in(source) if {n, Path(n).stem}.isdisjoint(clips)],
     }
     if lines := tuple(f"{words} {several(names)}" for words, names in rest.items() if names):
         reports.append(ClipReport(f"{source}", ok=True, lines=lines))
