@@ -279,12 +279,10 @@ def _key(
             into.note(f"{where} has the {source} of {other}: one object")
             return other
     ended, place = known.ends.get((kind, begin), {}), _place(drawn[begin][1], into.like)
-    share = _SAME_PLACE / (1 + _SAME_PLACE)  # of the sum of two areas: the same share of their union
-    area = max(1, place.bit_count())
     alike = (
         other
         for other, left in ended.items()
-        if (left & place).bit_count() >= share * (area + left.bit_count())
+        if (left & place).bit_count() >= _SAME_PLACE * max(1, (left | place).bit_count())
     )
     key = next(alike, where)
     if key != where:
