@@ -272,9 +272,7 @@ def _read_mots_text(content: bytes, into: Import) -> None:
             if str(frame) in frames:
                 into.count("pixels in masks", height * width // 8)  # decoding is cheap
                 if outlines := outlines_of(into.fit(decode_rle(text, height, width, "rle"), "size"), into):
-                    item = into.object(identity)
-                    item.of_masks = True
-                    item.add(frames[str(frame)], outlines)
+                    into.object(identity, ForeignObject(of_masks=True)).add(frames[str(frame)], outlines)
     _name_mots(into)
 
 
@@ -296,9 +294,8 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> list[
         used |= {int(image.min())}
         for value, box in enumerate(ndimage.find_objects(image), start=1):
             if box is not None:
-                item = into.object(value)
-                item.of_masks = True
-                item.add(frame, outlines_of(image[box] == value, into, (box[1].start, box[0].start)))
+                outlines = outlines_of(image[box] == value, into, (box[1].start, box[0].start))
+                into.object(value, ForeignObject(of_masks=True)).add(frame, outlines)
     return void_ids(used.union(map(int, into.found)), bits, what)
 
 
