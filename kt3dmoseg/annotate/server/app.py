@@ -32,7 +32,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kt3dmoseg.annotate.model import StaleRevisionError, to_json
-from kt3dmoseg.annotate.server.clip_session import NotTrackedError
+from kt3dmoseg.annotate.server.clip_session import LONGEST_NAME, NotTrackedError
 from kt3dmoseg.annotate.server.routes import Routes
 from kt3dmoseg.app import typed
 from kt3dmoseg.draw.palette import css_palette
@@ -41,7 +41,6 @@ from kt3dmoseg.files import read_bytes, write_text
 
 _TOKEN = 24  # random bytes
 _MAX_TEAM = 1 << 16
-_LONGEST_NAME = 100
 MAX_BODY = 32 << 20
 MAX_HELD = 256 << 20  # of all bodies that are being received or worked on
 _SMALL = 4 << 20
@@ -231,8 +230,8 @@ def read_team(path: Path) -> dict[str, str]:
     team: dict[str, str] = {}
     for line in filter(str.strip, text.splitlines()):
         name, _, token = (part.strip() for part in line.partition("\t"))
-        if not name or len(name) > _LONGEST_NAME or name in team.values():
-            expected = f"each name once, of at most {_LONGEST_NAME} characters"
+        if not name or len(name) > LONGEST_NAME or name in team.values():
+            expected = f"each name once, of at most {LONGEST_NAME} characters"
             raise FileFormatError(f"{path}", expected=expected, found=repr(line)[:120])
         team[token or secrets.token_urlsafe(_TOKEN)] = name
     if not team:

@@ -41,7 +41,7 @@ _KEPT_OBJECTS = 256
 _KEPT_FRAMES = 16
 _MOST_MADE = 40
 _MAX_LOG = 1 << 24
-_LONGEST_NAME = 100
+LONGEST_NAME = 100
 # Seconds after which a person who saved nothing is taken to have paused.
 _PAUSE = 300
 
@@ -387,6 +387,6 @@ def file_version(path: Path) -> tuple[int, ...]:
 
 
 def _check_name(field: str, value: object, least: int = 0) -> None:
-    if not isinstance(value, str) or not least <= len(value.strip()) <= _LONGEST_NAME:
-        expected = f"the annotator's name, of {least} to {_LONGEST_NAME} characters"
+    if not isinstance(value, str) or not least <= len(value.strip()) <= LONGEST_NAME:
+        expected = f"the annotator's name, of {least} to {LONGEST_NAME} characters"
         raise InvalidValueError(field, expected=expected, found=repr(value)[:80])
