@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -198,7 +197,8 @@ def build_dataset(
         return Outcome(name, "failed", f"{reason}; {advice}", Path(output, f"{name}.h5"), {})
 
     outcomes = []
-    with _sole_writer(Path(output)) as folder:
+    check_writable(Path(output))
+    with hold_folder(output, alone="build") as folder:
         work = partial(_build_file, settings, folder, force)
         if propose is not None:
             check_writable(Path(propose))
@@ -230,18 +230,6 @@ def build_synthetic(
     return build_dataset(
         [SyntheticDrive(plan) for plan in plans], output, **{"smallest": _SMALLEST} | options
     )
-
-
-@contextmanager
-def _sole_writer(output: Path) -> Iterator[Path]:
-    """Make the folder and hold it for this process; leave none where nothing came of it."""
-    with hold_folder(output, alone="build") as folder:
-        try:
-            check_writable(folder)
-            yield folder
-        finally:
-            with suppress(OSError):
-                folder.rmdir()  # succeeds only when it is empty
 
 
 class _Settings:
