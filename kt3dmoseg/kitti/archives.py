@@ -22,8 +22,6 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, TypeAlias, TypeVar
 
-from tqdm import tqdm
-
 from kt3dmoseg import catalog
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
@@ -411,8 +409,7 @@ class Archives:
         """Download all of a zip, resuming what is there of it; one that is not intact then is removed."""
         part = self._target.path_for(url, "part")
         self._target.check_space((size or 0) - (part.stat().st_size if part.is_file() else 0))
-        with tqdm(total=size, unit="B", unit_scale=True, desc="zip", disable=None) as bar:
-            self._client.download(url, part, bar.update)
+        self._client.download(url, part, "zip", size)
         try:
             archive = Archive.verified(part)
         except FileFormatError as error:

@@ -11,7 +11,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,8 +89,8 @@ class Client:
         list(self.chunks(url, 0, 1))
         return self.sizes[url]
 
-    def download(self, url: str, path: Path, progress: Callable[[int], object] = lambda count: None) -> None:
-        """Append to `path` what it lacks of a file, from a server that may ignore ranges.
+    def download(self, url: str, path: Path, title: str, total: int | None = None) -> None:
+        """Append to `path` what it lacks of a file, from a server that may ignore ranges, with a bar.
 
         Where the server sends everything again, the beginning is passed over. A file that changes meanwhile
         is fetched from its beginning, once.
@@ -98,11 +98,12 @@ class Client:
         for mode in ("ab", "wb"):
             self.sizes.pop(url, None)
             self._versions.pop(url, None)
-            with open(path, mode) as stream:
+            bar = tqdm(total=total, unit="B", unit_scale=True, desc=title, disable=None)
+            with bar, open(path, mode) as stream:
                 try:
                     for block in self.chunks(url, stream.tell(), None):
                         stream.write(block)
-                        progress(len(block))
+                        bar.update(len(block))
                     return
                 except ChangedError:
                     if mode == "wb":

@@ -7,8 +7,6 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tqdm import tqdm
-
 from kt3dmoseg.errors import FileFormatError, InputFileError
 from kt3dmoseg.files import PathLike, atomic_path, read_bytes, sha256_file, write_bytes, write_text
 from kt3dmoseg.kitti import Origin
@@ -117,11 +115,10 @@ def _download(client: Client, url: str, path: Path, checksum: str | None, releas
     with atomic_path(path) as temporary:
         for _ in range(2):
             temporary.write_bytes(b"")
-            with tqdm(unit="B", unit_scale=True, desc=path.name, disable=None) as bar:
-                try:
-                    client.download(url, temporary, bar.update)
-                except InputFileError as error:
-                    raise InputFileError(f"{error}", fix=f"by hand: {release.by_hand}") from None
+            try:
+                client.download(url, temporary, path.name)
+            except InputFileError as error:
+                raise InputFileError(f"{error}", fix=f"by hand: {release.by_hand}") from None
             if _is_right(temporary, checksum, packed=bool(release.wanted)):
                 return
         raise FileFormatError(url, expected=wanted, found="other content")

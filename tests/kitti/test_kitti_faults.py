@@ -148,12 +148,12 @@ def test_download_appends_what_is_missing_and_passes_over_what_is_there(world: W
     path.write_bytes(content[:1000])
     traffic = Traffic()
     client = Client(Origin(wait=0), traffic)
-    client.download(url, path)
+    client.download(url, path, "zip")
     assert path.read_bytes() == content
     assert traffic.bytes == len(content) - 1000
     world.server.ranges = False
     path.write_bytes(content[:1000])
-    client.download(url, path)
+    client.download(url, path, "zip")
     client.close()
     assert path.read_bytes() == content
 

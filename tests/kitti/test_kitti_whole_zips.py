@@ -133,7 +133,7 @@ def test_a_file_that_changes_under_an_interrupted_download_is_fetched_from_its_b
     world.server.fault = change
     traffic = Traffic()
     client = Client(Origin(wait=0), traffic)
-    client.download(url, path)
+    client.download(url, path, "zip")
     assert path.read_bytes() == new
     client.close()
 
