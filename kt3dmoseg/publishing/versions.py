@@ -28,7 +28,6 @@ from kt3dmoseg.files import (
     JSON_BYTES,
     PathLike,
     atomic_path,
-    check_writable,
     hold_folder,
     is_hidden,
     parse_json,
@@ -103,7 +102,6 @@ def publish(
     parts = _splits(list(paths), splits)
     facts = _manifest(paths, parts, settings)
     optional("pyarrow", "publish needs", "publish")
-    check_writable(Path(output))
     with hold_folder(output) as folder:
         copies = {f"clips/{name}.h5": path for name, path in paths.items()}
         tables = {f"data/{what}/{split}.parquet": (what, parts[split]) for what in FIELDS for split in parts}
