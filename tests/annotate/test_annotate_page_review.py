@@ -345,6 +345,14 @@ def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, 
     reviewer.shows("#differences", "missed by you: woman with a walker")
     button(reviewer, "Take theirs").click()
     reviewer.until("labeller.state.doc.objects.length === 3")
+    button(reviewer, "List").click()
+    assert sorted(reviewer.tab.locator("dialog td:last-child").all_inner_texts()) == ["", "", "theirs"]
+    reviewer.press("Escape", "Control+z")
+    button(reviewer, "List").click()
+    assert reviewer.tab.locator("dialog td:last-child").all_inner_texts() == ["", "", ""]
+    button(reviewer, "missed by you: woman with a walker").click()
+    button(reviewer, "Take theirs").click()
+    reviewer.until("labeller.state.doc.objects.length === 3")
     assert reviewer.objects()[2]["key_frames"][0]["polygons"] == [walker]
     assert (reviewer.objects()[2]["name"], reviewer.objects()[2]["motion"]) == ("woman with a walker", 3)
     button(reviewer, "List").click()

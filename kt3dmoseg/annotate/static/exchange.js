@@ -204,13 +204,13 @@ export function compare() {
 }
 
 function list() {
-  const { agreement, trajectories, both, kappa, different, objects, settled } = state.compared;
+  const { agreement, trajectories, both, kappa, different, objects } = state.compared;
   const mean = objects.reduce((sum, { iou }) => sum + iou, 0) / (objects.length || 1);
   const summary = `Same label for ${percent(agreement)} of ${trajectories} trajectories, `
     + `${percent(both)} of those that both labelled; ${different} differ. Cohen's kappa ${kappa.toFixed(3)}, `
     + `mean IoU of the objects ${mean.toFixed(3)}.`;
   const rows = objects.map(({ verdict, iou, different: count }, k) =>
-    [button(verdict, () => visit(k)), iou.toFixed(2), count, settled[k] ?? ""]);
+    [button(verdict, () => visit(k)), iou.toFixed(2), count, settledAs(k)]);
   open("Two annotators", paragraph(summary),
     element("div", { className: "scroll" }, rows.length ? table(rows, HEADS) : []), row(button("Close", leave),
       faint("Choose an object to see both outlines and decide; ↑ ↓ walk the list, Shift+G goes to the next.")));
@@ -246,13 +246,19 @@ function withTheirs({ first_id: mine, second_id: theirs, motion }) {
   return own ? changeObject(doc, mine, taken) : addObject(doc, { ...other, ...taken });
 }
 
+/** What was decided about an object, unless that was undone. */
+function settledAs(k) {
+  const { how, before } = state.compared.settled[k] ?? {};
+  return how && (!before || state.done.includes(before)) ? how : "";
+}
+
 /** Keep what was decided about the object in view, and go on to the next that is open. */
 function conclude(how, change) {
-  const { compared } = state;
-  const settled = Object.assign([...compared.settled], { [compared.at]: how });
+  const { compared, doc } = state;
+  const settled = Object.assign([...compared.settled], { [compared.at]: { how, before: change && doc } });
   if (change) edit(change());
-  const open = compared.objects.findIndex((_, k) => k > compared.at && !settled[k]);
   set({ compared: { ...compared, settled } });
+  const open = compared.objects.findIndex((_, k) => k > compared.at && !settledAs(k));
   if (how === "redraw") byId("stage").focus();
   else if (open < 0) list();
   else visit(open);
@@ -265,18 +271,18 @@ function redrawThis({ first_id: mine }) {
 }
 
 function drawDifference() {
-  const { at, objects, settled } = state.compared ?? {};
+  const { at, objects } = state.compared ?? {};
   const here = objects?.[at];
   if (!here) return strip("differences", "");
   const next = button("Next", () => visit(at + 1));
   const theirs = here.second_id === null ? "Delete, as theirs" : "Take theirs";
   strip("differences", `${at + 1} of ${objects.length}: ${here.verdict}, IoU ${here.iou.toFixed(2)}`
-    + `${settled[at] ? ` (${settled[at]})` : ""}`,
+    + (settledAs(at) && ` (${settledAs(at)})`),
   button(theirs, () => conclude("theirs", () => withTheirs(here))),
   button(here.first_id === null ? "Leave out" : "Keep mine", () => conclude("mine")),
   button("Redraw", () => redrawThis(here)), next, button("List", list), button("Compare again", compare),
   button("Done", leave));
-  return settled[at] === "redraw" || next.focus();
+  return settledAs(at) === "redraw" || next.focus();
 }
 
 on(["review", "proposals"], drawReview);
