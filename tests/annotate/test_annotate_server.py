@@ -198,8 +198,8 @@ def test_a_state_of_no_name_or_by_nobody_is_refused(page, tmp_path, state, by, f
 
 def test_a_damaged_log_is_reported_with_its_name(page, tmp_path):
     set_state(page)
-    (tmp_path / "notes" / "one.log.jsonl").write_text('{"state": \n')
-    assert "one.log.jsonl: line 1: expected JSON" in page.get("/api/clips").json()["clips"][0]["error"]
+    (tmp_path / "notes" / "one.log.jsonl").write_text('{"state": "fine"}\n')
+    assert "one.log.jsonl: line 1: expected time" in page.get("/api/clips").json()["clips"][0]["error"]
     assert "one.log.jsonl" in page.get("/api/clips/one").json()["error"]
 
 

@@ -24,7 +24,7 @@ from kt3dmoseg.annotate.one_click import outline_clicks, sharpened
 from kt3dmoseg.annotate.propagation import Region, TrackMotion
 from kt3dmoseg.annotate.proposals.residual import moving_groups
 from kt3dmoseg.app import warn
-from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.files import check_writable, hold_folder, listed, parse_json, read_bytes, write_text
 from kt3dmoseg.frames import ClipFiles, check_frames
 from kt3dmoseg.io.formats import recognise
@@ -330,12 +330,12 @@ class ClipLog:
         self._read: tuple[object, list[dict[str, Any]]] = (None, [])
 
     def entries(self) -> list[dict[str, Any]]:
-        """Return all entries, the first first; FileFormatError with the line that is no JSON."""
+        """Return all entries, the first first; FileFormatError with the line that is damaged."""
         if not (version := file_version(self.path)):
             return []
         if self._read[0] != version:
             lines = read_bytes(self.path, _MAX_LOG).splitlines()
-            found = [parse_json(line, f"{self.path}: line {k}") for k, line in enumerate(lines, 1)]
+            found = [_entry(line, f"{os.fspath(self.path)}: line {k}") for k, line in enumerate(lines, 1)]
             self._read = version, found
         return self._read[1]
 
@@ -390,3 +390,15 @@ def _check_name(field: str, value: object, least: int = 0) -> None:
     if not isinstance(value, str) or not least <= len(value.strip()) <= LONGEST_NAME:
         expected = f"the annotator's name, of {least} to {LONGEST_NAME} characters"
         raise InvalidValueError(field, expected=expected, found=repr(value)[:80])
+
+
+def _entry(line: bytes, where: str) -> dict[str, Any]:
+    found = parse_json(line, where)
+    try:
+        datetime.fromisoformat(found["time"])
+        good = isinstance(found["by"], str) and found.get("state", WORK_STATES[0]) in WORK_STATES
+    except (TypeError, KeyError, ValueError):
+        good = False
+    if not good:
+        raise FileFormatError(where, expected="time, by and what was done", found=repr(found)[:80])
+    return dict(found)
