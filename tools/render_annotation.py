@@ -1,6 +1,6 @@
 """Draw an annotation on its frames, to check it by eye.
 
-    tools/render_annotation.py annotations/Seq005_Clip01.json --frames FRAMES/Seq005_Clip01 -o out/
+    tools/render_annotation.py annotations/CLIP.json --frames FRAMES/CLIP --tracks out/CLIP.h5 -o pictures/
 
 writes one overview per frame, and per object a sheet of enlarged crops of all frames, with rulers in
 pixels. Thick outlines with dots were drawn by a person, thin ones are propagated.
@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--tracks",
         type=Path,
-        help="carry regions by these trajectories; otherwise they move in straight lines",
+        help="trajectories that carry the regions, needed with an annotation",
     )
     arguments = parser.parse_args(argv)
     try:
@@ -73,8 +73,9 @@ def _render(arguments: argparse.Namespace) -> int:
         annotation = load_annotation(arguments.annotation)
         _check(annotation, frames)
         name = annotation.clip
-        motion = TrackMotion(io.load(arguments.tracks).dense) if arguments.tracks else None
-        shown = _regions(annotation, motion, arguments.object)
+        if not arguments.tracks:
+            raise InvalidValueError("--tracks", expected="those that carry the regions", found="none")
+        shown = _regions(annotation, TrackMotion(io.load(arguments.tracks).dense), arguments.object)
     for text in arguments.crop:
         number, box = _crop(text, len(frames))
         picture = draw_view(frames[number], box, arguments.zoom, shown[number], title=f"frame {number}")
@@ -85,7 +86,7 @@ def _render(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _regions(annotation: Annotation, motion: TrackMotion | None, only: list[int] | None) -> list[Shown]:
+def _regions(annotation: Annotation, motion: TrackMotion, only: list[int] | None) -> list[Shown]:
     regions = propagate(annotation, motion)
     items = [item for item in annotation.objects if not only or item.id in only]
     return [[(item, regions[item.id][frame]) for item in items] for frame in range(annotation.n_frames)]

@@ -182,7 +182,7 @@ def _decide_by_motion(
         depth = depths[item.id]
         with np.errstate(invalid="ignore"):
             clear = depth > _MARGIN
-            # Along the outline: within `halo` outside and about as near inside, in most frames.
+            # Along the outline: at most 8 pixels outside and about as near inside, in most frames.
             close = (depth >= -_HALO) & (depth <= 2 * _MARGIN)
         rows = np.flatnonzero(2 * close.sum(axis=1) > trajectories.lengths)
         if item.motion in (BACKGROUND, REJECT) or not len(rows) or not steps:

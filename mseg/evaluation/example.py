@@ -75,7 +75,7 @@ def example_submission(
         raise InvalidValueError("data", expected=expected, found="nothing")
     folder = Path(output)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        expected, fix = "a new or empty folder", "choose another output"
+        expected, fix = "a new or empty folder", "remove it, or choose another output"
         raise InvalidValueError(f"{folder}", expected=expected, found="something there", fix=fix)
     place = Path(data) if data is not None else folder.with_name(folder.name + "-data")
     if data is None:

@@ -110,7 +110,8 @@ class Protocol:
     def contradicts(self, version: str, checksums: Mapping[str, str]) -> bool:
         """Whether the clips at hand are known not to be of a version."""
         here, known = self.version_of(checksums), self.versions.get(version, {})
-        return (here not in ("", version)) or any(known.get(n, c) != c for n, c in checksums.items())
+        other = here != "" and version not in (here, "unnamed")  # as files call what had no name then
+        return other or any(known.get(n, c) != c for n, c in checksums.items())
 
     def clips_of(self, group: Group, motions: Mapping[str, int]) -> list[str]:
         """Names of the clips at hand, given with their true numbers of motions, that belong to a group."""

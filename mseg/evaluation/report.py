@@ -304,7 +304,7 @@ def _size(clip: Clip, pictures: Sequence[ByteArray]) -> tuple[int, int]:
 
 
 def jpegs(pictures: Sequence[ByteArray], most: int) -> list[str]:
-    """Write pictures (H, W) or (H, W, 3) as addresses of data, together at most so many characters.
+    """Write pictures (H, W) or (H, W, 3) as addresses of data, one or more: at most so many characters.
 
     Where small pictures are too many as well, some are left empty: every second one, or more.
     """

@@ -197,7 +197,8 @@ class ScoreTable:
 
     def summary(self, metric: str = "error", clips: list[str] | None = None) -> Summary:
         """Summarise a metric over clips: one or more of `names`, by default all."""
-        return summarise(self.matrix(metric, clips), [self.of(name).n for name in clips or self.names])
+        wanted = self.names if clips is None else clips
+        return summarise(self.matrix(metric, wanted), [self.of(name).n for name in wanted])
 
     @cached_property
     def _by_key(self) -> dict[tuple[str, int], ClipScore]:

@@ -350,6 +350,14 @@ def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, 
     reviewer.press("Escape", "Control+z")
     button(reviewer, "List").click()
     assert reviewer.tab.locator("dialog td:last-child").all_inner_texts() == ["", "", ""]
+    button(reviewer, "missed by the other: object 2").click()
+    button(reviewer, "Delete, as theirs").click()
+    reviewer.until("labeller.state.doc.objects.length === 1")
+    button(reviewer, "List").click()
+    rows = reviewer.tab.locator("dialog tr", has=reviewer.tab.locator("td")).all_inner_texts()
+    assert [row.split("\t")[0] for row in rows if row.endswith("theirs")] == ["missed by the other: object 2"]
+    reviewer.press("Escape", "Control+z")
+    button(reviewer, "List").click()
     button(reviewer, "missed by you: woman with a walker").click()
     button(reviewer, "Take theirs").click()
     reviewer.until("labeller.state.doc.objects.length === 3")

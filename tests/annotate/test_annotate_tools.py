@@ -112,7 +112,10 @@ def test_agreement_tool_without_annotations(clip, capsys):
 
 def test_render_tool(clip, capsys):
     arguments = [str(clip / "annotations" / "one.json"), "--frames", str(clip / "frames" / "one")]
-    arguments += ["-o", str(clip / "out"), "--tracks", str(clip / "tracks" / "one.npz")]
+    arguments += ["-o", str(clip / "out")]
+    assert tool("render_annotation").main(arguments) == 2
+    assert "--tracks" in capsys.readouterr().err
+    arguments += ["--tracks", str(clip / "tracks" / "one.npz")]
     assert tool("render_annotation").main(arguments) == 0
     names = sorted(p.name for p in (clip / "out").iterdir())
     assert names == [f"one_f00{k}.png" for k in range(6)] + ["one_object01_0.png"]

@@ -23,6 +23,7 @@ from mseg.benchmark.publishing import (
     read_result,
     read_results,
 )
+from mseg.benchmark.site import write_site
 from mseg.cli import main
 from mseg.evaluation import load_protocol
 from mseg.evaluation.statistics import bootstrap_mean
@@ -97,6 +98,21 @@ def test_the_release_is_complete_and_agrees_with_the_known_prevalence():
     assert set(baseline.clips) == set(protocol.versions["2018"])
     errors = dict(zip(baseline.clips, 100 * baseline.errors[:, 0], strict=True))
     assert errors == pytest.approx(protocol.prevalence, abs=0.005)
+
+
+def test_the_clips_as_built_are_version_2_on_which_no_printed_figure_is_shown(tmp_path):
+    protocol = load_protocol("kt3dmoseg")
+    assert {*protocol.versions["2"]} == {*protocol.clips} == {*RESULTS["kt3dmoseg", "2"][0].clips}
+    checksums = protocol.versions["2"]
+    assert protocol.version_of(checksums) == "2"
+    # Files from before the version had a name call it unnamed.
+    contradicting = [v for v in ("2", "unnamed", "2018", "data-0") if protocol.contradicts(v, checksums)]
+    assert contradicting == ["2018", "data-0"]
+    page = write_site(ROOT / "results", tmp_path).read_text()
+    titles = re.findall(r"<h2 id='board-\d'>([^<]+)<", page)
+    assert titles[:2] == ["KT3DMoSeg, version 2018", "KT3DMoSeg, version 2"]
+    first, second = page.split("<section data-board=")[1:3]
+    assert ("class='printed'" in first, "class='printed'" in second) == (True, False)
 
 
 def test_the_pages_show_the_figures_of_the_files(tool):

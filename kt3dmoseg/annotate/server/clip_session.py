@@ -335,7 +335,7 @@ class ClipLog:
             return []
         if self._read[0] != version:
             lines = read_bytes(self.path, _MAX_LOG).splitlines()
-            found = [_entry(line, f"{os.fspath(self.path)}: line {k}") for k, line in enumerate(lines, 1)]
+            found = [_entry(line, f"{self.path}: line {k}") for k, line in enumerate(lines, 1)]
             self._read = version, found
         return self._read[1]
 

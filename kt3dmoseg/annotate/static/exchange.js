@@ -248,15 +248,15 @@ function withTheirs({ first_id: mine, second_id: theirs, motion }) {
 
 /** What was decided about an object, unless that was undone. */
 function settledAs(k) {
-  const { how, before } = state.compared.settled[k] ?? {};
-  return how && (!before || state.done.includes(before)) ? how : "";
+  const { how, after } = state.compared.settled[k] ?? {};
+  return how && (!after || [...state.done, state.doc].includes(after)) ? how : "";
 }
 
 /** Keep what was decided about the object in view, and go on to the next that is open. */
 function conclude(how, change) {
-  const { compared, doc } = state;
-  const settled = Object.assign([...compared.settled], { [compared.at]: { how, before: change && doc } });
+  const { compared } = state;
   if (change) edit(change());
+  const settled = Object.assign([...compared.settled], { [compared.at]: { how, after: change && state.doc } });
   set({ compared: { ...compared, settled } });
   const open = compared.objects.findIndex((_, k) => k > compared.at && !settledAs(k));
   if (how === "redraw") byId("stage").focus();
