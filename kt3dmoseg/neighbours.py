@@ -50,6 +50,7 @@ def alike(tracks: Trajectories, pairs: IntArray, strictness: float = 1.0) -> Boo
     step = tracks.xy[:, gap:] - tracks.xy[:, : tracks.n_frames - gap]
     a, b = step[pairs[:, 0]], step[pairs[:, 1]]
     apart = np.linalg.norm(a - b, axis=2) * strictness
+    longer = np.maximum(np.linalg.norm(a, axis=2), np.linalg.norm(b, axis=2))
     with np.errstate(invalid="ignore"):
-        alike = (apart <= 1.0 + _SAME_MOTION * np.linalg.norm(a, axis=2)).sum(axis=1)
+        alike = (apart <= 1.0 + _SAME_MOTION * longer).sum(axis=1)
     return np.asarray(alike >= np.maximum(_SHARE * np.isfinite(apart).sum(axis=1), 1))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 else:  # imported on first use: the help of commands reads only the options
     __getattr__, __dir__, __all__ = lazy(__name__, "ChooseOptions")
 
-ALGORITHM_VERSION = 2
+ALGORITHM_VERSION = 3
 """Raised when the same frames get other measures."""
 
 

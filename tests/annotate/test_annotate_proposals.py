@@ -18,6 +18,7 @@ from kt3dmoseg.annotate.proposals import outline, residual, tracklets
 from kt3dmoseg.catalog import Drive, Entry
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.io.images import write_png
+from kt3dmoseg.neighbours import alike, near_pairs
 from kt3dmoseg.types import Labels, Trajectories
 from mseg.proposals import propose as propose_mseg
 
@@ -53,6 +54,14 @@ def test_residual_finds_what_moves_by_itself():
     assert taken[moving & seen].mean() > 0.9
     assert taken[~moving & seen].mean() < 0.1
     assert not (residual.moving_groups(trajectories.select(~moving)) > 1).any()
+
+
+def test_neighbours_move_alike_in_either_order():
+    trajectories, _ = tracks()
+    pairs = near_pairs(trajectories, np.arange(len(trajectories)))
+    found = alike(trajectories, pairs)
+    assert 0.1 < found.mean() < 0.9
+    np.testing.assert_array_equal(found, alike(trajectories, pairs[:, ::-1]))
 
 
 def test_residual_finds_what_moves_before_a_camera_at_rest():
