@@ -347,7 +347,16 @@ def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, 
     reviewer.until("labeller.state.doc.objects.length === 3")
     button(reviewer, "List").click()
     assert sorted(reviewer.tab.locator("dialog td:last-child").all_inner_texts()) == ["", "", "theirs"]
-    reviewer.press("Escape", "Control+z")
+    reviewer.saved()
+    reviewer.tab.route("**/annotation", lambda route: route.abort())  # what follows stays unsaved
+    reviewer.press("Escape", "4")
+    # What the server has, as if somebody else had saved it meanwhile.
+    join = "import('/static/saving.js').then(({ join }) => join(structuredClone(labeller.saver.base)))"
+    reviewer.value(join)
+    reviewer.tab.unroute("**/annotation")
+    button(reviewer, "List").click()
+    assert sorted(reviewer.tab.locator("dialog td:last-child").all_inner_texts()) == ["", "", "theirs"]
+    reviewer.press("Escape", "Control+z", "Control+z")
     button(reviewer, "List").click()
     assert reviewer.tab.locator("dialog td:last-child").all_inner_texts() == ["", "", ""]
     button(reviewer, "missed by the other: object 2").click()

@@ -246,17 +246,21 @@ function withTheirs({ first_id: mine, second_id: theirs, motion }) {
   return own ? changeObject(doc, mine, taken) : addObject(doc, { ...other, ...taken });
 }
 
-/** What was decided about an object, unless that was undone. */
+// What was taken from the other annotator, kept in the document: undo takes it back, a merge carries it.
+const TAKEN = Symbol("taken");
+
+/** What was decided about an object. */
 function settledAs(k) {
-  const { how, after } = state.compared.settled[k] ?? {};
-  return how && (!after || [...state.done, state.doc].includes(after)) ? how : "";
+  const { objects, settled } = state.compared;
+  return settled[k] ?? (state.doc[TAKEN]?.has(objects[k]) ? "theirs" : "");
 }
 
 /** Keep what was decided about the object in view, and go on to the next that is open. */
 function conclude(how, change) {
-  const { compared } = state;
-  if (change) edit(change());
-  const settled = Object.assign([...compared.settled], { [compared.at]: { how, after: change && state.doc } });
+  const { compared, doc } = state;
+  const taken = new Set([...doc[TAKEN] ?? [], compared.objects[compared.at]]);
+  if (change) edit({ ...change(), [TAKEN]: taken });
+  const settled = Object.assign([...compared.settled], { [compared.at]: change ? undefined : how });
   set({ compared: { ...compared, settled } });
   const open = compared.objects.findIndex((_, k) => k > compared.at && !settledAs(k));
   if (how === "redraw") byId("stage").focus();
