@@ -103,7 +103,7 @@ def _alternate(
     max_sweeps: int,
 ) -> Fusion:
     """Update one view after the other; the objective gets what was `earned` after each update."""
-    subspaces = [smallest_subspace(laplacian, n_clusters, tolerance=_ROUGH) for laplacian in laplacians]
+    subspaces = [smallest_subspace(laplacian, n_clusters, tolerance=_ROUGH)[1] for laplacian in laplacians]
     embeddings = [subspace[:, :n_clusters] for subspace in subspaces]
     objectives: list[float] = []
     change = np.inf
@@ -113,7 +113,8 @@ def _alternate(
         value = 0.0
         for view, laplacian in enumerate(laplacians):
             target = WeightedSum((1.0, laplacian), (-weight, reward(embeddings, view)))
-            subspaces[view] = smallest_subspace(target, n_clusters, start=subspaces[view], tolerance=accuracy)
+            start = subspaces[view]
+            _, subspaces[view] = smallest_subspace(target, n_clusters, start=start, tolerance=accuracy)
             embeddings[view] = subspaces[view][:, :n_clusters]
             smoothness = np.einsum("nk,nk->", embeddings[view], laplacian @ embeddings[view])
             value += float(smoothness) - weight * earned(embeddings, view)

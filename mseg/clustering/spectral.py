@@ -101,15 +101,16 @@ def smallest_eigenvectors(matrix: Symmetric, count: int, *, tolerance: float = 1
     """
     # Stewart, "A Krylov-Schur algorithm for large eigenproblems", SIAM J. Matrix Anal. Appl. 2001; Zhou and
     # Saad, "Block Krylov-Schur method for large symmetric eigenvalue problems", 2008.
-    return fixed_sign(smallest_subspace(matrix, count, tolerance=tolerance)[:, :count])
+    return fixed_sign(smallest_subspace(matrix, count, tolerance=tolerance)[1][:, :count])
 
 
 def smallest_subspace(
     matrix: Symmetric, count: int, *, start: FloatArray | None = None, tolerance: float = 1e-8
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """Find what `smallest_eigenvectors` finds, without fixed signs, and some approximate ones more.
 
-    `start` is what this function gave for a matrix nearby; it saves most of the work.
+    Returns eigenvalues (b,) and vectors (N, b). `start` is the vectors that this function gave for a matrix
+    nearby; it saves most of the work.
     """
     size = matrix.shape[0]
     if not 1 <= count <= size:
@@ -187,12 +188,16 @@ def _check_ties(degree: _Array) -> None:
         raise SegmentationError("affinity", expected="ties between points", found="none")
 
 
-def _dense(matrix: Symmetric, count: int) -> FloatArray:
-    vectors = eigh(np.asarray(matrix), subset_by_index=(0, count - 1), driver="evr", check_finite=False)[1]
-    return np.ascontiguousarray(vectors)
+def _dense(matrix: Symmetric, count: int) -> tuple[FloatArray, FloatArray]:
+    values, vectors = eigh(
+        np.asarray(matrix), subset_by_index=(0, count - 1), driver="evr", check_finite=False
+    )
+    return values, np.ascontiguousarray(vectors)
 
 
-def _krylov(matrix: Symmetric, first: FloatArray, count: int, block: int, tolerance: float) -> FloatArray:
+def _krylov(
+    matrix: Symmetric, first: FloatArray, count: int, block: int, tolerance: float
+) -> tuple[FloatArray, FloatArray]:
     """Solve the problem projected on a basis, expand the basis by residuals, repeat.
 
     LAPACK takes over where eigenvalues lie so close that this does not get there.
@@ -210,7 +215,7 @@ def _krylov(matrix: Symmetric, first: FloatArray, count: int, block: int, tolera
         basis[:, :kept], image[:, :kept] = basis[:, :filled] @ best, image[:, :filled] @ best
         direction = image[:, :block] - basis[:, :block] * values[:block]
         if np.linalg.norm(direction[:, :count], axis=0).max() < tolerance:
-            return np.ascontiguousarray(basis[:, :kept])
+            return values[:kept], np.ascontiguousarray(basis[:, :kept])
         filled = kept
         for _ in range(_EXPANSIONS):
             for _ in range(2):

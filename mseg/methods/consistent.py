@@ -80,16 +80,17 @@ class ConsistentMoSeg(ViewMethod):
         first, second = np.nonzero(np.triu(views.any(axis=0), 1))
         weights = np.ascontiguousarray(views[:, first, second].T, dtype=np.float64)
         c, d = np.ones(len(weights)), np.zeros_like(weights)
-        # Of W, at first the identity, W_ii + W_jj - 2 W_ij is needed: squared distances of its factors.
-        factors, subspace = np.eye(views.shape[1]), None
-        laplacian = np.empty(views.shape[1:])
+        # W_ii + W_jj - 2 W_ij is needed: squared distances of the factors of W; at first it is the identity.
+        w, subspace = (np.empty((views.shape[1], 0)), 2.0), None
+        laplacian = np.zeros(views.shape[1:])
 
         def sweep() -> float:
-            nonlocal factors, subspace
+            nonlocal w, subspace
             moved = _sweep(
-                c, d, laplacian, weights, first, second, factors, self.specific_weight, self.rank_weight
+                c, d, laplacian, weights, first, second, *w, self.specific_weight, self.rank_weight
             )
             factors, subspace = _component_factors(laplacian, n_clusters, subspace)
+            w = factors, 0.0
             return float(moved)
 
         convergence = iterate(sweep, tolerance=self.tolerance, max_iterations=self.max_iterations)
@@ -108,16 +109,18 @@ def _sweep(
     first: IntArray,
     second: IntArray,
     factors: FloatArray,
+    diagonal: float,
     specific_weight: float,
     rank_weight: float,
 ) -> float:
     """Update C (E,), D_v (E, V) and the Laplacian of C (N, N); twice the larger squared change."""
     moved_c = moved_d = 0.0
-    laplacian[:] = 0
+    for i in range(len(laplacian)):
+        laplacian[i, i] = 0.0
     for e in range(len(c)):
         i, j = first[e], second[e]
         scale = c[e] / (c[e] ** 2 + specific_weight)
-        explained, weight, apart = 0.0, 0.0, 0.0
+        explained, weight, apart = 0.0, 0.0, diagonal
         for v in range(weights.shape[1]):
             value = max(scale * weights[e, v], _SMALLEST)
             moved_d += (value - d[e, v]) ** 2
@@ -146,12 +149,10 @@ def _component_factors(
     basis that the solver happened to choose.
     """
     # Residuals of 1e-3 leave errors of their square in the eigenvalues, less than a tie.
-    subspace = smallest_subspace(laplacian, n_clusters, start=start, tolerance=1e-3)
-    last = subspace[:, n_clusters - 1 : n_clusters + 1]
-    values = np.einsum("ik,ik->k", last, laplacian @ last)
-    if n_clusters == len(laplacian) or values[1] - values[0] >= _TIE:
+    values, subspace = smallest_subspace(laplacian, n_clusters, start=start, tolerance=1e-3)
+    tied = float(values[n_clusters - 1])
+    if n_clusters == len(laplacian) or values[n_clusters] - tied >= _TIE:
         return subspace[:, :n_clusters], subspace
-    tied = float(values[0])
     values, vectors = eigh(laplacian, subset_by_value=(-np.inf, tied + _TIE), check_finite=False)
     below = values < tied - _TIE
     share = np.where(below, 1.0, (n_clusters - below.sum()) / (~below).sum())
