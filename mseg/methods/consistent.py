@@ -113,7 +113,10 @@ def _sweep(
     specific_weight: float,
     rank_weight: float,
 ) -> float:
-    """Update C (E,), D_v (E, V) and the Laplacian of C (N, N); twice the larger squared change."""
+    """Update C (E,), D_v (E, V) and the Laplacian of C (N, N); twice the larger squared change.
+
+    W is F F^T of the factors F (N, K), and half of `diagonal` more on its diagonal.
+    """
     moved_c = moved_d = 0.0
     for i in range(len(laplacian)):
         laplacian[i, i] = 0.0
