@@ -1,5 +1,7 @@
 """The command `video`: what moves in a video; its parts are in `mseg.shots`, imported when it is called."""
 
+from __future__ import annotations
+
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
