@@ -202,8 +202,7 @@ class Import:
             self.note(f"{len(match.unmatched)} files of frames that are not in the clip are left out")
         if match.others:
             self.note(f"left out: {several(match.others)}, of other clips")
-        if match.note:
-            self.note(match.note)
+        self.note(match.note)
         return match.frames
 
     def scale(self, sides: Sequence[Any], where: str) -> tuple[float, float]:
