@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import wraps
@@ -436,12 +436,6 @@ def from_json(data: object, form: str = FORMAT) -> Annotation:
         return _ANNOTATION.validate_python(rest)
 
 
-def polygon_from(points: Sequence[Sequence[float]], where: str) -> Polygon:
-    """Check one polygon and return it as a tuple of pairs of floats; `where` names it in the error."""
-    with within(where):
-        return _POLYGON.validate_python(points)
-
-
 def checked(kind: type[T], data: object) -> T:
     """Build `Clicks`, a `Stroke` or `Choices` from parsed JSON; an InvalidValueError names the field."""
     with within():
@@ -481,7 +475,7 @@ def _moved(
 
 _REQUIRED = ["format", "version", *(field.name for field in fields(Annotation) if field.name != "marks")]
 _ANNOTATION = TypeAdapter(Annotation)
-_POLYGON: TypeAdapter[Polygon] = TypeAdapter(Polygon)
+POLYGON: TypeAdapter[Polygon] = TypeAdapter(Polygon)
 _MODELS = {"objects": AnnotatedObject, "key_frames": KeyFrame, "marks": Mark}
 _EXPECTED = {
     "missing": "a value",

@@ -231,9 +231,8 @@ class Import:
 
     def outline(self, points: Iterable[Sequence[float]], scale: tuple[float, float] = (1.0, 1.0)) -> Polygon:
         """Return an outline from the top-left corner as one from the centre of that pixel, scaled."""
-        given = model.polygon_from(
-            list(islice(points, MAX_POINTS + 1)), "points"
-        )  # of more, a part is as wrong
+        with model.within("points"):  # of more points than may be, a part is as wrong
+            given = model.POLYGON.validate_python(list(islice(points, MAX_POINTS + 1)))
         moved = np.round(np.array(given) * scale - 0.5, _DECIMALS)
         self.count("corners", max(20, len(moved)))
         return tuple(map(tuple, moved.tolist()))
