@@ -355,7 +355,7 @@ REFUSED_COCO = {
     "an image twice": (coco({}, names="000003.png"), "found '000003.png' twice"),
     "one id for two kinds": (
         coco({"track_id": 1}, frames=[0, 1, 2, 0]).replace(b'"category_id": 1', b'"category_id": 2', 1),
-        "in frame 0, shapes of several labels have one id, 1: car, other",
+        "shapes of several labels have one id, 1: car, other",
     ),
 }
 
@@ -736,3 +736,90 @@ def test_a_third_party_s_format_has_a_plan_too(monkeypatch):
 
     monkeypatch.setattr(formats, "load", lambda name: Theirs)
     assert formats.plan("theirs", b"me", LIKE).annotation.annotator == "me"
+
+
+# What is not read, or not drawn
+
+
+RLE = encode_rle(np.eye(H, W, dtype=bool))
+BOX_ONLY = {"segmentation": [], "bbox": [1, 1, 5, 5]}
+
+
+def without_outlines(content, *frames):
+    data = json.loads(content)
+    for item in data["annotations"]:
+        item |= BOX_ONLY if item["image_id"] - 1 in frames else {}
+    return json.dumps(data).encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("coco", without_outlines(coco({"track_id": 1}), 4, 5, 6, 7)),
+        ("coco", without_outlines(coco({}), 2)),
+        (
+            "labelme",
+            zipped(**{f"{k:06d}.json": labelme(k, shape_type=("polygon", "line")[k == 3]) for k in range(F)}),
+        ),
+        ("cvat", cvat(*[image(k, drawn(outline(k), tag="polygon" if k < 5 else "box")) for k in range(F)])),
+        (
+            "mots_txt",
+            "".join(f"{k} 1001 1 {H} {W} {RLE if k != 2 else RLE[:-3]}\n" for k in range(F)).encode(),
+        ),
+    ],
+)
+def test_an_object_is_not_gone_where_a_shape_of_it_is_skipped(name, content):
+    plan = formats.plan(name, content, LIKE, NAMES)
+    (item,) = plan.annotation.objects
+    assert plan.skipped
+    assert {key.visibility for key in item.key_frames} == {"visible"}
+    assert "no object is seen" not in " ".join(plan.notes)
+
+
+@pytest.mark.parametrize("drawing", ["coco", "cvat"])
+def test_a_frame_left_out_among_drawn_ones_makes_those_at_the_end_doubtful(drawing):
+    frames = (0, 1, 2, 3, 5)
+    images = [image(k, drawn(outline(k)) * (k in frames)) for k in range(F)]
+    content = coco({"track_id": 1}, frames=frames) if drawing == "coco" else cvat(*images)
+    (doubt,) = formats.plan(drawing, content, LIKE, NAMES).doubts
+    assert doubt == "frames without a shape (4, 6-7) are taken as not annotated: objects stay in them"
+
+
+def test_one_id_for_two_labels_is_doubtful_in_different_frames_too():
+    data = json.loads(coco({"track_id": 1}))
+    for annotation in data["annotations"][4:]:
+        annotation["category_id"] = 2
+    (doubt,) = formats.plan("coco", json.dumps(data).encode(), LIKE, NAMES).doubts
+    assert doubt == "shapes of several labels have one id, 1: car, other"
+
+
+def test_what_coco_says_is_occluded_is():
+    found = formats.load("coco").parse(coco({"attributes": {"occluded": True, "track_id": 0}}), LIKE, NAMES)
+    assert {key.visibility for key in found.objects[0].key_frames} == {"occluded"}
+
+
+def test_masks_of_davis_are_not_read_as_mots():
+    with pytest.raises(KT3DMoSegError, match="gray PNG of 16 bits, found 8 bits; import it as davis"):
+        formats.plan("mots_png", masks(), LIKE, NAMES)
+
+
+def test_a_task_of_fewer_frames_is_asked_about():
+    content = cvat(track(0, *[shape(k, outline(k)) for k in range(4)]), meta=task(size=4))
+    (doubt,) = formats.plan("cvat", content, LIKE, NAMES).doubts
+    assert doubt == "the task has 4 of the clip's 8 frames, 0 to 3, unless it was made of later ones"
+    assert not formats.plan("cvat", content, LIKE, NAMES, Choices(shift=0)).doubts
+
+
+def test_objects_of_one_motion_keep_it_through_mots():
+    key = formats.load("coco").parse(coco({"track_id": 1}), LIKE, NAMES).objects[0]
+    shadow = replace(
+        key,
+        id=2,
+        kind="other",
+        key_frames=tuple(
+            replace(k, polygons=(((1.0, 1.0), (9.0, 1.0), (9.0, 9.0)),)) for k in key.key_frames
+        ),
+    )
+    annotation = replace(LIKE, objects=(key, shadow))
+    content = formats.load("mots_png").dump(annotation, formats.regions(annotation), NAMES)
+    assert formats.load("mots_png").parse(content, LIKE, NAMES).motions == [1]

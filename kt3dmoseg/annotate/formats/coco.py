@@ -76,13 +76,17 @@ def _read(content: bytes, into: foreign.Import) -> None:
                 raise InvalidValueError("image_id", expected="of images", found=str(identity)[:40])
             if (file := files[identity]) in frames:
                 label = kinds.get(_identity({"category_id": 0} | shape, "category_id"), "other")
-                polygons = _outlines(shape, images[identity], file, into)
                 given = {key: shape[key] for key in foreign.OF_TRACKS if shape.get(key) is not None}
                 fields = (shape.get("attributes") or {}) | given
+                into.reading(frames[file], label, fields)
+                polygons = _outlines(shape, images[identity], file, into)
                 if crowds and shape.get("iscrowd") and foreign.identity_in(fields)[0] is None:
                     into.note("crowds are rejected: no trajectory in them is labelled")
                     label, fields = f"crowd of {label}", fields | {"motion": REJECT}
-                into.add(frames[file], label, polygons, fields)
+                hidden = fields.get("occluded") is True
+                into.add(
+                    frames[file], label, polygons, fields, visibility="occluded" if hidden else "visible"
+                )
     surely = {files[key] for key, image in images.items() if image.get("annotated") is True}
     into.annotated |= {frame for file, frame in frames.items() if file in surely}
     into.list_frames([frame for file, frame in frames.items() if file not in surely])

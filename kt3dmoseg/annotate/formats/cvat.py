@@ -336,8 +336,12 @@ def _frames_of_task(numbers: Sequence[int], task: _Task, into: foreign.Import) -
         other = [n for n in numbers if n <= last and n not in range(first, last + 1, step)]
         if task.size and other:
             into.doubts.append(f"frames {several(other)} are none of the task's, {first} to {last} by {step}")
-        if task.size:
-            into.note(f"the task has {task.size} of the clip's {total} frames, {first} to {last}")
+        elif task.size:
+            text = f"the task has {task.size} of the clip's {total} frames, {first} to {last}"
+            if first or step > 1:
+                into.note(text)
+            else:
+                into.doubts.append(f"{text}, unless it was made of later ones")
         return same
     known = {number_in(name): k for k, name in enumerate(into.names)}
     into.doubts.append(
@@ -355,9 +359,12 @@ def _read_images(images: Sequence[ET.Element], into: foreign.Import) -> None:
             scale = into.scale((node.get("width"), node.get("height")), name)
             for k, shape in enumerate(child for child in node if child.tag not in ("tag", "attribute")):
                 with into.skipping(f"{name}: shape {k}"):
+                    fields, label = (
+                        {"group_id": shape.get("group_id"), **_fields(shape)},
+                        shape.get("label", ""),
+                    )
+                    into.reading(frames[name], label, fields)
                     visibility, polygons = _shape(shape, scale, into)
-                    fields = {"group_id": shape.get("group_id"), **_fields(shape)}
-                    label = shape.get("label", "")
                     into.add(frames[name], label, polygons, fields, visibility=visibility)
     into.list_frames(frames.values())
 

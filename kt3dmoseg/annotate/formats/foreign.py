@@ -75,6 +75,7 @@ class ForeignObject:
     note: str = ""
     visibility: dict[int, Visibility] = field(default_factory=dict)
     polygons: dict[int, list[Polygon]] = field(default_factory=dict)
+    unread: set[int] = field(default_factory=set)  # frames in which a shape of it was skipped
     of_masks: bool = False  # then the parts of a frame are in the order in which they were found
 
     def add(self, frame: int, polygons: Iterable[Polygon] = (), visibility: Visibility = "visible") -> None:
@@ -144,6 +145,8 @@ class Import:
         self.doubts: list[str] = []
         # Frame, identity, label, and an object of what is drawn there.
         self._shapes: list[tuple[int, Key | None, str, ForeignObject]] = []
+        self._reading: tuple[int, Key] | None = None
+        self._unread: defaultdict[str, set[int]] = defaultdict(set)
         self._counts: Counter[str] = Counter()
         self._sized = True
 
@@ -174,6 +177,7 @@ class Import:
     @contextmanager
     def skipping(self, where: str) -> Iterator[None]:
         """Skip one shape, and note why, when it is wrong."""
+        self._reading = None
         try:
             with model.within(where):
                 yield
@@ -183,9 +187,17 @@ class Import:
             ours = isinstance(error, FileFormatError)
             self.skip(f"{where}: {error if ours else repr(error)}"[:200])
 
+    def reading(self, frame: int, label: Key, fields: Mapping[str, Any] | None = None) -> None:
+        """Say of what the shape is: an object is not gone from a frame where a shape of it is skipped."""
+        key, _ = identity_in(fields or {})
+        self._reading = frame, label if key is None else key
+
     def skip(self, text: str) -> None:
         """Note what is left out and why; of very many, the first."""
         self.count("skipped", 1)
+        if self._reading:
+            frame, key = self._reading
+            self._unread[str(key)].add(frame)
         if len(self.skipped) < _MOST_SKIPS:
             self.skipped.append(text)
 
@@ -289,12 +301,17 @@ class Import:
         self.annotated.add(frame)
 
     def list_frames(self, listed: Collection[int]) -> None:
-        """Take listed frames without a shape as empty; if some lie between others, not all were drawn."""
-        drawn = {frame for frame, *_ in self._shapes}
+        """Take listed frames without a shape as empty; if some lie between others, not all were drawn.
+
+        It is doubtful where most between the others have a shape: those after the last may well be empty.
+        """
+        drawn = {frame for frame, *_ in self._shapes}.union(*self._unread.values())
         empty = set(listed) - drawn
         between = [k for k in empty if drawn and min(drawn) < k < max(drawn)]
         if between:
-            self.note(f"frames without a shape ({_ranges(between)}) are taken as not annotated")
+            text = f"frames without a shape ({_ranges(empty)}) are taken as not annotated"
+            doubtful = len(between) < min(len(empty), len(drawn))
+            self.doubts.append(f"{text}: objects stay in them") if doubtful else self.note(text)
         elif empty:
             self.note(f"in frames without a shape ({_ranges(empty)}) no object is seen")
             self.annotated |= empty
@@ -307,6 +324,8 @@ class Import:
         if self.skipped and not self.found:
             raise FileFormatError(self.skipped[0] + f" (and {more - 1} more)" * (more > 1))
         self._review()
+        for key, item in self.found.items():
+            item.unread = self._unread[str(key)]
         if more > _MOST_SKIPS:
             self.skipped.append(f"{more - _MOST_SKIPS} more")
         self.annotation = assemble(self.found, self.like, self.annotated)
@@ -336,7 +355,7 @@ class Import:
             self.found = dict(sorted(self.found.items()))
 
     def _check_ids(self) -> None:
-        """Say where several shapes in one frame have one id, and doubt it where their labels differ."""
+        """Say where several shapes in one frame have one id, and doubt an id of several labels."""
         parts = defaultdict(list)
         for frame, key, label, _ in self._shapes:
             if key is not None:
@@ -345,9 +364,12 @@ class Import:
             (frame, key), more = parted[0], f" (and in {len(parted) - 1} more places)" * (len(parted) > 1)
             shapes = f"{len(parts[parted[0]])} shapes of id {key} in frame {frame}{more}"
             self.note(f"{shapes} are parts of one object")
-        if mixed := [place for place, labels in parts.items() if len(set(labels)) > 1]:
-            (frame, key), labels = mixed[0], several(sorted(set(parts[mixed[0]])))
-            self.doubts.append(f"in frame {frame}, shapes of several labels have one id, {key}: {labels}")
+        labels = defaultdict[Key, set[str]](set)
+        for (_, key), of_frame in parts.items():
+            labels[key].update(map(_unnumbered, of_frame))
+        if mixed := [key for key, of_key in labels.items() if len(of_key) > 1]:
+            names = several(sorted(labels[mixed[0]]))
+            self.doubts.append(f"shapes of several labels have one id, {mixed[0]}: {names}")
 
     def _review(self) -> None:
         items = self.found.values()
@@ -387,7 +409,7 @@ def assemble(
         word = "object" if word in ("", "other") else word
         name = item.name.strip()[:500] or f"{word} {identity}"
         motion = next(free) if item.motion is None else item.motion
-        keys = _key_frames(item, frames)
+        keys = _key_frames(item, set(frames) - item.unread)
         kind, note = kind_of(item.kind), item.note[:500]
         objects.append(model.AnnotatedObject(identity, name, kind, motion, keys, note))
     return replace(like, objects=tuple(objects))
@@ -423,9 +445,13 @@ def described(label: str, fields: Mapping[str, Any]) -> ForeignObject:
 
 def kind_of(label: str) -> Kind:
     """Return the kind that a label of another tool names, with or without a number: ``Car 2``."""
-    word = label.strip().lower().rstrip("0123456789 _-#.")
+    word = _unnumbered(label)
     word = _SYNONYMS.get(word, word)
     return next((kind for kind in model.KINDS if kind == word), "other")
+
+
+def _unnumbered(label: str) -> str:
+    return label.strip().lower().rstrip("0123456789 _-#.")
 
 
 def identity_in(values: Mapping[str, Any], names: Sequence[str] = _IDENTITIES) -> tuple[Key | None, str]:

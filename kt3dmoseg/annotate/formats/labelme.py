@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from kt3dmoseg.annotate.formats.foreign import AnnotationFormat, Import, Regions, ellipse, with_corner_origin
-from kt3dmoseg.annotate.model import Annotation, parse_document
+from kt3dmoseg.annotate.model import Annotation, Visibility, parse_document
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import zip_bytes
 from kt3dmoseg.matching import stem
@@ -75,12 +75,15 @@ def _read_file(data: Any, file: str, frame: int, into: Import) -> None:  # noqa:
     into.annotated.add(frame)
     for k, shape in enumerate(shapes):
         with into.skipping(f"{file}: shapes[{k}]"):
-            points, label = into.outline(_corners(shape), scale), str(shape["label"])
+            label = str(shape["label"])
+            fields = {"name": label, "group_id": shape.get("group_id")}
+            into.reading(frame, label, fields)
+            points = into.outline(_corners(shape), scale)
             ours = _DESCRIPTION.search(str(shape.get("description") or ""))
             kind, motion = ours.groups() if ours else (label, "")
             hidden = (shape.get("flags") or {}).get("occluded")
-            fields = {"name": label, "motion": motion, "group_id": shape.get("group_id")}
-            into.add(frame, label, [points], fields, kind, "occluded" if hidden else "visible")
+            seen: Visibility = "occluded" if hidden else "visible"
+            into.add(frame, label, [points], fields | {"motion": motion}, kind, seen)
 
 
 def _corners(shape: dict[str, Any]) -> Any:  # noqa: ANN401  # checked by the caller

@@ -7,8 +7,9 @@ width.
 DAVIS is a zip of indexed PNGs, ``00000.png`` on; the index is the motion, 0 background, 254 rejected.
 KITTI MOTS has an id per pixel, ``1000 * class + instance``, as 16-bit PNGs in a zip or as a text file with
 lines ``frame id class height width rle``. Classes are 1 = vehicles and 2 = people, 10 = ignore (id 10000); 3
-is used here for all else. The instance is the motion. Ids whose instance numbers repeat in another class are
-different objects in MOTS: they come back as motions of their own.
+is used here for all else. The instance is the motion; objects of one motion have the class of the first. Ids
+whose instance numbers repeat in another class are different objects in MOTS: read, they are motions of their
+own.
 """
 
 import re
@@ -216,12 +217,13 @@ def _write_mots_text(annotation: model.Annotation, regions: Regions, names: Sequ
 
 
 def _mots_values(annotation: model.Annotation) -> dict[int, int]:
-    values = {}
+    """Values by object; those of one motion have one, with the class of the first."""
+    values: dict[model.Motion, int] = {model.REJECT: MOTS_VOID, model.BACKGROUND: model.BACKGROUND}
     for item in annotation.objects:
-        number = MOTS_VOID if item.motion == model.REJECT else int(item.motion)
-        kind = 0 if item.motion in (model.REJECT, model.BACKGROUND) else _MOTS_CLASSES.get(item.kind, 1)
-        values[item.id] = MOTS_CLASS * kind + number
-    return values
+        kind = _MOTS_CLASSES.get(item.kind, 1)
+        if item.motion not in values:
+            values[item.motion] = MOTS_CLASS * kind + int(item.motion)
+    return {item.id: values[item.motion] for item in annotation.objects}
 
 
 def _painted(
@@ -270,6 +272,7 @@ def _read_mots_text(content: bytes, into: Import) -> None:
     for where, (frame, identity, height, width), text in found:
         with into.skipping(where):
             if str(frame) in frames:
+                into.reading(frames[str(frame)], identity)
                 into.count("pixels in masks", height * width // 8)  # decoding is cheap
                 if outlines := outlines_of(into.fit(decode_rle(text, height, width, "rle"), "size"), into):
                     into.object(identity, ForeignObject(of_masks=True)).add(frames[str(frame)], outlines)
@@ -286,9 +289,10 @@ def _read_images(content: bytes, into: Import, what: str, *, bits: int) -> list[
     used = set()
     for frame, file, png in into.unzip(content, ".png", what):
         image, depth = decode_indices(png, f"{what}: {file}")
-        if depth > bits:
-            expected = f"an indexed or gray PNG of {bits} bits"
-            raise FileFormatError(f"{what}: {file}", expected=expected, found=f"{depth} bits")
+        if (depth > 8) != (bits > 8):
+            expected = f"a{'' if bits > 8 else 'n indexed or'} gray PNG of {bits} bits"
+            fix = f"import it as {'davis' if bits > 8 else 'mots_png'}"
+            raise FileFormatError(f"{what}: {file}", expected=expected, found=f"{depth} bits", fix=fix)
         image = into.fit(image, f"{what}: {file}")
         into.annotated.add(frame)
         used |= {int(image.min())}
