@@ -29,7 +29,7 @@ import numpy.typing as npt
 from kt3dmoseg.errors import FileFormatError, InvalidValueError
 from kt3dmoseg.files import PathLike
 from kt3dmoseg.io import npz
-from kt3dmoseg.io.fields import NEEDED, NUMBERS, Fields, check_axes, clip_from, foreign_clip, spreads
+from kt3dmoseg.io.fields import CLEAR, NEEDED, NUMBERS, Fields, bends, check_axes, clip_from, foreign_clip
 from kt3dmoseg.types import BoolArray, Clip, FloatArray, Trajectories
 
 write = npz.write
@@ -37,7 +37,6 @@ _CHANNELS = {1, 3, 4}
 _OUTSIDE = 0.05  # a tracker may follow a point a little over the border
 # Points are compared with pictures where so many move so far, in so many bytes of the first pictures.
 _PICTURES, _ENOUGH, _MOVED, _SAME = 1 << 25, 20, 2.0, 0.1
-_CLEAR = 1.5  # a reading is surely wrong, when another one is so many times better
 # Over few frames, the share of the change at standing points: up to 0.62 for the released clips, and 0.98 or
 # more for the same scaled by 2 or played backwards. Chosen on every other clip.
 _NEAR, _STANDING = 8, 0.9
@@ -193,13 +192,13 @@ def _projected(fields: Fields, points: npt.NDArray[Any], visible: BoolArray) -> 
 
 
 def _frames_first(name: str, xy: FloatArray, visible: BoolArray) -> bool:
-    """Whether the first axis is time: a point stays closer to itself than it is to the others."""
-    _, extent, _, way = spreads(xy, visible)
-    if max(extent, way) <= _CLEAR * min(extent, way):
-        found = f"points {extent:.3g} px apart along the first axis, {way:.3g} px along the second"
+    """Whether the first axis is time: a path bends less in time than from track to track."""
+    first, second = bends(xy, visible)
+    if not max(first, second) > CLEAR * min(first, second):
+        found = f"points that bend by {first:.3g} px along the first axis, {second:.3g} px along the second"
         fix = "name them pred_tracks and pred_visibility (F, N), or tracks and visibles (N, F)"
         raise InvalidValueError(name, expected="axes that show in how points move", found=found, fix=fix)
-    return way > extent
+    return second > first
 
 
 def _tapvid(fields: Fields, path: PathLike) -> Trajectories:
@@ -252,7 +251,7 @@ def check_on_pictures(where: str, tracks: Trajectories, pictures: npt.NDArray[An
         return
     given = _change(places, pictures)
     best, words = min((_change(other, pictures), words) for words, other in _readings(places, size))
-    if given > _CLEAR * max(best, _SAME):
+    if given > CLEAR * max(best, _SAME):
         only = "as (y, x)" if "::" in words else f"when scaled by {words}"
         fix = "give points[..., ::-1]" if "::" in words else f"multiply them by {words}"
         found = f"points that follow the frames only {only}"

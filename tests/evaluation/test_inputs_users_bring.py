@@ -449,7 +449,7 @@ def test_arrays_are_segmented_as_the_clip_is(given, more):
         ("clip.h5", {}, "kt3dmoseg.load"),
         (XY[..., 0], {}, r"shape \(N, F, 2\)"),
         (XY.swapaxes(1, 2), {}, r"shape \(N, F, 2\)"),
-        (XY.swapaxes(0, 1), {}, "move less than they are apart, .* exchange the axes of tracks and frames"),
+        (XY.swapaxes(0, 1), {}, "paths that bend less in time .* exchange the axes of tracks and frames"),
         (XY / (320, 240), {}, "xy: expected pixels, found at most"),
         (XY, {"visible": SEEN[1:]}, "visible"),
         (XY, {"visible": np.full(SEEN.shape, 0.5)}, "True or False"),

@@ -21,6 +21,7 @@ import kt3dmoseg
 from kt3dmoseg.cli import main
 from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.io import hdf5, load, save
+from kt3dmoseg.io.fields import check_axes
 from kt3dmoseg.io.point_tracks import check_on_pictures
 from kt3dmoseg.types import Camera, Clip, Labels, Trajectories
 
@@ -121,7 +122,7 @@ def test_of_several_readings_that_fit_the_best_is_named():
 
 def test_tracks_and_frames_exchanged_are_noticed_by_how_points_move(panned, tmp_path):
     points, video = panned
-    with pytest.raises(FileFormatError, match="points: expected points that move less than they are apart"):
+    with pytest.raises(FileFormatError, match="points: expected paths that bend less in time than"):
         load(tapvid(tmp_path / "a.npz", points[:12].swapaxes(0, 1), video.shape))
     pixels = points * 128
     np.testing.assert_array_equal(load(cotracker(tmp_path / "b.npz", pixels)).dense.xy, pixels)
@@ -379,3 +380,19 @@ def test_a_name_that_is_no_utf8_is_refused_where_a_file_would_hold_it(tmp_path, 
     for changed in ({"provenance": {"a": "\ud800"}}, {"camera": Camera("\ud800")}):
         with pytest.raises(InvalidValueError, match="expected text in UTF-8"):
             save(dataclasses.replace(clip, **changed), tmp_path / "copy.h5")
+
+
+def test_an_object_that_moves_further_than_its_size_is_read_in_the_right_order(tmp_path):
+    start = np.random.default_rng(0).uniform(0, 100, (60, 1, 2))
+    xy = start + np.arange(40)[:, None] * (10.0, 0.3)
+    seen = np.ones(xy.shape[:2], dtype=bool)
+    for tracks, visible in ((xy, seen), (xy.swapaxes(0, 1), seen.T), (xy.swapaxes(0, 1)[None], seen.T[None])):
+        np.savez(tmp_path / "a.npz", tracks=tracks, visibility=visible)
+        np.testing.assert_array_equal(load(tmp_path / "a.npz").dense.xy, xy)
+    check_axes("xy", xy, seen)
+    with pytest.raises(InvalidValueError, match="exchange the axes"):
+        check_axes("xy", xy.swapaxes(0, 1), seen.T)
+    noise = np.random.default_rng(0).uniform(0, 100, (9, 9, 2))
+    np.savez(tmp_path / "a.npz", tracks=noise, visibility=seen[:9, :9])
+    with pytest.raises(FileFormatError, match="name them pred_tracks"):
+        load(tmp_path / "a.npz")
