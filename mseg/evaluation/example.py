@@ -140,8 +140,8 @@ def read_label_files(
 
     `zero` states what label 0 is: the first cluster, so that 1 is added to all labels, or an outlier. By
     default it is the first cluster when the labels of every clip are 0, 1, ... up to less than its number of
-    motions, with a warning; otherwise label 0 is refused. In a Brox file it is the first cluster,
-    -1 an outlier.
+    motions, with a warning; otherwise label 0 is refused. In a Brox file that has -1 this is an outlier, and
+    0 the first cluster.
 
     InputFileError, FileFormatError or InvalidValueError when nothing is found, a file is none of these
     formats, or a vector fits no clip.
@@ -162,8 +162,9 @@ def labels_and_note(
     vectors = read if path.is_dir() else _cells_by_name(path, clips, names)
     if not vectors:
         raise InputFileError(f"{path}", expected=_FORMATS, found="labels of none of the clips")
+    brox = {n for n, file in files.items() if file.suffix.lower() == ".dat" and (vectors[n] < 0).any()}
+    vectors |= {n: np.maximum(vectors[n] + (vectors[n] == 0).any(), 0) for n in brox}
     labels = {name: fit_to_clip(vector, clips[name], f"{path}: {name}") for name, vector in vectors.items()}
-    brox = {name for name, file in files.items() if file.suffix.lower() == ".dat"}
     others = {name: label for name, label in labels.items() if name not in brox}
     with_zero = [name for name, label in others.items() if (label == 0).any()]
     if not with_zero or zero == "outlier":
@@ -201,15 +202,10 @@ def read_label_text(path: Path) -> IntArray:
 
 
 def read_brox_labels(path: Path) -> IntArray:
-    """Read the label of each track of a Brox ``.dat``, counted from 1, 0 = none.
-
-    There, clusters count from 0 and -1 means none; a file without a label below 1 is taken as
-    counting from 1.
-    """
+    """Read the label of each track of a Brox ``.dat``, as the file has it."""
     from kt3dmoseg.io.brox import read_tracks
 
-    labels, _ = read_tracks(path)
-    return labels + int(labels.min(initial=1) < 1)
+    return read_tracks(path)[0]
 
 
 def _label_files(folder: Path, clips: Mapping[str, Clip]) -> dict[str, Path]:

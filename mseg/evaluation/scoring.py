@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -219,7 +220,7 @@ def score(
     Parameters
     ----------
     truth : (n,) array of int, Labels, Clip, table, path, or mapping of clip names to these
-        True labels, 0 = not scored; an array of mostly 0, which may count from 0, is refused. A table has
+        True labels, 0 = not scored; an array that may count from 0 warns; of mostly 0, it is refused. A table has
         the columns `track` and `label`; a path leads to a data file or folder.
     pred : (n,) array of int, Segmentation, Labels, table, path, or mapping of clip names to these
         Predicted labels 1, 2, ..., in the order of the truth; those of a table (or an indexed series) are
@@ -299,10 +300,12 @@ def _truth(value: Any, where: str, name: str) -> Clip | Labels:  # noqa: ANN401 
     table = predictions.label_table(value, where)
     if table is None:
         label = predictions.label_vector(value, where)
-        if predictions.is_zero_based(label) and np.bincount(label).argmax() == 0:
-            found = "mostly label 0, which is not scored"
-            fix = "add 1 if they count from 0, or give Labels(truth)"
-            raise InvalidValueError(where, expected="labels 1, 2, ...", found=found, fix=fix)
+        if predictions.is_zero_based(label):
+            zeros, fix = np.bincount(label), "add 1 if they count from 0, or give Labels(truth)"
+            found = f"label 0, which is not scored, at {zeros[0]} of {len(label)}"
+            if zeros.argmax() == 0:
+                raise InvalidValueError(where, expected="labels 1, 2, ...", found=found, fix=fix)
+            warnings.warn(f"{where}: {found}; {fix}", stacklevel=2)
         return Labels(label)
     n = len(table.columns["track"])
     tracks = Trajectories(

@@ -60,7 +60,10 @@ def test_a_truth_that_counts_from_zero_is_refused_unless_labels_say_so():
             mseg.score(values, np.array(values) + 1)
         labels = Labels(np.array(values))
         assert mseg.score(labels, np.array(values) + 1).clips[0].n == np.count_nonzero(values)
-    assert mseg.score([1, 1, 2, 2, 0], [1, 1, 2, 2, 2]).error == 0
+    with pytest.warns(
+        UserWarning, match="label 0, which is not scored, at 1 of 5; add 1 if they count from 0"
+    ):
+        assert mseg.score([1, 1, 2, 2, 0], [1, 1, 2, 2, 2]).error == 0
 
 
 def test_a_data_frame_is_joined_by_track(data):

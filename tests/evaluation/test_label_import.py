@@ -2,6 +2,8 @@
 
 import contextlib
 import os
+import re
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -11,7 +13,8 @@ from scipy.io import savemat
 
 import kt3dmoseg
 import mseg.cli
-from kt3dmoseg.errors import FileFormatError, InputFileError, KT3DMoSegError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError, KT3DMoSegError
+from kt3dmoseg.types import Labels
 from mseg.evaluation import score_submission, validate_submission
 from mseg.evaluation.example import (
     read_brox_labels,
@@ -90,20 +93,30 @@ def test_text_mat_and_all_trajectories_in_a_folder(tmp_path):
     same(read_label_files(tmp_path, CLIPS))
 
 
-def test_brox_labels_count_from_zero(tmp_path):
+def test_brox_labels_as_the_file_has_them(tmp_path):
     path = tmp_path / "x.dat"
     path.write_text("2\n4\n0 1\n1 1 0\n1 2\n1 1 0\n2 2 1\n-1 1\n3 3 1\n1\n1\n4 4 0\n")
-    assert read_brox_labels(path).tolist() == [1, 2, 0, 2]
-    path.write_text("2\n2\n1 1\n1 1 0\n2 1\n1 1 0\n")
-    assert read_brox_labels(path).tolist() == [1, 2]
+    assert read_brox_labels(path).tolist() == [0, 1, -1, 1]
 
 
-def test_brox_file_as_the_toolkit_writes_it(tmp_path):
+def test_brox_files_mean_what_they_do_as_clips(tmp_path):
     for name, clip in CLIPS.items():
         kt3dmoseg.save(clip, tmp_path / f"{name}.dat")
-    found = read_label_files(tmp_path, CLIPS)
-    for name in NAMES:  # there 0 is "not evaluated"; as a label file 0 is the first cluster
-        np.testing.assert_array_equal(found[name], truth()[name] + 1)
+    same(read_label_files(tmp_path, CLIPS))  # 0: not evaluated
+    for file in tmp_path.iterdir():  # -1 for that, and clusters from 0
+        less = re.sub(r"(?m)^(\d+) (\d+)$", lambda m: f"{int(m[1]) - 1} {m[2]}", file.read_text())
+        file.write_text(less)
+    same(read_label_files(tmp_path, CLIPS))
+
+
+def test_label_0_of_a_brox_file_is_asked_about(tmp_path):
+    for name, clip in CLIPS.items():
+        label = clip.labels.label.copy()
+        label[:5] = 0
+        kt3dmoseg.save(replace(clip, labels=Labels(label)), tmp_path / f"{name}.dat")
+    with pytest.raises(InvalidValueError, match="state what it is"):
+        read_label_files(tmp_path, CLIPS)
+    assert (read_label_files(tmp_path, CLIPS, zero="outlier")[NAMES[0]][:5] == 0).all()
 
 
 @pytest.mark.parametrize(
