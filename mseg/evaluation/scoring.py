@@ -220,8 +220,8 @@ def score(
     Parameters
     ----------
     truth : (n,) array of int, Labels, Clip, table, path, or mapping of clip names to these
-        True labels, 0 = not scored; an array that may count from 0 warns; of mostly 0, it is refused. A table has
-        the columns `track` and `label`; a path leads to a data file or folder.
+        True labels, 0 = not scored; an array that may count from 0 warns; of mostly 0, it is refused. A
+        table has the columns `track` and `label`; a path leads to a data file or folder.
     pred : (n,) array of int, Segmentation, Labels, table, path, or mapping of clip names to these
         Predicted labels 1, 2, ..., in the order of the truth; those of a table (or an indexed series) are
         joined by track. A mapping may also be of seeds to such mappings. A path leads to a submission or
