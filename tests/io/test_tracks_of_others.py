@@ -120,6 +120,18 @@ def test_of_several_readings_that_fit_the_best_is_named():
         check_on_pictures("tracks", Trajectories(xy, np.ones((200, 2), bool)), pictures, 1)
 
 
+@pytest.mark.parametrize("last", [2, 12], ids=["near", "far"])
+def test_tracks_of_other_frames_are_not_called_exchanged(rng, last):
+    picture = cv2.GaussianBlur(rng.random((320, 320)), (0, 0), 2) * 1e3
+    picture[160:, :160] = np.arange(160.0)  # even, where they lie as (y, x)
+    pictures = np.stack([picture, np.roll(picture, -9, axis=1)])
+    start = rng.uniform((200, 20), (300, 80), (200, 2))
+    xy, seen = start[:, None] - np.linspace((0, 0), (9, 0), last + 1), np.ones((200, last + 1), bool)
+    check_on_pictures("tracks", Trajectories(xy, seen), pictures, last)
+    with pytest.raises(InvalidValueError, match="points that follow them no better than standing ones"):
+        check_on_pictures("tracks", Trajectories(xy[:, ::-1], seen), pictures, last)
+
+
 def test_tracks_and_frames_exchanged_are_noticed_by_how_points_move(panned, tmp_path):
     points, video = panned
     with pytest.raises(FileFormatError, match="points: expected paths that bend less in time than"):
