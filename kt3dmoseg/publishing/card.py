@@ -22,9 +22,15 @@ _PROTOCOL = (
     "by a documented rule, or by exact geometry for synthetic drives. The label marked as background is the "
     "static scene, other numbers are moving objects, 0 is unlabelled, rejected or in conflict."
 )
-_PREPROCESSING = (
+_WITH_LABELS = " with labels of independent rigid motions"
+_UNLABELLED = "No trajectory is labelled: every label is 0."
+_TRACKED = (
     "Points are tracked from frame to frame; trajectories shorter than the tracker's least length are "
-    "dropped. All labelled moving trajectories are evaluated, and a random part of the background."
+    "dropped."
+)
+_GIVEN = (
+    "Points are those of another tracker; those outside of the image, and trajectories that are then shorter "
+    "than the least length, are dropped."
 )
 _TYPES = {"clip": "sc:Text", "motion": "sc:Text", "x": "sc:Float", "y": "sc:Float"}
 _TYPES |= {"evaluated": "sc:Boolean", "background": "sc:Boolean"}
@@ -86,6 +92,24 @@ def table(clips: Iterable[Clip]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _labelled(facts: Mapping[str, Any]) -> bool:
+    return any(clip["motions"] for clip in facts["clips"].values())
+
+
+def _protocol(facts: Mapping[str, Any]) -> str:
+    return _PROTOCOL if _labelled(facts) else _UNLABELLED
+
+
+def _preprocessing(facts: Mapping[str, Any]) -> str:
+    """Say which trajectories there are, and which are evaluated, as the clips record it."""
+    options, points = facts["built"]["options"], _GIVEN if facts["built"]["flow"] == "" else _TRACKED
+    if not _labelled(facts):
+        return f"{points} All are evaluated."
+    smallest = options.get("smallest", 1) if isinstance(options, Mapping) else 1  # else no build made them
+    moving = "moving trajectories" + f" of objects with at least {smallest} of them" * (smallest != 1)
+    return f"{points} All labelled {moving} are evaluated, and a random part of the background."
+
+
 def card(facts: Mapping[str, Any], counted: str, settings: PublishOptions) -> str:
     """Return README.md: YAML front matter (JSON is YAML) and what a reader asks first."""
     count = sum(clip["trajectories"] for clip in facts["clips"].values())
@@ -107,6 +131,7 @@ def card(facts: Mapping[str, Any], counted: str, settings: PublishOptions) -> st
         f"- `{what}`: " + ", ".join(f"`{name}` ({text})" for name, text in fields.items())
         for what, fields in FIELDS.items()
     )
+    labels = _WITH_LABELS * _labelled(facts)
     sources = "\n".join(f"- {name}: {clip['source']}" for name, clip in facts["clips"].items())
     return f"""---
 {yaml}
@@ -114,7 +139,7 @@ def card(facts: Mapping[str, Any], counted: str, settings: PublishOptions) -> st
 
 # {facts["name"]}, version {facts["version"]}
 
-{settings.description or "Point trajectories of clips, with labels of independent rigid motions."}
+{settings.description or f"Point trajectories of clips{labels and ','}{labels}."}
 
 ```python
 from datasets import load_dataset
@@ -138,13 +163,13 @@ and `kt3dmoseg diff OLD NEW` compares two. Scores on different versions are not 
 ## Provenance
 
 {settings.collection} Made by {facts["toolkit"]}; every clip's file holds the checksums of its sources, every
-option and the versions. {_PREPROCESSING}
+option and the versions. {_preprocessing(facts)}
 
 {sources}
 
 ## Labels
 
-{_PROTOCOL}
+{_protocol(facts)}
 
 ## Limits, use, licence
 
@@ -162,8 +187,8 @@ def croissant(
     form = {".parquet": "application/x-parquet", ".h5": "application/x-hdf5"}
     rai = {
         "dataCollection": settings.collection,
-        "dataPreprocessingProtocol": _PREPROCESSING,
-        "dataAnnotationProtocol": _PROTOCOL,
+        "dataPreprocessingProtocol": _preprocessing(facts),
+        "dataAnnotationProtocol": _protocol(facts),
         "dataLimitations": settings.limitations,
         "dataBiases": settings.limitations,
         "personalSensitiveInformation": settings.sensitive,
@@ -175,7 +200,7 @@ def croissant(
         "@type": "sc:Dataset",
         "conformsTo": ["http://mlcommons.org/croissant/1.0", "http://mlcommons.org/croissant/RAI/1.0"],
         "name": facts["name"],
-        "description": settings.description or "Point trajectories with labels of independent rigid motions.",
+        "description": settings.description or f"Point trajectories{_WITH_LABELS * _labelled(facts)}.",
         "version": facts["version"],
         "license": f"https://spdx.org/licenses/{facts['license']}",
         "keywords": _TAGS,

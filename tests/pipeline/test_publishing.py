@@ -86,6 +86,26 @@ def test_the_card_states_licence_provenance_and_files_for_loaders(published):
     assert "a documented rule" in text
 
 
+def test_the_card_says_how_trajectories_labels_and_the_evaluated_came_about(built, tmp_path):
+    pytest.importorskip("pyarrow")
+    frames, masks = built.parent / "frames", built.parent / "masks"
+    build_dataset(frames, tmp_path / "theirs", tracks=built, workers=1)
+    build_dataset(frames, tmp_path / "large", masks=masks, smallest=3, flow="dis_medium", workers=1)
+    for clips, *expected in (
+        (built, "tracked from frame to frame", "moving trajectories are evaluated", "outlined by hand"),
+        (tmp_path / "theirs", "those of another tracker", "dropped. All are", "No trajectory is labelled"),
+        (tmp_path / "large", "frame to frame", "objects with at least 3 of them", "outlined by hand"),
+    ):
+        publish(clips, tmp_path / f"v{clips.name}", **ABOUT)
+        card = (tmp_path / f"v{clips.name}" / "README.md").read_text()
+        meta = json.loads((tmp_path / f"v{clips.name}" / "croissant.json").read_text())
+        *points, labels = expected
+        assert all(text in card for text in expected)
+        assert all(text in meta["rai:dataPreprocessingProtocol"] for text in points)
+        assert labels in meta["rai:dataAnnotationProtocol"]
+        assert all(("with labels" in text) == ("hand" in labels) for text in (card, meta["description"]))
+
+
 def test_datasets_loads_it_offline(published, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     datasets = pytest.importorskip("datasets")
