@@ -287,7 +287,10 @@ def publish(
     output: Annotated[Folder, Parameter(alias="-o", help="New folder.")],
     split: Annotated[
         tuple[str, ...],
-        Parameter(metavar="NAME=PATTERN", help="Clips of a split (others: train); may be repeated."),
+        Parameter(
+            metavar="NAME=PATTERN",
+            help="Clips of a split (others: train); may be repeated, the first that fits counts.",
+        ),
     ] = (),
     **options: Any,  # noqa: ANN401
 ) -> None:

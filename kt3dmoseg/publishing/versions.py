@@ -129,6 +129,11 @@ def _splits(names: Sequence[str], rules: Sequence[str]) -> dict[str, list[str]]:
     for name in names:
         split = next((split for split, pattern in pairs if fnmatch(name, pattern)), "train")
         out.setdefault(split, []).append(name)
+    for rule, (split, _) in zip(rules, pairs, strict=True):
+        if split not in out:
+            found = f"{rule!r}, whose clips are all of a split named before"
+            fix = "name it first: the first that fits counts"
+            raise InvalidValueError("split", expected=f"a clip in {split}", found=found, fix=fix)
     return out
 
 

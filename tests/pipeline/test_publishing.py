@@ -173,6 +173,10 @@ def test_a_missing_package_is_named_before_anything_is_written(built, tmp_path, 
             {"splits": ["test=z*"]},
             "split: expected NAME=PATTERN of clips, found 'test=z\\*', which fits none",
         ),
+        (
+            {"splits": ["test=*_test", "val=*_test"]},
+            "split: expected a clip in val, found 'val=.*', whose clips are all of a split named before",
+        ),
     ],
 )
 def test_what_a_version_needs_is_asked_for(built, tmp_path, changes, message):
