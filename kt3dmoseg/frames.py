@@ -561,7 +561,7 @@ def find_clips(
     given, notes = Path(path), Path(annotations)
     inside = listed(given) if given.is_dir() else [given]
     videos = [file for file in inside if file.suffix.lower() in images.VIDEO_SUFFIXES and file.is_file()]
-    files = {} if given in videos else clip_paths(given)
+    files = clip_paths(given)
     part: dict[str, Any] = {"frames": range_, "step": step, "size": size, "catalogs": tuple(catalogs)}
     shots = videos and not files  # next to clip files lie pictures of them
     sources: list[FrameSource] = []
@@ -604,9 +604,9 @@ def _stored(source: FrameSource, folder: Path) -> tuple[list[Path], tuple[str, .
 
 
 def clip_paths(path: Path) -> dict[str, Path]:
-    """Return a clip file, or those of a folder that has some itself, by name of the clip."""
+    """Return a clip file, or those of a folder that has some itself, by name of the clip; none of a video."""
     if path.is_file():
-        return {clip_name(path): path}
+        return {} if path.suffix.lower() in images.VIDEO_SUFFIXES else {clip_name(path): path}
     here = path.is_dir() and any(file.suffix in CLIP_SUFFIXES for file in path.iterdir())
     return dataset_paths(path) if here else {}
 

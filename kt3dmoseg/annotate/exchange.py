@@ -52,7 +52,7 @@ class Reports(list[ClipReport]):
         return 0 if all(report.ok for report in self) else KT3DMoSegError.exit_code
 
 
-_Clips = Annotated[AnyEither, Parameter(help="A folder of frames, a clip file, or a folder of these.")]
+_Clips = Annotated[AnyEither, Parameter(help="Frames, a video, a clip file, or a folder of these.")]
 _Notes = Annotated[AnyFolder, Parameter(help="Folder of <clip>.json.")]
 _Format = Annotated[Name, Parameter(help="One of cvat, coco, labelme, davis, mots_png or mots_txt.")]
 _Tracks = Annotated[AnyEither | None, Parameter(help="Clip file or folder of them with trajectories.")]
@@ -118,7 +118,7 @@ def import_annotations(
     source : path
         A file, or a folder with a file or folder named as each clip.
     clips : path
-        A folder of frames, a clip file, or a folder with one of these per clip.
+        A folder of frames, a video, a clip file, or a folder with one of these per clip.
     format : str
         A name of `kt3dmoseg.annotate.formats.FORMATS`.
     annotations : path
@@ -281,8 +281,9 @@ def compare_annotations(
     InputFileError
         When no clip has annotations in both.
     """
-    found = []
+    found, names = [], []
     for clip in _clips(clips, first, tracks):
+        names.append(clip.name)
         one, two = clip.read(), clip.read(second)
         if one is None or two is None:
             continue
@@ -291,8 +292,8 @@ def compare_annotations(
         labels = (of_one.labels.label, of_two.labels.label) if of_one and of_two else None
         found.append(annotate.agreement.compare((one, two), (a, b), labels))
     if not found:
-        expected = "<clip>.json in both, named as a clip"
-        raise InputFileError(f"{first} and {second}", expected=expected, found="none")
+        expected, fix = "<clip>.json in both, named as a clip", f"the clips are {several(names)}"
+        raise InputFileError(f"{first} and {second}", expected=expected, found="none", fix=fix)
     return found
 
 
@@ -332,8 +333,9 @@ def _for_each(
 ) -> Reports:
     from kt3dmoseg.files import names_in
 
-    out = Reports()
+    out, names = Reports(), []
     for clip in clips:
+        names.append(clip.name)
         try:
             done = work(clip)
         except KT3DMoSegError as error:
@@ -343,7 +345,8 @@ def _for_each(
             report(done)
     if not out:
         found = several(names_in(Path(searched))) or "none"
-        raise InputFileError(f"{searched}", expected=f"{wanted} named as a clip", found=found)
+        fix = f"the clips are {several(names)}"
+        raise InputFileError(f"{searched}", expected=f"{wanted} named as a clip", found=found, fix=fix)
     return out
 
 
@@ -370,7 +373,7 @@ def _report_rest(
 
 
 def _clips(given: AnyPath, annotations: AnyPath, tracks: AnyPath | None = None) -> Iterator[_Clip]:
-    """Give the clips of a folder of frames, a clip file or a folder of these; clip files need no frames."""
+    """Give the clips of frames, a video, a clip file or a folder of these; clip files need no frames."""
     from kt3dmoseg import io
     from kt3dmoseg.frames import clip_paths, find_clips
     from kt3dmoseg.io.images import picture_size

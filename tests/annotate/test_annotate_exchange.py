@@ -13,6 +13,7 @@ from annotation_scenes import drawn_by_hand, write_clip, zipped
 from kt3dmoseg.annotate import KeyFrame, Mark, formats, load_annotation, save_revision
 from kt3dmoseg.annotate.exchange import compare_annotations, import_annotations
 from kt3dmoseg.cli import main
+from kt3dmoseg.io.images import write_moving
 
 CORNERS = [(60, 70), (140, 70), (140, 130), (60, 130)]
 
@@ -60,12 +61,23 @@ def test_what_a_source_lacks_and_has_in_addition_is_reported(data, capsys):
     assert "it has nothing of two\n  left out, of no clip: Two\n" in capsys.readouterr().out
     (data / "masks" / "one.zip").unlink()
     assert load(data, "--replace") == 2
-    assert "expected a file or folder named as a clip, found Two" in capsys.readouterr().err
+    printed = capsys.readouterr().err
+    assert "expected a file or folder named as a clip, found Two; the clips are one, two" in printed
 
 
 def test_clip_files_need_no_frames(data):
     assert load(data, "--shift", "-1", clips="tracks") == 0  # without frames they are numbered from 0
     assert len(load_annotation(data / "notes" / "one.json").objects[0].key_frames) == 6
+
+
+def test_a_video_is_a_clip(data):
+    write_moving(data / "one.mp4", [np.full((200, 320, 3), 50 * k, np.uint8) for k in range(6)], 10)
+    drawn_by_hand(data / "notes" / "one.json", "box", CORNERS)
+    words = ("-o", data / "out", "--format", "davis")
+    assert run(data, "export", data / "one.mp4", *words) == 0
+    assert load(data, "--replace", source="out", clips="one.mp4") == 0
+    assert run(data, "check", data / "one.mp4") == 0
+    assert len(compare_annotations(data / "notes", data / "notes", data / "one.mp4")) == 1
 
 
 def test_one_file_is_not_of_every_clip(data, capsys):
@@ -228,7 +240,9 @@ def test_compare_by_labels_and_object_by_object(data, capsys):
         (["import", "masks", "frames", "--format", "davis", "--scale", "0"], "scale"),
         (["export", "frames", "-o", "out", "--format", "davis"], "<clip>.json"),
         (["check", "frames"], "<clip>.json"),
+        (["check", "frames"], "the clips are one, two"),
         (["compare", "a", "b", "frames"], "<clip>.json"),
+        (["compare", "a", "b", "frames"], "the clips are one, two"),
     ],
 )
 def test_mistakes_are_answered_in_one_line(data, words, word, capsys, monkeypatch):
