@@ -6,6 +6,7 @@ id is taken as one motion.
 """
 
 import os
+import re
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
@@ -30,6 +31,7 @@ from kt3dmoseg.types import ByteArray, IntArray, Labels, Trajectories
 BACKGROUND = 1
 _SHARE = 0.75
 _MAX_FILE = 1 << 26
+_RANGE = re.compile(r"_\d{6,}-\d{6,}$")  # in the name of a clip that is a part of its source
 
 
 def find_labels(
@@ -57,7 +59,11 @@ def find_labels(
 def _unnamed(names: Sequence[str], annotations: Path) -> InputFileError:
     files = [n for n in names_in(annotations) if n.lower().endswith(".json") and not n.endswith(BUILT)]
     expected = f"{names[0]}.json" if len(names) == 1 else f"CLIP.json of {', '.join(names[:3])}"
+    whole = {_RANGE.sub("", name) for name in names}
+    others = [file for file in files if _RANGE.sub("", file.removesuffix(".json")) in whole]
     fix = "rename it" if files else "give the folder that has some"
+    if others:
+        fix = f"{others[0]} is of other frames of the source: build those, or label these"
     fix += ", or give annotations=None for no labels"
     found = ", ".join(files[:3]) or "no annotation"
     return InputFileError(f"{annotations}", expected=expected, found=found, fix=fix)

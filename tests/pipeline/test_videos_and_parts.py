@@ -60,6 +60,18 @@ def test_track_build_and_show_take_a_video_and_keep_its_times(video, tmp_path, c
     assert "warning" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("there", "part"), [("", ["--range", "0-5"]), ("_000000-000005", [])])
+def test_an_annotation_of_other_frames_is_not_to_be_renamed(video, tmp_path, capsys, there, part):
+    name = f"{video.stem}{there}.json"
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / name).write_text("{}")
+    command = ["build", str(video), "-o", str(tmp_path / "out"), "--annotations", str(tmp_path / "notes")]
+    assert main([*command, *part]) == 2
+    printed = capsys.readouterr().err
+    assert f"found {name}; {name} is of other frames of the source: build those, or label these" in printed
+    assert "rename" not in printed
+
+
 @pytest.mark.parametrize("asked", [{"camera": 1}, {"drive": 9}, {"date": "2011_10_03"}])
 def test_a_drive_is_not_asked_for_next_to_a_catalog(asked, tmp_path):
     with pytest.raises(InvalidValueError, match="catalogs: expected no date, drive or camera"):
