@@ -244,7 +244,7 @@ def test_the_log_says_who_changed_what_and_for_whom_a_clip_is(page, tmp_path, mo
 
 def test_each_of_a_team_has_a_token(clips, tmp_path):
     file = tmp_path / "team"
-    file.write_text("Ada Lovelace\nBo\tsecret\n")
+    file.write_text("\ufeffAda Lovelace\nBo\tsecret\n", encoding="utf-8")  # as Windows' Notepad begins it
     team = app.read_team(file)
     assert app.read_team(file) == team
     assert (len(team), team["secret"]) == (2, "Bo")

@@ -226,7 +226,7 @@ def read_team(path: Path) -> dict[str, str]:
     A name without a token behind a tab gets one, which is written into the file: addresses stay valid.
     Raises InputFileError, or FileFormatError for names that are missing, too long or there twice.
     """
-    text = read_bytes(path, _MAX_TEAM).decode("utf-8", "replace")
+    text = read_bytes(path, _MAX_TEAM).decode("utf-8-sig", "replace")
     team: dict[str, str] = {}
     for line in filter(str.strip, text.splitlines()):
         name, _, token = (part.strip() for part in line.partition("\t"))
