@@ -60,7 +60,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     folded = {each.lower(): each for each in known}
-    close = get_close_matches(name.lower(), folded, n=1)
+    cutoff = 0.7 if name.startswith("-") else 0.6  # the dashes of options are always alike
+    close = get_close_matches(name.lower(), folded, n=1, cutoff=cutoff)
     return folded[close[0]] if close else ""
 
 

@@ -180,6 +180,7 @@ def test_a_preset_is_its_values_and_single_options_win(flags, alpha, rounds, cal
         (["hello", "x", "--seed=3"], "unknown option '--seed'; did you mean '--seeds'?"),
         (["hello", "x", "--alp", "3"], "unknown option '--alp'; did you mean '--alpha'?"),
         (["hello", "--sees=3"], "unknown option '--sees'; did you mean '--seeds'?"),
+        (["hello", "x", "--clips", "3"], "unknown option '--clips'; known: --help, "),
         (["hello", "x", "--seeds", "two"], "argument --seeds: expected a whole number >= 1, found 'two'"),
         (["hello", "x", "--seeds=0"], "argument --seeds: expected a whole number >= 1, found '0'"),
         (["hello", "x", "--count", "two"], "argument --count: expected a whole number, found 'two'"),
