@@ -16,10 +16,10 @@ import textwrap
 import threading
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TextIO, TypeAlias, TypeVar, cast
 
 import cyclopts
 from cyclopts import Group, Parameter
@@ -187,28 +187,50 @@ def main(app: cyclopts.App, argv: Sequence[str] | None = None) -> int:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):  # as standard error: a file's name may be no UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
-    try:
-        code = _run(app, list(sys.argv[1:] if argv is None else argv))
-        sys.stdout.flush()
-        return code
-    except SystemExit:  # of --install-completion, which has printed why
-        return _USAGE
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted; what was finished is kept", file=sys.stderr)
-        return _INTERRUPTED
-    except BrokenPipeError:
-        _discard_output()
-        return 0
-    except (KT3DMoSegError, cyclopts.CycloptsError, ModuleNotFoundError, OSError) as error:
-        print(" ".join(_failure(program, error).split()), file=sys.stderr)  # a path may hold a line break
-        return getattr(error, "exit_code", _USAGE)
-    finally:
-        _RUNNING.clear()
+    out, err = (cast(TextIO, _Output(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            code = _run(app, list(sys.argv[1:] if argv is None else argv))
+            sys.stdout.flush()
+            return code
+        except SystemExit:  # of --install-completion, which has printed why
+            return _USAGE
+        except KeyboardInterrupt:
+            print(f"{program}: interrupted; what was finished is kept", file=sys.stderr)
+            return _INTERRUPTED
+        except (KT3DMoSegError, cyclopts.CycloptsError, ModuleNotFoundError, OSError) as error:
+            print(" ".join(_failure(program, error).split()), file=sys.stderr)  # a path may hold a line break
+            return getattr(error, "exit_code", _USAGE)
+        finally:
+            _RUNNING.clear()
 
 
-def _discard_output() -> None:
+class _Output:
+    """A stream that a command prints to; when its reader has closed the pipe, the work goes on."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self.stream, name)
+
+    def write(self, text: str) -> int:
+        try:
+            return self.stream.write(text)
+        except BrokenPipeError:
+            _discard_output(self.stream)
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self.stream.flush()
+        except BrokenPipeError:
+            _discard_output(self.stream)
+
+
+def _discard_output(stream: TextIO) -> None:
     """Let what is left of the output go nowhere: Python would fail again when it ends."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _failure(program: str, error: Exception) -> str:
@@ -226,7 +248,7 @@ def _failure(program: str, error: Exception) -> str:
             errno.ENOSPC,
             None,
         ):
-            _discard_output()
+            _discard_output(sys.stdout)
             return f"{program}: standard output: {error.strerror or 'closed'}"
         return f"{program}: {error.filename or 'system'}: {error.strerror or error}"
     message, where = str(error), " ".join(getattr(error, "where", "").split())  # as the message has it

@@ -499,15 +499,15 @@ def benchmark(
             kernels=kernels,
             progress=progress,
         )
-    if json in ([], ["-"]):
-        print(json_.dumps(result.as_dict(), indent=1))
-    else:
-        if json:
-            write_text(json[0], json_.dumps(result.as_dict(), indent=1) + "\n")
-        tables = [table for table in (result.per_clip(), result.by_axis(), result.summary()) if table]
-        print("\n\n".join(t.markdown() if markdown else t.text() for t in tables))
+    if json and json != ["-"]:
+        write_text(json[0], json_.dumps(result.as_dict(), indent=1) + "\n")
     if publish:
         from mseg.benchmark.publishing import publish as write
 
         for path in write(result, publish):
             print(f"wrote {path}", file=sys.stderr)
+    if json in ([], ["-"]):
+        print(json_.dumps(result.as_dict(), indent=1))
+    else:
+        tables = [table for table in (result.per_clip(), result.by_axis(), result.summary()) if table]
+        print("\n\n".join(t.markdown() if markdown else t.text() for t in tables))

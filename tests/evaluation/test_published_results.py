@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -306,6 +308,14 @@ def test_the_command_publishes(data_of_two_clips, tmp_path, capsys):
         "Seq005_Clip01": (4, [1], [1]),
         "Seq013_Clip01": (4, [1], [1]),
     }
+
+
+def test_what_cannot_be_printed_is_published_all_the_same(data_of_two_clips, tmp_path):
+    line = ["benchmark", "kt3dmoseg", "--methods", "one_motion", "--no-cache", "--publish", str(tmp_path)]
+    command = [sys.executable, "-m", "mseg", *line, "--data", str(data_of_two_clips)]
+    with open("/dev/full", "w") as full:
+        assert subprocess.run(command, stdout=full, check=False).returncode == 2
+    assert len(read_results(tmp_path)) == 1
 
 
 @pytest.fixture

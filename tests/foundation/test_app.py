@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -77,7 +78,8 @@ def hello(
     if name == "bug":
         raise ModuleNotFoundError("No module named 'mistake'", name="mistake")
     if name == "gone":
-        raise BrokenPipeError
+        print("nobody reads this", flush=True)
+        Path(sys.argv[1]).write_text("done")
     seen.append(from_mapping(Example, options))
     print("hello", name)
 
@@ -134,11 +136,19 @@ def test_exit_codes_and_single_lines(call):
     assert (code, err) == (2, "prog: unknown command 'helo'; did you mean 'hello'?\n")
 
 
-def test_a_closed_pipe_is_no_error():
+@pytest.mark.parametrize("to", ["stdout", "stderr"])
+def test_behind_a_closed_pipe_the_work_goes_on(to, tmp_path):
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_app as t\n"
+    code += "sys.stdout = sys.stderr\n" * (to == "stderr")
     code += "sys.exit(t.app.main(t.app.application('prog', '', t.TABLE), ['hello', 'gone']))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    reader, writer = os.pipe()
+    os.close(reader)
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, to: writer}
+    command = [sys.executable, "-c", code, str(tmp_path / "file")]
+    done = subprocess.run(command, **streams, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stdout or b"", done.stderr or b"") == (0, b"", b"")
+    assert (tmp_path / "file").read_text() == "done"
 
 
 def test_the_program_lists_its_commands(call):
