@@ -66,13 +66,10 @@ def example_submission(
     Without `data` two small clips are made up, in ``<output>-data``. With more than one, each seed cuts
     elsewhere and has its own folder. `method` and `benchmark` are for ``meta.toml``; `source` are label files
     and `zero` is what their label 0 is, see `mseg.evaluation.read_label_files`. InvalidValueError for fewer
-    than one seed, label files without data, or when `output` exists.
+    than one seed, label files without data or with several seeds, `zero` without them, or when `output`
+    exists.
     """
-    if seeds < 1:
-        raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
-    if data is None and source is not None:
-        expected = "the folder of clips that the labels are for"
-        raise InvalidValueError("data", expected=expected, found="nothing")
+    _check_options(data, seeds, source, zero)
     folder = Path(output)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         expected, fix = "a new or empty folder", "remove it, or choose another output"
@@ -98,6 +95,20 @@ def example_submission(
     meta = replace(meta, dataset_version=version or "unnamed")
     write_submission(folder, used.values(), labels, meta, format=format)
     return Written(folder, place, len(used), note)
+
+
+def _check_options(data: PathLike | None, seeds: int, source: PathLike | None, zero: Zero) -> None:
+    if seeds < 1:
+        raise InvalidValueError("seeds", expected="1 or more", found=str(seeds))
+    if data is None and source is not None:
+        expected = "the folder of clips that the labels are for"
+        raise InvalidValueError("data", expected=expected, found="nothing")
+    if source is not None and seeds > 1:
+        expected, fix = "1 with label files, which are of one run", "leave it out"
+        raise InvalidValueError("seeds", expected=expected, found=f"{seeds}", fix=fix)
+    if source is None and zero:
+        fix = "give source=FILES, or leave it out"
+        raise InvalidValueError("zero", expected="none without label files", found=zero, fix=fix)
 
 
 def made_up_clips() -> dict[str, Clip]:

@@ -172,6 +172,22 @@ def test_command(tmp_path, data, capsys):
     assert "the folder of clips" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["--from", "labels", "--seeds", "3"],
+            "--seeds: expected 1 with label files, which are of one run, found 3",
+        ),
+        (["--zero", "first"], "--zero: expected none without label files, found first; give --from FILES"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(words, message, tmp_path, data, capsys):
+    assert mseg.cli.main(["example-submission", str(data), "-o", str(tmp_path / "out"), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_pipes_hidden_files_and_broken_links_among_label_files(tmp_path):
     for name, label in truth().items():
         np.savetxt(tmp_path / f"{name}.txt", label, fmt="%d")
