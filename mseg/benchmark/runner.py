@@ -217,8 +217,8 @@ def predict(
     Raises
     ------
     InvalidValueError, SegmentationError
-        When the folder holds predictions of another configuration, other numbers or layout, or `n_motions`
-        is not positive; when the method failed on every clip (the reasons are in the folder).
+        When the folder holds predictions of another configuration, of other clips, seeds or layout, or
+        `n_motions` is not positive; when the method failed on every clip (the reasons are in the folder).
     """
     folder, wanted = Path(output), _seeds(seeds)
     [configuration] = _configure([method], parameters or {})
@@ -250,7 +250,7 @@ def predict(
         files: dict[str, dict[str, tuple[str, int | None]]] = {}
         for (_, name, seed), key in runs.keys.items():
             files.setdefault(key, {})[place(name, seed)] = name, None if layout == "flat" else seed
-        _check_seeds(folder, wanted if layout != "flat" else ())
+        _check_others(folder, clips, wanted if layout != "flat" else ())
         written = record["made"]  # file -> key of the outcome in it, seconds, notes
         kept = {
             key
@@ -518,13 +518,17 @@ def _note(notes: Mapping[tuple[str, int], str], clip: str, seeds: Sequence[int])
     return "; ".join(parts)[:2000]
 
 
-def _check_seeds(folder: Path, seeds: Sequence[int]) -> None:
-    """Refuse predictions of other seeds, which would be scored, too."""
-    wanted = {f"seed-{seed}" for seed in seeds}
-    older = sorted({path.parent.name for path in prediction_files(folder)} - wanted) if seeds else []
-    if older:
-        found, fix = f"{several(older, 5)} of an earlier run", "remove them, or write to another folder"
-        raise InvalidValueError(f"{folder}", expected="no other seeds", found=found, fix=fix)
+def _check_others(folder: Path, clips: Container[str], seeds: Sequence[int]) -> None:
+    """Refuse predictions of other seeds or clips, which would be scored, too."""
+    files, wanted = prediction_files(folder), {f"seed-{seed}" for seed in seeds}
+    older = {
+        "seeds": sorted({path.parent.name for path in files} - wanted) if seeds else [],
+        "clips": sorted({path.stem for path in files if path.stem not in clips}),
+    }
+    for what, names in older.items():
+        if names:
+            found, fix = f"{several(names, 5)} of an earlier run", "remove them, or write to another folder"
+            raise InvalidValueError(f"{folder}", expected=f"no other {what}", found=found, fix=fix)
 
 
 def _open_record(folder: Path, description: Mapping[str, Any]) -> dict[str, Any]:

@@ -350,6 +350,8 @@ def test_kept_predictions_are_those_of_their_own_data_and_options(data, make_cli
     predict(data, tmp_path / "more", "affine", seeds=3)
     with pytest.raises(KT3DMoSegError, match="expected no other seeds, found seed-2 of an earlier run"):
         predict(data, tmp_path / "more", "affine", seeds=2)
+    with pytest.raises(KT3DMoSegError, match=rf"expected no other clips, found {CLIPS[1]}, {CLIPS[2]} of an"):
+        predict(data / f"{CLIPS[0]}.h5", tmp_path / "more", "affine", seeds=3)
     counted = predict(source, tmp_path / "count", "affine", n_motions=np.int64(2))
     assert predict(source, counted, "affine", n_motions=2) == counted
 
