@@ -133,8 +133,10 @@ def segment(
     from mseg.kernels import parts  # which takes long to import
 
     check_whole("seed", seed, 0)
+    seed = int(seed)  # of few bits, numpy's would overflow
     if n_motions is not None:
         check_whole("n_motions", n_motions, 1)
+        n_motions = int(n_motions)
     if not isinstance(method, str) and parameters:
         raise InvalidValueError("parameters", expected="none with a method object", found=str([*parameters]))
     hidden = _clip(clip, visible).without_labels()

@@ -80,6 +80,14 @@ def test_the_unit_of_coordinates_does_not_matter(method, factor, scaled):
     assert classification_error(pixels + 1, other + 1) <= 0.03
 
 
+@pytest.mark.usefixtures("shared")
+def test_whole_numbers_of_numpy_are_numbers(method, tiny):
+    small, plain = (
+        mseg.segment(tiny, method, n_motions=kind(2), seed=kind(200)).labels for kind in (np.uint8, int)
+    )
+    np.testing.assert_array_equal(small, plain)
+
+
 def test_no_outliers_where_none_are_asked_for(method, tiny):
     if method == "alc":
         pytest.skip("outliers are part of ALC")
