@@ -149,6 +149,9 @@ def label_vector(values: Any, name: str) -> IntArray:  # noqa: ANN401  # checked
         array = np.asarray(values)
     except ValueError:  # lists of unequal lengths
         raise InvalidValueError(name, expected="a vector of labels", found="rows of unequal length") from None
+    except TypeError as error:  # of a tensor on a GPU, which says what to do
+        found = f"{type(values).__name__}: {error}"
+        raise InvalidValueError(name, expected="a vector of labels", found=found) from None
     array = array.ravel() if array.ndim == 2 and 1 in array.shape else array
     if array.ndim != 1:
         found = f"{type(values).__name__} of shape {array.shape}"

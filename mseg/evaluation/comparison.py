@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kt3dmoseg.errors import InvalidValueError
-from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.registry import strict, unknown_name
 from kt3dmoseg.text import count
 from kt3dmoseg.types import FloatArray
 from mseg.evaluation.metrics import Metric, all_metrics
@@ -85,6 +85,7 @@ class Comparison:
         )
 
 
+@strict
 def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: str = "error") -> Comparison:
     """Compare two or more submissions that were scored on the same data, by a metric.
 
@@ -92,7 +93,7 @@ def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: 
     they were not scored on the same clips and labels; UnknownNameError when there is no such metric.
     """
     if isinstance(tables, Mapping):
-        tables = [replace(each, meta=replace(each.meta, method=name)) for name, each in tables.items()]
+        tables = [_named(name, each) for name, each in tables.items()]
     if len(tables) < 2:
         raise InvalidValueError("compare", expected="two submissions or more", found=str(len(tables)))
     if metric not in all_metrics():
@@ -120,6 +121,11 @@ def compare(tables: Sequence[ScoreTable] | Mapping[str, ScoreTable], *, metric: 
         pair = Pair(names[i], names[j], mean, interval, p, p_holm, noise)
         pairs.append(replace(pair, sentence=_sentence(pair, all_metrics()[metric], delta)))
     return Comparison(metric, names, tables, pairs)
+
+
+@strict
+def _named(method: str, table: ScoreTable) -> ScoreTable:
+    return replace(table, meta=replace(table.meta, method=method))
 
 
 def comparison_table(comparison: Comparison) -> ResultsTable:

@@ -177,15 +177,20 @@ class ScoreTable:
         return not self.failures and present == self.benchmark.n_clips
 
     def of(self, clip: str, seed: int | None = None) -> ClipScore:
-        """Return the scores of a clip; by default of the first seed."""
-        return self._by_key[clip, self.seeds[0] if seed is None else seed]
+        """Return the scores of a clip, by default of the first seed; UnknownNameError when there are none."""
+        key = clip, self.seeds[0] if seed is None else seed
+        if key not in self._by_key:
+            known = clip in self.names
+            names = map(str, self.seeds) if known else self.names
+            raise unknown_name("seed" if known else "clip", seed if known else clip, names)
+        return self._by_key[key]
 
     def matrix(self, metric: str = "error", clips: Iterable[str] | None = None) -> FloatArray:
         """Values of a metric, (clips, seeds) float64; `clips` are some of `names`, by default all."""
         if metric not in self.clips[0].values:
             raise unknown_name("metric", metric, self.metrics)
         names = self.names if clips is None else clips
-        return np.array([[self._by_key[n, s].values[metric] for s in self.seeds] for n in names])
+        return np.array([[self.of(n, s).values[metric] for s in self.seeds] for n in names])
 
     def per_clip(self, metric: str = "error") -> FloatArray:
         """Mean over seeds of a metric, (clips,) float64, in the order of `names`."""

@@ -1,4 +1,5 @@
 import json
+import re
 from itertools import product
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import stats
 import kt3dmoseg
 import mseg
 import mseg.cli
-from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InvalidValueError, UnknownNameError
 from kt3dmoseg.types import Clip, Labels
 from mseg.evaluation import SubmissionMeta, score_submission, write_submission
 from mseg.evaluation.comparison import compare, comparison_table
@@ -69,6 +70,33 @@ def test_a_mapping_names_what_is_compared():
     clip = next(iter(CLIPS.values()))
     table = mseg.score(clip, clip.labels)
     assert compare({"mine": table, "yours": table}).to_dataframe()["method"].tolist() == ["mine", "yours"]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["mine", "seeds"], "tables: expected several ScoreTable or a mapping, found list of str"),
+        ({"a": 0.1, "b": 0.2}, "table: expected ScoreTable, found 0.1"),
+    ],
+)
+def test_what_is_no_score_is_not_compared(given, message):
+    for function in (compare, mseg.compare, mseg.evaluation.compare):
+        with pytest.raises(InvalidValueError, match=message):
+            function(given)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda table: table.of("clop"), "unknown clip 'clop'; did you mean 'clip'?"),
+        (lambda table: table.of("clip", 7), "unknown seed '7'; known: 0"),
+        (lambda table: table.matrix("error", ["x"]), "unknown clip 'x'; known: clip"),
+        (lambda table: table.summary("error", ["x"]), "unknown clip 'x'; known: clip"),
+    ],
+)
+def test_an_unknown_clip_or_seed_of_scores_is_named(ask, message):
+    with pytest.raises(UnknownNameError, match=re.escape(message)):
+        ask(mseg.score([1, 1, 2], [1, 1, 2]))
 
 
 def test_one_seed_is_not_enough(tmp_path):

@@ -324,7 +324,15 @@ def without(row):
     return TABLE.drop(index=TABLE.index[row])
 
 
+class OnGpu:
+    """A tensor that numpy cannot see."""
+
+    def __array__(self, *_, **__):
+        raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu() first.")
+
+
 WRONG_LABELS = {
+    "on a GPU": (OnGpu(), r"vector of labels, found OnGpu: can't convert cuda:0 .* Use Tensor\.cpu"),
     "bool": (LABELS == 1, "type bool"),
     "texts": (list(map(str, LABELS)), "type <U1"),
     "NaN": (np.where(np.arange(len(LABELS)) == 3, np.nan, LABELS), "NaN in row 3"),
