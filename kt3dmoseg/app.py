@@ -287,7 +287,7 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
 
         tables = parse_toml(read_bytes(file, TOML_BYTES), file)
         _check_tables(app, tables, file)
-        app.config = [Dict(tables, source=file)]
+        app.config = [Dict(tables, source=file), _prefer_line]
     _HELP.everything = "--help-all" in words
     words = ["--help" if word == "--help-all" else word for word in words]
     asks_help = not words or "--help" in words or "-h" in words
@@ -307,6 +307,15 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
     if asks_help:
         print(f"\n{_FOOTER}")
     return getattr(code, "exit_code", code if isinstance(code, int) else 0) if words else _USAGE
+
+
+def _prefer_line(_: object, commands: object, arguments: cyclopts.ArgumentCollection) -> None:
+    """Drop the file's options of a group with a rule, as "only one", where the command line gives others."""
+    for group in arguments.groups:
+        those = arguments.filter_by(group=group) if group.validator else ()
+        if any(token.source == "cli" for argument in those for token in argument.tokens):
+            for argument in those:
+                argument.tokens = [token for token in argument.tokens if token.source == "cli"]
 
 
 def _without_config(words: list[str]) -> tuple[list[str], str]:

@@ -58,6 +58,14 @@ def test_scores_have_one_form(data, tmp_path, capsys):
     assert "Mutually exclusive arguments: {--json, --csv}" in printed
 
 
+def test_the_command_line_chooses_another_form_than_the_file(data, tmp_path, capsys):
+    (tmp_path / "run.toml").write_text("[score]\njson = true\n")
+    command = ["score", str(perfect(tmp_path / "s")), data, "--config", str(tmp_path / "run.toml")]
+    for flags, start in (([], "{"), (["--csv"], "clip,")):
+        assert mseg.cli.main([*command, *flags]) == 0
+        assert capsys.readouterr().out.startswith(start)
+
+
 def test_data_come_last(data, tmp_path, capsys):
     submission, scores = str(perfect(tmp_path / "s")), str(tmp_path / "s.json")
     assert mseg.cli.main(["score", submission, data, "--json", "-o", scores]) == 0
