@@ -351,6 +351,9 @@ def _header_problem(head: list[str], n_rows: int) -> tuple[str, str, str, str]:
     if len(head) == 1 and numbers:
         fix = f"{_FIX_HEADER}; or turn label files into a submission with 'mseg example-submission'"
         return "label-only", "two columns, track and label", f"{n_rows} lines of one value", fix
+    if len(head) > 2 and {*_NAMES} <= {*head}:
+        fix = "remove the other columns, in every line"
+        return "header", "the columns track and label only", repr(line[:60]), fix
     if len(head) > 2 and (n_rows <= 2 or head[0] in _NAMES):
         found = f"{n_rows} lines of up to {len(head)} values"
         fix = "transpose the table: two columns, track and label"

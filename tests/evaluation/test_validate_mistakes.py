@@ -168,6 +168,8 @@ MISTAKES = [
     ("label-only", lambda f: text(f, "\n".join(map(str, LABEL))), "mseg example-submission"),
     ("separator", lambda f: text(f, "track;label\n1;2\n"), "commas"),
     ("header", lambda f: text(f, "id,motion\n1,2\n"), "track,label"),
+    ("header", lambda f: text(f, "track,label,conf\n1,2,0.5\n"), "remove the other columns"),
+    ("header", lambda f: text(f, "conf,label,track\n0.5,2,1\n0.5,2,2\n"), "remove the other columns"),
     ("ragged", lambda f: text(f, "track,label\n1,2,3\n"), "line 2"),
     ("empty-file", lambda f: text(f, ""), "first line"),
     ("empty-file", lambda f: npz(f, track=IDS[:0], label=LABEL[:0]), "one label per trajectory"),
