@@ -184,15 +184,16 @@ def dataset_paths(folder: PathLike) -> dict[str, Path]:
             found, fix = "a file", "give a folder; unpack an archive"
         raise InputFileError(f"{root}", expected="a folder of clips", found=found, fix=fix)
     own, below = clip_files(root), _clips_below(root, _LEVELS)
-    # Predictions and copies have the names of clips, caches are npz.
+    # Predictions and copies have the names of clips.
     names = {clip_name(file) for file in own}
-    others = [f for f in below if f.suffix.lower() in (".h5", ".mat") and clip_name(f) not in names]
+    others = [file for file in _surely_clips(below) if clip_name(file) not in names]
     if own and others:
         found = f"{own[0].name} there, and {others[0].relative_to(root)} ({len(others)} in folders)"
         fix = "move them into one folder, or give the folder of some"
         raise InputFileError(f"{root}", expected="all clips there, or all in folders", found=found, fix=fix)
     if not own and not below:
-        near = clip_files(root.resolve().parent) or _clips_below(root, 2 * _LEVELS)
+        near = _surely_clips(clip_files(root.resolve().parent))
+        near = near or _surely_clips(_clips_below(root, 2 * _LEVELS))
         expected, found = f"clips ({', '.join(CLIP_SUFFIXES)})", f"none, nor in folders up to {_LEVELS} below"
         home = Path(os.path.commonpath([file.parent for file in near])) if near else root
         home = near[0].parent if near and home == root else home
@@ -206,6 +207,11 @@ def dataset_paths(folder: PathLike) -> dict[str, Path]:
             where = f"{root}: clip {clip_name(file)}"
             raise FileFormatError(where, expected="one file", found=found, fix=fix)
     return dict(sorted(out.items()))
+
+
+def _surely_clips(files: list[Path]) -> list[Path]:
+    """Leave out the formats in which caches (.npz) and label files (.npz, .dat) come, too."""
+    return [file for file in files if file.suffix.lower() in (".h5", ".mat")]
 
 
 def _clips_below(folder: Path, levels: int) -> list[Path]:

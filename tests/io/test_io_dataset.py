@@ -107,6 +107,14 @@ def test_below_the_clips_or_at_an_archive_the_message_says_where_they_are(benchm
         dataset_paths(benchmarks / "Hopkins12.zip")
 
 
+def test_label_files_next_to_an_empty_folder_are_not_taken_for_its_clips(tmp_path):
+    (tmp_path / "data").mkdir()
+    for name in ("labels.npz", "labels.dat"):
+        (tmp_path / name).write_bytes(b"PK")
+    with pytest.raises(InputFileError, match=r"found none, nor in folders up to 3 below$"):
+        dataset_paths(tmp_path / "data")
+
+
 def test_clips_next_to_folders_of_other_clips_are_not_all_there_is(benchmarks):
     save(small_clip(), benchmarks / "a.h5")
     with pytest.raises(
