@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json as json_
+import shlex
 import sys
 from functools import partial
 from pathlib import Path
@@ -142,8 +143,12 @@ def run(
     meta, _ = parse_meta((folder / META).read_bytes())
     lines += [f"note: {clip}: {note}" for clip, note in meta.notes.items()]
     lines.append(f"wrote {folder}" + (f" ({count(len(failed), 'run')} failed)" if failed else ""))
-    print(*lines, _NEXT.format(folder, data), sep="\n", file=sys.stderr)
+    print(*lines, _next(folder, data), sep="\n", file=sys.stderr)
     return code
+
+
+def _next(folder: Path, data: Path) -> str:
+    return _NEXT.format(*(shlex.quote(f"{path}") for path in (folder, data)))
 
 
 def example_submission(
@@ -178,7 +183,7 @@ def example_submission(
     if wrote.note:
         print(f"note: {wrote.note}", file=sys.stderr)
     print(f"wrote {wrote.folder} ({count(wrote.clips, 'clip')})", file=sys.stderr)
-    print(_NEXT.format(wrote.folder, wrote.data), file=sys.stderr)
+    print(_next(wrote.folder, wrote.data), file=sys.stderr)
 
 
 def validate(submission: Submission, data: Data, /, *, benchmark: Benchmark = "", json: Json = False) -> int:

@@ -1,5 +1,6 @@
 """What the commands print in addition to what their functions do."""
 
+import shlex
 from dataclasses import replace
 
 import pytest
@@ -39,6 +40,12 @@ def test_run_names_the_clips_that_failed_and_the_next_step(data, tmp_path, capsy
     assert f"check it: mseg validate {out} {data}" in printed.err
     assert "(1 run failed)" in printed.err
     assert printed.out == ""
+
+
+def test_the_next_step_can_be_pasted_whatever_the_names(tmp_path, capsys):
+    assert mseg.cli.main(["example-submission", "-o", str(tmp_path / "my own")]) == 0
+    [line] = [line for line in capsys.readouterr().err.splitlines() if line.startswith("check it: mseg ")]
+    assert mseg.cli.main(shlex.split(line)[3:]) == 0
 
 
 @pytest.mark.parametrize("flag", ["--seeds", "--workers", "--n-motions"])
