@@ -1,6 +1,7 @@
 """Options as dataclass fields: one definition gives keywords, flags, TOML keys, help and bounds."""
 
 import dataclasses
+import math
 import typing
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -66,14 +67,16 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
 
 
 def check(instance: T, *, where: str = "") -> T:
-    """Return `instance` after checking the bounds of its fields."""
+    """Return `instance` after checking the bounds of its fields; infinity must be one of them."""
     for spec in dataclasses.fields(instance):  # type: ignore[arg-type]
         value, low, high = getattr(instance, spec.name), spec.metadata.get("low"), spec.metadata.get("high")
         if not isinstance(value, (int, float)) or isinstance(value, bool):
             continue
-        if (low is not None and not value >= low) or (high is not None and not value <= high):
+        outside = (low is not None and not value >= low) or (high is not None and not value <= high)
+        if outside or (value in (math.inf, -math.inf) and value not in (low, high)):
             bounds = [f"{sign} {bound}" for sign, bound in ((">=", low), ("<=", high)) if bound is not None]
-            expected = f"a number {' and '.join(bounds)}"
+            noun = "a number" if outside else "a finite number"
+            expected = f"{noun} {' and '.join(bounds)}".strip()
             name = f"{where}: {spec.name}" if where else spec.name
             raise InvalidValueError(name, expected=expected, found=repr(value))
     return instance

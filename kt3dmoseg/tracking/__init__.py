@@ -1,5 +1,6 @@
 """Dense point trajectories: every constant with its source, seeding, linking, pruning, subsampling."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -54,11 +55,13 @@ class TrackOptions:
     consistency: float = option(
         0.004, "stop when |w + w'|^2 >= this * (|w|^2 + |w'|^2) + floor (SBK eq. 5: 0.01)", low=0
     )
-    consistency_floor: float = option(0.2, "the floor, in pixels squared (SBK eq. 5: 0.5)", low=0)
+    consistency_floor: float = option(
+        0.2, "the floor, in pixels squared (SBK eq. 5: 0.5)", low=0, high=math.inf
+    )
     boundary: float = option(
         0.01, "stop if |grad u|^2 + |grad v|^2 > this * |w|^2 + floor (SBK eq. 6)", low=0
     )
-    boundary_floor: float = option(0.002, "the floor (SBK eq. 6)", low=0)
+    boundary_floor: float = option(0.002, "the floor (SBK eq. 6)", low=0, high=math.inf)
     anchor: float = option(0.0, "largest correction of a step by its patch's start, px; 0: none", low=0)
     anchor_change: float = option(
         0.3, "only where the patch's mean squared change is then <= this * its variance + floor", low=0
@@ -70,7 +73,7 @@ class TrackOptions:
     appearance: float = option(
         0.0, "stop when the patch's mean squared change > this * its variance + floor; 0: never", low=0
     )
-    appearance_floor: float = option(9.0, "the floor of both, in gray values squared", low=0)
+    appearance_floor: float = option(9.0, "the floor of both, in gray values squared", low=0, high=math.inf)
     min_length: int = option(5, "shorter trajectories are dropped, in frames", low=1)
 
     everyday: ClassVar[tuple[str, ...]] = ("spacing", "consistency", "anchor", "appearance", "min_length")

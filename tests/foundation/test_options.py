@@ -19,6 +19,7 @@ from kt3dmoseg.options import (
     option_names,
     parse_assignments,
 )
+from kt3dmoseg.tracking import TrackOptions
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,9 @@ def test_a_misspelt_key_names_the_nearest():
     [
         ({"alpha": "x"}, "alpha: expected a number"),
         ({"alpha": "nan"}, "alpha: expected a number"),
+        ({"alpha": "1e400"}, "alpha: expected a finite number >= 0, found inf"),
+        ({"alpha": float("inf")}, "alpha: expected a finite number >= 0, found inf"),
+        ({"rounds": float("inf")}, "rounds: expected a whole number"),
         ({"alpha": -1}, "alpha: expected a number >= 0"),
         ({"rounds": 2.5}, "rounds: expected a whole number"),
         ({"rounds": 11}, "rounds: expected a number >= 1 and <= 10"),
@@ -67,6 +71,12 @@ def test_a_misspelt_key_names_the_nearest():
 def test_bad_values_are_one_clear_line(values, message):
     with pytest.raises(InvalidValueError, match=message):
         from_mapping(Example, values)
+
+
+def test_infinity_is_a_value_where_it_is_a_bound():
+    floors = {"consistency_floor": "inf", "boundary_floor": "inf", "appearance_floor": float("inf")}
+    made = from_mapping(TrackOptions, floors)
+    assert {vars(made)[name] for name in floors} == {float("inf")}
 
 
 def test_bounds_hold_for_instances_too():
