@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable, Sequence
+from numbers import Real
 
 
 def several(items: Iterable[object], most: int = 3) -> str:
@@ -22,6 +23,8 @@ def count(number: int, noun: str) -> str:
 
 def toml_text(value: object) -> str:
     """Write a value as TOML does: numbers, texts and lists as JSON does, all else as a text."""
+    if not isinstance(value, int) and isinstance(value, Real):  # numpy's, too
+        value = float(value)
     known = value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
     return json.dumps(known, ensure_ascii=False, default=str).replace("\x7f", "\\u007f")
 

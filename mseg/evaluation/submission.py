@@ -18,6 +18,7 @@ import stat
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from numbers import Real
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, TypeAlias
 
@@ -83,6 +84,12 @@ def _are_texts(value: object, also: str = "") -> bool:
     )
 
 
+def _are_seconds(value: Any) -> bool:  # noqa: ANN401
+    if not isinstance(value, int) and isinstance(value, Real):  # numpy's, too
+        value = float(value)
+    return type(value) in (int, float) and 0 <= value <= sys.float_info.max
+
+
 @dataclass(frozen=True)
 class SubmissionMeta:
     """The meta data of a submission: the fields of ``meta.toml``."""
@@ -108,7 +115,7 @@ class SubmissionMeta:
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "str": ("a text of one line", lambda v: _are_texts([v])),
     "bool": ("true or false", lambda v: isinstance(v, bool)),
-    "float": ("seconds >= 0", lambda v: type(v) in (int, float) and 0 <= v <= sys.float_info.max),
+    "float": ("seconds >= 0", _are_seconds),
     "tuple[str, ...]": ('a list of names, ["A. Author"]', _are_texts),
     "Mapping[str, str]": (
         "a table of texts",

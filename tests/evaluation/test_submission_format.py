@@ -74,6 +74,13 @@ def test_meta_survives(tmp_path):
             write_submission(tmp_path, CLIPS.values(), truth(), replace(meta, **{name: value}))
 
 
+@pytest.mark.parametrize("seconds", [np.float64(1.5), np.float32(1.5), np.int64(2), 2])
+def test_seconds_are_any_real_number(tmp_path, seconds):
+    folder = write_submission(tmp_path / "s", CLIPS.values(), truth(), SubmissionMeta("m", seconds=seconds))
+    read = read_submission(folder)
+    assert (read.meta.seconds, read.problems) == (seconds, [])
+
+
 def test_order_of_rows_is_free(tmp_path):
     folder = perfect(tmp_path / "s")
     path = folder / f"{NAMES[0]}.csv"
