@@ -252,7 +252,7 @@ def score(
 
     Examples
     --------
-    >>> score([1, 1, 1, 2, 2, 0], [4, 4, 7, 7, 7, 4]).error
+    >>> score(Labels(np.array([1, 1, 1, 2, 2, 0])), [4, 4, 7, 7, 7, 4]).error
     0.2
     """
     file = Path(pred) if isinstance(pred, (str, os.PathLike)) else None
