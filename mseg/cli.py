@@ -390,7 +390,9 @@ def rank(*, benchmark: Only = "", db: Board = _BOARD, json: Json = False) -> Non
     """
     boards = _open(db).boards(benchmark)
     values = [board.as_dict() for board in boards]
-    tables = [board.table().text() for board in boards]
+    tables = [board.table().text() for board in boards] or [
+        f"no entries{f' of {benchmark}' if benchmark else ''}"
+    ]
     print(json_.dumps(values, indent=1) if json else "\n\n".join(tables))
 
 

@@ -275,9 +275,9 @@ def _verify(target: TargetFolder, clips: list[Entry], report: Callable[[str], ob
     never = [clip.name for clip in clips if clip.name not in located]
     wanted = {name: sums for name, sums in target.files().items() if not clips or name.startswith(parts)}
     if never or not wanted:
-        what = ", ".join(never) or "nothing"
+        what = f"{', '.join(never)} was not" if never else "nothing was"
         fix = "fetch it with kt3dmoseg pull"
-        raise InputFileError(f"{root}: {what} was not pulled to this folder", fix=fix)
+        raise InputFileError(f"{root}: {what} pulled to this folder", fix=fix)
     bad = [name for name, sums in wanted.items() if not _holds(root / name, sums)]
     for name in bad:
         report(f"{root / name}: {'damaged' if (root / name).exists() else 'missing'}")

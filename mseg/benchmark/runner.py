@@ -433,6 +433,8 @@ def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[st
             except MemoryError as error:  # says nothing of the method either
                 outcomes |= lost_task(replace(task, work={key: made}), f"{error}" or "no memory is left")
                 continue
+            except InputFileError:  # the disk's fault, as of kernels that cannot be kept
+                raise
             except KT3DMoSegError as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
                 # The caller that shows it names the clip.

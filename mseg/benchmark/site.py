@@ -6,6 +6,7 @@
     results/kt3dmoseg/2018/mine.zip       the predictions, as `submit` packs them
 """
 
+import os
 import re
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kt3dmoseg.draw.painting import by_label, draw_frame
-from kt3dmoseg.errors import FileFormatError, InvalidValueError
+from kt3dmoseg.errors import FileFormatError, InputFileError, InvalidValueError
 from kt3dmoseg.files import PathLike, read_bytes, write_bytes, write_text, zip_bytes
 from kt3dmoseg.frames import frame_folder, frames_of
 from kt3dmoseg.io import load, load_dataset
@@ -185,11 +186,16 @@ def check_submissions(results: PathLike, data: Sequence[PathLike] = ()) -> tuple
     """Score every submission in a folder of results, those with a zip of predictions, again.
 
     Returns their number, and file and field of every figure that is not what the predictions give, and every
-    file that is rejected. `data` are folders of clips, see `mseg.benchmark.find_clips`.
+    file that is rejected. `data` are folders of clips, see `mseg.benchmark.find_clips`. InputFileError when
+    there is no result.
     """
     packed = sorted(Path(results).glob("*/*/*.zip"))
+    files = sorted({*Path(results).glob("*/*/*.json"), *(each.with_suffix(".json") for each in packed)})
+    if not files:
+        expected = "results as BENCHMARK/VERSION/METHOD.json"
+        raise InputFileError(os.fspath(results), expected=expected, found="none")
     wrong: list[str] = []
-    for path in sorted({*Path(results).glob("*/*/*.json"), *(each.with_suffix(".json") for each in packed)}):
+    for path in files:
         try:
             wrong += _differences(path, data)
         except (RejectedSubmissionError, FileFormatError, InvalidValueError) as error:

@@ -186,7 +186,8 @@ def data_notes(scores: ScoreTable) -> list[str]:
     """Note that the published results are of more clips or another version of the data, if they are."""
     protocol, version, notes = scores.benchmark, scores.provenance.dataset_version, []
     if len(scores.names) < protocol.n_clips:
-        notes.append("A part of the benchmark: the printed figures are for all of it.")
+        printed = ": the printed figures are for all of it" if protocol.published else ""
+        notes.append(f"A part of the benchmark{printed}.")
     if protocol.of_version(version).published != protocol.published:
         printed = f"printed figures are for version {protocol.published_dataset_version!r}"
         notes.append(f"Data version {version or 'unnamed'!r}; {printed}: not comparable.")

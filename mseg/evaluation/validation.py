@@ -156,7 +156,7 @@ def _check_labels(seed: int, name: str, file: str, out: Validation) -> None:
     """Join a prediction to its clip, and keep labels that can be scored."""
     read, clip = out.submission, out.clips[name]
     if (seed, name) in read.failures:
-        found, fix = read.failures[seed, name], "it counts as fully wrong"
+        found, fix = read.failures[seed, name].removeprefix("found "), "it counts as fully wrong"
         out.notes.append(Problem("failed", file, name, found=found, fix=fix))
     elif not read.predictions[seed, name].problems:
         labels, problems = join_labels(read.predictions[seed, name], clip, file)

@@ -188,6 +188,8 @@ def test_command(tmp_path, capsys):
     assert mseg.cli.main(["leaderboard", "rank", "--db", db, "--json"]) == 0
     [board] = json.loads(capsys.readouterr().out)
     assert board["ranked"] == [[1, entry]]
+    assert mseg.cli.main(["leaderboard", "rank", "--db", db, "--benchmark", "hopkins12"]) == 0
+    assert capsys.readouterr().out == "no entries of hopkins12\n"
     assert mseg.cli.main(["leaderboard", "export", "--db", db, "-o", str(tmp_path / "b.html")]) == 0
     assert mseg.cli.main(["leaderboard", "rank", "--db", str(tmp_path / "no")]) == 2
     assert mseg.cli.main(["leaderboard", "add", folder, "--db", db]) == 2

@@ -12,7 +12,7 @@ import pytest
 from benchmark_result import benchmark_result
 
 import mseg.cli
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import InputFileError, InvalidValueError
 from kt3dmoseg.io import save
 from kt3dmoseg.types import Clip, Labels, Trajectories
 from mseg.benchmark import Configuration
@@ -173,6 +173,8 @@ def test_scores_without_predictions_and_predictions_without_scores_are_found(dat
     shutil.move(tmp_path / "away.zip", packed)
     path.unlink()
     assert "expected the scores of mine.zip" in check_submissions(tmp_path / "r", [data])[1][0]
+    with pytest.raises(InputFileError, match="expected results as BENCHMARK"):
+        check_submissions(tmp_path / "none")
 
 
 def test_every_rejected_file_is_listed_and_the_others_are_checked(data, tmp_path, capsys):

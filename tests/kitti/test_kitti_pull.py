@@ -93,6 +93,8 @@ def test_damaged_and_lost_files_are_replaced_and_only_those(world: World) -> Non
 def test_verify_reports_a_clip_that_was_never_pulled(world: World) -> None:
     with pytest.raises(InputFileError, match="Hidden was not pulled"):
         world.pull(verify=True)
+    with pytest.raises(InputFileError, match="nothing was pulled to this folder"):
+        pull(world.root, verify=True)
 
 
 def test_dry_run_prints_the_plan_and_writes_nothing(world: World) -> None:

@@ -488,3 +488,10 @@ def test_tables_are_told_apart_by_their_labels(serial):
     first, second = (table.provenance for table in serial.tables)
     assert first.dataset_sha256 == second.dataset_sha256
     assert first.submission_sha256 != second.submission_sha256
+
+
+def test_kernels_that_cannot_be_kept_are_no_failure_of_the_method(data, tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(InputFileError, match="file"):
+        run("kt3dmoseg", ["affine"], data=data, cache=tmp_path / "cache", kernels=tmp_path / "file")
+    assert not run("kt3dmoseg", ["affine"], data=data, cache=tmp_path / "cache").failures
