@@ -243,12 +243,30 @@ def test_edits_of_two_tabs_that_were_closed_are_both_restored(context, clips, se
         again.stop(signal.SIGKILL)
 
 
+def test_a_page_of_another_folder_is_not_saved_into_this_one(context, clips, server, tmp_path):
+    page = Page(context, server.address)
+    page.draw()
+    page.saved()
+    server.stop(signal.SIGKILL)
+    second = Server(clips, tmp_path / "second", server.port)
+    try:
+        page.draw(THERE)
+        page.shows("#saved", "another folder of annotations")
+        page.tab.reload()
+        page.ready()
+        assert not page.objects()
+        assert not (tmp_path / "second").exists() or not any((tmp_path / "second").glob("*.json"))
+    finally:
+        second.stop(signal.SIGKILL)
+
+
 def test_a_damaged_draft_or_one_of_other_frames_keeps_nobody_out(page):
     page.draw()
     page.saved()
     other = "{ ...labeller.state.doc, n_frames: 9, objects: [] }"
-    page.value("localStorage.setItem('draft:one:gone', '{')")
-    page.value(f"localStorage.setItem('draft:one:older', JSON.stringify({{ base: {other}, doc: {other} }}))")
+    key = "'draft:one:' + labeller.state.clip.folder + "
+    page.value(f"localStorage.setItem({key} ':gone', '{{')")
+    page.value(f"localStorage.setItem({key} ':older', JSON.stringify({{ base: {other}, doc: {other} }}))")
     page.tab.reload()
     page.ready()
     assert len(page.objects()) == 1

@@ -370,6 +370,10 @@ def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, 
     button(reviewer, "missed by you: woman with a walker").click()
     button(reviewer, "Take theirs").click()
     reviewer.until("labeller.state.doc.objects.length === 3")
+    button(reviewer, "List").click()
+    button(reviewer, "missed by you: woman with a walker").click()
+    reviewer.shows("#differences", "Ctrl+Z takes it back")  # and not once more
+    assert not button(reviewer, "Take theirs").count()
     assert reviewer.objects()[2]["key_frames"][0]["polygons"] == [walker]
     assert (reviewer.objects()[2]["name"], reviewer.objects()[2]["motion"]) == ("woman with a walker", 3)
     button(reviewer, "List").click()
@@ -385,13 +389,30 @@ def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, 
     assert max(min(pixel[:3]) for pixel in next_to_it) < 60
     button(reviewer, "Redraw").click()
     reviewer.until("labeller.state.tool === 'draw' && labeller.state.pending.mode === 'region'")
-    reviewer.press("Escape")
+    reviewer.press("Escape", "Shift+R")
+    button(reviewer, "Take theirs").click()
+    reviewer.shows("#hint", "is locked")
+    reviewer.press("Shift+R")
     button(reviewer, "Take theirs").click()
     reviewer.shows("dialog[open] td", "theirs")
     assert near(reviewer.objects()[0]["key_frames"][0]["polygons"][0], HALF)
     button(reviewer, "Close").click()
     reviewer.until("labeller.state.compared === null")
     reviewer.tab.locator("#differences").wait_for(state="hidden")  # drawn a moment after the state
+
+
+def test_a_decision_is_not_of_an_object_that_took_the_number_of_mine(reviewer):
+    reviewer.draw([(20, 150), (50, 150), (50, 180), (20, 180)])
+    reviewer.saved()
+    reviewer.press("m")
+    button(reviewer, "missed by the other: object 1").click()
+    button(reviewer, "Delete, as theirs").click()
+    reviewer.until("labeller.state.doc.objects.length === 0")
+    button(reviewer, "missed by you: box").click()
+    button(reviewer, "Take theirs").click()
+    reviewer.until("labeller.state.doc.objects.length === 1")
+    button(reviewer, "missed by the other: object 1").click()
+    assert reviewer.value("labeller.state.selected") is None
 
 
 def test_what_is_in_conflict_is_shown_and_found(page):

@@ -439,6 +439,12 @@ def test_a_file_that_vanished_is_written_again(page, tmp_path):
     assert len(load_annotation(tmp_path / "notes" / "one.json").objects) == 1
 
 
+def test_an_annotation_of_another_folder_is_refused(page):
+    folder = page.get("/api/clips/one").json()["folder"]
+    assert save(page, drawn(page), 0, **{"x-folder": "elsewhere"}).status_code == 409
+    assert save(page, drawn(page), 0, **{"x-folder": folder}).status_code == 200
+
+
 def test_the_revision_is_required_and_checked(page):
     doc = drawn(page)
     del doc["revision"]

@@ -5,7 +5,9 @@ each with ``time`` and ``by``; then what happened: ``state``, ``assigned`` (to w
 was saved, with the names of objects that were ``added``, ``changed``, ``removed``.
 """
 
+import hashlib
 import json
+import os
 import threading
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
@@ -147,6 +149,11 @@ class ClipSession:
             return moving_groups(self.trajectories(wait=True))
         except InvalidValueError:
             return None
+
+    @property
+    def folder(self) -> str:
+        """Which file the annotation is, without saying where; a page may stay open while servers change."""
+        return hashlib.sha256(os.fsencode(self.source.annotation.resolve())).hexdigest()[:16]
 
     @cached_property
     def proposed(self) -> IntArray | None:

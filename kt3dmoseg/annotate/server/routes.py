@@ -124,6 +124,7 @@ class Routes:
             "frame_names": session.frame_names,
             "numbers": session.numbers,
             "annotation": model.to_json(session.annotation()),
+            "folder": session.folder,
             "annotator": self._annotator(request),
             "team": self.team,
             "work": session.work(),
@@ -173,6 +174,8 @@ class Routes:
         return {"work": session.set_work(self._annotator(request) or given.get("by"), given)}
 
     def _save(self, request: Request, session: ClipSession, body: bytes) -> Answer:
+        if request.headers.get("x-folder", session.folder) != session.folder:
+            raise HTTPException(409, "the server now has another folder of annotations; load the page again")
         given = _given(session, body)
         by = self._annotator(request) or given.annotator
         return {"revision": session.save(replace(given, annotator=by), by).revision}

@@ -26,7 +26,7 @@ export async function openClip(name, remember = "pushState", leaving = false) {
     close(); // what a dialogue is about is of the clip before
     begin(clip, { work: clip.work, doc: clip.annotation, view: fit(clip.image_size) });
     byId("stage").focus({ preventScroll: true });
-    await startFrom(name, clip.annotation);
+    await startFrom(name, clip.annotation, clip.folder);
     return attempt(() => loadTracks(clip).then(() => proposeBuilt(clip)));
   } catch (error) {
     const again = button("Try again", () => (close(), openClip(name, remember)));

@@ -1,10 +1,10 @@
 // What comes from elsewhere: proposed regions, files of other tools, the other annotator's annotation.
 
 import { redraw, setTool } from "./actions.js";
-import { addObject, boundsOf, changeObject, nextMotion, objectOf } from "./annotation.js";
+import { ORIGIN, addObject, boundsOf, changeObject, nextMotion, objectOf } from "./annotation.js";
 import { ask, request } from "./saving.js";
 import { button, byId, close, download, element, faint, fill, open, paragraph, row, table } from "./dom.js";
-import { edit, editLast, on, regionOf, set, state } from "./state.js";
+import { edit, editLast, editable, on, regionOf, set, state } from "./state.js";
 import { goTo, showBox } from "./view.js";
 
 const NAMES = {
@@ -198,7 +198,8 @@ export function compare() {
     return inform("Compare", "Start kt3dmoseg label with --compare FOLDER, the folder of the other annotator's files.");
   }
   return work("Two annotators", "Comparing…", "compare", state.doc, (found) => {
-    set({ compared: { ...found, at: null, settled: [] }, proposals: null, review: null });
+    const origins = found.objects.map(({ first_id: mine }) => objectOf(state.doc, mine)?.[ORIGIN]);
+    set({ compared: { ...found, origins, at: null, settled: [] }, proposals: null, review: null });
     list();
   });
 }
@@ -216,15 +217,22 @@ function list() {
       faint("Choose an object to see both outlines and decide; ↑ ↓ walk the list, Shift+G goes to the next.")));
 }
 
+/** My object of a difference, in a document; none when another one has taken its id. */
+function ownOf(index, doc) {
+  const { objects, origins } = state.compared;
+  const own = objectOf(doc, objects[index].first_id);
+  return own && own[ORIGIN] === origins[index] ? own : null;
+}
+
 /** Show an object in the frame in which both differ most, with the other annotator's outline. */
 function visit(index) {
   close();
   const { compared, doc } = state;
   const at = (index + compared.objects.length) % compared.objects.length;
-  const { first_id: mine, second_id: theirs, frame } = compared.objects[at];
-  set({ compared: { ...compared, at }, selected: objectOf(doc, mine) ? mine : null });
+  const { second_id: theirs, frame } = compared.objects[at];
+  const own = ownOf(at, doc);
+  set({ compared: { ...compared, at }, selected: own?.id ?? null });
   goTo(frame);
-  const own = objectOf(doc, mine);
   const both = [own && regionOf(own, frame), compared.regions[theirs]?.[frame]].filter(Boolean);
   const box = boundsOf(both.flatMap((region) => region.polygons));
   if (box) showBox(box);
@@ -234,16 +242,15 @@ export const nextDifference = () =>
   (state.compared?.objects.length ? visit((state.compared.at ?? -1) + 1) : compare());
 
 /** The document with their object in the place of mine, under my motions; without mine where they have none. */
-function withTheirs({ first_id: mine, second_id: theirs, motion }) {
+function withTheirs(own, { second_id: theirs, motion }) {
   const { doc, compared } = state;
-  const own = objectOf(doc, mine);
   if (theirs === null) return { ...doc, objects: doc.objects.filter((item) => item !== own) };
   const { kind, key_frames, motion: number, ...other } = compared.theirs.find((item) => item.id === theirs);
   // Two objects of one motion stay of one.
   const keys = compared.theirs.filter((item) => item.motion === number).flatMap((item) => item.key_frames);
   const same = doc.objects.find((item) => item.key_frames.some((key) => keys.includes(key)));
   const taken = { kind, key_frames: [...key_frames], motion: motion ?? same?.motion ?? nextMotion(doc) };
-  return own ? changeObject(doc, mine, taken) : addObject(doc, { ...other, ...taken });
+  return own ? changeObject(doc, own.id, taken) : addObject(doc, { ...other, ...taken });
 }
 
 // What was taken from the other annotator, kept in the document: undo takes it back, a merge carries it.
@@ -268,9 +275,17 @@ function conclude(how, change) {
   else visit(open);
 }
 
-function redrawThis({ first_id: mine }) {
+/** Take theirs; what is locked stays. */
+function takeTheirs(here) {
+  const own = ownOf(state.compared.at, state.doc);
+  if (own && !editable(own)) return;
+  conclude("theirs", () => withTheirs(own, here));
+}
+
+function redrawThis() {
+  const own = ownOf(state.compared.at, state.doc);
   conclude("redraw");
-  if (objectOf(state.doc, mine)) redraw("region");
+  if (own) redraw("region");
   else setTool("draw");
 }
 
@@ -282,9 +297,9 @@ function drawDifference() {
   const theirs = here.second_id === null ? "Delete, as theirs" : "Take theirs";
   strip("differences", `${at + 1} of ${objects.length}: ${here.verdict}, IoU ${here.iou.toFixed(2)}`
     + (settledAs(at) && ` (${settledAs(at)})`),
-  button(theirs, () => conclude("theirs", () => withTheirs(here))),
+  settledAs(at) === "theirs" ? faint("Ctrl+Z takes it back") : button(theirs, () => takeTheirs(here)),
   button(here.first_id === null ? "Leave out" : "Keep mine", () => conclude("mine")),
-  button("Redraw", () => redrawThis(here)), next, button("List", list), button("Compare again", compare),
+  button("Redraw", redrawThis), next, button("List", list), button("Compare again", compare),
   button("Done", leave));
   return settledAs(at) === "redraw" || next.focus();
 }

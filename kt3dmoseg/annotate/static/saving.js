@@ -46,6 +46,7 @@ export const listClips = () => ask("").then(({ clips }) => clips);
 /** What the server has of the clip at hand. */
 export const saver = {
   clip: null,
+  folder: "",
   base: undefined,
   revision: 0,
   /** Whether this browser keeps them. */
@@ -67,9 +68,9 @@ let sending = null;
 let draftKept = true;
 
 /** Start from what the server has, and restore edits that did not reach it before the page was closed. */
-export async function startFrom(clip, doc) {
+export async function startFrom(clip, doc, folder) {
   clearTimeout(timer);
-  Object.assign(saver, { clip, base: doc, revision: doc.revision });
+  Object.assign(saver, { clip, folder, base: doc, revision: doc.revision });
   show("saved");
   for (const draft of await recover(clip)) {
     edit(merge(draft.base, draft.doc, state.doc).doc);
@@ -113,7 +114,9 @@ async function send() {
   if (state.saving.kind !== "offline") show("busy");
   try {
     const mine = { ...doc, revision, annotator: yourName() || doc.annotator };
-    const answer = await ask(clip, "annotation", mine, { method: "PUT", signal: AbortSignal.timeout(SAVING) });
+    const headers = { "content-type": "application/json", "x-folder": saver.folder };
+    const options = { method: "PUT", headers, signal: AbortSignal.timeout(SAVING) };
+    const answer = await ask(clip, "annotation", mine, options);
     if (clip !== saver.clip) return;
     Object.assign(saver, { base: doc, revision: answer.revision });
     if (saver.edited) schedule(SOON);
@@ -192,7 +195,7 @@ try {
   throw error;
 }
 
-const keyOf = (clip, owner) => `draft:${clip}:${owner}`;
+const keyOf = (clip, owner) => `draft:${clip}:${saver.folder}:${owner}`;
 
 let tab = "";
 

@@ -101,9 +101,8 @@ export function chosen() {
   return item;
 }
 
-/** The selected object where it may be changed, or a hint why not. */
-export function editable() {
-  const item = chosen();
+/** An object, by default the selected one, where it may be changed; or a hint why not. */
+export function editable(item = chosen()) {
   if (!item || !state.locked.has(item.id)) return item;
   notify(`${item.name} is locked: Shift+R unlocks it`);
   return null;
