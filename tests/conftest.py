@@ -63,5 +63,20 @@ def axe() -> str:
 
 
 @pytest.fixture
+def plugin(tmp_path, monkeypatch):
+    """A function that installs a package of one module behind an entry point of a group."""
+
+    def install(group: str, name: str, target: str, source: str) -> None:
+        folder = tmp_path / "installed" / name
+        (info := folder / f"their_{name}-1.0.dist-info").mkdir(parents=True)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: their-{name}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[{group}]\n{name} = {target}\n")
+        (folder / f"{target.partition(':')[0]}.py").write_text(source)
+        monkeypatch.syspath_prepend(folder)
+
+    return install
+
+
+@pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)

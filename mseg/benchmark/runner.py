@@ -413,10 +413,30 @@ class _Runs:
             for (name, seed), work in todo.items()
         ]
         tasks.sort(key=lambda task: -len(task.clip.evaluated) * task.clip.n_frames)
-        for done, (task, made) in enumerate(run_tasks(run_task, tasks, lost=lost_task, **where), 1):
+        total = len(tasks)
+        for done, (task, made) in enumerate(_made(tasks, **where), 1):
             yield from made.items()
+            total += 0 if made else len(task.work)  # each of which is to be run by itself
             if progress:
-                progress(done, len(tasks), task.name)
+                progress(done, total, task.name)
+
+
+def _made(tasks: Sequence[Task], **where: Any) -> Iterator[tuple[Task, dict[str, Outcome]]]:  # noqa: ANN401
+    """Run tasks; one of several methods that is lost has no outcomes, and each of them is run by itself.
+
+    So a method that ends its worker costs no other method the clip.
+    """
+    alone: list[Task] = []
+
+    def lost(task: Task, reason: str) -> dict[str, Outcome]:
+        if len(task.work) == 1:
+            return lost_task(task, reason)
+        alone.extend(replace(task, work={key: made}) for key, made in task.work.items())
+        return {}
+
+    yield from run_tasks(run_task, tasks, lost=lost, **where)
+    if alone:
+        yield from run_tasks(run_task, alone, lost=lost, **where)
 
 
 def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[str, Outcome]:

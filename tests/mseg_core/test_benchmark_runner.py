@@ -131,6 +131,33 @@ def test_tasks_whose_workers_died_count_as_failed(data, monkeypatch, tmp_path):
     assert not (tmp_path / "cache").exists()  # it is no result of the method
 
 
+KILLER = """
+import dataclasses, os
+import numpy as np
+import mseg
+
+@dataclasses.dataclass(frozen=True)
+class Killer:
+    def segment(self, clip, *, n_motions, rng):
+        if clip.name == "Seq005_Clip01":
+            os._exit(9)
+        return mseg.Segmentation(np.ones(len(clip.evaluated), dtype=int))
+"""
+
+
+def test_a_method_that_kills_its_worker_costs_no_other_method(data, plugin, serial):
+    plugin("mseg.methods", "killer", "killing:Killer", KILLER)
+    done = []
+    methods = ["affine", "killer", "subset"]
+    result = run("kt3dmoseg", methods, data=data, workers=2, progress=lambda *a: done.append(a))
+    [(made, clip, _, reason)] = result.failures
+    assert (made.method, clip) == ("killer", CLIPS[0])
+    assert "died 3 times" in reason
+    assert_array_equal(result.errors[[0, 2], :, 0], serial.errors[:, :, 0])
+    assert [n for n, *_ in done] == [1, 2, 3, 4, 5, 6]
+    assert done[-1][1] == 6
+
+
 def test_cached_outcomes_are_not_run_again(serial, data, tmp_path, monkeypatch):
     done = []
     kwargs = {"data": [data], "seeds": 2, "cache": tmp_path, "progress": lambda *a: done.append(a)}
