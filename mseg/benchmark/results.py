@@ -35,7 +35,7 @@ class Configuration:
 
     @property
     def title(self) -> str:
-        """Name for tables, with the parameters: ``"subset alpha=5"``."""
+        """Name for tables, with the parameters: ``"subset alpha=5.0"``."""
         return " ".join([self.method, *(f"{key}={value}" for key, value in self.parameters.items())])
 
 

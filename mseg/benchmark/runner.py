@@ -6,7 +6,7 @@ import platform
 import re
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -355,10 +355,19 @@ def _configure(
             named, own = configuration, {k: v for k, v in parameters.items() if k in known}
             unused = {k: v for k, v in unused.items() if k not in own}
             configuration = Configuration(configuration, own)
-        create(configuration.method, **configuration.parameters)
+        configuration = _without_defaults(configuration)
         made[configuration.title] = configuration
     create(named, **unused)  # which it does not have: raises the error that names the nearest
     return tuple(made.values())
+
+
+def _without_defaults(configuration: Configuration) -> Configuration:
+    """Keep the parameters that differ from the defaults, as the method has them, however they were typed."""
+    default: Any = create(configuration.method)
+    method: Any = create(configuration.method, **configuration.parameters)
+    values = {field.name: getattr(method, field.name) for field in fields(method) if field.init}
+    own = {name: value for name, value in values.items() if value != getattr(default, name)}
+    return Configuration(configuration.method, own)
 
 
 def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:

@@ -331,6 +331,16 @@ def test_parameters_go_to_the_methods_that_have_them(data):
         run("kt3dmoseg", ["coreg"], data=[data], parameters={"lan": 1})
 
 
+def test_a_configuration_is_known_by_what_differs_from_the_defaults(data):
+    typed = [{"lam": "0.1"}, {"lam": 0.10}, {"lam": create("coreg").lam}, {}]
+    result = run("kt3dmoseg", [Configuration("coreg", each) for each in typed], data=data)
+    assert [c.title for c in result.configurations] == ["coreg lam=0.1", "coreg"]
+    assert result.as_dict()["methods"][0] == {"method": "coreg", "parameters": {"lam": 0.1}}
+    result = run("kt3dmoseg", "affine", data=data, parameters={"hypotheses": "500", "alpha": "5"})
+    assert [c.title for c in result.configurations] == ["affine alpha=5.0"]
+    assert create("affine").hypotheses == 500
+
+
 def test_predictions_resume_and_do_not_mix(data, tmp_path):
     out, done = tmp_path / "predictions", []
     predict(data, out, "affine", seeds=2, progress=lambda *a: done.append(a))
