@@ -29,6 +29,7 @@ from kt3dmoseg import __version__
 from kt3dmoseg.errors import FileFormatError, InvalidValueError, KT3DMoSegError
 from kt3dmoseg.options import presets
 from kt3dmoseg.registry import unknown_name
+from kt3dmoseg.text import count
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
@@ -289,7 +290,7 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
         _check_tables(app, tables, file)
         app.config = [Dict(tables, source=file), _prefer_line]
     _HELP.everything = "--help-all" in words
-    words = ["--help" if word == "--help-all" else word for word in words]
+    words = _join_dash(["--help" if word == "--help-all" else word for word in words])
     asks_help = not words or "--help" in words or "-h" in words
     chain, apps, rest = app.parse_commands(words)
     _RUNNING[:] = apps[-1:]
@@ -307,6 +308,17 @@ def _run(app: cyclopts.App, words: list[str]) -> int:
     if asks_help:
         print(f"\n{_FOOTER}")
     return getattr(code, "exit_code", code if isinstance(code, int) else 0) if words else _USAGE
+
+
+def _join_dash(words: list[str]) -> list[str]:
+    """Write ``--json -`` as ``--json=-``: by itself, cyclopts takes ``-`` for an option."""
+    joined: list[str] = []
+    for word in words:
+        if word == "-" and joined[-1:] == ["--json"]:
+            joined[-1] = "--json=-"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _prefer_line(_: object, commands: object, arguments: cyclopts.ArgumentCollection) -> None:
@@ -354,6 +366,9 @@ def _mistake(error: cyclopts.CycloptsError) -> str:
         return f"unexpected argument {(error.unused_tokens or ['?'])[0]!r}"
     names = sorted(error.argument.names, key=len) or [error.argument.name] if error.argument else []
     if isinstance(error, cyclopts.MissingArgumentError) and names:
+        if isinstance(error, cyclopts.ConsumeMultipleError) and error.actual_count:
+            most = count(error.max_allowed or 1, "value")
+            return f"argument {error.keyword}: expected at most {most}, found {error.actual_count}"
         if error.keyword:
             return f"argument {error.keyword}: expected a value"
         return f"the following arguments are required: {'/'.join(names)}"

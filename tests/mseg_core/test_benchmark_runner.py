@@ -489,7 +489,13 @@ def test_command_line(data, tmp_path, capsys):
     assert main([*cached, str(tmp_path / "all.json")]) == 0
     assert "3 of 22 clips" in capsys.readouterr().out
     assert main(cached) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "all.json").read_text())
+    printed = capsys.readouterr().out
+    assert json.loads(printed) == json.loads((tmp_path / "all.json").read_text())
+    for dash in (["-"], ["-", "--markdown"]):
+        assert main([*cached, *dash]) == 0
+        assert capsys.readouterr().out == printed
+    assert main([*cached, "a", "b"]) == 2
+    assert "argument --json: expected at most 1 value, found 2 (see" in capsys.readouterr().err
     assert main([*command, "-p", "alpah=2", "--no-cache", "--quiet"]) == 2
     assert "did you mean 'alpha'" in capsys.readouterr().err
 
