@@ -53,6 +53,7 @@ def from_mapping(cls: type[T], values: Mapping[str, Any], *, where: str = "") ->
     The name of a `Preset` takes true or false. A misspelt key is an UnknownNameError with the nearest name, a
     value of the wrong type or out of bounds an InvalidValueError; they begin with `where`, as a file's name.
     """
+    _check_class(cls, where)
     hints, known, prefix = typing.get_type_hints(cls), option_names(cls), f"{where}: " if where else ""
     given: dict[str, Any] = {}
     preset: dict[str, Any] = {}
@@ -103,9 +104,22 @@ def parse_assignments(pairs: Iterable[str]) -> dict[str, str]:
     return out
 
 
-def describe(cls: type[Any]) -> list[tuple[str, str, str]]:
-    """List (name, default, help) of every option, for help texts and docs."""
+def describe(cls: type[Any], *, where: str = "") -> list[tuple[str, str, str]]:
+    """List (name, default, help) of every option, for help texts and docs; of others an InvalidValueError."""
+    _check_class(cls, where)
     return [(s.name, repr(s.default), s.metadata.get("help", "")) for s in dataclasses.fields(cls)]
+
+
+def _check_class(cls: object, where: str) -> None:
+    """Refuse what is no class of options: the entry point of a third party may name anything."""
+    found = f"{cls!r:.200}"
+    if isinstance(cls, type) and dataclasses.is_dataclass(cls):
+        given = (spec for spec in dataclasses.fields(cls) if spec.init)
+        bare = [s.name for s in given if s.default is dataclasses.MISSING is s.default_factory]
+        if not bare:
+            return
+        found += f" without one of {', '.join(bare)}"
+    raise InvalidValueError(where, expected="a dataclass with a default for every field", found=found)
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:  # noqa: ANN401

@@ -16,7 +16,7 @@ from os import PathLike
 from types import FunctionType, NoneType, UnionType
 from typing import Any, TypeVar
 
-from kt3dmoseg.errors import InvalidValueError, UnknownNameError
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError, MissingDependencyError, UnknownNameError
 
 CallT = TypeVar("CallT", bound=Callable[..., Any])
 _WORDS: dict[Any, str] = {PathLike: "a path", str: "text", Callable: "a function"}
@@ -46,13 +46,28 @@ class Registry:
         return list(self.targets())
 
     def load(self, name: str) -> Any:  # noqa: ANN401  # the object behind the name, of the table's kind
-        """Import and return the object named `name`; an `UnknownNameError` proposes the nearest name."""
+        """Import and return the object named `name`; an `UnknownNameError` proposes the nearest name.
+
+        A KT3DMoSegError when it cannot be imported, where a package is missing a MissingDependencyError.
+        """
         # Third parties' names are looked for only when needed: that reads a file of every package.
         target = self.table.get(name) or self.targets().get(name)
         if target is None:
             raise unknown_name(self.kind, name, self.names())
         module, _, attribute = target.partition(":")
-        return getattr(import_module(module), attribute)
+        try:
+            return getattr(import_module(module), attribute)
+        except KT3DMoSegError:
+            raise
+        except Exception as error:  # a third party's module may raise anything
+            raise not_loaded(f"{self.kind} {name!r}", target, error) from error
+
+
+def not_loaded(where: str, target: str, error: Exception) -> KT3DMoSegError:
+    """Make the error for a "module:attribute" target that cannot be imported."""
+    kind = MissingDependencyError if isinstance(error, ImportError) else KT3DMoSegError
+    expected, found = f"an importable {target}", f"{type(error).__name__}: {error}"
+    return kind(where, expected=expected, found=found, fix="repair or uninstall the package that names it")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -19,7 +19,7 @@ from cyclopts.validators import MutuallyExclusive
 
 from kt3dmoseg import app
 from kt3dmoseg.app import Dask, Either, File, Flag, Folder, Json, Name, Parameters, Positive, group
-from kt3dmoseg.errors import InvalidValueError
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
 from kt3dmoseg.options import describe, parse_assignments
 from kt3dmoseg.text import count
 from mseg.errors import SegmentationError
@@ -68,7 +68,7 @@ def methods(
     """List the methods, or describe one: source, input, cost and parameters."""
     from mseg.methods import METHODS
 
-    found = [_described(name) for name in ([method] if method else METHODS.names())]
+    found = [_described(method)] if method else [_listed(name) for name in METHODS.names()]
     if json:
         print(json_.dumps(found, indent=1))
     elif method:
@@ -82,14 +82,19 @@ def methods(
             print(f"{each['name']:<{width}}  {purpose}")
 
 
+def _listed(name: str) -> dict[str, Any]:
+    try:
+        return _described(name)
+    except KT3DMoSegError as error:
+        return {"name": name, "description": f"(not available: {error})", "parameters": []}
+
+
 def _described(name: str) -> dict[str, Any]:
     from mseg.methods import METHODS
 
-    try:
-        cls = METHODS.load(name)
-    except ImportError as error:
-        return {"name": name, "description": f"(not available: {error})", "parameters": []}
-    parameters = [dict(zip(("name", "default", "help"), row, strict=True)) for row in describe(cls)]
+    cls = METHODS.load(name)
+    rows = describe(cls, where=f"method {name}")
+    parameters = [dict(zip(("name", "default", "help"), row, strict=True)) for row in rows]
     return {"name": name, "description": inspect.cleandoc(cls.__doc__ or ""), "parameters": parameters}
 
 

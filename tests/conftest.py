@@ -71,7 +71,9 @@ def plugin(tmp_path, monkeypatch):
         (info := folder / f"their_{name}-1.0.dist-info").mkdir(parents=True)
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: their-{name}\nVersion: 1.0\n")
         (info / "entry_points.txt").write_text(f"[{group}]\n{name} = {target}\n")
-        (folder / f"{target.partition(':')[0]}.py").write_text(source)
+        module = target.partition(":")[0]
+        (folder / f"{module}.py").write_text(source)
+        monkeypatch.delitem(sys.modules, module, raising=False)  # of another test
         monkeypatch.syspath_prepend(folder)
 
     return install

@@ -455,9 +455,10 @@ def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[st
         for key, made in task.work.items():
             saved, start = cache.saved_seconds, time.process_time()
             labels, reason, notes = np.zeros(0, dtype=np.int64), "", ()
+            method = create(made.method, **made.parameters)  # a worker that lacks it ends the run
             try:
-                given: Any = {"n_motions": task.n_motions, "seed": task.seed, **made.parameters}
-                found = segment(task.clip, made.method, rows=task.rows, **given)
+                given: Any = {"n_motions": task.n_motions, "seed": task.seed}
+                found = segment(task.clip, method, rows=task.rows, **given)
                 labels, notes = np.array(found.labels), found.report["notes"]
             except MemoryError as error:  # says nothing of the method either
                 outcomes |= lost_task(replace(task, work={key: made}), f"{error}" or "no memory is left")

@@ -76,7 +76,9 @@ def create(name: str, **parameters: Any) -> Method:  # noqa: ANN401
     UnknownNameError
         For an unknown method or a misspelt parameter, with the nearest name.
     InvalidValueError
-        For a parameter of the wrong type or out of bounds.
+        For a parameter of the wrong type or out of bounds, or a method that is no dataclass with defaults.
+    KT3DMoSegError
+        For a method of a third party that cannot be imported.
     """
     method: Method = from_mapping(METHODS.load(name), parameters, where=f"method {name}")
     return method

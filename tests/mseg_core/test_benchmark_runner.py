@@ -517,6 +517,53 @@ def test_methods_command(capsys):
     }.items()
 
 
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        (
+            "",
+            "expected an importable theirs:Bad, found AttributeError: module 'theirs' has no attribute 'Bad'",
+        ),
+        (
+            "import no_such_package",
+            "theirs:Bad, found ModuleNotFoundError: No module named 'no_such_package'",
+        ),
+        ("1 / 0", "found ZeroDivisionError: division by zero; repair or uninstall the package that names it"),
+        ("def", "found SyntaxError: invalid syntax"),
+        ("class Bad: pass", "a default for every field, found <class 'theirs.Bad'>"),
+        (
+            "import dataclasses\n@dataclasses.dataclass\nclass Bad:\n    size: int",
+            "Bad'> without one of size",
+        ),
+    ],
+)
+def test_a_broken_method_of_another_package_is_one_line(data, plugin, capsys, source, found):
+    plugin("mseg.methods", "bad", "theirs:Bad", source)
+    assert main(["methods"]) == 0
+    [line] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("bad ")]
+    assert "(not available: method " in line
+    assert found in line
+    run_bad = ["run", str(data), "-o", str(data.parent / "bad"), "--method", "bad"]
+    for command in (
+        ["methods", "bad"],
+        run_bad,
+        ["benchmark", "kt3dmoseg", "--methods", "bad", "--no-cache"],
+    ):
+        assert main([*command, *(["--data", str(data)] if command[0] == "benchmark" else [])]) == 2
+        printed = capsys.readouterr().err
+        assert printed.count("\n") == 1
+        assert found in printed
+    with pytest.raises(KT3DMoSegError, match=re.escape(found)):
+        mseg.segment(load(data / f"{CLIPS[0]}.h5"), "bad")
+
+
+def test_a_worker_that_lacks_a_method_ends_the_run(tasks, monkeypatch):
+    real = METHODS.load
+    monkeypatch.setattr(METHODS, "load", lambda name: real(name if name == "affine" else "theirs"))
+    with pytest.raises(KT3DMoSegError, match="unknown method 'theirs'"):
+        run_task(tasks[0])
+
+
 def test_one_run_at_a_time_writes_into_a_folder_and_none_into_the_data(data, tmp_path):
     out = tmp_path / "predictions"
     with hold_folder(out), pytest.raises(KT3DMoSegError, match="another run running in this folder"):
