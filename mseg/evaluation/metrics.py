@@ -5,13 +5,15 @@ group ``mseg.metrics``.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cache, lru_cache
-from importlib.metadata import entry_points
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache, wraps
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
 
 import numpy as np
 
+from kt3dmoseg.errors import InvalidValueError, KT3DMoSegError
+from kt3dmoseg.registry import not_loaded
 from kt3dmoseg.types import FloatArray, IntArray
 from mseg.evaluation.contingency import Contingency, assign, contingency  # noqa: F401  # in the examples
 
@@ -237,9 +239,35 @@ METRICS = {
 
 @cache
 def all_metrics() -> dict[str, Metric]:
-    """Every metric by name, third parties' included."""
+    """Every metric by name, third parties' included; a KT3DMoSegError for one of them that is of no use."""
     others = {each.name: each for each in entry_points(group="mseg.metrics")}
-    return METRICS | {name: each.load() for name, each in others.items() if name not in METRICS}
+    return METRICS | {name: _load(each) for name, each in others.items() if name not in METRICS}
+
+
+def _load(point: EntryPoint) -> Metric:
+    """Import a third party's metric; whatever it raises when it is computed names it and its package."""
+    where = f"metric {point.name!r} of the package {point.dist.name if point.dist else 'unknown'}"
+    try:
+        metric = point.load()
+    except Exception as error:  # a third party's module may raise anything
+        raise not_loaded(where, point.value, error) from error
+    if not isinstance(metric, Metric):
+        found, fix = f"{metric!r:.200}", "repair or uninstall the package"
+        raise InvalidValueError(where, expected="a mseg.evaluation.metrics.Metric", found=found, fix=fix)
+    function, worst = (_guarded(call, where) for call in (metric.function, metric.worst))
+    return replace(metric, function=function, worst=worst)
+
+
+def _guarded(call: Callable[[Any], float], where: str) -> Callable[[Any], float]:
+    @wraps(call)
+    def guarded(given: Any) -> float:  # noqa: ANN401
+        try:
+            return float(call(given))
+        except Exception as error:
+            found, fix = f"{type(error).__name__}: {error}", "repair or uninstall the package"
+            raise KT3DMoSegError(where, expected="a number", found=found, fix=fix) from error
+
+    return guarded
 
 
 def evaluate(table: Contingency) -> dict[str, float]:

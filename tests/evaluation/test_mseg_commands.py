@@ -10,6 +10,7 @@ import kt3dmoseg
 import mseg.cli
 from mseg.benchmark import runner
 from mseg.evaluation import SubmissionMeta
+from mseg.evaluation.metrics import all_metrics
 
 
 @pytest.fixture
@@ -63,6 +64,44 @@ def test_seed_is_not_taken_for_seeds(data, tmp_path, capsys):
 def test_scores_have_one_form(data, tmp_path, capsys):
     printed = usage_error(capsys, "score", str(perfect(tmp_path / "s")), data, "--json", "--csv")
     assert "Mutually exclusive arguments: {--json, --csv}" in printed
+
+
+METRIC = "from mseg.evaluation.metrics import Metric\nmetric = Metric({}, 'theirs', 'higher', {})"
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("", "an importable their_metric:metric, found AttributeError: module 'their_metric' has no"),
+        ("import no_such_package", "found ModuleNotFoundError: No module named 'no_such_package'; repair or"),
+        (
+            "metric = len",
+            "expected a mseg.evaluation.metrics.Metric, found <built-in function len>; repair or",
+        ),
+        (
+            METRIC.format("lambda table: 1 / 0", "float"),
+            "a number, found ZeroDivisionError: division by zero",
+        ),
+        (
+            METRIC.format("lambda table: None", "float"),
+            "expected a number, found TypeError: float() argument",
+        ),
+        (METRIC.format("lambda table: table.n", "float"), ""),
+    ],
+)
+def test_a_broken_metric_of_another_package_is_one_line(data, tmp_path, capsys, plugin, source, found):
+    plugin("mseg.metrics", "extra", "their_metric:metric", source)
+    all_metrics.cache_clear()
+    try:
+        if found:
+            printed = usage_error(capsys, "score", str(perfect(tmp_path / "s")), data)
+            assert "metric 'extra' of the package their-extra: expected " in printed
+            assert found in printed
+        else:
+            scores = mseg.score(data, perfect(tmp_path / "s"))
+            assert all(clip.values["extra"] == clip.n for clip in scores.clips)
+    finally:
+        all_metrics.cache_clear()
 
 
 def test_the_command_line_chooses_another_form_than_the_file(data, tmp_path, capsys):
