@@ -432,3 +432,18 @@ def test_copies_that_follow_fast_are_all_made(page):
     page.press("c", "c", "c")
     assert [key["frame"] for key in page.objects()[0]["key_frames"]] == [0, 1, 2, 3]
     let_go(page, "**/regions", held)
+
+
+def test_two_strokes_that_follow_fast_are_no_double_click_that_ends_an_outline(page):
+    page.draw()
+    page.press("Shift+P")
+    mouse = page.tab.mouse
+    for count in (1, 2):
+        mouse.move(*page.at((138, 100)))
+        mouse.down(click_count=count)
+        mouse.move(*page.at((152, 100)), steps=8)
+        mouse.up(click_count=count)
+    assert page.value("labeller.state.tool") == "brush"
+    page.until("!labeller.state.pending.points.length")
+    xs = [x for x, _ in page.objects()[0]["key_frames"][0]["polygons"][0]]
+    assert min(xs) < 62 < 150 < max(xs)

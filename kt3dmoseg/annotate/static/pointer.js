@@ -172,7 +172,8 @@ function release(event) {
 }
 
 function doubleClick(event) {
-  if (state.pending) return state.pending.points.length >= 3 && actions.finish();
+  const { pending, tool } = state;
+  if (pending) return ["draw", "lasso"].includes(tool) && pending.points.length >= 3 && actions.finish();
   if (!editable()) return undefined;
   const { point } = at(event);
   const { polygons } = actions.regionHere();
