@@ -447,3 +447,20 @@ def test_two_strokes_that_follow_fast_are_no_double_click_that_ends_an_outline(p
     page.until("!labeller.state.pending.points.length")
     xs = [x for x, _ in page.objects()[0]["key_frames"][0]["polygons"][0]]
     assert min(xs) < 62 < 150 < max(xs)
+
+
+def test_space_plays_after_a_click_on_a_button_and_presses_one_chosen_by_key(page):
+    page.draw()
+    page.draw(THERE)
+    page.tab.locator("#motions [value='3']").click()
+    page.press("[", "Space")
+    assert page.value("labeller.state.playing")
+    page.press("Space")
+    assert [motion for _, motion in named(page)] == [1, 3]
+    for clicked in ("#undo", ".entry .object", "#properties [value=occluded]"):
+        page.tab.locator(clicked).first.click()
+        page.value("new Promise(requestAnimationFrame)")  # the list is drawn again
+        assert page.value("document.activeElement.id") == "stage"
+    page.tab.locator("#redo, #undo").first.focus()
+    page.press("Enter")
+    assert page.value("document.activeElement.id") == "undo"

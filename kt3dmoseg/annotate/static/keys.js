@@ -171,6 +171,11 @@ addEventListener("keydown", (event) => {
   if ((!event.altKey || "[]".includes(event.key)) && press(nameOf(event))) event.preventDefault();
 });
 
+// A button that the pointer pressed does not keep Space and Enter to itself.
+addEventListener("click", ({ detail, target }) => {
+  if (detail && target.closest(":is(#bar, #zoom, #panel) button")) byId("stage").focus({ preventScroll: true });
+});
+
 for (const b of document.querySelectorAll("[data-key]")) {
   const { shown, text } = TABLE.get(b.dataset.key);
   b.title = `${text[0].toUpperCase()}${text.slice(1)} (${here(shown)})`;
