@@ -49,7 +49,8 @@ def test_escape_takes_back_what_the_pointer_began(page, keys):
     )
 
 
-def test_escape_puts_a_key_frame_on_the_timeline_back(page):
+@pytest.mark.parametrize("how", ["Escape", "pointercancel"])
+def test_a_key_frame_on_the_timeline_that_is_not_let_go_is_put_back(page, how):
     page.press("ArrowRight", "ArrowRight", "ArrowRight")
     page.draw()
     box = page.box("#timeline")
@@ -58,7 +59,10 @@ def test_escape_puts_a_key_frame_on_the_timeline_back(page):
     page.tab.mouse.down()
     page.tab.mouse.move(box["x"] + 1.5 * column, y, steps=4)
     page.until("labeller.state.dragging")
-    page.press("Escape")
+    if how == "Escape":
+        page.press("Escape")
+    else:
+        page.tab.locator("#timeline").dispatch_event(how)
     page.tab.mouse.move(box["x"] + 1.4 * column, y, steps=2)
     page.tab.mouse.up()
     assert [key["frame"] for key in page.objects()[0]["key_frames"]] == [3]
@@ -464,3 +468,15 @@ def test_space_plays_after_a_click_on_a_button_and_presses_one_chosen_by_key(pag
     page.tab.locator("#redo, #undo").first.focus()
     page.press("Enter")
     assert page.value("document.activeElement.id") == "undo"
+
+
+@pytest.mark.parametrize("place", [(100, 100), (100, 70), (60, 70)], ids=["inside", "edge", "point"])
+def test_a_click_on_a_region_that_trembles_changes_nothing(page, place):
+    page.draw()
+    before = page.objects()
+    x, y = page.at(place)
+    page.tab.mouse.move(x, y)
+    page.tab.mouse.down()
+    page.tab.mouse.move(x + 1, y)
+    page.tab.mouse.up()
+    assert page.objects() == before

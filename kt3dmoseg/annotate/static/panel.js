@@ -7,7 +7,7 @@ import { clamp, keyAt, objectOf } from "./annotation.js";
 import {
   BACKGROUND, PROBLEM, REJECTED, begin, button, byId, chip, colourOfMotion, element, faint, fill, hatch, meaningOf, signOf,
 } from "./dom.js";
-import { edit, now, on, preview, regionOf, select, selectedObject, set, state, toggleObject } from "./state.js";
+import { cancel, edit, now, on, preview, regionOf, select, selectedObject, set, state, toggleObject } from "./state.js";
 import { nextProblem, problems } from "./tracks.js";
 import { fitObject, goTo } from "./view.js";
 
@@ -304,7 +304,7 @@ function writeText() {
 }
 
 addEventListener("keydown", ({ key }) => key === "Escape" && (drag = null), true);
-Object.assign(canvas, { onpointerdown: down, onpointermove: move, onpointerup: up, onpointercancel: up });
+Object.assign(canvas, { onpointerdown: down, onpointermove: move, onpointerup: up, onpointercancel: () => (drag = null, cancel()) });
 canvas.addEventListener("wheel", wheel, { passive: false });
 now(["frame"], follow);
 on(["doc", "frame", "selected", "clip", "regions", "weak", "scrolled", "resized", "span", "theme"], drawTimeline);

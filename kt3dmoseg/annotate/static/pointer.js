@@ -8,6 +8,8 @@ import { pan, stop, toImage, toScreen, zoom } from "./view.js";
 
 const REACH = 8;
 const FREEHAND = 4;
+// Dragged less, a press is a click.
+const STILL = 2;
 // Pixels of a line of a wheel; the most that one notch counts while zooming; zoom for a pixel of pinching.
 const LINE = 16;
 const NOTCH = 25;
@@ -54,7 +56,7 @@ function grab(point, screen) {
   const own = selectedObject();
   const item = state.hidden || !own || state.unseen.has(own.id) || state.locked.has(own.id) ? null : own;
   const { polygons, visibility } = item ? actions.regionHere() : { polygons: [] };
-  const reshaping = (...change) => reshape(item, visibility === "occluded" ? visibility : "visible", ...change);
+  const reshaping = (...change) => reshape(item, visibility === "occluded" ? visibility : "visible", screen, ...change);
   const vertex = nearestVertex(point, polygons, reach);
   if (vertex) {
     set({ vertex });
@@ -69,8 +71,9 @@ function grab(point, screen) {
 }
 
 /** Drag a region, or a point of it; `change` makes its polygons from where the pointer is. */
-const reshape = (item, visibility, vertex, change) => ({
-  move(_, point) {
+const reshape = (item, visibility, from, vertex, change) => ({
+  move(screen, point) {
+    if (!state.dragging && distance(screen, from) < STILL) return;
     preview(setKey(state.doc, item.id, state.frame, change(point).map(rounded), visibility));
     set({ vertex });
   },
