@@ -480,3 +480,25 @@ def test_a_click_on_a_region_that_trembles_changes_nothing(page, place):
     page.tab.mouse.move(x + 1, y)
     page.tab.mouse.up()
     assert page.objects() == before
+
+
+@pytest.mark.parametrize("key", ["7", "Delete"])
+def test_keys_while_a_new_object_is_drawn_leave_the_one_before_alone(page, key):
+    page.draw()
+    before = page.objects()
+    page.press("n")
+    for corner in THERE[:2]:
+        page.click(corner)
+    page.press(key)
+    assert page.objects() == before
+
+
+def test_a_lasso_is_dropped_when_another_object_is_selected(page):
+    page.draw()
+    page.press("Escape", "Escape", "q")
+    page.drag((200, 20), (260, 20), (260, 60), (200, 60), (200, 22), steps=8)
+    page.until("labeller.state.lassoed")
+    page.click((100, 100))
+    page.tab.locator("#motions [value='5']").click()
+    assert named(page) == [("object 1", 5)]
+    assert not page.value("labeller.state.doc.marks?.length")

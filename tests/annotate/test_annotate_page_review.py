@@ -135,6 +135,17 @@ def test_what_the_build_proposed_is_shown_until_somebody_has_drawn(context, equi
     assert page.errors == again.errors == []
 
 
+def test_keys_in_a_review_leave_what_was_accepted_before_alone(reviewer):
+    reviewer.press("s")
+    button(reviewer, "masks").click()
+    reviewer.until("labeller.state.review && document.activeElement.textContent === 'Accept'")
+    reviewer.press("Enter")
+    reviewer.until("labeller.state.review?.item && labeller.state.doc.objects.length === 1")
+    before = reviewer.objects()
+    reviewer.press("x", "7", "Delete")
+    assert reviewer.objects() == before
+
+
 def test_escape_ends_the_review_and_keeps_nothing(reviewer):
     reviewer.press("s")
     button(reviewer, "masks").click()

@@ -63,6 +63,7 @@ export function setTool(tool, mode = "object") {
   const pending = tool === "select" ? null : { points: [], mode, freehand: false, id: state.selected };
   set({ tool, pending, lassoed: null, vertex: null, cross: state.keyboard ? state.cross : null });
   if (tool === "click") deselect();
+  else if (tool === "draw" && mode === "object") inTurn(() => state.tool === tool && select(null));
 }
 
 export const redraw = withObject((_, mode, tool = "draw") => setTool(tool, mode));

@@ -81,7 +81,7 @@ function review(at) {
   const item = proposals[index];
   const { frame, polygons } = item.key_frames.find((key) => key.polygons.length);
   goTo(frame);
-  set({ review: { item, index } });
+  set({ review: { item, index }, selected: null, vertex: null }); // keys would change one accepted before
   return showBox(boundsOf(polygons));
 }
 

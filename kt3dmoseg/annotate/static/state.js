@@ -114,7 +114,7 @@ export function toggleObject(kind, id = chosen()?.id) {
 }
 
 export function select(id) {
-  if (id !== state.selected) set({ selected: id, vertex: null });
+  if (id !== state.selected) set({ selected: id, vertex: null, lassoed: null });
 }
 
 /** The server's regions, where they are of this object and not of one that had its number. */
