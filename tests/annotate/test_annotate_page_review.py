@@ -135,6 +135,23 @@ def test_what_the_build_proposed_is_shown_until_somebody_has_drawn(context, equi
     assert page.errors == again.errors == []
 
 
+def test_an_outline_that_crosses_itself_is_filled_as_it_is_labelled(page):
+    turns = 4 * np.pi * np.arange(5) / 5
+    page.draw([(150 + 80 * np.sin(a), 100 - 80 * np.cos(a)) for a in turns.tolist()])
+    page.press("Shift+B")
+    (x, y), box = page.at((150, 100)), page.box("#stage")
+    block = f"{round(x - box['x'] - 8)}, {round(y - box['y'] - 8)}, 16, 16"
+    layer = "document.getElementById('regions').getContext('2d')"
+    inked = f"Math.max(...{layer}.getImageData({block}).data.filter((_, k) => k % 4 === 3))"
+    page.value("new Promise(requestAnimationFrame)")
+    assert page.value(inked) == 0
+    page.press("Shift+B", "Escape")
+    page.draw([(130, 80), (170, 80), (170, 120), (130, 120)])
+    page.press("2")
+    page.value("new Promise(requestAnimationFrame)")
+    assert page.value(inked) == 0  # they overlap elsewhere
+
+
 def test_keys_in_a_review_leave_what_was_accepted_before_alone(reviewer):
     reviewer.press("s")
     button(reviewer, "masks").click()

@@ -45,7 +45,7 @@ function drawObject(one, frame, shown) {
     const path = outline(polygon, colour, hidden ? [1.5, 6] : key ? [] : [10, 3], chosen ? 2.5 : 1.5);
     context.globalAlpha = state.opacity * (hidden ? 0 : chosen ? 0.16 : item.id === state.hovered ? 0.14 : 0.07);
     context.fillStyle = colour;
-    context.fill(path);
+    context.fill(path, "evenodd");
     context.globalAlpha = 1;
   }
   context.restore();
@@ -74,9 +74,9 @@ function drawOverlaps(shown) {
   moving.forEach((one, k) => one.polygons.forEach((polygon) => {
     context.save();
     cutOut(one, shown);
-    context.clip(pathOf(polygon));
+    context.clip(pathOf(polygon), "evenodd");
     const others = moving.slice(0, k).filter(({ item }) => item.motion !== one.item.motion);
-    for (const theirs of others.flatMap(({ polygons }) => polygons)) context.fill(pathOf(theirs));
+    for (const theirs of others.flatMap(({ polygons }) => polygons)) context.fill(pathOf(theirs), "evenodd");
     context.restore();
   }));
 }
