@@ -502,3 +502,12 @@ def test_a_lasso_is_dropped_when_another_object_is_selected(page):
     page.tab.locator("#motions [value='5']").click()
     assert named(page) == [("object 1", 5)]
     assert not page.value("labeller.state.doc.marks?.length")
+
+
+def test_a_small_square_keeps_its_fourth_corner(page):
+    x, y = page.at((100, 100))
+    page.press("n")
+    for dx, dy in ((0, 0), (6, 0), (6, 6), (0, 6)):
+        page.tab.mouse.click(x + dx, y + dy)
+    page.press("Enter")
+    assert [len(item["key_frames"][0]["polygons"][0]) for item in page.objects()] == [4]

@@ -8,6 +8,8 @@ import { pan, stop, toImage, toScreen, zoom } from "./view.js";
 
 const REACH = 8;
 const FREEHAND = 4;
+// How near to its first point a click closes an outline.
+const CLOSE = 3;
 // Dragged less, a press is a click.
 const STILL = 2;
 // Pixels of a line of a wheel; the most that one notch counts while zooming; zoom for a pixel of pinching.
@@ -147,7 +149,7 @@ function drawing(from, start) {
     },
     up(point) {
       const { points } = state.pending;
-      const closing = points.length >= 3 && distance(toScreen(points[0]), toScreen(point)) < REACH;
+      const closing = points.length >= 3 && distance(toScreen(points[0]), toScreen(point)) < CLOSE;
       if (moved ? points.length > 8 : closing) actions.finish();
       else if (!moved) actions.addPoint(snapped(point));
     },
