@@ -511,3 +511,13 @@ def test_a_small_square_keeps_its_fourth_corner(page):
         page.tab.mouse.click(x + dx, y + dy)
     page.press("Enter")
     assert [len(item["key_frames"][0]["polygons"][0]) for item in page.objects()] == [4]
+
+
+def test_an_outline_smaller_than_a_pixel_is_refused(page):
+    page.draw([(60, 70), (100, 100), (140, 130)])
+    page.shows("#hint", "smaller than a pixel")
+    assert page.objects() == []
+    for corner in ((60, 70), (140, 130), (140, 70), (60, 130)):  # its two halves turn in opposite directions
+        page.click(corner)
+    page.press("Enter")
+    assert len(page.objects()) == 1

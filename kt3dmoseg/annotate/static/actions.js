@@ -1,7 +1,7 @@
 // What a person can do to the annotation, by key, button or pointer.
 
 import {
-  addObject, boundsOf, changeObject, clamp, distance, inside, keyAt, middle, objectOf, rounded, setKey, simplify, splice,
+  addObject, areaOf, boundsOf, changeObject, clamp, distance, inside, keyAt, middle, objectOf, rounded, setKey, simplify, splice,
 } from "./annotation.js";
 import { nextOf } from "./dom.js";
 import { ask } from "./saving.js";
@@ -74,6 +74,10 @@ export function finish() {
   if (!pending || pending.points.length < 3) return notify("An outline needs at least three points");
   const { points, mode, freehand, id } = pending;
   const polygon = rounded(freehand ? simplify(points, 0.8 / Math.sqrt(state.view.scale)) : points);
+  if (tool !== "lasso" && areaOf(polygon) < 1) {
+    set({ pending: { ...pending, points: [], freehand: false } });
+    return notify("This outline is smaller than a pixel: draw it again");
+  }
   setTool("select");
   if (tool === "lasso") return catchTracks(frame, polygon);
   if (mode !== "object" && objectOf(state.doc, id)) {

@@ -115,6 +115,22 @@ function nearest(p, polygons, reach, pointOf) {
   return all.filter(({ gap }) => gap <= reach).sort((a, b) => a.gap - b.gap)[0];
 }
 
+const ROWS = 200;
+
+/** Area by the even-odd rule, summed over rows. */
+export function areaOf(polygon) {
+  const [, top, , bottom] = boundsOf([polygon]);
+  const rows = Array.from({ length: ROWS }, (_, k) => {
+    const y = top + ((k + 0.5) / ROWS) * (bottom - top);
+    const crossed = polygon.flatMap(([ax, ay], i) => {
+      const [bx, by] = polygon.at(i - 1);
+      return ay > y !== by > y ? [ax + ((y - ay) * (bx - ax)) / (by - ay)] : [];
+    });
+    return crossed.sort((a, b) => a - b).reduce((sum, x, i) => sum + (i % 2 ? x : -x), 0);
+  });
+  return rows.reduce((sum, wide) => sum + wide, 0) * ((bottom - top) / ROWS);
+}
+
 /** Left, top, right and bottom; null without a point. */
 export function boundsOf(polygons) {
   const [xs, ys] = [0, 1].map((axis) => polygons.flat().map((point) => point[axis]));
