@@ -521,3 +521,22 @@ def test_an_outline_smaller_than_a_pixel_is_refused(page):
         page.click(corner)
     page.press("Enter")
     assert len(page.objects()) == 1
+
+
+def test_what_needs_trajectories_says_that_they_are_not_there_yet(page):
+    page.tab.route("**/tracks", lambda route: route.fulfill(status=202, json={"done": 1, "total": 6}))
+    page.tab.reload()
+    page.until("window.labeller?.state.doc && labeller.state.view")
+    said = "The trajectories are not there yet"
+    for key in ("g", "Shift+W"):
+        page.press(key)
+        assert page.value("labeller.state.hint") == said
+        page.press("b")
+        assert page.value("labeller.state.hint") != said
+    page.press("q")
+    page.drag((200, 20), (260, 20), (260, 60), (200, 60), (200, 22), steps=8)
+    assert said in page.value("labeller.state.hint")
+    page.press("1")
+    assert page.value("labeller.state.hint") == f"Marked. {said}"
+    page.tab.unroute("**/tracks")
+    page.until("labeller.state.labels?.counts.motions[2]")

@@ -6,7 +6,7 @@ import {
 import { nextOf } from "./dom.js";
 import { ask } from "./saving.js";
 import { attempt, cancel, edit, editLast, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
-import { rowsWhere, visitNext } from "./tracks.js";
+import { NOT_YET, rowsWhere, visitNext } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
 const CARRIED = "It is being carried there: press C again";
@@ -92,7 +92,8 @@ export function finish() {
 function catchTracks(frame, polygon) {
   const rows = rowsWhere(frame, (point) => inside(point, polygon));
   set({ lassoed: { frame, polygon, rows } });
-  notify(`${rows.length} trajectories: press 1 to 9, 0 for background, x to reject, Esc to deselect`);
+  const caught = state.tracks ? `${rows.length} trajectories` : `${NOT_YET}; the lasso holds when they are`;
+  notify(`${caught}: press 1 to 9, 0 for background, x to reject, Esc to deselect`);
 }
 
 const setPoints = (points) => set({ pending: { ...state.pending, points } });
@@ -262,10 +263,11 @@ const setMarks = (marks) => edit({ ...state.doc, marks });
 export function setMotion(motion) {
   const { lassoed, doc } = state;
   if (!lassoed) return setOwnMotion(motion);
-  const { frame, polygon, rows } = lassoed;
+  const { frame, polygon } = lassoed;
   setMarks([...(doc.marks ?? []), { frame, motion, polygon }]);
   set({ lassoed: null });
-  return notify(`${rows.length} trajectories marked`);
+  const rows = rowsWhere(frame, (point) => inside(point, polygon));
+  return notify(state.tracks ? `${rows.length} trajectories marked` : `Marked. ${NOT_YET}`);
 }
 
 const setOwnMotion = withObject((item, motion) => item.motion !== motion && update(item, { motion }));
@@ -378,7 +380,7 @@ export function nextWeak() {
   const all = objects.flatMap((item, k) => weakFrames(item).map(([frame, why]) => ({ item, k, frame, why })));
   const own = objects.indexOf(selectedObject());
   const after = all.findIndex(({ k, frame }) => k > own || (k === own && frame > state.frame));
-  visitNext("weak", all, "No frame is in doubt", ({ item, frame, why }, which) => {
+  visitNext("weak", all, state.weak ? "No frame is in doubt" : NOT_YET, ({ item, frame, why }, which) => {
     select(item.id);
     goTo(frame);
     return `${item.name}: ${why} (${which} weak frames)`;

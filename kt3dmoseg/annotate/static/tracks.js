@@ -7,6 +7,8 @@ import { PROBLEM, begin, byId, colourOfLength, colourOfTrack, sized } from "./do
 import { now, on, notify, regionOf, set, state } from "./state.js";
 import { goTo, showPoint } from "./view.js";
 
+export const NOT_YET = "The trajectories are not there yet";
+
 const SOON = 40;
 const POLL = 400;
 const TRAIL = 6;
@@ -123,7 +125,8 @@ function holder(row) {
 export function nextProblem(id) {
   const { reason } = state.labels ?? {};
   const places = problems().get(id) ?? [...problems().values()].flat();
-  visitNext("problem", places, "No trajectory is unlabelled or in conflict", (row, which) => {
+  const nothing = state.labels ? "No trajectory is unlabelled or in conflict" : NOT_YET;
+  visitNext("problem", places, nothing, (row, which) => {
     showTrack(row);
     const why = reason[row] === 3 ? "in conflict" : "too short to label";
     return `trajectory ${row} is ${why} (${which}); lasso it with Q`;
