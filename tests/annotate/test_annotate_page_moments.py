@@ -540,3 +540,16 @@ def test_what_needs_trajectories_says_that_they_are_not_there_yet(page):
     assert page.value("labeller.state.hint") == f"Marked. {said}"
     page.tab.unroute("**/tracks")
     page.until("labeller.state.labels?.counts.motions[2]")
+
+
+@pytest.mark.parametrize("key", ["Backspace", "Delete", "e"])
+def test_a_point_is_not_chosen_any_more_when_its_key_frame_goes(page, key):
+    page.draw()
+    page.press("ArrowRight", "r")
+    for corner in ((64, 70), (104, 60), (144, 70), (144, 130), (104, 140), (64, 130)):
+        page.click(corner)
+    page.press("Enter", "Shift+V", key)
+    before = page.objects()
+    assert page.value("labeller.state.vertex") is None
+    page.press("l", "d")
+    assert page.objects() == before

@@ -341,7 +341,10 @@ export const deleteObject = withObject((item) => {
 export const forgetKey = withObject((item) => {
   const key_frames = item.key_frames.filter((key) => key.frame !== state.frame);
   if (!key_frames.length) notify("This is its only key frame; Shift+Delete deletes the object");
-  else if (keyAt(item, state.frame)) update(item, { key_frames });
+  else if (keyAt(item, state.frame)) {
+    update(item, { key_frames });
+    set({ vertex: null });
+  }
 });
 
 /** The document in which a key frame is in another frame, with the outline that is shown there: between its

@@ -89,6 +89,13 @@ now(["doc"], () => {
   }
 });
 
+// A point that its outline has no more is not chosen.
+now(["doc"], () => {
+  const { vertex, frame } = state;
+  const item = vertex && selectedObject();
+  if (vertex && !(item && regionOf(item, frame).polygons[vertex.part]?.[vertex.index])) set({ vertex: null });
+});
+
 /** Run an action; a failure, for instance because the server is away, becomes a hint. */
 export const attempt = (action) => (async () => action())().catch(({ message }) => notify(message));
 
