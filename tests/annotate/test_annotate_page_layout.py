@@ -262,14 +262,14 @@ def at_frame(page, frame, top):
 
 def test_a_key_frame_is_dragged_along_the_timeline(page):
     page.draw()
-    page.until("labeller.state.regions?.[1]")
     page.press("End", "e", "Home")
+    page.until("labeller.state.carried === labeller.state.doc")
     for frame, to in ((5, 3), (0, 2)):
         page.tab.mouse.move(*at_frame(page, frame, 39))
         page.tab.mouse.down()
         page.tab.mouse.move(*at_frame(page, to, 39), steps=4)
         page.tab.mouse.up()
-        page.until(f"labeller.state.frame === {to} && labeller.state.regions")
+        page.until(f"labeller.state.frame === {to} && labeller.state.carried === labeller.state.doc")
     first, last = page.objects()[0]["key_frames"]
     assert (first["frame"], last["frame"], last["visibility"]) == (2, 3, "outside")
     # The outline is the one that was shown there, where the object is.

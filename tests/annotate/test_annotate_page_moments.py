@@ -553,3 +553,22 @@ def test_a_point_is_not_chosen_any_more_when_its_key_frame_goes(page, key):
     assert page.value("labeller.state.vertex") is None
     page.press("l", "d")
     assert page.objects() == before
+
+
+@pytest.mark.parametrize("case", ["behind", "away"])
+def test_a_key_frame_that_is_moved_keeps_an_outline_of_its_own(page, case):
+    page.draw()
+    page.press("ArrowRight", *("o" if case == "behind" else ""))
+    page.press("End", "r")
+    page.until("labeller.state.carried === labeller.state.doc")
+    held = hold(page, "**/regions") if case == "away" else []
+    for corner in THERE:
+        page.click(corner)
+    page.press("Enter")
+    page.until(f"'{case}' === 'away' || labeller.state.carried === labeller.state.doc")
+    page.press("Shift+N")
+    key = page.objects()[0]["key_frames"][-1]
+    assert (key["frame"], key["visibility"]) == (4, "visible")
+    assert min(x for x, _ in key["polygons"][0]) > 180
+    if held:
+        let_go(page, "**/regions", held)

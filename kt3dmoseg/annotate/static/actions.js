@@ -347,8 +347,8 @@ export const forgetKey = withObject((item) => {
   }
 });
 
-/** The document in which a key frame is in another frame, with the outline that is shown there: between its
- *  neighbours, for it replaces none; null where that is the frame in which it is. */
+/** The document in which a key frame is in another frame: between its neighbours, for it replaces none. It takes the
+ *  outline that is carried there, where that is its own. */
 export function moveKey(doc, item, from, wanted) {
   if (state.locked.has(item.id)) return notify(`${item.name} is locked: Shift+R unlocks it`);
   const others = item.key_frames.filter((key) => key.frame !== from).map((key) => key.frame);
@@ -357,8 +357,10 @@ export function moveKey(doc, item, from, wanted) {
   const to = clamp(wanted, least, most);
   if (to === from) return doc;
   const { visibility, polygons } = keyAt(item, from);
-  const there = editableRegion(item, to).polygons;
-  const kept = visibility === "outside" ? [] : there.length ? there : polygons;
+  const there = editableRegion(item, to);
+  const own = objectOf(state.carried ?? { objects: [] }, item.id)?.key_frames === item.key_frames
+    && there.visibility === visibility && there.polygons.length;
+  const kept = visibility === "outside" ? [] : own ? there.polygons : polygons;
   const without = { key_frames: item.key_frames.filter((key) => key.frame !== from) };
   return setKey(changeObject(doc, item.id, without), item.id, to, kept, visibility);
 }
