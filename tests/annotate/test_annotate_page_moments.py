@@ -572,3 +572,25 @@ def test_a_key_frame_that_is_moved_keeps_an_outline_of_its_own(page, case):
     assert min(x for x, _ in key["polygons"][0]) > 180
     if held:
         let_go(page, "**/regions", held)
+
+
+@pytest.mark.parametrize("again", ["o", "e", "buttons"])
+def test_visibility_that_is_taken_back_leaves_the_key_frames_as_they_were(page, again):
+    page.draw()
+    page.press("ArrowRight", "ArrowRight", "r")
+    for corner in THERE:
+        page.click(corner)
+    page.press("Enter", "End", "e", "Home", "ArrowRight", "ArrowRight")
+    before = page.objects()
+    for frame in (2, 1):
+        if again == "buttons":
+            page.tab.locator("button[name=visibility][value=outside]").click()
+        else:
+            page.press(again)
+        assert page.objects() != before
+        if again == "buttons":
+            page.tab.locator("button[name=visibility][value=visible]").click()
+        else:
+            page.press(again)
+        assert page.objects() == before, frame
+        page.press("ArrowLeft")

@@ -296,17 +296,32 @@ export const copyToNext = withObject((item) => {
   return goTo(next);
 });
 
+// Where an object was made occluded or outside: { frame, key_frames } from before, by the key frames since then.
+const hiddenFrom = new WeakMap();
+
+/** The key frames from before an object was made occluded or outside here, while it was as wanted. */
+function asBefore(key_frames, wanted) {
+  const before = hiddenFrom.get(key_frames);
+  if (before?.frame !== state.frame) return null;
+  return wanted(regionOf(before, before.frame, null).visibility) ? before.key_frames : asBefore(before.key_frames, wanted);
+}
+
 export const setVisibility = withObject((item, visibility) => {
-  const far = (key) => Math.abs(key.frame - state.frame);
+  const { frame } = state;
+  const key_frames = asBefore(item.key_frames, (was) => was === visibility);
+  if (key_frames) return update(item, { key_frames });
+  const far = (key) => Math.abs(key.frame - frame);
   const drawn = item.key_frames.filter((key) => key.polygons?.length).sort((a, b) => far(a) - far(b));
   const polygons = [regionHere(), ...drawn].find((region) => region.polygons.length)?.polygons ?? [];
-  if (visibility === "visible" && !polygons.length) notify("Draw it here first: press R");
-  else if (visibility === "visible") draw(polygons, visibility);
-  else draw(visibility === "outside" ? [] : polygons, visibility, keptBefore(item));
+  if (visibility === "visible") return polygons.length ? draw(polygons, visibility) : notify("Draw it here first: press R");
+  draw(visibility === "outside" ? [] : polygons, visibility, keptBefore(item));
+  return hiddenFrom.set(selectedObject().key_frames, { frame, key_frames: item.key_frames });
 });
 
 export const toggleVisibility = withObject((item, wanted) => {
   if (regionHere().visibility !== wanted) return setVisibility(wanted);
+  const before = asBefore(item.key_frames, (was) => was !== wanted);
+  if (before) return update(item, { key_frames: before });
   // The key that says so goes again, where the object is seen without it.
   const key_frames = item.key_frames.filter((key) => key.frame !== state.frame);
   const seen = key_frames.length && regionOf({ key_frames }, state.frame, null).visibility === "visible";
