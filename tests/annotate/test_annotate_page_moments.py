@@ -594,3 +594,81 @@ def test_visibility_that_is_taken_back_leaves_the_key_frames_as_they_were(page, 
             page.press(again)
         assert page.objects() == before, frame
         page.press("ArrowLeft")
+
+
+MADE = "labeller.state.doc.objects.at(-1)?.key_frames.length > 1 && labeller.state.making === null"
+
+
+def outline_what_is_in_doubt(page):
+    """Outline something with few trajectories; the key frames that it gets by itself are held back."""
+    held = hold(page, "**/made")
+    page.press("Shift+O")
+    page.drag((90, 90), (106, 106))
+    while not held:
+        page.tab.wait_for_timeout(20)
+    page.press("Escape")
+    return held
+
+
+def test_undo_of_the_motion_keeps_key_frames_made_by_themselves(page):
+    held = outline_what_is_in_doubt(page)
+    page.press("4")
+    let_go(page, "**/made", held)
+    page.until(MADE)
+    before = len(page.objects()[0]["key_frames"])
+    page.press("Control+z")
+    assert named(page) == [("object 1", 1)]
+    assert len(page.objects()[0]["key_frames"]) == before
+    page.press("Control+z")
+    assert not page.objects()
+
+
+@pytest.mark.parametrize("what", ["itself", "another object"])
+def test_key_frames_made_by_themselves_wait_for_the_end_of_a_drag(page, what):
+    page.draw(THIRD)
+    page.press("Escape")
+    held = outline_what_is_in_doubt(page)
+    if what == "another object":
+        page.tab.locator(".entry .object").first.click()
+    place = (98, 98) if what == "itself" else (55, 160)
+    page.hold(place, (place[0] + 5, place[1] + 5))
+    page.until("labeller.state.dragging")
+    with page.tab.expect_response("**/made"):
+        let_go(page, "**/made", held)
+    page.tab.wait_for_timeout(200)
+    page.release((place[0] + 6, place[1] + 6))
+    page.until(MADE)
+
+
+def test_two_objects_outlined_one_after_the_other_both_get_key_frames_by_themselves(page):
+    page.value(
+        "(() => { const later = setTimeout; window.setTimeout = (run, ms, ...more) =>"
+        " later(run, ms === 400 ? 3000 : ms, ...more); })()"
+    )
+    page.press("Shift+O")
+    page.drag((90, 90), (106, 106))
+    page.press("Enter")
+    page.click((250, 50))
+    page.until("labeller.state.doc.objects.length === 2")
+    page.until(MADE)
+    assert all(len(item["key_frames"]) > 1 for item in page.objects())
+
+
+@pytest.mark.parametrize("then", ["PageDown", "done"])
+def test_another_clip_and_the_state_wait_for_key_frames_made_by_themselves(page, shared, then):
+    held = outline_what_is_in_doubt(page)
+    if then == "done":
+        page.value("localStorage.setItem('annotator', 'me')")
+        page.tab.get_by_label("State of this clip").select_option("done")
+    else:
+        page.press(then)
+    page.tab.wait_for_timeout(700)  # what does not wait is there by then
+    let_go(page, "**/made", held)
+    if then == "done":
+        page.until(MADE)
+        page.saved()
+        page.until("labeller.state.work?.state === 'done'")
+        page.until("document.getElementById('state').value === 'done'")
+    else:
+        page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
+    assert len(stored(shared).objects[0].key_frames) > 1

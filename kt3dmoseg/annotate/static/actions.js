@@ -166,30 +166,58 @@ export const outlineBox = (box) => inTurn((frame) => {
 // Key frames made by themselves where a region is in doubt, and why it is; each outline makes them again.
 const doubts = new WeakMap();
 const QUIET = 400;
-let quiet = 0;
+let quiet = 0; // the timer, while it runs
+let made = Promise.resolve(); // once all that is being made is there
+
+const sameKeys = ({ key_frames }) => (item) => item.key_frames === key_frames;
 
 async function makeKeys(id) {
+  const { clip } = state;
   const before = objectOf(state.doc, id);
-  const { made } = await ask(state.clip.name, "made", { ...state.doc, objects: [before] });
-  if (state.dragging || !made.length || objectOf(state.doc, id)?.key_frames !== before.key_frames) return;
-  set({ doc: made.reduce((doc, [frame, outlined, why]) => {
+  if (!before || before.key_frames.some((key) => doubts.has(key.polygons))) return;
+  const answer = await ask(clip.name, "made", { ...state.doc, objects: [before] });
+  while (state.dragging) await new Promise((later) => setTimeout(later, QUIET / 10));
+  if (clip !== state.clip) return;
+  // Edited meanwhile: make them of what is there now, but for what was undone.
+  if (!state.doc.objects.some(sameKeys(before)) && !state.undone.length) makeKeysSoon(id);
+  if (!answer.made.length) return;
+  const after = objectOf(answer.made.reduce((doc, [frame, outlined, why]) => {
     const polygons = outlined.map(rounded);
     doubts.set(polygons, `outlined by itself: ${why}`);
     return setKey(doc, id, frame, polygons);
-  }, state.doc) });
-  notify(`Outlined by itself where it was in doubt, in frames: ${made.length}; Shift+W shows them`);
+  }, { objects: [before] }), id);
+  const { key_frames } = after;
+  if (hiddenFrom.has(before.key_frames)) hiddenFrom.set(key_frames, hiddenFrom.get(before.key_frames));
+  // Also in what undo and redo go to, where it is outlined as it was.
+  const completed = (doc) => (!doc.objects.some(sameKeys(before)) ? doc
+    : { ...doc, objects: doc.objects.map((item) => (sameKeys(before)(item) ? { ...item, key_frames } : item)) });
+  set({ doc: completed(state.doc), done: state.done.map(completed), undone: state.undone.map(completed) });
+  if (state.doc.objects.some(sameKeys(after))) {
+    notify(`Outlined by itself where it was in doubt, in frames: ${answer.made.length}; Shift+W shows them`);
+  }
 }
 
-/** Make them once it is quiet: further clicks do not wait for it. */
+/** Make them once it is quiet: further clicks do not wait for it. What another object waits for is made at once. */
 function makeKeysSoon(id) {
-  const { clip } = state;
+  if (quiet && id !== state.making) makeKeysNow();
   clearTimeout(quiet);
   set({ making: id }); // which merging renumbers
-  const own = quiet = setTimeout(async () => {
-    const { making } = state;
-    if (clip === state.clip && objectOf(state.doc, making)) await attempt(() => makeKeys(making));
-    if (own === quiet) set({ making: null });
-  }, QUIET);
+  quiet = setTimeout(makeKeysNow, QUIET);
+}
+
+async function makeKeysNow() {
+  clearTimeout(quiet);
+  quiet = 0;
+  const { making } = state;
+  const own = made = Promise.all([made, attempt(() => makeKeys(making))]);
+  await own;
+  if (own === made && !quiet) set({ making: null });
+}
+
+/** Wait until all outlines and key frames that the server was asked for are there. */
+export async function allOutlined() {
+  await turn;
+  for (; state.making !== null; await made) if (quiet) makeKeysNow();
 }
 
 /** Why an object's region is in doubt in a frame, if it is. */

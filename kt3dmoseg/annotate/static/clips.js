@@ -1,6 +1,6 @@
 // Opening clips, the list of them, and how far this one and all are.
 
-import { weakFrames } from "./actions.js";
+import { allOutlined, weakFrames } from "./actions.js";
 import { button, byId, close, element, faint, fill, open, paragraph, row, table } from "./dom.js";
 import { proposeBuilt } from "./exchange.js";
 import { ask, flush, join, listClips, saver, startFrom, yourName } from "./saving.js";
@@ -11,12 +11,15 @@ import { fit, stop } from "./view.js";
 const POLL = 500;
 const HEADS = ["clip", "frames", "objects", "assigned to", "state", "set by", "in doubt", "minutes", "saved"];
 
+/** Save what is there, once what was asked for is there, too. */
+const complete = () => allOutlined().then(flush);
+
 /** Open a clip, or report why it cannot be opened. */
 export async function openClip(name, remember = "pushState", leaving = false) {
   try {
-    await flush();
+    await complete();
     const clip = await ask(name);
-    await flush(); // what was drawn meanwhile
+    await complete(); // what was drawn meanwhile
     if (name === saver.clip && clip.annotation.revision < saver.revision) return openClip(name, remember, leaving);
     if (state.dragging) return notify("Let go first, then open another clip");
     if (saver.pending && !leaving) return stay(name, remember);
@@ -72,7 +75,7 @@ function doubtOf({ short, conflict }, weak) {
 
 /** Set the state of this clip: of what is seen here. Where somebody saved meanwhile, that is shown instead. */
 async function setState(value) {
-  await flush();
+  await complete();
   await setWork(state.clip.name, { state: value, revision: saver.revision }).catch((error) => {
     if (error.status !== 412) throw error;
     join(error.body.annotation);
