@@ -672,3 +672,30 @@ def test_another_clip_and_the_state_wait_for_key_frames_made_by_themselves(page,
     else:
         page.until("labeller.state.clip.name === 'two' && labeller.state.labels")
     assert len(stored(shared).objects[0].key_frames) > 1
+
+
+def test_clicks_that_wait_go_to_no_object_that_is_selected_later(page):
+    page.draw()
+    page.draw(THERE)
+    before = page.objects()
+    page.press("Escape", "Shift+O", "]")
+    held = hold(page, "**/outline")
+    page.click((100, 100))
+    page.click((110, 100))
+    page.press("]")
+    page.until("labeller.state.selected === 2")
+    with page.tab.expect_response("**/outline"):
+        let_go(page, "**/outline", held)
+    page.shows("#hint", "Another object was selected meanwhile")
+    assert page.objects() == before
+
+
+def test_quick_clicks_on_something_new_are_of_one_object(page):
+    page.draw(THIRD)
+    held = hold(page, "**/outline")
+    page.press("Shift+O")
+    page.click((250, 50))
+    page.click((240, 50))
+    let_go(page, "**/outline", held)
+    page.until("labeller.state.done.length === 3 && labeller.state.making === null")
+    assert len(page.objects()) == 2

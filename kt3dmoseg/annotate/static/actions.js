@@ -7,6 +7,12 @@ import { nextOf } from "./dom.js";
 import { ask } from "./saving.js";
 import { attempt, cancel, edit, editLast, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
 import { NOT_YET, rowsWhere, visitNext } from "./tracks.js";
+
+
+import {
+  attempt, cancel, edit, editLast, editable, notify, now, regionOf, select, selectedObject, set, state,
+} from "./state.js";
+import { rowsWhere, visitNext } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
 const CARRIED = "It is being carried there: press C again";
@@ -139,15 +145,29 @@ function inTurn(action) {
   return turn;
 }
 
+// Whose the next clicks are: of the selected object, or of one that is not there before the first of them is answered.
+let aim = { id: null };
+now(["selected"], () => state.selected !== aim.id && (aim = { id: state.selected }));
+
 /** So that what was clicked before still belongs to what was selected. */
-const deselect = () => inTurn(() => select(null));
+function deselect() {
+  aim = { id: null };
+  return inTurn(() => select(null));
+}
+
+/** An outline of what was aimed at when it was asked for, unless another object is selected in its turn. */
+function outlineInTurn(askedIn) {
+  const own = aim;
+  return inTurn((frame) => (own.id === state.selected ? outline(askedIn(frame), own)
+    : notify("Another object was selected meanwhile: click again")));
+}
 
 /** Outline what moves with a point: the selected object, else a new one. Where that is outlined, or carried to,
  *  clicks add to it or take away. */
-export const click = (point, adds) => inTurn((frame) => {
+export const click = (point, adds) => outlineInTurn((frame) => {
   const item = selectedObject();
   const { clicks = [], ...before } = askedAt(frame) ?? { like: item ? seenAt(item, frame) : [] };
-  return outline({ ...before, frame, clicks: [...clicks, [...point, adds]] });
+  return { ...before, frame, clicks: [...clicks, [...point, adds]] };
 });
 
 const seenAt = (item, frame) => {
@@ -156,11 +176,11 @@ const seenAt = (item, frame) => {
 };
 
 /** In a box, what is carried there from other frames is the shape to expect. */
-export const outlineBox = (box) => inTurn((frame) => {
+export const outlineBox = (box) => outlineInTurn((frame) => {
   const item = selectedObject();
   const drawn = item && keyAt(item, frame);
   const like = !item || (drawn && !doubts.has(drawn.polygons)) ? [] : regionOf(item, frame).polygons;
-  return outline({ frame, box, clicks: [], like });
+  return { frame, box, clicks: [], like };
 });
 
 // Key frames made by themselves where a region is in doubt, and why it is; each outline makes them again.
@@ -231,7 +251,7 @@ function holds(clip, item, frame) {
   return clip === state.clip && !state.dragging && (!item || (now && drawn(now) === drawn(item)));
 }
 
-async function outline(asked) {
+async function outline(asked, own) {
   const item = selectedObject();
   if (item && !editable()) return undefined;
   if (!state.tracks) return notify("The trajectories are not there yet");
@@ -243,8 +263,13 @@ async function outline(asked) {
   if (!answer.polygons.length) return notify("No outline there: click on what moves, where trajectories are");
   const polygons = answer.polygons.map(rounded);
   askedOf.set(polygons, asked);
-  if (item) edit(withKey(state.doc, frame, polygons));
-  else editLast(addObject(state.doc, { key_frames: [{ frame, visibility: "visible", polygons }] }));
+  if (item) {
+    edit(withKey(state.doc, frame, polygons));
+  } else {
+    const doc = addObject(state.doc, { key_frames: [{ frame, visibility: "visible", polygons }] });
+    own.id = doc.objects.at(-1).id;
+    editLast(doc);
+  }
   return makeKeysSoon(state.selected);
 }
 
