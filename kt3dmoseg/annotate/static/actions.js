@@ -5,14 +5,10 @@ import {
 } from "./annotation.js";
 import { nextOf } from "./dom.js";
 import { ask } from "./saving.js";
-import { attempt, cancel, edit, editLast, editable, notify, regionOf, select, selectedObject, set, state } from "./state.js";
-import { NOT_YET, rowsWhere, visitNext } from "./tracks.js";
-
-
 import {
   attempt, cancel, edit, editLast, editable, notify, now, regionOf, select, selectedObject, set, state,
 } from "./state.js";
-import { rowsWhere, visitNext } from "./tracks.js";
+import { NOT_YET, rowsWhere, visitNext } from "./tracks.js";
 import { goTo, inSight } from "./view.js";
 
 const CARRIED = "It is being carried there: press C again";

@@ -9,7 +9,7 @@ import { pan, stop, toImage, toScreen, zoom } from "./view.js";
 const REACH = 8;
 const FREEHAND = 4;
 // How near to its first point a click closes an outline.
-const CLOSE = 3;
+const CLOSE = 5;
 // Dragged less, a press is a click.
 const STILL = 2;
 // Pixels of a line of a wheel; the most that one notch counts while zooming; zoom for a pixel of pinching.
