@@ -444,8 +444,10 @@ def _made(tasks: Sequence[Task], **where: Any) -> Iterator[tuple[Task, dict[str,
         return {}
 
     yield from run_tasks(run_task, tasks, lost=lost, **where)
-    if alone:
-        yield from run_tasks(run_task, alone, lost=lost, **where)
+    # Dask blames all tasks that wait for a worker that dies, the pool only the one that runs.
+    batches = [[task] for task in alone] if where.get("dask") else [alone] * bool(alone)
+    for batch in batches:
+        yield from run_tasks(run_task, batch, lost=lost_task, **where)
 
 
 def run_task(task: Task, progress: Callable[..., None] | None = None) -> dict[str, Outcome]:
