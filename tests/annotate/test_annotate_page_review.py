@@ -429,6 +429,12 @@ def test_two_annotators_are_compared_and_adjudicated_object_by_object(reviewer, 
     reviewer.tab.locator("#differences").wait_for(state="hidden")  # drawn a moment after the state
 
 
+def to_list(page):
+    """Open the list of differences, unless it is open because none is left below."""
+    if not page.value("document.querySelector('dialog').open"):
+        button(page, "List").click()
+
+
 def test_a_decision_is_not_of_an_object_that_took_the_number_of_mine(reviewer):
     reviewer.draw([(20, 150), (50, 150), (50, 180), (20, 180)])
     reviewer.saved()
@@ -436,9 +442,11 @@ def test_a_decision_is_not_of_an_object_that_took_the_number_of_mine(reviewer):
     button(reviewer, "missed by the other: object 1").click()
     button(reviewer, "Delete, as theirs").click()
     reviewer.until("labeller.state.doc.objects.length === 0")
+    to_list(reviewer)
     button(reviewer, "missed by you: box").click()
     button(reviewer, "Take theirs").click()
     reviewer.until("labeller.state.doc.objects.length === 1")
+    to_list(reviewer)
     button(reviewer, "missed by the other: object 1").click()
     assert reviewer.value("labeller.state.selected") is None
 

@@ -166,7 +166,8 @@ def test_a_method_that_kills_its_worker_costs_no_other_method(data, serial, wher
     assert "workers died" in reason or "died 3 times" in reason
     assert_array_equal(result.errors[[0, 2], :, 0], serial.errors[:, :, 0])
     assert [n for n, *_ in done] == list(range(1, len(done) + 1))
-    assert done[-1][1] == len(done) >= 6
+    assert done[-1][1] == len(done)
+    assert len(done) == 6 or "dask" in where  # which loses as many as wait for the worker
 
 
 def test_cached_outcomes_are_not_run_again(serial, data, tmp_path, monkeypatch):
