@@ -17,6 +17,7 @@ _LONGEST = 200
 _FRACTION = 1.5  # a clip whose every coordinate is smaller is not in pixels
 _FAR = 1e9
 CLEAR = 1.5  # a reading is surely wrong when another one is so many times better
+_SHAKEN = 3.0  # pixels that a shaking camera may bend paths by
 _MOST = 1000  # tracks and frames that are looked at, evenly spaced
 _NUMBER = re.compile(r"-?[0-9]{1,18}")
 NUMBERS, TEXT = "biuf", "U"
@@ -171,7 +172,7 @@ def check_axes(name: str, xy: FloatArray, visible: BoolArray) -> None:
         fix = "multiply fractions by width and height, and subtract 0.5"
         raise InvalidValueError(name, expected="pixels", found=f"at most {farthest:g}", fix=fix)
     across, along = bends(xy, visible)
-    if along > CLEAR * across:
+    if along > CLEAR * max(across, _SHAKEN):
         expected = "paths that bend less in time than from track to track"
         found = f"{along:.3g} px from frame to frame, {across:.3g} px from track to track"
         fix = "exchange the axes of tracks and frames, or give kt3dmoseg.Trajectories if they are right"
@@ -187,6 +188,7 @@ def bends(xy: FloatArray, visible: BoolArray) -> tuple[float, float]:
     some = slice(None, None, len(xy) // _MOST + 1), slice(None, None, xy.shape[1] // _MOST + 1)
     xy, visible = xy[some], visible[some]
     visible = visible & (np.abs(xy) < _FAR).all(axis=2)
+    xy = np.where(visible[..., None], xy, 0.0)
 
     def bend(xy: FloatArray, visible: BoolArray) -> float:
         seen = visible[2:] & visible[1:-1] & visible[:-2]

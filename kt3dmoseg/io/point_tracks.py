@@ -192,13 +192,27 @@ def _projected(fields: Fields, points: npt.NDArray[Any], visible: BoolArray) -> 
 
 
 def _frames_first(name: str, xy: FloatArray, visible: BoolArray) -> bool:
-    """Whether the first axis is time: a path bends less in time than from track to track."""
+    """Whether the first axis is time: a path bends less in time than from track to track.
+
+    Of two frames or tracks, a point stays closer to itself than it is to the others; one is a track.
+    """
+    if 1 in xy.shape[:2]:
+        return bool(xy.shape[1] == 1)
     first, second = bends(xy, visible)
+    if 2 in xy.shape[:2]:
+        first, second = (_apart(*turned) for turned in ((xy, visible), (xy.swapaxes(0, 1), visible.T)))
     if not max(first, second) > CLEAR * min(first, second):
-        found = f"points that bend by {first:.3g} px along the first axis, {second:.3g} px along the second"
+        found = f"points {first:.3g} px apart along the first axis, {second:.3g} px along the second"
         fix = "name them pred_tracks and pred_visibility (F, N), or tracks and visibles (N, F)"
         raise InvalidValueError(name, expected="axes that show in how points move", found=found, fix=fix)
     return second > first
+
+
+def _apart(xy: FloatArray, visible: BoolArray) -> float:
+    """Median distance of positions over half of the first axis; 0 without any."""
+    half = max(1, len(xy) // 2)
+    moved = (xy[half:] - xy[:-half])[visible[half:] & visible[:-half]]
+    return float(np.median(np.hypot(*moved.T))) if len(moved) else 0.0
 
 
 def _tapvid(fields: Fields, path: PathLike) -> Trajectories:

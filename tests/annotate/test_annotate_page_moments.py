@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 
 import pytest
@@ -699,3 +700,19 @@ def test_quick_clicks_on_something_new_are_of_one_object(page):
     let_go(page, "**/outline", held)
     page.until("labeller.state.done.length === 3 && labeller.state.making === null")
     assert len(page.objects()) == 2
+
+
+def test_a_click_while_the_next_new_object_is_being_made_extends_that_one(page):
+    asked = []
+    page.tab.on(
+        "request", lambda r: r.url.endswith("/outline") and asked.append(json.loads(r.post_data)["clicks"])
+    )
+    page.tab.route("**/outline", lambda route: (page.tab.wait_for_timeout(300), route.continue_()))
+    page.press("Shift+O")
+    page.click((100, 100))
+    page.press("Shift+O")
+    page.click((90, 90))
+    page.until("labeller.state.doc.objects.length === 1 && labeller.state.selected === null")
+    page.click((120, 110))
+    page.until("labeller.state.doc.objects.length === 2 && !labeller.state.making")
+    assert [len(clicks) for clicks in asked] == [1, 1, 2]

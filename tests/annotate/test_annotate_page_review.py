@@ -449,6 +449,11 @@ def test_a_decision_is_not_of_an_object_that_took_the_number_of_mine(reviewer):
     to_list(reviewer)
     button(reviewer, "missed by the other: object 1").click()
     assert reviewer.value("labeller.state.selected") is None
+    to_list(reviewer)
+    button(reviewer, "missed by you: box").click()
+    reviewer.shows("#differences", "Ctrl+Z takes it back")
+    reviewer.press("Control+z")
+    reviewer.shows("#differences", "Take theirs")
 
 
 def test_what_is_in_conflict_is_shown_and_found(page):

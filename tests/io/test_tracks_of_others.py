@@ -408,3 +408,26 @@ def test_an_object_that_moves_further_than_its_size_is_read_in_the_right_order(t
     np.savez(tmp_path / "a.npz", tracks=noise, visibility=seen[:9, :9])
     with pytest.raises(FileFormatError, match="name them pred_tracks"):
         load(tmp_path / "a.npz")
+
+
+def test_tracks_in_even_rows_are_no_exchanged_axes_when_the_camera_shakes(tmp_path):
+    row = np.stack([np.linspace(10, 200, 20), np.full(20, 50.0)], axis=1)[:, None]
+    shake = np.random.default_rng(0).normal(0, 1, (12, 2)) + np.arange(12)[:, None]
+    seen = np.ones((20, 12), dtype=bool)
+    for xy in (row + shake, row + np.arange(12)[:, None] * (1.3, 0.7)):
+        check_axes("xy", xy, seen)
+    far = row + shake
+    far[3, 4], seen[3, 4] = 1e308, False
+    check_axes("xy", far, seen)
+
+
+@pytest.mark.parametrize("shape", [(200, 2), (2, 200), (50, 2), (2, 50), (1, 9), (9, 1)])
+def test_two_frames_and_single_tracks_are_read_in_the_right_order(tmp_path, shape):
+    tracks, frames = max(shape), min(shape)
+    if frames == 1:
+        tracks, frames = frames, tracks
+    start = np.random.default_rng(0).uniform(0, 300, (tracks, 1, 2))
+    xy = start + np.arange(frames)[:, None] * (2.0, 1.0)
+    given = xy if xy.shape[:2] == shape else xy.swapaxes(0, 1)
+    np.savez(tmp_path / "a.npz", tracks=given, visibility=np.ones(shape, dtype=bool))
+    np.testing.assert_array_equal(load(tmp_path / "a.npz").dense.xy, xy)

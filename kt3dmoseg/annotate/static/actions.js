@@ -143,12 +143,19 @@ function inTurn(action) {
 
 // Whose the next clicks are: of the selected object, or of one that is not there before the first of them is answered.
 let aim = { id: null };
-now(["selected"], () => state.selected !== aim.id && (aim = { id: state.selected }));
+let answering = false; // then what is selected was aimed at before
+now(["selected"], () => !answering && state.selected !== aim.id && (aim = { id: state.selected }));
+
+function unaimed(action) {
+  answering = true;
+  action();
+  answering = false;
+}
 
 /** So that what was clicked before still belongs to what was selected. */
 function deselect() {
   aim = { id: null };
-  return inTurn(() => select(null));
+  return inTurn(() => unaimed(() => select(null)));
 }
 
 /** An outline of what was aimed at when it was asked for, unless another object is selected in its turn. */
@@ -264,7 +271,7 @@ async function outline(asked, own) {
   } else {
     const doc = addObject(state.doc, { key_frames: [{ frame, visibility: "visible", polygons }] });
     own.id = doc.objects.at(-1).id;
-    editLast(doc);
+    unaimed(() => editLast(doc));
   }
   return makeKeysSoon(state.selected);
 }

@@ -61,7 +61,7 @@ function mergeLists(lists, keyOf) {
     const [old, my, their] = [base, mine, theirs].map((items) => items.get(key));
     let kept = [their, my];
     if (same(my, their)) kept = [my]; // with what is known here of its outlines
-    else if (same(my, old)) kept = [their];
+    else if (same(my, old)) kept = [their && my ? { ...their, [ORIGIN]: my[ORIGIN] } : their];
     else if (same(their, old)) kept = [my];
     const [first, double] = kept.filter(Boolean);
     if (first) merged.push(first);

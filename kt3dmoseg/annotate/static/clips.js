@@ -20,7 +20,8 @@ export async function openClip(name, remember = "pushState", leaving = false) {
     await complete();
     const clip = await ask(name);
     await complete(); // what was drawn meanwhile
-    if (name === saver.clip && clip.annotation.revision < saver.revision) return openClip(name, remember, leaving);
+    const same = name === saver.clip && clip.folder === saver.folder;
+    if (same && clip.annotation.revision < saver.revision) return openClip(name, remember, leaving);
     if (state.dragging) return notify("Let go first, then open another clip");
     if (saver.pending && !leaving) return stay(name, remember);
     history[remember](null, "", `?clip=${encodeURIComponent(name)}`);

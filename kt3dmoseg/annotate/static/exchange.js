@@ -289,7 +289,9 @@ function redrawThis() {
   else setTool("draw");
 }
 
-function drawDifference() {
+let shownAs = "";
+
+function drawDifference(focus = true) {
   const { at, objects } = state.compared ?? {};
   const here = objects?.[at];
   if (!here) return strip("differences", "");
@@ -301,8 +303,10 @@ function drawDifference() {
   button(here.first_id === null ? "Leave out" : "Keep mine", () => conclude("mine")),
   button("Redraw", redrawThis), next, button("List", list), button("Compare again", compare),
   button("Done", leave));
-  return settledAs(at) === "redraw" || next.focus();
+  shownAs = settledAs(at);
+  return !focus || shownAs === "redraw" || next.focus();
 }
 
 on(["review", "proposals"], drawReview);
-on(["compared"], drawDifference);
+on(["compared"], () => drawDifference());
+on(["doc"], () => state.compared?.objects[state.compared.at] && settledAs(state.compared.at) !== shownAs && drawDifference(false));
