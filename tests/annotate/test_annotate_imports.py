@@ -793,6 +793,12 @@ def test_one_id_for_two_labels_is_doubtful_in_different_frames_too():
     assert doubt == "shapes of several labels have one id, 1: car, other"
 
 
+def test_one_id_for_two_numbered_labels_in_a_frame_is_doubtful():
+    shapes = [drawn(outline(0, dx=d), label=f"car {d}").replace("/>", f">{ID}</polygon>") for d in (0, 1)]
+    (doubt,) = formats.plan("cvat", cvat(image(0, *shapes)), LIKE, NAMES).doubts
+    assert doubt == "shapes of several labels have one id, 7: car 0, car 1"
+
+
 def test_what_coco_says_is_occluded_is():
     found = formats.load("coco").parse(coco({"attributes": {"occluded": True, "track_id": 0}}), LIKE, NAMES)
     assert {key.visibility for key in found.objects[0].key_frames} == {"occluded"}

@@ -366,10 +366,13 @@ class Import:
             self.note(f"{shapes} are parts of one object")
         labels = defaultdict[Key, set[str]](set)
         for (_, key), of_frame in parts.items():
-            labels[key].update(map(_unnumbered, of_frame))
-        if mixed := [key for key, of_key in labels.items() if len(of_key) > 1]:
-            names = several(sorted(labels[mixed[0]]))
-            self.doubts.append(f"shapes of several labels have one id, {mixed[0]}: {names}")
+            labels[key].update(of_frame)
+        mixed = [key for (_, key), of_frame in parts.items() if len(set(of_frame)) > 1]
+        # From frame to frame labels may be numbered.
+        mixed += [key for key, names in labels.items() if len(set(map(_unnumbered, names))) > 1]
+        if mixed:
+            found = several(sorted(labels[mixed[0]]))
+            self.doubts.append(f"shapes of several labels have one id, {mixed[0]}: {found}")
 
     def _review(self) -> None:
         items = self.found.values()
